@@ -129,12 +129,26 @@ def nothing_catches_everything(file: Path, tree: ast.Module) -> Iterator[str]:
             yield f"line {node.lineno} catches everything"
 
 
+def no_string_is_a_statement(file: Path, tree: ast.Module) -> Iterator[str]:
+    """A string on a line of its own is a docstring, not the lost end of the message before it."""
+    nodes = list(ast.walk(tree))
+    owners = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    docstrings = {id(n.body[0]) for n in nodes if isinstance(n, owners) and n.body}
+    for node in nodes:
+        if not isinstance(node, ast.Expr) or id(node) in docstrings:
+            continue
+        value = node.value.value if isinstance(node.value, ast.Constant) else node.value
+        if isinstance(value, str | ast.JoinedStr):
+            yield f"line {node.lineno} is a string that nothing uses"
+
+
 RULES: tuple[Rule, ...] = (
     packages_import_in_one_direction,
     libraries_stay_in_their_packages,
     plans_and_requests_are_taken_apart_in_few_places,
     only_the_command_line_prints,
     nothing_catches_everything,
+    no_string_is_a_statement,
 )
 
 
@@ -221,6 +235,20 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
         ),
         (nothing_catches_everything, "a.py", "try: pass\nexcept (OSError, KeyError): pass", []),
         (nothing_catches_everything, "a.py", "with suppress(OSError): pass", []),
+        (no_string_is_a_statement, "a.py", "'x'\ndef f():\n  'y'\nclass C:\n  'z'", []),
+        *(
+            (
+                no_string_is_a_statement,
+                "a.py",
+                source,
+                [f"line {line} is a string that nothing uses"],
+            )
+            for source, line in (
+                ("x = 'one'\n' two'", 2),
+                ("def f():\n  'y'\n  return 'one'\n  ' two'", 4),
+                ("if X:\n  f'{y}'", 2),
+            )
+        ),
     ],
 )
 def test_the_rule_sees_what_breaks_it(

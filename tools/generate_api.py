@@ -43,9 +43,9 @@ HEAD = """<!-- Written by tools/generate_api.py from the docstrings: do not edit
 
 # Python reference
 
-Everything here is reached by `import gf_usd`. Lengths, masses and times are in SI, unless a text
-says stage units. The [guide](guide.md#from-python) introduces the functions and lists the values
-that keywords take; the examples below run as tests.
+Everything here is available after `import gf_usd`. Lengths, masses and times are in SI
+unless stage units are stated. The [guide](guide.md#from-python) introduces the functions and lists
+the values that keywords take; the examples below run as tests.
 """
 SECTION = re.compile(r"\n([A-Z]\w+)\n-{3,}\n")
 ENTRY = re.compile(r"^(\S.*?) : ", re.MULTILINE)
@@ -228,7 +228,7 @@ def option_table() -> Iterator[str]:
     for name, option in OPTIONS.items():
         shown = cell(in_keywords(option.shown)) or f"`{option.default!r}`".replace("`None`", "none")
         yield f"| `{name}` | {shown} | {cell(in_keywords(option.help))} |"
-    yield "| `progress` | none | Called after each frame with (frames done, frames in all). |"
+    yield "| `progress` | none | Called after each frame with (frames done, total frames). |"
 
 
 def main() -> int:

@@ -104,10 +104,9 @@ def with_laws(schema: Path) -> Sdf.Layer:
         name = f"gaussianFlesh:{variable.attribute}"
         made = Sdf.AttributeSpec(particles, name, Sdf.ValueTypeNames.FloatArray)
         made.displayName = variable.label
-        laws = ", ".join(row.token for row in LAWS.values() if variable in row.internal)
-        made.documentation = (
-            f"{variable.meaning} Of the law {laws}.\n\nUnits: none\nRange: [0, inf)"
-        )
+        laws = [row.token for row in LAWS.values() if variable in row.internal]
+        of = f" Laws: {', '.join(laws)}." if laws else ""
+        made.documentation = f"{variable.meaning}{of}\n\nUnits: none\nRange: [0, inf)"
     return layer
 
 
@@ -119,7 +118,7 @@ def _add(prim: Sdf.PrimSpec, one: Parameter, kind: Sdf.ValueTypeName) -> Sdf.Att
     made.displayName = one.label
     high = "inf)" if one.high == float("inf") else f"{one.high:g}]"
     made.documentation = (
-        f"{one.meaning} Of the law {laws}.\n\nUnits: {UNITS[one.unit]}\nRange: [{one.low:g}, {high}"
+        f"{one.meaning} Laws: {laws}.\n\nUnits: {UNITS[one.unit]}\nRange: [{one.low:g}, {high}"
     )
     return made
 

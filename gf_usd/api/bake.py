@@ -1,4 +1,4 @@
-"""`gf_usd.bake`: an asset in, USD layers with its motion out."""
+"""`gf_usd.bake`: turns an asset into USD layers with its motion."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def bake(
     >>> result.bakes[0].material.name, result.health["inverted_particle_frames"]
     ('rubber', 0)
 
-    A program that opened stages before, or that uses Taichi itself, may call it as well: the bake
-    then runs in a process of its own, and a note says so.
+    A program that has already opened stages, or that uses Taichi itself, can call it too: the bake
+    then runs in a separate process, and a note says so.
 
-    The keywords are the options of ``gf-usd bake``, with underscores.  They take values of Python:
-    numbers, tuples and lists, paths of `pathlib`, `gf_usd.Material` objects, and for regions dicts.
-    None is the same as leaving a keyword out.  The asset is never written to.
+    The keywords are the options of ``gf-usd bake``, with underscores.  They take Python values:
+    numbers, tuples and lists, `pathlib` paths, `gf_usd.Material` objects, and dicts for regions.
+    None is the same as leaving out a keyword.  The asset is never modified.
 
     Parameters
     ----------
@@ -46,24 +46,24 @@ def bake(
         or a list of them: variants of one root layer.
     output : root layer, or a folder.
     prims : prim path to bake, or a list of them.
-    drop : height of the fall [stage units], or in radii of the body: "3r".
+    drop : height of the fall [stage units], or a string in radii of the body: "3r".
     gravity : [m/s^2] downward, or a vector (3,).
     velocity : (3,) [stage units/s] of all bodies at the start; spin : (3,) [degrees/s] about the
         center of each.
     colliders : file whose meshes are obstacles, or a list of them.
     floor : a height [stage units], a normal (3,), (height, normal), or False for none.
-    range : (first, last) time code to write, None where it is open.
+    range : (first, last) time code to write; None for an open end.
     pins : prim paths, or boxes of two corners [stage units].
     material_boxes : {preset: (corner, corner)} [stage units].
     material_labels : {property: {value: preset}} of captured Gaussians.
     limits : of the process that reads the asset, {"time": [s], "memory": [B], "output": [B]}; None:
         this process reads it.
-    strict : raise UnhealthyError where the finished bake has warnings, too.
+    strict : raise UnhealthyError also if the finished bake has warnings.
     max_hours : refuse a bake whose estimate is longer [h], and end one that takes twice as long.
-    slice : full value clips after which it ends, to be resumed.
-    until : bake again, more finely each time, until the figures of certify are this certain: "2%",
-        or "rebound,squash:2%"; within max_hours.
-    progress : called after each frame with (frames done, frames in all).
+    slice : number of full value clips after which the bake ends, to be resumed later.
+    until : bake again, at a higher resolution each time, until the figures of certify are this
+        certain: "2%", or "rebound,squash:2%"; within max_hours.
+    progress : called after each frame with (frames done, total frames).
     options : all others; docs/guide.md describes each of them.
 
     Returns
@@ -74,18 +74,18 @@ def bake(
     ------
     UsageError : the options make no sense, or the output exists or cannot be written.
     InputError : the asset was refused; nothing was written.
-    BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
-        SolverError, with the frame and the particle, where the solver could not go on.
-    Unfinished : the slice is done, and there are frames left.
-    UnhealthyError : contact made energy out of nothing, or strict, and there are warnings; the
-        files are written.
+    BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  If the
+        solver failed, it is a SolverError with the frame and the particle.
+    Unfinished : the slice is done, and frames remain.
+    UnhealthyError : contact created energy, or strict is set and there are warnings; the files are
+        written.
     """
     from gf_usd.pipeline.result import require_healthy
 
     asked = {"path": path, "max_hours": max_hours, "slice": slice, "until": until, **options}
     result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
     if why:
-        result = replace(result, notes=(*result.notes, f"baked in a process of its own: {why}"))
+        result = replace(result, notes=(*result.notes, f"baked in a separate process: {why}"))
     require_healthy(result, strict=strict)
     return result
 

@@ -1,6 +1,7 @@
-"""How a function of an asset is called from Python: its keywords are the table of options.
+"""Calls from Python of functions that take an asset: their keywords are the table of options.
 
-Type checkers and editors read the keywords from the types, ``help()`` and notebooks when it runs.
+Type checkers and editors get the keywords from the types; ``help()`` and notebooks get them at run
+time.
 """
 
 from __future__ import annotations
@@ -45,8 +46,9 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
                 path = options.pop("path", None) if not args else args[0]
                 if args[1:]:
                     raise UsageError(
-                        f"{name}() takes the asset and keywords, and {args[1]!r} has no name",
-                        f"name it: {name}({args[0]!r}, material={args[1]!r})",
+                        f"{name}() takes the asset and keyword arguments, but {args[1]!r} has "
+                        f"no keyword",
+                        f"give its keyword: {name}({args[0]!r}, material={args[1]!r})",
                     )
                 return function(asset_path(path), **taken(options, name))
 
@@ -80,8 +82,8 @@ def asset_path(path: Any) -> Path:
         return Path(path)
     if hasattr(path, "GetRootLayer"):
         raise UsageError(
-            "the asset is a stage, which is read from a file",
-            "export it first: stage.Export('asset.usda'), and give the path of that file",
+            "the asset is a stage, but it is read from a file",
+            "export it first with stage.Export('asset.usda') and give the path of that file",
         )
     if isinstance(path, Sequence) and not isinstance(path, str | bytes):
         raise refuse("the asset", path, "one path; a loop, or gf-usd batch, bakes several")

@@ -1,4 +1,4 @@
-"""`gf_usd.check`: is a file sound?"""
+"""`gf_usd.check`: finds problems in a USD file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def check(
     *,
     limits: Limits | Mapping[str, float] | Literal[False] | str | None = None,
 ) -> CheckResult:
-    """Run UsdValidation and the rules of gf-usd over a file; each finding says what to do.
+    """Check a file with UsdValidation and the rules of gf-usd; each finding says how to fix it.
 
     >>> gf_usd.check(result.root).ok
     True
@@ -38,7 +38,7 @@ def check(
 
     Raises
     ------
-    InputError : there is no such file, or USD cannot open it.
+    InputError : the file does not exist, or USD cannot open it.
     """
     with keywords("limits"):
         file = asset_path(path)

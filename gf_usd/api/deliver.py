@@ -1,4 +1,4 @@
-"""`gf_usd.deliver` and `gf_usd.retime`: a bake as a small file, or at another speed."""
+"""`gf_usd.deliver` and `gf_usd.retime`: write a bake as a small file, or at another speed."""
 
 from __future__ import annotations
 
@@ -39,21 +39,21 @@ def deliver(
     ----------
     path : root layer of a bake, or a flattened bake.
     output : .usdz, .usda, .usdc or .glb; a file of that name is replaced.
-    error : the largest distance to the bake over points and frames, as a share of the radius of
-        each body, that of a sphere of its volume.
-    variant : only this one; None: all of them in a USD file, the selected one in a .glb.
+    error : the largest distance from the bake over points and frames, as a fraction of the radius
+        of each body, which is that of a sphere of its volume.
+    variant : write only this variant; None: all of them in a USD file, the selected one in a .glb.
     kind : "joints" (linear blend skinning), "shapes" (blend shapes), or "auto": the smaller file.
     max_joints : of a body.
     max_shapes : blend shapes of a body.
-    splats : which Gaussians are written: "captured"; "all", those of the bake too; "only", without
-        the meshes; or "none".  "all" and "only" are for .glb.
-    bind_splats : how Gaussians follow joints in a .glb: "skin", with weights as vertices do, or
-        "nodes", each below one joint, which more viewers play and `error` does not bound.
+    splats : which Gaussians to write: "captured"; "all", also those of the bake; "only", without
+        the meshes; or "none".  "all" and "only" require a .glb.
+    bind_splats : how Gaussians follow joints in a .glb: "skin", with weights like vertices, or
+        "nodes", each parented to one joint, which more viewers support but `error` does not bound.
 
     Returns
     -------
     Delivered : path, bytes, error as read back from the file, the joints and shapes of each body,
-        and how far the Gaussians of each set are from the bake, in position and covariance.
+        and the errors of the Gaussians of each set, in position and covariance.
 
     Raises
     ------
@@ -91,18 +91,19 @@ def retime(
     >>> slow.frames
     7
 
-    Positions between the frames of the bake follow the cubic through both and their velocities;
-    rotations and all else are interpolated linearly.  Velocities are those of the result.
+    Positions between two frames of the bake follow the cubic through their positions and
+    velocities; rotations and everything else are interpolated linearly.  Velocities are those of
+    the retimed motion.
 
     Parameters
     ----------
     path : root layer of a bake.
-    output : the root layer that is written (.usda, .usdc, .usd), its cache next to it; files of
-        these names are replaced.
-    speed : how many times as fast; 0.5 is slow motion.  The animation of the source plays at the
-        same speed.
-    keys : pairs (time code of the result, time code of the bake), for a speed that changes: equal
-        time codes of the bake hold a pose, falling ones play backwards.
+    output : the root layer to write (.usda, .usdc, .usd); its cache is written next to
+        it.  Existing files are replaced.
+    speed : speed relative to the bake; 0.5 is slow motion.  The animation of the source plays at
+        the same speed.
+    keys : pairs (time code of the result, time code of the bake), for a varying speed: equal time
+        codes of the bake hold a pose, decreasing ones play backwards.
 
     Returns
     -------
@@ -110,8 +111,8 @@ def retime(
 
     Raises
     ------
-    UsageError : not one of speed and keys, or values that make no sense.
-    InputError : the file cannot be read, or is no root layer with caches; or keys were given and
+    UsageError : not exactly one of speed and keys was given, or the values make no sense.
+    InputError : the file cannot be read or is not a root layer with caches, or keys were given and
         the source is animated.
     BakeError : the disk refuses.
     """
@@ -145,7 +146,7 @@ def read_keys(text: str) -> list[tuple[float, float]]:
             new, old = (float(number) for number in pair.split(":"))
         except ValueError:
             raise UsageError(
-                f"--keys is {text!r}, of which {pair!r} is no pair of time codes",
+                f"--keys is {text!r}, but {pair!r} is not a pair of time codes",
                 "give NEW:OLD pairs, such as 1:1,48:24,60:48",
             ) from None
         found.append((new, old))

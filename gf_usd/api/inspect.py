@@ -1,4 +1,4 @@
-"""`gf_usd.inspect`: what would be baked, and what is wrong with it."""
+"""`gf_usd.inspect`: reports what a bake would do, and the problems of an asset."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ LATER = ("output", "overwrite", "resume", "slice", "strict", "max_hours", "progr
 
 @takes(BakeOptions)
 def inspect(path: Path, **options: Any) -> Inspection:
-    """What `bake` would make of an asset with the same keywords, and what is wrong with it.
+    """Report what `bake` would do with an asset, and the problems of the asset.
 
     >>> seen = gf_usd.inspect("duck.usda", particles=300)
     >>> seen.refusal is None, seen.warnings
     (True, ())
 
-    It takes the keywords of `bake`; those that concern only the writing, such as output, change
-    nothing here.  A refusal is part of the result where the file could be read at all.
+    It takes the keywords of `bake`; those that only affect the output files have no effect here.
+    If the file can be read, a refusal is part of the result.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def inspect(path: Path, **options: Any) -> Inspection:
     Raises
     ------
     UsageError : the options make no sense, or another part of the program uses Taichi.
-    InputError : the file cannot be read, or holds nothing that could be made soft.
+    InputError : the file cannot be read, or contains nothing to bake.
     """
     from gf_usd.pipeline.inspect import inspect as inspect_asset
 

@@ -1,4 +1,4 @@
-"""`gf_usd.materials`: the presets.  `gf_usd.fit`: the material of what was observed."""
+"""`gf_usd.materials`: the presets.  `gf_usd.fit`: the material that reproduces an observation."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def materials() -> Mapping[str, Preset]:
 
     A preset without dimensions (rubber, metal, jelly, ...) has its moduli in units of rho g0 r and
     its times in sqrt(r / g0), with r the radius [m] of a ball of the body's volume, so that bodies
-    of every size squash alike; the others have numbers of real materials in SI.
-    `material(radius)` is the `Material` that a preset gives on a body, to change and to bake with.
+    of all sizes deform alike; the others have values of real materials in SI.
+    `material(radius)` returns the `Material` of the preset for a body, to change or to bake with.
     """
     from gf_usd.core.materials.presets import presets
 
@@ -55,7 +55,7 @@ def fit(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> FitResult:
-    """Find the material values with which an asset does what was observed.
+    """Find the material values that reproduce an observed motion of an asset.
 
     >>> found = gf_usd.fit(
     ...     "duck.usda", {"squash": 0.3}, unknowns=["E"], material="jelly", particles=100, frames=16
@@ -64,29 +64,30 @@ def fit(
     >>> modulus.low < found.material.youngs_modulus < modulus.high
     True
 
-    Nonlinear least squares over simulations: see docs/fit.md for what can be a target, and for how
-    intervals are computed.
+    Nonlinear least squares over simulations: docs/fit.md describes the possible targets and how
+    the intervals are computed.
 
     Parameters
     ----------
     path : the asset.
-    targets : USD files in which its meshes move or points were tracked, and texts such as
+    targets : USD files with the motion of its meshes or of tracked points, and strings such as
         "rebound=0.6+-0.02"; or a mapping of figures to numbers [stage units].
     unknowns : names of the values to find: fields of `Material`, parameters of its law, or E, nu,
-        tau and rho; none: E, nu and the damping time, and the yield stress where the law flows.
-    bounds : {name: (low, high)} [SI] in place of the usual ones.
+        tau and rho; empty: E, nu, the damping time and, for laws with plastic flow, the yield
+        stress.
+    bounds : {name: (low, high)} [SI] instead of the default bounds.
     output : layer for the material; picture : .png; None: not written.
-    evaluations : folder in which simulations are kept; None: they are dropped.
-    max_minutes : the search ends after this time [min], with the best so far.
-    jobs : simulations at once; None: as many as there are cores.
-    overwrite : replace a layer and a picture that are there.
-    progress : called with (simulations so far, about how many are usual).
+    evaluations : folder in which to keep the simulations; None: they are not kept.
+    max_minutes : the search ends after this time [min], with the best values so far.
+    jobs : number of parallel simulations; None: one per core.
+    overwrite : replace an existing layer and picture.
+    progress : called with (simulations so far, usual number of simulations).
     options : those of `gf_usd.bake` that decide the motion: material, particles, drop, ...
 
     Returns
     -------
-    FitResult : the `Material`, each value with its interval, sensitivities, and what the targets do
-        not tell.
+    FitResult : the `Material`, each value with its interval, the sensitivities, and what the
+        targets do not determine.
 
     Raises
     ------
@@ -150,7 +151,7 @@ def prepared_fit(
         name, _, pair = text.partition("=")
         low, _, high = pair.partition(":")
         if not (name and low and high):
-            raise UsageError(f"--bounds {text!r} are none", f"give {form}")
+            raise UsageError(f"--bounds {text!r} is not a pair of bounds", f"give {form}")
         where = f"--bounds {text}"
         limits[name.strip()] = (number(where, low, form), number(where, high, form))
     for file, kinds, option in ((output, LAYERS, "-o"), (picture, PICTURES, "--picture")):
@@ -159,9 +160,11 @@ def prepared_fit(
         if file.suffix.lower() not in kinds:
             raise UsageError(f"{option} {file} does not end in {' or '.join(kinds)}", "rename it")
         if file.exists() and not overwrite:
-            raise UsageError(f"{file} exists", f"add --overwrite, or give another {option}")
+            raise UsageError(
+                f"{file} exists", f"add --overwrite, or give another file with {option}"
+            )
         if not file.absolute().parent.is_dir():
-            raise UsageError(f"the folder of {file} does not exist", "make it first")
+            raise UsageError(f"the folder of {file} does not exist", "create it first")
     known = {name: value for name, value in options.items() if value not in (None, [], ())}
     one = known.get("device") == "cuda"
     limited = {**known, "limits": options.get("limits")}

@@ -1,4 +1,4 @@
-"""`gf_usd.read`: a bake as arrays of NumPy, read frame by frame when they are asked for."""
+"""`gf_usd.read`: a bake as NumPy arrays, read frame by frame when they are accessed."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class BakeFrame:
 
     @cached_property
     def covariances(self) -> Array | None:
-        """(N, 3, 3) [m^2] of the Gaussians; None where the bake wrote no Gaussians."""
+        """(N, 3, 3) [m^2] of the Gaussians; None if the bake wrote no Gaussians."""
         return self._arrays.covariances(self.time_code)
 
     @cached_property
@@ -71,10 +71,10 @@ class BakeFrame:
 
 
 class Bake(Sequence[BakeFrame]):
-    """A bake that was opened: a sequence of its frames, with what holds for all of them.
+    """An opened bake: a sequence of its frames, with the data that all frames share.
 
-    Nothing but the stage is read until it is asked for.  A frame keeps the arrays that were asked
-    of it as long as it is held; the bake keeps none of them.
+    Only the stage is read at first; arrays are read when they are accessed.  A frame keeps the
+    arrays that it has read; the bake keeps none.
     """
 
     def __init__(self, arrays: BakedArrays) -> None:
@@ -101,7 +101,7 @@ class Bake(Sequence[BakeFrame]):
             return [self[one] for one in range(*index.indices(len(self)))]
         at = index + len(self) if index < 0 else index
         if not 0 <= at < len(self):
-            raise IndexError(f"{self.path.name} has {len(self)} frames, and no frame {index}")
+            raise IndexError(f"{self.path.name} has {len(self)} frames but no frame {index}")
         return BakeFrame(self._arrays, at)
 
     def __iter__(self) -> Iterator[BakeFrame]:
@@ -112,11 +112,11 @@ class Bake(Sequence[BakeFrame]):
 
     @cached_property
     def rest(self) -> Mapping[str, Array]:
-        """What does not change of the particles.
+        """Data of the particles that does not change.
 
-        positions (N, 3) [m], where the body is unstressed, before it was lifted to fall; volumes
-        (N,) [m^3], masses (N,) [kg], materials (N,), the index of each one's material; and where
-        the body is heterogeneous youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
+        positions (N, 3) [m], where the body is unstressed, before it is lifted; volumes
+        (N,) [m^3], masses (N,) [kg], materials (N,), the index of each one's material; and, if the
+        body is heterogeneous, youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
         """
         return self._arrays.rest()
 
@@ -127,7 +127,7 @@ class Bake(Sequence[BakeFrame]):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The settings of the bake, as the file has them."""
+        """The settings of the bake, as stored in the file."""
         found = self._arrays.about.get("settings")
         return found if isinstance(found, dict) else {}
 
@@ -151,7 +151,7 @@ class Bake(Sequence[BakeFrame]):
 
     @cached_property
     def report(self) -> Mapping[str, Any]:
-        """The report next to the file (docs/guide.md); empty where there is none."""
+        """The report next to the file (docs/guide.md); empty if there is none."""
         from gf_usd.view.report.record import load_report
 
         return load_report(self.path)[0]
@@ -162,7 +162,7 @@ class Bake(Sequence[BakeFrame]):
 
 
 def read(path: str | os.PathLike[str], *, variant: str | None = None) -> Bake:
-    """Open a bake to read its particles, meshes and health as arrays of NumPy.
+    """Open a bake to read its particles, meshes and health as NumPy arrays.
 
     >>> bake = gf_usd.read(result.root)
     >>> len(bake), bake.health["kinetic"].shape
@@ -173,7 +173,7 @@ def read(path: str | os.PathLike[str], *, variant: str | None = None) -> Bake:
     Parameters
     ----------
     path : root layer of a bake, or a flattened one.
-    variant : which of its materials; None: the one that is selected in the file.
+    variant : one of its materials; None: the one selected in the file.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""`gf_usd.report`: a bake as one page for a browser."""
+"""`gf_usd.report`: a bake as a single page for a browser."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def report(
     splats: bool = False,
     max_splats: int = MOST_SPLATS,
 ) -> Path:
-    """Write one page that plays the motion in a browser, offline, with what was measured.
+    """Write an offline page that plays the motion in a browser and shows the measurements.
 
     >>> gf_usd.report(result.root, "page.html").name
     'page.html'
@@ -34,12 +34,12 @@ def report(
     ----------
     path : root layer of a bake, or any moving USD file.
     output : the HTML file; None: NAME.html in the current folder, NAME.splats.html with `splats`.
-    variant : only this one; None: all, with a switch between them.
-    max_vertices : mesh vertices to keep at most, and as many Gaussians.
-    max_frames : frames to keep at most.
-    splats : a page that plays the Gaussians as splats, sorted and blended, in place of the report:
-        those that were captured, or, where there are none, those of the bake.
-    max_splats : Gaussians to keep at most on such a page; fewer where it would be above 20 MB.
+    variant : show only this variant; None: all, with a switch between them.
+    max_vertices : maximum number of mesh vertices to keep, and of Gaussians.
+    max_frames : maximum number of frames to keep.
+    splats : write a page that plays Gaussians as sorted and blended splats instead of the report:
+        the captured ones or, if there are none, those of the bake.
+    max_splats : maximum number of Gaussians to keep on such a page; fewer if it would exceed 20 MB.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def report(
     Raises
     ------
     UsageError : no such variant, the page is an input, or its folder does not exist.
-    InputError : the file cannot be read, or nothing in it moves, or no Gaussians.
+    InputError : the file cannot be read, nothing in it moves, or it contains no Gaussians.
     BakeError : the disk refuses.
     """
     with keywords("max_vertices", "max_frames", "max_splats", "variant"):
@@ -130,6 +130,8 @@ def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
         if target.resolve() == source.resolve():
             raise UsageError(f"{target} is the input itself.", "choose another -o")
     if not target.parent.is_dir():
-        raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
+        raise UsageError(
+            f"{target.parent} is not a folder.", "choose a folder that exists, with -o"
+        )
     if target.is_dir():
         raise UsageError(f"{target} is a folder.", "name the page: -o report.html")

@@ -1,4 +1,4 @@
-"""`gf_usd.Scene`: bodies, obstacles and pins out of arrays, without a file."""
+"""`gf_usd.Scene`: bodies, obstacles and pins from arrays, without a file."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Scene:
     Parameters
     ----------
     gravity : [m/s^2] downward, or a vector (3,).
-    floor : height [m] of the floor; None: there is none.
+    floor : height [m] of the floor; None: no floor.
     up : "Y" or "Z".
     """
 
@@ -107,7 +107,7 @@ class Scene:
         name : letters, digits and _; None: body0, body1 and so on.
         velocity : [m/s] at the start; spin : [rad/s] about its middle, at the start.
 
-        Raises UsageError for arrays that are no mesh, and a name that is taken.
+        Raises UsageError if the arrays are not a mesh or the name is taken.
         """
         name = self._name(name, "body")
         points, counts, indices = _mesh(f"body {name}", points, faces)
@@ -142,11 +142,12 @@ class Scene:
         Parameters
         ----------
         points, faces : as of `add_body`; where it is at the start, or what `motion` moves.
-        motion : (F, 4, 4) matrices, one a frame, with x = M[:3, :3] X + M[:3, 3]; or (F, V, 3)
-            points; or a function of the time [s] that gives one of them.  None: it stays.
-        friction, restitution : in place of those of the bodies.
+        motion : (F, 4, 4) matrices, one per frame, with x = M[:3, :3] X + M[:3, 3]; or (F, V, 3)
+            points; or a function of the time [s] that returns one of them.  None: it does not
+            move.
+        friction, restitution : instead of those of the bodies.
 
-        Raises UsageError for arrays that are no mesh, and a name that is taken.
+        Raises UsageError if the arrays are not a mesh or the name is taken.
         """
         name = self._name(name, "obstacle")
         points, counts, indices = _mesh(f"obstacle {name}", points, faces)
@@ -170,15 +171,15 @@ class Scene:
         axes: tuple[bool, bool, bool] = (True, True, True),
         name: str | None = None,
     ) -> str:
-        """Hold what lies in a box, or move it, and return the pin's name.
+        """Hold or move the part of the bodies inside a box, and return the name of the pin.
 
         Parameters
         ----------
         low, high : (3,) [m] two opposite corners of the box at the start.
-        motion : as of `add_obstacle`, of the box; None: it is held where it is.
-        axes : world axes that are held; along the others it slides.
+        motion : of the box, as for `add_obstacle`; None: it is held in place.
+        axes : world axes along which it is held; it slides along the others.
 
-        Raises UsageError for a box without volume, and a name that is taken.
+        Raises UsageError if the box has no volume or the name is taken.
         """
         from gf_usd.geometry.regions import BOX_CORNERS, BOX_TRIANGLES
 
@@ -192,7 +193,7 @@ class Scene:
             )
         held = tuple(bool(axis) for axis in axes)
         if len(held) != 3 or not any(held):
-            raise UsageError(f"axes is {axes!r}", "give three of True and False, one of them True")
+            raise UsageError(f"axes is {axes!r}", "give three booleans, at least one of them True")
         self._pins.append(
             _Moving(
                 name=name, points=least + (most - least) * BOX_CORNERS, triangles=BOX_TRIANGLES,
@@ -208,7 +209,7 @@ class Scene:
         if not isinstance(name, str) or not name.isidentifier():
             raise UsageError(f"name is {name!r}", "give letters, digits and _")
         if name in taken:
-            raise UsageError(f"the scene has a {name} already", "give it another name")
+            raise UsageError(f"the scene already has a {name}", "give it another name")
         return name
 
 
@@ -242,7 +243,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
     if faces is None:
         if not (hasattr(points, "vertices") and hasattr(points, "faces")):
             raise UsageError(
-                f"{what} has points and no faces", "give both, or a mesh of trimesh: (mesh)"
+                f"{what} has points but no faces", "give both, or a mesh of trimesh: (mesh)"
             )
         points, faces = points.vertices, points.faces
     try:
@@ -251,7 +252,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
         xyz = np.zeros(0)
     if xyz.shape[1:] != (3,) or len(xyz) < 4:
         raise UsageError(
-            f"{what}: points are an array of shape {xyz.shape}", "give (V, 3) numbers, V at least 4"
+            f"{what}: points is an array of shape {xyz.shape}", "give (V, 3) numbers, V at least 4"
         )
     if not np.isfinite(xyz).all():
         lost = int((~np.isfinite(xyz)).any(axis=1).sum())
@@ -261,15 +262,15 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
     fewest = min(map(len, rings), default=0)
     if fewest < 3:
         raise UsageError(
-            f"{what} has {len(counts)} faces, the smallest of {fewest} corners",
-            "give faces of three or more corners each",
+            f"{what} has {len(counts)} faces, the smallest with {fewest} corners",
+            "give faces with at least three corners",
         )
     indices = np.concatenate(rings)
     if indices.min() < 0 or indices.max() >= len(xyz):
         wrong = indices[(indices < 0) | (indices >= len(xyz))][0]
         raise UsageError(
-            f"{what}: a face has the point {wrong}, and there are {len(xyz)}",
-            f"count points from 0 to {len(xyz) - 1}",
+            f"{what}: a face refers to point {wrong}, but there are {len(xyz)}",
+            f"number the points from 0 to {len(xyz) - 1}",
         )
     return xyz, counts, indices
 
@@ -279,7 +280,7 @@ def _ring(what: str, ring: Any) -> NDArray[np.int64]:
         found = np.asarray(list(ring))
         if found.ndim == 1 and np.issubdtype(found.dtype, np.integer):
             return found.astype(np.int64)
-    raise UsageError(f"{what}: a face is {ring!r}", "give whole numbers, one a corner")
+    raise UsageError(f"{what}: a face is {ring!r}", "give integers, one per corner")
 
 
 def _poses(one: _Moving, times: Sequence[float]) -> Array | None:
@@ -297,13 +298,13 @@ def _poses(one: _Moving, times: Sequence[float]) -> Array | None:
     if poses.shape[1:] not in ((4, 4), one.points.shape):
         raise UsageError(
             f"{one.name}: its motion is an array of shape {poses.shape}",
-            f"give (F, 4, 4) matrices or (F, {len(one.points)}, 3) points, one a frame, or a"
-            " function of the time that gives one of them",
+            f"give (F, 4, 4) matrices or (F, {len(one.points)}, 3) points, one per frame, or a "
+            f"function of the time that returns one of them",
         )
     if len(poses) < len(times):
         raise UsageError(
-            f"{one.name}: its motion has {len(poses)} frames of {len(times)}",
-            "give one for every frame that is simulated",
+            f"{one.name}: its motion has {len(poses)} frames, but {len(times)} are simulated",
+            "give one for each simulated frame",
         )
     if not np.isfinite(poses).all():
         raise UsageError(f"{one.name}: its motion is not finite", "repair it")

@@ -1,4 +1,4 @@
-"""`gf_usd.simulate`: a scene, one frame at a time."""
+"""`gf_usd.simulate`: simulates a scene one frame at a time."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ class SimulationFrame:
     F: Array  # (N, 3, 3) deformation gradients of the particles
     meshes: Mapping[str, Array]  # (V, 3) [m] points of each body's surface, by its name
     health: Health  # energies, momentum, strains and contact
-    stress: Array | None  # (N,) [Pa] von Mises; None unless asked for
+    stress: Array | None  # (N,) [Pa] von Mises; None unless requested
 
 
 class Simulation(Iterator[SimulationFrame]):
     """A scene in motion; iterate over it, or call `next`.
 
     Between two frames `push`, `accelerate` and `set_velocities` act on the bodies, and `save` and
-    `load` go back and forth in time.  `close` frees what it holds; so does the end of a ``with``
-    block.  All simulations of a process share one Taichi, so that all have the same device and
-    threads.  Taichi keeps the memory of arrays that are gone (some 2 MB for 4,000 particles): a
-    loop that runs one scene many times saves its first state and loads it again.
+    `load` store and restore a state.  `close` frees the memory; so does the end of a ``with``
+    block.  All simulations of a process share one Taichi runtime, so they have the same device and
+    threads.  Taichi keeps the memory of freed arrays (about 2 MB for 4,000 particles): to run one
+    scene many times, save its first state and load it again.
     """
 
     def __init__(self, scene: Scene, frames: int, options: Mapping[str, Any]) -> None:
@@ -136,7 +136,7 @@ class Simulation(Iterator[SimulationFrame]):
         )
 
     def push(self, forces: ArrayLike) -> None:
-        """Apply forces (N, 3) [N] to the particles during the frames to come; 0 ends them."""
+        """Apply forces (N, 3) [N] to the particles during the following frames; 0 ends them."""
         solver = self._running()
         wanted = self._rows("forces", forces)
         with guest():
@@ -144,7 +144,7 @@ class Simulation(Iterator[SimulationFrame]):
         self._disturbed = True
 
     def accelerate(self, acceleration: ArrayLike | Callable[[Array], ArrayLike]) -> None:
-        """Add an acceleration to gravity during the frames to come; 0 ends it.
+        """Add an acceleration to gravity during the following frames; 0 ends it.
 
         acceleration : (3,) [m/s^2], or a function of rest positions (n, 3) [m] to (n, 3).
         """
@@ -155,7 +155,7 @@ class Simulation(Iterator[SimulationFrame]):
         self._disturbed = True
 
     def set_velocities(self, velocities: ArrayLike | Callable[[Array], ArrayLike]) -> None:
-        """Set the motion from which the next frame starts; what is pinned keeps its own.
+        """Set the velocities at the start of the next frame; pinned parts keep theirs.
 
         velocities : (3,) [m/s], or a function of positions (n, 3) [m] to (n, 3).
         """
@@ -165,14 +165,14 @@ class Simulation(Iterator[SimulationFrame]):
         self._disturbed = True
 
     def save(self) -> dict[str, Any]:
-        """The state after the last frame, for `load` of a simulation of the same scene."""
+        """Return the state after the last frame, for `load` in a simulation of the same scene."""
         if self._last is None:
-            raise UsageError("the simulation has not begun", "ask for its first frame: next(it)")
+            raise UsageError("the simulation has not started", "request its first frame: next(it)")
         with guest():
             return {**self._running().save(), "index": self._index, "health": self._last}
 
     def load(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `save` returned: the next frame is the one after it, to the bit."""
+        """Continue from a state of `save`; the frames that follow are identical to the bit."""
         if "index" not in state or "health" not in state:
             raise UsageError("the state was not made by save()", "give what save() returned")
         with guest():
@@ -180,7 +180,7 @@ class Simulation(Iterator[SimulationFrame]):
         self._index, self._last, self._disturbed = state["index"], state["health"], False
 
     def close(self) -> None:
-        """Free the solver; the simulation ends."""
+        """End the simulation and free its solver."""
         self._solver = None
 
     def __enter__(self) -> Simulation:
@@ -203,13 +203,13 @@ class Simulation(Iterator[SimulationFrame]):
             self._solver = None
             raise UsageError(
                 "another part of this program started or reset Taichi, which ended the simulation",
-                "let one of the two run in a process of its own",
+                "run one of the two in a separate process",
             )
         if epoch() != self._epoch:
             self._solver = None
             raise UsageError(
-                "Taichi was started anew since, with another device or number of threads, which"
-                " ended the simulation",
+                "Taichi was restarted with another device or number of threads, which ended the "
+                "simulation",
                 "give all simulations and bakes of a process the same device and threads",
             )
         return self._solver
@@ -219,8 +219,8 @@ class Simulation(Iterator[SimulationFrame]):
         count = len(self._plan.particles)
         if rows.shape != (count, 3) or not np.isfinite(rows).all():
             raise UsageError(
-                f"{name} are an array of shape {rows.shape}, or not finite",
-                f"give finite numbers of shape ({count}, 3), one row a particle",
+                f"{name} has the shape {rows.shape}, or is not finite",
+                f"give finite numbers of shape ({count}, 3), one row per particle",
             )
         return rows
 
@@ -260,8 +260,8 @@ def simulate(
     1 0.042 s (8, 3)
     2 0.083 s (8, 3)
 
-    Nothing is written.  The loop may be left early; in ``with gf_usd.simulate(scene) as running:``
-    the memory is free at the end of the block.
+    Nothing is written.  You can leave the loop early; ``with gf_usd.simulate(scene) as running:``
+    frees the memory at the end of the block.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def simulate(
     ------
     UsageError : the scene or an option makes no sense.
     InputError : a body cannot be filled.
-    SolverError : raised by an iteration, where the solver cannot go on.
+    SolverError : raised while iterating, if the solver fails.
     """
     if not isinstance(scene, Scene):
         raise values.refuse("scene", scene, "a gf_usd.Scene; gf_usd.bake takes files")

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0  # [s] for the child of a worker that died: it looks for its parent twice a second
 CONNECT = 20.0  # [s] to find the scheduler
-HINT = "start one: dask scheduler, and dask worker ADDRESS --nthreads 1 for each bake at once"
+HINT = (
+    "start one with dask scheduler, and run dask worker ADDRESS --nthreads 1 for each"
+    " concurrent bake"
+)
 
 # of this process where it is a worker: what runs now, by batch
 _running: dict[str, Children] = {}
@@ -105,7 +108,7 @@ def _follow(
             yield finished_event(_outcome(future, left.pop(future)))
         if stopping and client.status != "running":
             for job in left.values():
-                yield finished_event(_lost(job, "stopped", "interrupted before its end"))
+                yield finished_event(_lost(job, "stopped", "interrupted before it ended"))
             return
 
 
@@ -135,7 +138,7 @@ def _amount(word: str) -> tuple[str, float]:
         return name, float(text)
     except ValueError:
         raise UsageError(
-            f"--resource {word}: {text!r} is no number", "give NAME=AMOUNT, e.g. memory=2e9"
+            f"--resource {word}: {text!r} is not a number", "give NAME=AMOUNT, e.g. memory=2e9"
         ) from None
 
 
@@ -154,7 +157,7 @@ def _work(
     if program() != caller:
         differ = [key for key, value in program().items() if value != caller.get(key)]
         return _lost(
-            this, "failed", f"the gf-usd of worker {worker.address} is another: {', '.join(differ)}"
+            this, "failed", f"the gf-usd of worker {worker.address} differs: {', '.join(differ)}"
         ).as_json()
     children = _running.setdefault(batch, Children())
     table = _tables.setdefault(batch, InputTable(children))

@@ -16,16 +16,16 @@ REPORT, RECORD = ".report.json", ".job.json"
 GOOD = ("done", "kept")
 CALM = (*GOOD, "sliced")
 STATES = {
-    "done": "baked and sound",
-    "kept": "was there already",
-    "sliced": "a slice of it is done, and frames are left",
+    "done": "baked without errors",
+    "kept": "already done before",
+    "sliced": "a slice is done, and frames remain",
     "busy": "another run is baking it",
-    "stopped": "interrupted before its end",
+    "stopped": "interrupted before it ended",
     "failed": "the bake failed",
     "refused": "the asset or the options were refused",
     "crashed": "the process died",
-    "timeout": "took longer than it may",
-    "unsound": "baked, but the check or --strict found fault",
+    "timeout": "exceeded its time limit",
+    "unsound": "baked, but the check or --strict found a problem",
 }
 
 

@@ -68,7 +68,7 @@ def read_manifest(path: Path) -> Manifest:
     rows = tree.get("assets", [])
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise UsageError(
-            f"{where} names no assets", 'add [[assets]] with files = ["models/*.usda"]'
+            f"{where} lists no assets", 'add [[assets]] with files = ["models/*.usda"]'
         )
     settings = _table(tree, "settings", where)
     matrix = _table(tree, "matrix", where)
@@ -111,7 +111,7 @@ def read_tree(path: Path) -> dict[str, Any]:
             f"{path} cannot be read: {why}", "give a TOML or JSON manifest, as docs/farm.md shows"
         ) from error
     if not isinstance(tree, dict):
-        raise InputError(f"{path} holds no table", "give a manifest, as docs/farm.md shows")
+        raise InputError(f"{path} contains no table", "give a manifest, as docs/farm.md shows")
     return tree
 
 
@@ -154,7 +154,7 @@ def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path,
     Raises UsageError for a pattern without a file.
     """
     if not isinstance(patterns, Sequence) or not patterns:
-        raise UsageError(f"{where} names no files", 'give files = ["models/*.usda"]')
+        raise UsageError(f"{where} lists no files", 'give files = ["models/*.usda"]')
     found: dict[Path, None] = {}
     for pattern in patterns:
         path = folder / Path(pattern).expanduser()
@@ -164,7 +164,7 @@ def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path,
         matches = sorted(glob.glob(str(path), recursive=True))
         files = [Path(match) for match in matches if Path(match).is_file()]
         if not files:
-            raise UsageError(f"{where}: no file is called {pattern}", f"look into {folder}")
+            raise UsageError(f"{where}: no file matches {pattern}", f"check {folder}")
         found.update(dict.fromkeys(absolute(file) for file in files))
     return tuple(found)
 
@@ -177,9 +177,7 @@ def absolute(path: Path) -> Path:
 def _only(tree: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
     unknown = [key for key in tree if key not in keys]
     if unknown:
-        raise UsageError(
-            f"{where}: there is no key {unknown[0]!r}", f"the keys are {', '.join(keys)}"
-        )
+        raise UsageError(f"{where}: unknown key {unknown[0]!r}", f"the keys are {', '.join(keys)}")
 
 
 def _table(tree: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
@@ -192,7 +190,7 @@ def _table(tree: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
 def _text(tree: Mapping[str, Any], key: str, where: str) -> str | None:
     value = tree.get(key)
     if value is not None and not isinstance(value, str):
-        raise UsageError(f"{where}: {key} is {value!r}", "give a text")
+        raise UsageError(f"{where}: {key} is {value!r}", "give a string")
     return value
 
 
@@ -224,7 +222,7 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
         name = key.replace("-", "_")
         if name not in KNOWN:
             raise UsageError(
-                f"{where}: there is no option {key!r}",
+                f"{where}: unknown option {key!r}",
                 f"{nearest(name, KNOWN)}the options are {', '.join(sorted(KNOWN))}",
             )
         out[name] = _typed(KNOWN[name], value, where)
@@ -255,7 +253,7 @@ def _typed(option: Option, value: Any, where: str) -> Any:
             return str(value)
         if kind is bool or math.isfinite(value) or option.name == "filter_rate":
             return value
-    names = {str: "a list of texts" if option.repeated else "a text", bool: "true or false"}
+    names = {str: "a list of strings" if option.repeated else "a text", bool: "true or false"}
     wanted = names.get(kind, f"one {kind.__name__}")
     raise UsageError(f"{where}: {option.name} is {value!r}", f"give {wanted}")
 
@@ -270,7 +268,9 @@ def parse(name: str, text: str, where: str) -> Any:
         try:
             return kind(text)
         except ValueError:
-            raise UsageError(f"{where}: {text!r} is no {kind.__name__}", "give a number") from None
+            raise UsageError(
+                f"{where}: {text!r} is not of type {kind.__name__}", "give a number"
+            ) from None
     return text
 
 
@@ -279,7 +279,8 @@ def _materials(text: str, folder: Path) -> str:
     auto = parse_auto(text, None)
     if auto is not None and auto.advisor:
         raise UsageError(
-            f"--material {text}: a batch asks no advisor, whose answers may change between jobs",
+            f"--material {text}: a batch does not use an advisor, because its answers may "
+            f"change between jobs",
             f"use {AUTO}, or bake the assets one by one",
         )
     if auto is not None:

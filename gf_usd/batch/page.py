@@ -33,19 +33,23 @@ from gf_usd.view.report.record import variant_of
 # head, whether it is a number, what it says
 COLUMNS = (
     ("", False, ""),
-    ("job", False, "name under the batch's folder, and what there is to know"),
+    ("job", False, "name under the batch's folder, and messages"),
     ("state", False, "how it ended"),
-    ("warn\u00adings", True, "what the bake warns of"),
-    ("redone", True, "frames redone with half the step"),
+    ("warn\u00adings", True, "warnings of the bake"),
+    ("redone", True, "frames recomputed with half the step"),
     ("inside out", True, "particles with J <= 0, summed over frames"),
     ("depth [spac\u00adings]", True, "deepest penetration of the floor, in spacings of particles"),
-    ("energy gain", True, "largest of a frame that nobody accounts for, of the energy scale"),
-    ("par\u00adticles", True, "how many"),
-    ("frames", True, "of all looks"),
+    (
+        "energy gain",
+        True,
+        "largest unexplained energy gain in a frame, relative to the energy scale",
+    ),
+    ("par\u00adticles", True, "number of particles"),
+    ("frames", True, "total of all looks"),
     ("frames /s", True, "between the first and the last frame"),
-    ("time [s]", True, "of all attempts"),
-    ("CPU [s]", True, "of all attempts"),
-    ("mem. [MB]", True, "peak of the last attempt"),
+    ("time [s]", True, "total of all attempts"),
+    ("CPU [s]", True, "total of all attempts"),
+    ("mem. [MB]", True, "peak memory of the last attempt"),
     ("tries", True, "attempts"),
 )
 
@@ -120,14 +124,14 @@ def _header(
         line += f", {duration(float(entry['seconds']))} for the last run"
     parts = [tag("h1", plan.title), tag("div", line, class_="soft")]
     if bad or begun:
-        said = [_many(len(bad), "needs", "need", "a look")] if bad else []
-        said += [_many(begun, "has", "have", "frames left")] if begun else []
-        lines = [tag("div", f"{'; '.join(said)}. To repeat just these:")]
+        said = [_many(len(bad), "needs", "need", "attention")] if bad else []
+        said += [_many(begun, "has", "have", "remaining frames")] if begun else []
+        lines = [tag("div", f"{'; '.join(said)}. To repeat only these:")]
         lines.append(tag("code", str(entry.get("repeat") or "the same command"), class_="command"))
         parts.append(tag("div", *lines, class_="banner"))
     if unknown:
         names = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
-        parts.append(tag("div", f"{len(unknown)} were not run yet: {names}", class_="banner"))
+        parts.append(tag("div", f"{len(unknown)} have not been run yet: {names}", class_="banner"))
     return tag("header", *parts)
 
 
@@ -146,12 +150,12 @@ def _controls(rows: Sequence[Outcome]) -> Html:
     found = Counter(map(_kind, rows))
     kinds = [
         ("all", f"all {len(rows)}"),
-        ("bad", f"need a look {found['bad']}"),
+        ("bad", f"need attention {found['bad']}"),
         ("warned", f"with warnings {found['warned']}"),
         ("good", f"good {found['good']}"),
     ]
     if found["begun"]:
-        kinds.insert(2, ("begun", f"with frames left {found['begun']}"))
+        kinds.insert(2, ("begun", f"with remaining frames {found['begun']}"))
     buttons = (
         tag("button", text, type="button", data_filter=kind, aria_pressed="false")
         for kind, text in kinds
@@ -221,7 +225,7 @@ def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
     ]
     parts += [tag("p", note, class_="hint") for note in outcome.notes]
     if (reason := undrawn.get(Path(outcome.root))) is not None:
-        parts.append(tag("p", f"no picture: {reason}", class_="hint"))
+        parts.append(tag("p", f"no image: {reason}", class_="hint"))
     inside = [tag("code", outcome.command, class_="command")]
     if outcome.log:
         inside.append(tag("pre", outcome.log))
@@ -278,7 +282,7 @@ def _draw_some(children: Children, roots: Sequence[Path]) -> dict[Path, str]:
                 failed[root] = row["error"]
         if left:
             # what it was at when it died; the others get another process
-            failed[left.pop(0)] = f"drawing it ended with status {ended.status}"
+            failed[left.pop(0)] = f"rendering ended with status {ended.status}"
     return failed
 
 

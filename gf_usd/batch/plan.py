@@ -60,7 +60,7 @@ def choose(plan: BatchPlan, patterns: Sequence[str]) -> tuple[Job, ...]:
         ]
         if not found:
             raise UsageError(
-                f"no job is called {pattern}", "gf-usd batch --dry-run lists their names"
+                f"no job matches {pattern}", "gf-usd batch --dry-run lists their names"
             )
         chosen.update((job.name, job) for job in found)
     return tuple(job for job in plan.jobs if job.name in chosen)
@@ -111,7 +111,7 @@ def name_of(template: str, asset: Path, options: Mapping[str, Any], where: str) 
     parts = [UNFIT.sub("-", part) for part in name.removesuffix(".usda").split("/")]
     if any(part in ("", ".", "..") for part in parts):
         raise UsageError(
-            f"{where}: the name {template!r} becomes {name!r}", "give a path under the folder"
+            f"{where}: the name {template!r} gives {name!r}", "give a path under the folder"
         )
     return "/".join(parts)
 
@@ -137,8 +137,9 @@ def _require_apart(jobs: Sequence[Job]) -> None:
             if before != owner or (owner == job.name and other is not job):
                 raise UsageError(
                     f"{_said(other)} and {_said(job)} would both write {path}",
-                    "give jobs names that differ: --name '{folder}/{asset}.{material}', with a"
-                    " field for each option of the matrix; frames of splats want a folder each",
+                    "give the jobs different names: --name '{folder}/{asset}.{material}', with a"
+                    " field for each option of the matrix; frames of splats need a folder for"
+                    " each job",
                 )
 
 
@@ -188,7 +189,7 @@ def read_jobs(path: Path) -> BatchPlan:
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path} holds no jobs: {error}", "make the bundle again: gf-usd batch --openjd"
+            f"{path} contains no jobs: {error}", "write the bundle again: gf-usd batch --openjd"
         ) from error
 
 
@@ -211,7 +212,7 @@ def mapped(plan: BatchPlan, rules: Path) -> BatchPlan:
         change = _mapping(rows)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{rules} holds no path mapping rules: {error}",
+            f"{rules} contains no path mapping rules: {error}",
             "give the file that the session provides",
         ) from error
     jobs = tuple(_job_mapped(job, change) for job in plan.jobs)
@@ -254,12 +255,12 @@ def pieces(text: str, jobs: int) -> tuple[int, ...]:
     for part in text.split(","):
         match = PIECE.fullmatch(part.strip())
         if match is None:
-            raise UsageError(f"--tasks {text}: {part!r} is no range", "give for example 0,3-5")
+            raise UsageError(f"--tasks {text}: {part!r} is not a range", "give for example 0,3-5")
         first = int(match[1])
         last = int(match[2]) if match[2] else first
         numbers += range(first, last + 1, int(match[3] or 1))
     if not numbers or max(numbers) >= jobs:
         raise UsageError(
-            f"--tasks {text} leaves the {jobs} jobs", f"their numbers are 0 to {jobs - 1}"
+            f"--tasks {text} is outside the {jobs} jobs", f"the jobs are numbered 0 to {jobs - 1}"
         )
     return tuple(dict.fromkeys(numbers))

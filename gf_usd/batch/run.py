@@ -32,7 +32,7 @@ def require_processes() -> None:
     """Raise UsageError where a system has no processes that inherit files and hear signals."""
     if not PROCESSES:
         raise UsageError(
-            "gf-usd batch needs processes of POSIX, which this system does not have",
+            "gf-usd batch needs POSIX processes, which this system does not support",
             "run it under Linux, macOS or the Windows Subsystem for Linux",
         )
 

@@ -45,10 +45,13 @@ def parse_part(text: str, clips: int | None) -> Part:
     clips : of a slice.  Raises UsageError for what is none, or where there are no slices.
     """
     if not clips:
-        raise UsageError(f"--part {text} is given without --slice", "give the clips of a slice")
+        raise UsageError(
+            f"--part {text} is given without --slice",
+            "give the number of clips per slice with --slice",
+        )
     match = PART.fullmatch(text.strip())
     if match is None or int(match[1]) > int(match[2]):
-        raise UsageError(f"--part is {text!r}", "give which of how many: 2/5")
+        raise UsageError(f"--part is {text!r}", "give the part and the number of parts: 2/5")
     return Part(number=int(match[1]), of=int(match[2]))
 
 
@@ -57,8 +60,8 @@ def require_clips(jobs: Sequence[Job]) -> None:
     for job in jobs:
         if not job.options.get("clip_frames"):
             raise UsageError(
-                f"{job.name}: --slice counts value clips, and the job asks for none",
-                "give the frames of a clip: --set clip_frames=24",
+                f"{job.name}: --slice counts value clips, but the job writes none",
+                "give the number of frames per clip: --set clip_frames=24",
             )
 
 
@@ -74,14 +77,14 @@ def slices(job: Job, clips: int) -> int:
     frames, length = job.options.get("frames"), int(job.options["clip_frames"])
     if not frames:
         raise UsageError(
-            f"{job.name}: how many slices it takes depends on its frames, which are not given",
-            "give them: --frames 240",
+            f"{job.name}: the number of slices depends on the number of frames, which is not given",
+            "give it: --frames 240",
         )
     most = parse_frames(frames).frames
     if most is None:
         raise UsageError(
-            f"{job.name}: how many slices it takes depends on when it comes to rest",
-            "say how many frames it may take at most: --frames rest:240",
+            f"{job.name}: the number of slices depends on when it comes to rest",
+            "give the maximum number of frames: --frames rest:240",
         )
     intervals = most - 1 + 2 * int(job.options.get("handles") or 0)
     full, rest = len(job.materials) * (intervals // length), intervals % length

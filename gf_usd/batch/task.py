@@ -57,14 +57,14 @@ def run_job(
 ) -> Outcome:
     """Bake, unless the same is there already; nothing that happens to a bake raises."""
     if commands.stopping:
-        return _none(job, "stopped", "interrupted before it began")
+        return _none(job, "stopped", "interrupted before it started")
     try:
         held = acquire(job.root, patience=limits.patience, stopped=lambda: commands.stopping)
     except GfUsdError as error:
         return _none(job, "failed", error.message, error.hint)
     if held is None:
         if commands.stopping:
-            return _none(job, "stopped", "interrupted before it began")
+            return _none(job, "stopped", "interrupted before it started")
         return _none(
             job, "busy", f"another run is baking {job.root}", "repeat the batch when it is done"
         )
@@ -90,9 +90,9 @@ def _run_locked(
     strict = bool(job.options.get("strict"))
     if not limits.overwrite and (kept := finished(job, known)) is not None:
         if strict and kept.warnings:
-            return replace(kept, state="unsound", message="it has warnings, and strict is asked")
+            return replace(kept, state="unsound", message="it has warnings, and --strict was given")
         if any(warning.get("level") == "error" for warning in kept.warnings):
-            return replace(kept, state="unsound", message="its result is wrong, see its warnings")
+            return replace(kept, state="unsound", message="its result is wrong; see its warnings")
         return kept
     if limits.later and (told := settled(job, known)) is not None:
         return told
@@ -110,7 +110,8 @@ def _run_locked(
     )
     if outcome.good and stamps(inputs) != before:
         outcome = replace(
-            outcome, state="failed", message=f"{job.asset}: a file it reads changed meanwhile",
+            outcome, state="failed", message=f"{job.asset}: a file that it reads has changed in "
+            f"the meantime",
             hint="repeat the batch",
         )  # fmt: skip
         known = None
@@ -138,7 +139,7 @@ def _attempts(
         watch = _Watch(job, emit)
         ended = _bake(job, limits, held, commands, watch)
         if ended is None:
-            return _none(job, "stopped", "interrupted before it began"), ()
+            return _none(job, "stopped", "interrupted before it started"), ()
         seconds += time.monotonic() - began
         cpu += ended.cpu_seconds
         bake: Bake = judge(job, ended, watch.last)

@@ -46,11 +46,15 @@ def judge(job: Job, ended: Ended, events: Mapping[str, Mapping[str, Any]]) -> Ba
     message, hint = error.get("message", ""), error.get("hint", "")
     state = STATUS.get(ended.status, "crashed")
     if ended.stopped:
-        state, message, hint = "stopped", "interrupted before its end", ""
+        state, message, hint = "stopped", "interrupted before it ended", ""
     elif ended.timed_out:
-        state, message, hint = "timeout", f"no end after {ended.seconds:.0f} s", "raise --timeout"
+        state, message, hint = (
+            "timeout",
+            f"not finished after {ended.seconds:.0f} s",
+            "raise --timeout",
+        )
     elif state == "sliced":
-        message, hint = "a slice is done", "the same command goes on with it"
+        message, hint = "a slice is done", "run the same command to continue"
         if (slice := events.get("sliced")) is not None:
             message = "{look}: {done} of {frames} frames are done".format_map(slice)
     elif ended.status == 0:
@@ -58,7 +62,10 @@ def judge(job: Job, ended: Ended, events: Mapping[str, Mapping[str, Any]]) -> Ba
     elif ended.status < 0 or ended.status in INTERRUPTED:
         state, message, hint = "crashed", f"the bake was ended by {_signal(ended.status)}", ""
         if ended.status == -signal.SIGKILL:
-            hint = "the system kills what takes too much memory: run fewer at once (--jobs)"
+            hint = (
+                "the system kills processes that use too much memory: run fewer jobs at once"
+                " (--jobs)"
+            )
     elif not message:
         # Python's own words for what nobody expected
         state, message = "crashed", (ended.err.strip().splitlines() or ["no words"])[-1]
@@ -90,7 +97,7 @@ def _complete(
         first = findings[0]
         outcome = replace(
             outcome, state="unsound",
-            message=f"the check found {len(findings)} errors, first {first['rule']}"
+            message=f"the check found {len(findings)} errors; the first is {first['rule']}"
             f" <{first['prim']}>: {first['message']}"[:WORDS],
             hint=first["fix"],
         )  # fmt: skip

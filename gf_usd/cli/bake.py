@@ -71,7 +71,9 @@ def bake(
     NAME.textures/.
     """
     if as_json and events == STDOUT:
-        raise UsageError("--json and --events - would both write to stdout", "give --events a file")
+        raise UsageError(
+            "--json and --events - would both write to stdout", "give a file with --events"
+        )
     if serve:
         if dry_run or verbose:
             raise UsageError("--serve cannot show a plan", "leave out --dry-run and --verbose")

@@ -65,7 +65,7 @@ def plain_lines(board: Board, event: dict[str, Any], row: Row | None) -> list[st
     """Lines for a log: the end of every job, and every attempt but the first."""
     kind = event["event"]
     if kind == "retry":
-        return [f"{event['job']}: once more, {event['why']}"]
+        return [f"{event['job']}: trying again: {event['why']}"]
     if kind != "finished" or row is None:
         return []
     at = f"[{len(board.ended)}/{len(board.rows)}]"
@@ -117,7 +117,7 @@ def table(board: Board) -> Any:
     left = board.left
     line = (
         f"{len(board.ended)} of {len(board.rows)} jobs"
-        + (f", {len(board.bad)} of them not good" if board.bad else "")
+        + (f", {len(board.bad)} of them failed" if board.bad else "")
         + f", {len(board.of('running'))} running, {duration(board.seconds)}"
         + (f", about {duration(left)} left" if left is not None else "")
     )

@@ -103,14 +103,14 @@ def plan_of(sources: Sequence[str], asked: Asked) -> BatchPlan:
     kinds = [Path(source).suffix.lower() in SUFFIXES for source in sources]
     if any(kinds) and len(sources) > 1:
         raise UsageError(
-            f"{len(sources)} files were given, and {sources[kinds.index(True)]} is a manifest",
+            f"{len(sources)} files were given, but {sources[kinds.index(True)]} is a manifest",
             "give one manifest, or assets",
         )
     if kinds == [True] and is_bundle(Path(sources[0])):
         return _bundle(Path(sources[0]), asked)
     if asked.path_mapping is not None:
         raise UsageError(
-            "--path-mapping goes with the jobs of a bundle", "give the bundle's jobs.json"
+            "--path-mapping applies only to the jobs of a bundle", "give the bundle's jobs.json"
         )
     manifest = read_manifest(Path(sources[0])) if kinds == [True] else _of_assets(sources, asked)
     if kinds == [True]:
@@ -130,7 +130,7 @@ def parse_settings(pairs: Sequence[str], named: Mapping[str, Any]) -> dict[str, 
     for pair in pairs:
         name, sign, text = pair.partition("=")
         if not sign or not name:
-            raise UsageError(f"--set {pair}: there is no value", "give --set NAME=VALUE")
+            raise UsageError(f"--set {pair}: the value is missing", "give --set NAME=VALUE")
         settings[name] = parse(name, text, f"--set {pair}")
     return settings
 
@@ -174,7 +174,8 @@ def _bundle(path: Path, asked: Asked) -> BatchPlan:
     fixed = (asked.materials, asked.seeds, asked.settings or None, asked.name)
     if any(value is not None for value in fixed):
         raise UsageError(
-            f"{path} holds jobs whose options are fixed", "make the bundle again with other options"
+            f"{path} contains jobs whose options cannot be changed",
+            "write the bundle again with other options",
         )
     plan = read_jobs(path)
     if asked.path_mapping is not None:
@@ -234,9 +235,9 @@ def bundle(
     write_bundle(
         chosen, folder, chunk=chunk, program=program or sys.executable, table=table, slice=slice
     )
-    parts = f", {slice} clips of each" if slice else ""
+    parts = f", {slice} clips of each job" if slice else ""
     typer.echo(
-        f"{folder}: {len(jobs)} jobs, {chunk} in a task{parts}\n"
+        f"{folder}: {len(jobs)} jobs, {chunk} per task{parts}\n"
         f"openjd run {folder / TEMPLATE} -p file://{(folder / FLAT).absolute()}",
         err=True,
     )
@@ -295,7 +296,7 @@ def _finish(
     bad = [outcome for outcome in ordered(outcomes) if not outcome.good]
     if how.openjd_lines and (wrong := faults(ordered(outcomes), how.part)):
         first = wrong[0]
-        said = f"{len(wrong)} of {len(outcomes)} jobs are not good: {first.job}: {first.message}"
+        said = f"{len(wrong)} of {len(outcomes)} jobs failed: {first.job}: {first.message}"
         typer.echo(f"openjd_fail: {' '.join(said.split())}")
     for outcome in bad:
         typer.echo(f"{outcome.state}: {outcome.job}: {outcome.message}", err=True)
@@ -304,7 +305,7 @@ def _finish(
     if outcomes:
         typer.echo(f"{summary_line(outcomes)}, {seconds:.0f} s; results in {plan.out}", err=True)
     if repeat:
-        typer.echo(f"to repeat just these: {repeat}", err=True)
+        typer.echo(f"to repeat only these: {repeat}", err=True)
     if how.as_json:
         summary = {"event": "summary", "counts": counts(outcomes), "seconds": round(seconds, 3),
                    "repeat": repeat}  # fmt: skip

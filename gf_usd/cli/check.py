@@ -49,7 +49,7 @@ def check(
             typer.echo(f"not checked: {skip.rule} <{skip.prim_path}>: {skip.reason}")
         for line in result.warned:
             typer.echo(f"note: {line}")
-        theirs = f", {len(result.inherited)} errors of the source" if result.inherited else ""
+        theirs = f", {len(result.inherited)} errors in the source" if result.inherited else ""
         typer.echo(
             f"{file}: {result.errors} errors, {result.warnings} warnings{theirs}"
             f" ({result.rules} rules, {result.prims} prims, {result.layers} layers)"

@@ -29,8 +29,8 @@ def compare(
         typer.Option(
             "--output",
             "-o",
-            help="Write a page (.html), a film (.mp4, .gif) of A, B and their distance, or a"
-            " picture of the worst frame (.png); repeatable.",
+            help="Write a page (.html), a film (.mp4, .gif) of A, B and their distance, or an "
+            "image of the worst frame (.png); repeatable.",
         ),
     ] = None,
     tolerance: Annotated[
@@ -110,17 +110,18 @@ def lines(found: Comparison) -> list[str]:
         f" points, {len(found.time_codes)} frames; radius {length(found.radius)}",
         f"largest distance {length(found.error)} ({100 * found.error / found.radius:.3g} % of the"
         f" radius): point {point} of <{mesh}> at time code {found.time_codes[worst]:g}",
-        f"rms distance at most {length(float(found.rms.max()))}, of the centers of mass"
-        f" {length(float(found.center[center]))} (time code {found.time_codes[center]:g})",
+        f"largest rms distance {length(float(found.rms.max()))}, largest distance of the "
+        f"centers of mass {length(float(found.center[center]))} (time code "
+        f"{found.time_codes[center]:g})",
     ]
     if ratio is not None:
-        told.append(f"volume of B over that of A: {ratio.min():.4g} to {ratio.max():.4g}")
+        told.append(f"volume of B relative to A: {ratio.min():.4g} to {ratio.max():.4g}")
     if found.tolerance is not None:
         over = found.first_over
         told.append(
             f"same: within {length(found.tolerance)} at all times"
             if over is None
-            else f"different: farther off than {length(found.tolerance)} from time code {over:g} on"
+            else f"different: distance above {length(found.tolerance)} from time code {over:g} on"
         )
     return told
 

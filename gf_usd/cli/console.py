@@ -41,11 +41,11 @@ def show_plan(
         f"particles   {d['particles']}, {d['spacing_m']:.3g} m apart",
         f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {d['start']:g}",
         "substeps    "
-        + ", ".join(f"{n} a frame ({look})" for look, n in d["substeps_per_frame"].items()),
+        + ", ".join(f"{n} per frame ({look})" for look, n in d["substeps_per_frame"].items()),
         f"drop        {d['drop_m']:.3g} m, "
         + (f"first contact at frame {contact}" if contact is not None else "no contact"),
         f"time        {time_of(d)}"
-        + (f": refused, it is more than --max-hours {max_hours:g}" if too_long else ""),
+        + (f": refused because it is more than --max-hours {max_hours:g}" if too_long else ""),
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
         f"disk        {disk_of(d)}",
         *(f"would write {path}" for path in d["outputs"]),
@@ -67,7 +67,7 @@ def announce(prepared: Prepared) -> None:
         typer.echo(_told(plan, note), err=True)
     told = {"frames": plan.settings.frames, **cost}
     typer.echo(
-        f"{len(plan.particles)} particles, {frames_of(told)}, {each} substeps a frame:"
+        f"{len(plan.particles)} particles, {frames_of(told)}, {each} substeps per frame:"
         f" {time_of(told)}, {disk_of(told)}",
         err=True,
     )
@@ -108,7 +108,7 @@ def disk_of(told: Mapping[str, Any]) -> str:
 EVERY = 30.0  # [s] between plain lines, at most
 PATIENCE = 5.0  # [s] before reading or filling is worth a line
 STEP = 0.1  # of the frames between plain lines, at most
-COMPILES = " (once: later bakes of the same laws load them)"
+COMPILES = " (only once: later bakes with the same laws reuse them)"
 
 
 @contextmanager
@@ -319,7 +319,7 @@ def _measured(bake: VariantResult) -> str:
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
     overlap = h["deepest_overlap_spacings"]
     met = f", deepest overlap {overlap:.2f} spacings" if overlap else ""
-    redone = f", {h['rollbacks']} times a frame was redone" if h["rollbacks"] else ""
+    redone = f", {h['rollbacks']} frames recomputed" if h["rollbacks"] else ""
     rest = f", at rest at frame {bake.at_rest}" if bake.at_rest else ""
     return (
         f"{bake.variant}: {bake.frames} frames{rest}, {h['substeps']} substeps{redone}, {rebound},"

@@ -112,8 +112,8 @@ def said_of(cloud: DeliveredSplats) -> str:
     """In words, how far Gaussians are from the bake."""
     middle, most, largest = (f"{100 * share:.2g} %" for share in cloud.covariance)
     return (
-        f"{cloud.count} Gaussians, off by at most {100 * cloud.position:.2g} % of the radius; their"
-        f" covariances by {middle} (median), {most} (99 in 100), {largest} (largest)"
+        f"{cloud.count} Gaussians, position error at most {100 * cloud.position:.2g} % of the "
+        f"radius; covariance error {middle} (median), {most} (99 in 100), {largest} (largest)"
     )
 
 

@@ -43,8 +43,8 @@ def event_stream(target: str | None) -> Iterator[Emit]:
                     with contextlib.suppress(OSError):  # what is left in its buffer is lost
                         file.close()
                 raise BakeError(
-                    f"--events {target}: no event can be written: {error.strerror}",
-                    "see to it that it is read, and has space left",
+                    f"--events {target}: events cannot be written: {error.strerror}",
+                    "check that it is being read and has space left",
                 ) from error
 
         try:
@@ -76,5 +76,5 @@ def _opened(target: str) -> contextlib.AbstractContextManager[IO[str]]:
     except OSError as error:
         raise UsageError(
             f"--events {target} cannot be opened: {error.strerror}",
-            "name a file in a folder that is there, - for stdout, or an open file descriptor",
+            "give a file in an existing folder, - for stdout, or an open file descriptor",
         ) from error

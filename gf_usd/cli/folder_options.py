@@ -58,7 +58,7 @@ def find(folder: Path) -> FolderOptions | None:
     _require(path, told, TABLES, "a table of this file")
     table = told.get("bake", {})
     if not isinstance(table, dict):
-        raise UsageError(f"{path}: bake is {table!r}", "write a table: [bake]")
+        raise UsageError(f"{path}: bake is {table!r}", "write bake as a table: [bake]")
     _require(path, table, OPTIONS, "an option of gf-usd bake")
     values = {}
     for name, value in table.items():

@@ -58,7 +58,9 @@ def _facts(console: Console, seen: Inspection) -> None:
 
 
 def _from(source: str) -> str:
-    return {"file": "from the file", "assumed": "[yellow]assumed[/]", "option": "as asked"}[source]
+    return {"file": "from the file", "assumed": "[yellow]assumed[/]", "option": "as requested"}[
+        source
+    ]
 
 
 def _meshes(console: Console, seen: Inspection) -> None:
@@ -126,20 +128,20 @@ def _body(console: Console, seen: Inspection) -> None:
     falls = f"first contact at frame {contact}" if contact is not None else "no contact"
     console.print(
         f"\n{len(p)} particles, {_length(p.spacing)} apart, fill {_volume(p.volume)}"
-        f" (a ball of radius {_length(p.radius)}); {frames_of(told)} at {s.fps:g} fps,"
-        f" falls {_length(plan.drop)}, {falls}"
+        f" (as much as a ball of radius {_length(p.radius)}); {frames_of(told)} at {s.fps:g} fps,"
+        f" drop {_length(plan.drop)}, {falls}"
     )
     if (thick := seen.thickness) is not None:
         console.print(
-            f"{_length(thick.thin)} thick or less in 5 % of the surface:"
-            f" {thick.across(p.spacing):.1f} particles across; median {_length(thick.median)}"
+            f"5 % of the surface is at most {_length(thick.thin)} thick "
+            f"({thick.across(p.spacing):.1f} particles across); median {_length(thick.median)}"
         )
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("material")
     early = cost["ends_early"]
-    times = ("usual time", "time at most") if early else ("time about",)
-    disk = "disk at most" if early else "disk about"
-    for title in ("substeps a frame", *times, "memory about", disk):
+    times = ("usual time", "longest time") if early else ("time (about)",)
+    disk = "disk (at most)" if early else "disk (about)"
+    for title in ("substeps per frame", *times, "memory (about)", disk):
         table.add_column(title, justify="right")
     for row in cost["per_material"]:
         table.add_row(
@@ -183,7 +185,7 @@ def _parts(console: Console, seen: Inspection) -> None:
     console.print(table)
     if len(seen.parts) > MOST_PARTS:
         console.print(f"and {len(seen.parts) - MOST_PARTS} more (--json lists all)")
-    console.print("such parts follow what is around them stiffly", end="")
+    console.print("such parts follow their surroundings stiffly", end="")
     needed = suggestion(seen.parts)
     which = "all but the thinnest" if any(p.suggested is None for p in seen.parts) else "them"
     console.print(f"; --particles {needed} would fill {which}" if needed else "")
@@ -210,14 +212,14 @@ def _said(seen: Inspection) -> list[str]:
                 (mesh.collapsed, "collapsed triangles"),
                 (mesh.slivers, "triangles without area"),
                 (mesh.crowded_edges, "edges shared by more than two triangles"),
-                (mesh.loose_edges, "boundary edges in no closed loop"),
+                (mesh.loose_edges, "boundary edges outside closed loops"),
             )
             if n
         ]
         if seen.plan is None and (wrong := faults(mesh)):
             said.append(f"<{mesh.path}> has {', '.join(wrong)}")
         elif odd:
-            said.append(f"<{mesh.path}> has {', '.join(odd)}: harmless to the fill")
+            said.append(f"<{mesh.path}> has {', '.join(odd)}, which do not affect the fill")
     return said
 
 

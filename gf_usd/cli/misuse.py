@@ -35,7 +35,7 @@ def usage_words(error: Any) -> str:
     message, _, meant = message.partition(" Did you mean ")
     meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""
     message = f"{message[:1].lower()}{message[1:].rstrip('.')}"
-    return f"{message}\n\nhint: {meant}{command} --help shows what it takes"
+    return f"{message}\n\nhint: {meant}see {command} --help"
 
 
 def _nearest(option: str, context: Any) -> str:

@@ -149,7 +149,7 @@ def draw(
     Raises
     ------
     UsageError : times outside the motion, an impossible size, or a folder that cannot be written.
-    InputError : the stage cannot be read, or does not hold what is to be shown.
+    InputError : the stage cannot be read, or does not contain what should be shown.
     """
     # pxr and taichi take a second to import, which --help must not wait for
     from gf_usd.api.drawing.preview import draw as draw_preview
@@ -167,7 +167,7 @@ def draw(
     width, height = done.size
     made = f"{done.path}: {width}x{height}"
     if done.fps is not None:
-        made += f", {done.frames} frames, {done.fps:g} a second"
+        made += f", {done.frames} frames, {done.fps:g} per second"
     return [made, *(f"note: {note}" for note in done.notes)]
 
 

@@ -34,6 +34,6 @@ def present(command: str, arguments: Sequence[str]) -> list[str]:
         flag, sign, value = argument.partition("=")
         now = RENAMED.get((command, flag))
         if now is not None and not quiet:
-            typer.echo(f"note: {flag} is called {now} now; the old name works until 1.0", err=True)
+            typer.echo(f"note: {flag} is now called {now}; the old name works until 1.0", err=True)
         out.append(argument if now is None else f"{now}{sign}{value}")
     return [*out, *arguments[end:]]

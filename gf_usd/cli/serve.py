@@ -80,7 +80,7 @@ def serve(
         workers.start_one()
         try:
             if not quiet:
-                typer.echo(f"gf-usd {__version__} listens at {path} (process {os.getpid()})",
+                typer.echo(f"gf-usd {__version__} is listening at {path} (process {os.getpid()})",
                            err=True)  # fmt: skip
             server.run(end)
         finally:
@@ -101,7 +101,7 @@ def _ask(path: Path, *, stop: bool) -> None:
 
     told = status(path, stop=stop)
     if told is None:
-        raise UsageError(f"no gf-usd serve listens at {path}", "start one with: gf-usd serve")
+        raise UsageError(f"no gf-usd serve is listening at {path}", "start one with gf-usd serve")
     typer.echo(json.dumps({k: v for k, v in told.items() if k not in ("event", "time")}))
 
 
@@ -112,8 +112,8 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
     """
     if (version := request.get("version", __version__)) != __version__:
         raise UsageError(
-            f"the server is gf-usd {__version__}, and its client {version}",
-            "end it with gf-usd serve --stop, and start it again",
+            f"the server is gf-usd {__version__}, but its client is {version}",
+            "stop it with gf-usd serve --stop, and start it again",
         )
     if "arguments" in request:
         words = request["arguments"]
@@ -121,7 +121,7 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
             raise UsageError(f'"arguments" is {words!r}', "give a list of strings")
         if words[:1] != ["bake"] or "--serve" in words:
             raise UsageError(
-                f"{' '.join(words[:2])!r} is no bake", 'the first of "arguments" is "bake"'
+                f"{' '.join(words[:2])!r} is not a bake", 'the first of "arguments" must be "bake"'
             )
         return words
     from gf_usd.batch.job import Job
@@ -201,7 +201,7 @@ def _summary(result: Mapping[str, Any], warnings: Sequence[Mapping[str, Any]]) -
 def _why(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> str:
     """Why a bake did not succeed, in words."""
     if ended["timed_out"]:
-        return "error: it took longer than the timeout of the server"
+        return "error: it exceeded the timeout of the server"
     if "sliced" in last:
         return f"{last['sliced']['done']} of {last['sliced']['frames']} frames are done"
     if "error" in last:

@@ -93,7 +93,7 @@ def topic(
         close = difflib.get_close_matches(about, TOPICS, n=1)
         guess = f"did you mean {close[0]}? " if close else ""
         raise UsageError(
-            f"there is no topic {about!r}", f"{guess}topics are {', '.join(TOPICS)}; {OF_COMMANDS}"
+            f"unknown topic {about!r}", f"{guess}topics are {', '.join(TOPICS)}; {OF_COMMANDS}"
         )
     title, text = TOPICS[about]
     typer.echo(f"{about}: {title}\n\n{text}")

@@ -1,6 +1,6 @@
-"""Arrays of three numbers a row: their types, and sums over each row taken column by column.
+"""Arrays of rows of three numbers: their types, and sums over each row, computed by columns.
 
-NumPy reduces an axis of three with a loop for every row, which takes several times as long.
+NumPy reduces an axis of length three with a loop per row, which takes several times as long.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """An asset: surfaces, their shading materials, captured Gaussians, and facts of the stage.
 
-Where a bake begins and how its time codes run, where the source leaves it open.
+The start of a bake and its time codes, if the source does not state them.
 
-The rest pose, the physics, the pins and the settings of a bake all ask here, so that the first
-frame is the source at one and the same time.
+The rest pose, the physics, the pins and the settings of a bake all use this module, so that they
+agree on the time of the first frame.
 
-Captured Gaussians: what every splat file means, in one value.
+Captured Gaussians: one representation for all splat files.
 
     alpha(x) = o exp(-(x - p)^T Sigma^-1 (x - p) / 2),    Sigma = R diag(s^2) R^T
     c(d) = 1/2 + sum_k h_k Y_k(d)
@@ -47,7 +47,7 @@ FILE, ASSUMED, OPTION = "file", "assumed", "option"  # where a unit or an axis c
 
 @dataclass(frozen=True, kw_only=True)
 class StageFacts:
-    """What the source says of itself."""
+    """Facts about the source stage."""
 
     path: Path  # the file as the user named it
     units: StageUnits
@@ -105,7 +105,7 @@ class Surface:
 
 @dataclass(frozen=True, kw_only=True)
 class Asset:
-    """What a reader makes of a file."""
+    """The result of reading a file."""
 
     facts: StageFacts
     surfaces: tuple[Surface, ...]
@@ -138,7 +138,7 @@ BRIGHTEST = 1e4  # a coefficient is held to this: turned ones are written in hal
 
 @dataclass(frozen=True, kw_only=True)
 class Splats:
-    """A set of Gaussians in a space of their own, and where that space is."""
+    """A set of Gaussians in their own space, and the transform of that space."""
 
     positions: Floats  # (N, 3) [local units]
     orientations: Floats  # (N, 4) unit, (w, x, y, z)

@@ -1,4 +1,4 @@
-"""Errors that a person can act on: what is wrong, with its numbers, and what to do."""
+"""Errors that a user can act on: what is wrong, with the numbers, and what to do."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class InputError(GfUsdError):
 
 
 class SchemaTooLate(GfUsdError):
-    """USD had read its schema definitions before those of gf-usd were registered."""
+    """USD read its schema definitions before those of gf-usd were registered."""
 
 
 class BakeError(GfUsdError):
@@ -48,9 +48,9 @@ class BakeError(GfUsdError):
 
 
 class Unfinished(GfUsdError):
-    """A slice of a bake is done, and the rest is to be resumed (exit status 5); no fault.
+    """A slice of a bake is done, and the rest can be resumed (exit status 5).
 
-    variant : the one that it ended in; done : of its frames, of which there are so many.
+    variant : in which it ended; done : frames of it that are done, of `frames`.
     """
 
     exit_status = 5
@@ -63,9 +63,10 @@ class Unfinished(GfUsdError):
 
 
 class SolverError(BakeError):
-    """The simulation could not go on.
+    """The simulation failed.
 
-    frame : the first frame that could not be had; particle : the one where it went wrong, or -1.
+    frame : the first frame that could not be computed; particle : the one where it went wrong, or
+        -1.
     """
 
     def __init__(self, message: str, hint: str, *, frame: int, particle: int = -1) -> None:
@@ -75,11 +76,11 @@ class SolverError(BakeError):
 
 
 class OutOfResources(SolverError):
-    """The disk or the memory is nearly full; what was had is kept, and clips can be resumed."""
+    """The disk or the memory is nearly full; finished frames are kept, and clips can be resumed."""
 
 
 class UnhealthyError(GfUsdError):
-    """The bake is complete and written, but wrong, or it has warnings under --strict (status 4).
+    """The bake was written, but its result is wrong, or it has warnings under --strict (status 4).
 
     warnings : the `HealthWarning`s; result : the `BakeResult`.
     """

@@ -2,7 +2,7 @@
 
 Quaternions (w, x, y, z); linear Rec. 709.
 
-What of a bake is written, and in which form: output choices as resolved.
+The resolved output choices: what a bake writes, and in which form.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CellCopies:
-    """Cells of the grid that a solid fills, each once for every connected part of the solid in it.
+    """Grid cells that a solid fills, with a copy for each connected part of the solid in a cell.
 
-    Where limbs are near each other a cell has several copies, and so have nodes (docs/physics.md).
+    Where limbs are near each other, cells and nodes have several copies (docs/physics.md).
     """
 
     h: float  # [m] edge of a cell; cells start at the corners of `Particles`
@@ -117,14 +117,14 @@ class SurfaceSamples:
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A push besides gravity, the same for every mass.
+    """An acceleration in addition to gravity, the same for every mass.
 
     wind     `vector`
     radial   `strength` away from the center; below 0 toward it
     noise    swirls of a `length` that change at a `rate`, with `strength` as root mean square
-    gravity  `values` at time codes `times`, straight between them, in place of Settings.gravity
+    gravity  `values` at time codes `times`, interpolated linearly, instead of Settings.gravity
 
-    It is times exp(-|x - center|^2 / radius^2) where it has a radius.
+    If there is a radius, it is multiplied by exp(-|x - center|^2 / radius^2).
     """
 
     kind: str
@@ -150,7 +150,7 @@ MIXED = "mixed"  # solver of a bake with solid and flowing bodies
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Everything that decides a bake, resolved: no None is left to interpret."""
+    """Everything that determines a bake, with all defaults resolved."""
 
     frames: int  # number of frames simulated; the last is written
     fps: float  # frames per second of playback
@@ -243,18 +243,18 @@ class Health:
     min_stretch: float = 1.0  # smallest singular value of F
     max_stretch: float = 1.0
     inverted: int = 0  # particles with J <= 0
-    penetration: float = 0.0  # [m] deepest of a contact sample in the floor during the frame
-    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
-    let_go: int = 0  # contact samples at once that seemed deeper than they can have come
+    penetration: float = 0.0  # [m] deepest contact sample in the floor during the frame
+    overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
+    let_go: int = 0  # most contact samples released at the same time
     friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
-    rollbacks: int = 0  # times the frame was redone with half the step
+    rollbacks: int = 0  # times the frame was recomputed with half the step
     work: float = 0.0  # [J] done on the body by pins, goals, fields, obstacles and new moduli
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
-    flying: int = 0  # bodies that flew by the closed form, in a frame without substeps
-    sleeping: int = 0  # bodies that slept, in a frame without substeps
+    flying: int = 0  # bodies in free flight, in a frame without substeps
+    sleeping: int = 0  # bodies asleep, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
-    planes: float = 0.0  # [J] of `injected`, that new contact planes gave
+    planes: float = 0.0  # [J] of `injected`, from new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
@@ -282,7 +282,7 @@ AT_REST = 1e-7
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One frame out of a solver."""
+    """One frame from a solver."""
 
     index: int  # 0 for the first
     time: float  # [s] simulated
@@ -305,7 +305,7 @@ class MeshPose:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfacePose:
-    """The surface of particles that flow, world; every frame has another topology."""
+    """The surface of flowing particles, world; the topology differs in every frame."""
 
     points: Floats  # (V, 3) [m]
     velocities: Floats  # (V, 3) [m/s of playback]
@@ -329,7 +329,7 @@ class GaussianPose:
 
 @dataclass(frozen=True, kw_only=True)
 class BakedFrame:
-    """What the cache writer receives, one at a time."""
+    """What the cache writer receives for each frame."""
 
     index: int
     time_code: float
@@ -343,7 +343,7 @@ class BakedFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class BakeInfo:
-    """What a bake says of itself in its layers and its report."""
+    """What a bake records about itself in its layers and its report."""
 
     look: str  # variant name, e.g. "rubber"
     materials: tuple[Material, ...]
@@ -393,7 +393,7 @@ class Choices:
     @property
     def particles(self) -> bool:
         """Whether any form of the particles is written, or what stands with them: tetrahedra, and
-        what flows beside meshes."""
+        flowing particles in addition to meshes."""
         both = bool({"gaussians", "points"} & set(self.shapes))
         return both or self.tets or bool(self.flowing or self.flows)
 

@@ -1,8 +1,8 @@
 """Cofactors of many 3x3 matrices at once, in a few passes over arrays.
 
-With the nine entries as rows, side by side over all matrices, every cofactor is the difference of
-two products: four lookups and three operations, whatever their number.  A cross product for each
-row costs a small body three times as much, all of it in calls.
+With the nine entries stored as rows over all matrices, each cofactor is a difference of two
+products: four lookups and three operations for any number of matrices.  A cross product for each
+row takes three times as long for a small body, all of it in calls.
 
 Gaussians: the axes of a quaternion and three standard deviations, and back.
 

@@ -1,6 +1,6 @@
 """Topology of polygon meshes: triangles, welds, edges, shells, volume.
 
-Nothing here knows of a file format.  Triangles are (T, 3) indices, counter-clockwise seen from
+Nothing here depends on a file format.  Triangles are (T, 3) indices, counter-clockwise seen from
 outside; lengths are in whatever unit the points have.
 """
 

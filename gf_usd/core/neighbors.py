@@ -1,15 +1,15 @@
 """Nearest neighbors, connected components and derivatives at scattered points.
 
-Importing `scipy.sparse` takes 0.2 CPU seconds, its graphs and `scipy.spatial` 0.15 more, as long as
-a small body takes to be read, filled and set up.  So they are imported where they are used, and
-what is few is found without them, to the bit as they find it.
+Importing `scipy.sparse` takes 0.2 CPU seconds, its graphs and `scipy.spatial` 0.15 more, which is
+as long as a small body takes to read, fill and set up.  They are therefore imported where they are
+used, and small problems are solved without them, with identical results to the bit.
 
 Derivatives at scattered points by least squares over neighbors, as one sparse operator.
 
     da/dX = [sum_j w_j (a_j - a) d_j] M^+,   M = sum_j w_j d_j d_j^T,   d_j = X_j - X
 
-exact for affine a where the neighbors fill space.  Along a direction in which there are none M is
-singular, and the derivative of least norm, 0 along it, is taken.
+exact for affine a if the neighbors fill space.  In a direction without neighbors M is singular,
+and the derivative of least norm is used, which is 0 in that direction.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Real spherical harmonics to degree 3, in the order and signs of 3D Gaussian splats.
 
-A rotation mixes the coefficients of one degree among themselves.  The function that belongs to the
-turned body is c'(d) = c(R^T d), so that
+A rotation mixes the coefficients of one degree among themselves.  The function of the rotated body
+is c'(d) = c(R^T d), so that
 
     sum_k h'_k Y_k(d) = sum_k h_k Y_k(R^T d)   for all d of the sphere,
 

@@ -1,12 +1,12 @@
-"""A scene to draw: plain arrays between the code that reads and the code that draws.
+"""A scene to render: plain arrays between the code that reads and the code that renders.
 
 Lengths are meters in the world frame of the stage, quaternions (w, x, y, z), colors linear
-Rec. 709 unless a field says otherwise.  Everything here is immutable and knows neither USD nor
+Rec. 709 unless a field says otherwise.  Everything here is immutable and independent of USD and
 the renderer.
 
-Which captured Gaussians a picture has to hold: captures have strays far from all else.
+Which captured Gaussians an image must contain: captures have strays far from everything else.
 
-A baked motion as plain arrays, between the code that reads it and the code that shows it.
+A baked motion as plain arrays, between the code that reads and the code that displays it.
 
 Lengths are meters in the world frame of the stage, colors linear Rec. 709.
 """
@@ -59,7 +59,7 @@ class RenderSplats:
 
 @dataclass(frozen=True, kw_only=True)
 class Harmonics:
-    """Radiance that depends on the direction of view, as real spherical harmonics."""
+    """View-dependent radiance as real spherical harmonics."""
 
     coefficients: Floats  # (N, K, 3), K = (degree + 1)^2, degree 0 first; 0.5 is added to the sum
     frame: Floats  # (3, 3) turns world directions into the space of the coefficients
@@ -79,7 +79,7 @@ class RenderEllipsoids:
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """What the values of a picture measure, and the range that colors stand for."""
+    """The quantity that an image shows, and the range of its colors."""
 
     title: str
     measure: str = ""  # of several that go by the title
@@ -93,7 +93,7 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """A pinhole that looks from eye to target."""
+    """A pinhole camera that looks from eye to target."""
 
     eye: tuple[float, float, float]  # [m]
     target: tuple[float, float, float]  # [m]
@@ -133,7 +133,7 @@ class Bounds:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One frame to draw."""
+    """One frame to render."""
 
     up: tuple[float, float, float]  # unit
     meshes: tuple[RenderMesh, ...] = ()
@@ -180,7 +180,7 @@ def to_frame(positions: Floats, opacities: Floats) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianSet:
-    """What does not change about the Gaussians of a bake."""
+    """The constant data of the Gaussians of a bake."""
 
     name: str  # prim path
     colors: Floats  # (N, 3) linear

@@ -1,11 +1,11 @@
 """The physics and bake settings of a stage: gravity, obstacles, bodies, materials, pins.
 
-SI, world frame of the source, row per point: as in `gf_usd.core.frames`.  A prim path names where a
-value comes from; None: the stage says nothing.
+SI, world frame of the source, row per point: as in `gf_usd.core.frames`.  A prim path names the
+source of a value; None: the stage does not state it.
 
-What the bodies of a bake may meet besides the floor: obstacles, each other, themselves.
+What the bodies of a bake may collide with besides the floor: obstacles, each other, themselves.
 
-Regions of the rest body, and pins: regions whose motion is given.  SI, world, as `model`.
+Regions of the rest body, and pins: regions with prescribed motion.  SI, world, as `model`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FRICTION, RESTITUTION = 0.8, 0.85  # where an elastic material says nothing of t
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsMaterialSpec:
-    """What one physics material says; None: nothing."""
+    """The values that a physics material states; None: not stated."""
 
     path: str = ""  # of the Material prim; empty where none is bound
     density: float | None = None  # [kg/m^3]
@@ -92,7 +92,7 @@ class PhysicsMaterialSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class Collider:
-    """An obstacle that the bodies meet: posed at rest, and where it is at each frame.
+    """An obstacle that the bodies collide with: its rest pose, and its motion.
 
     At frame f a point x of the rest pose is at ``linear[f] @ x + offset[f]``, unless `deformed`
     gives the points outright.
@@ -164,7 +164,7 @@ class SubsetMaterial:
 
 @dataclass(frozen=True, kw_only=True)
 class BodyPhysics:
-    """What the stage says of one surface that is baked."""
+    """What the stage states about a surface that is baked."""
 
     path: str  # Surface.path
     role: str = ""  # "" | static | kinematic | dynamic, as in UsdPhysics
@@ -228,7 +228,7 @@ class StagePhysics:
 
 @dataclass(frozen=True, kw_only=True)
 class PrimBake:
-    """The bake settings that hold for one prim: its own or those of the nearest prim above."""
+    """The bake settings of a prim: its own, or those of its nearest ancestor."""
 
     path: str
     enabled: bool | None = None
@@ -248,7 +248,7 @@ class PrimBake:
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is known by name of a surface that is to be soft."""
+    """The names and labels of a surface to bake."""
 
     path: str  # prim path
     looks: tuple[str, ...] = ()  # paths of the bound materials, that of most faces first
@@ -258,7 +258,7 @@ class Subject:
 
 @dataclass(frozen=True, kw_only=True)
 class Advice:
-    """What a surface is said to be made of."""
+    """The material that an advisor suggests for a surface."""
 
     path: str  # prim path
     material: str  # name of a preset; of a material of the stage where `by` is "stage"
@@ -275,7 +275,7 @@ class Advice:
 
 @dataclass(frozen=True, kw_only=True)
 class Skin:
-    """The surface of a body that others meet, closed and seen from outside."""
+    """The closed surface of a body that other bodies collide with."""
 
     points: Floats  # (V, 3) [m] at rest
     triangles: Ints  # (T, 3) into points, counter-clockwise seen from outside
@@ -284,7 +284,7 @@ class Skin:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactSetup:
-    """Who meets whom."""
+    """Which bodies and obstacles can collide."""
 
     skins: tuple[Skin, ...]  # one a body
     colliders: tuple[Collider, ...] = ()
@@ -320,7 +320,7 @@ class ContactSetup:
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """A part of space that is bounded by triangles, and where its points go over the frames."""
+    """A part of space bounded by triangles, and the motion of its points."""
 
     name: str  # as asked for
     kind: str  # "volume": what the triangles enclose; "patch": a part of a body's surface
@@ -332,7 +332,7 @@ class Region:
 
 @dataclass(frozen=True, kw_only=True)
 class Bone:
-    """A joint's part of a skeleton: where it lies in the rest body, and its motion."""
+    """A joint's part of a skeleton: its position in the rest body, and its motion."""
 
     name: str  # path of the skeleton and joint, e.g. "/Hero/Skel:hips/spine"
     segments: Floats  # (s, 2, 3) [m] from the joint to where each segment ends, at rest, world
@@ -343,7 +343,7 @@ class Bone:
 
 @dataclass(frozen=True, kw_only=True)
 class SampledSkin:
-    """The skin of a character at the samples of its surface."""
+    """The skin of a character, sampled at points of its surface."""
 
     weights: csr_matrix  # (n, bones) rows sum to 1
     offsets: Sequence[Floats]  # (n, 3) [m] at each frame, besides the skinning
@@ -361,11 +361,12 @@ class Skeleton:
 
 @dataclass(frozen=True, kw_only=True)
 class Pin:
-    """A region whose motion is given: held where it is, or following the source's animation.
+    """A region with prescribed motion: fixed, or following the animation of the source.
 
-    The region's anchors are points whose place is known at every frame; between them it moves by
-    an affine fit.  Where only some axes are held, its boundary is a symmetry plane: the body slides
-    along it without friction, and what lies behind is its mirror image, without mass and stress.
+    The anchors of the region are points whose positions are known at every frame; between them it
+    moves by an affine fit.  If only some axes are held, its boundary is a symmetry plane: the body
+    slides along it without friction, and the part behind it is its mirror image, without mass and
+    stress.
     """
 
     name: str  # as asked for, e.g. "/Duck/mesh:feet"
@@ -382,7 +383,7 @@ class Pin:
 
 @dataclass(frozen=True, kw_only=True)
 class FleshLimits:
-    """How far flesh may go, toward its bone and from the pose that it is drawn to.
+    """How far flesh may move toward its bone and away from the pose that it is pulled to.
 
     carried : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] where its bone alone would carry a point,
     and (n, 3) unit, from the bone to there).
@@ -397,7 +398,7 @@ class FleshLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class AttachedPoints:
-    """Points of bodies, each on a spring and a damper of its own."""
+    """Points of bodies, each with its own spring and damper."""
 
     X: Floats  # (n, 3) [m] at rest, world
     path: Floats  # (F, n, 3) [m] where they are drawn to at each frame; F = 1: it stays
@@ -409,7 +410,8 @@ class AttachedPoints:
 
 @dataclass(frozen=True, kw_only=True)
 class Goals:
-    """Springs that draw a body to a pose: per mass, w^2 times the way and 2 zeta w times the rate.
+    """Springs that pull a body to a pose: per mass, w^2 times the offset and 2 zeta w times its
+    rate.
 
     pose : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] where these points are to be).
     rate : X (n, 3) [m] at rest -> w (n,) [rad/s]; 0: free, inf: as good as keyframed.
@@ -427,7 +429,7 @@ class Goals:
 
 @dataclass(frozen=True, kw_only=True)
 class StageSpec:
-    """What is said; empty for an asset that is no USD file."""
+    """What the stage states; empty for an asset that is not a USD file."""
 
     bakes: dict[str, PrimBake] = field(default_factory=dict)  # by prim path of a surface
     physics: StagePhysics = field(default_factory=StagePhysics)

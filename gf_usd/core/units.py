@@ -1,9 +1,9 @@
-"""Stage units to SI and back: the only place where the two meet.
+"""Conversion between stage units and SI, which happens only here.
 
 A stage measures length in units of ``meters_per_unit`` [m] and mass in units of
 ``kilograms_per_unit`` [kg]; inside the program everything is SI.
 
-Numbers out of options, or a UsageError that says what a right one looks like.
+Numbers from options, or a UsageError that shows the expected form.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STRONGEST = 1e9  # [m/s^2] of gravity: a stronger one has no step
 
 @dataclass(frozen=True, kw_only=True)
 class Precision:
-    """How far stored values may be off: a length, or a share of the radius of each body."""
+    """The allowed error of stored values: a length, or a fraction of the radius of each body."""
 
     value: float  # [m], or a share
     relative: bool
@@ -42,7 +42,7 @@ class Precision:
 
 @dataclass(frozen=True, kw_only=True)
 class StageUnits:
-    """Sizes of a stage's units.  Multiply a stage value by the property to get SI."""
+    """Sizes of the units of a stage.  Multiply a stage value by the property to get SI."""
 
     meters_per_unit: float = 1.0
     kilograms_per_unit: float = 1.0
@@ -99,7 +99,7 @@ def number(option: str, text: str, what: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UsageError(f"{option}: {text!r} is no number", f"give {what}")
+        raise UsageError(f"{option}: {text!r} is not a number", f"give {what}")
     return value
 
 

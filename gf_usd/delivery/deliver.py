@@ -47,19 +47,19 @@ AGAIN = 0.9  # of that error, where rounding took more
 
 @dataclass(frozen=True, kw_only=True)
 class DeliveredBody:
-    """How a body of one variant is described."""
+    """The joints or blend shapes of a body of one variant."""
 
     variant: str  # "" where the bake has none
     meshes: tuple[str, ...]  # prim paths
     splats: tuple[str, ...]  # prim paths of Gaussians that follow the same joints or shapes
     joints: int  # without the root joint
     shapes: int  # blend shapes
-    radius: float  # [m] that the error is a share of
+    radius: float  # [m] to which the error is relative
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeliveredSplats:
-    """A set of Gaussians, and how far it is from the bake as read back from the file."""
+    """A set of Gaussians, with its error as read back from the file."""
 
     variant: str  # "" where the bake has none
     path: str  # of the prim
@@ -111,7 +111,9 @@ def deliver(
     if nodes:
         kind = _kind_of_nodes(target, kind)
     elif bind_splats not in BINDINGS:
-        raise UsageError(f"--bind-splats is {bind_splats!r}.", f"choose from {', '.join(BINDINGS)}")
+        raise UsageError(
+            f"--bind-splats is {bind_splats!r}.", f"choose one of {', '.join(BINDINGS)}"
+        )
     suffix = target.suffix.lower()
     variants, recordings, notes = read_variants(bake, variant, splats, whole=suffix in GLB)
     files = _Usd(bake, target, error) if suffix in USD else _Glb(target, recordings[0])
@@ -124,7 +126,7 @@ def _kind_of_nodes(target: Path, kind: str) -> str:
     """Gaussians on nodes need joints, in glTF; raises UsageError for what has none."""
     if target.suffix.lower() in USD or kind == "shapes":
         raise UsageError(
-            f"--bind-splats nodes is for joints in .glb, not for {target} --as {kind}.",
+            f"--bind-splats nodes is only for joints in .glb, not for {target} --as {kind}.",
             "leave it out, or deliver a .glb --as joints",
         )
     return "joints"
@@ -181,7 +183,7 @@ def _smallest(
         raise BakeError(
             f"{bake} cannot be delivered within {100 * error:g} % of the radius: "
             f"{' and '.join(reasons)}.",
-            "allow a larger --error, or more with --max-joints and --max-shapes",
+            "allow a larger --error, or more joints or shapes with --max-joints and --max-shapes",
         )
     made.sort(key=lambda row: row[0])
     size, smallest, chosen, off, said = made[0]
@@ -232,27 +234,30 @@ def _require(
     if target.suffix.lower() not in (*USD, *GLB):
         raise UsageError(
             f"{target} does not end in {', '.join((*USD, *GLB))}.",
-            "the ending says what is written: -o duck.usdz",
+            "the suffix chooses the format: -o duck.usdz",
         )
     if not 0.0 < error < 1.0:
         raise UsageError(
             f"--error is {100 * error:g} % of the radius.", "give more than 0% and less than 100%"
         )
     if kind not in KINDS:
-        raise UsageError(f"--as is {kind!r}.", f"choose from {', '.join(KINDS)}")
+        raise UsageError(f"--as is {kind!r}.", f"choose one of {', '.join(KINDS)}")
     if most_joints < 1 or most_shapes < 1:
         raise UsageError(
             f"--max-joints is {most_joints}, --max-shapes {most_shapes}.", "give 1 or more"
         )
     if splats not in CHOICES:
-        raise UsageError(f"--splats is {splats!r}.", f"choose from {', '.join(CHOICES)}")
+        raise UsageError(f"--splats is {splats!r}.", f"choose one of {', '.join(CHOICES)}")
     if splats in (ALL, ONLY) and target.suffix.lower() in USD:
         raise UsageError(
-            f"--splats {splats} is for .glb: {target} would hold what the bake holds.",
+            f"--splats {splats} is only for .glb: {target} would contain the same particles as "
+            f"the bake.",
             "leave it out, or bake with --half for smaller particles in USD",
         )
     if not target.parent.is_dir():
-        raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
+        raise UsageError(
+            f"{target.parent} is not a folder.", "choose a folder that exists, with -o"
+        )
     if target.is_dir():
         raise UsageError(f"{target} is a folder.", "name the file: -o duck.usdz")
     require_no_input(bake, target)
@@ -306,12 +311,12 @@ def _fitter(
         if kind == "shapes":
             found = with_shapes(body, error, most_shapes)
             if found is None:
-                reasons.append(f"{most_shapes} blend shapes are too few")
+                reasons.append(f"{most_shapes} blend shapes are not enough")
             return found
         *_, last = with_joints(body, error, most_joints)
         if last.error <= error:
             return with_single_joints(last) if nodes else last
-        reasons.append(f"{last.joints} joints leave {100 * last.error:.2g} %")
+        reasons.append(f"{last.joints} joints leave an error of {100 * last.error:.2g} %")
         return None
 
     return fit

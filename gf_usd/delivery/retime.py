@@ -31,7 +31,7 @@ class Retimed:
     """A retimed bake."""
 
     path: Path  # root layer
-    caches: tuple[Path, ...]  # one of each variant
+    caches: tuple[Path, ...]  # one per variant
     frames: int  # samples of the longest
     start: float  # time codes
     end: float
@@ -92,8 +92,9 @@ def _require(
 ) -> None:
     if (speed is None) == (keys is None):
         raise UsageError(
-            "--speed and --keys say the same thing in two ways, and one of them is needed",
-            "--speed 0.5 plays at half the speed; --keys 1:1,48:24,60:48 changes it on the way",
+            "either --speed or --keys is needed, but not both",
+            "--speed 0.5 plays at half the speed; --keys 1:1,48:24,60:48 changes the speed "
+            "along the way",
         )
     if speed is not None and not (np.isfinite(speed) and 1e-3 <= speed <= 1e3):
         raise UsageError(f"--speed is {speed:g}", "give a number from 0.001 to 1000, such as 0.5")
@@ -102,15 +103,15 @@ def _require(
         if len(keys) < 2 or not np.isfinite(keys).all() or not (np.diff(out) > 0.0).all():
             raise UsageError(
                 "--keys is " + ",".join(f"{a:g}:{b:g}" for a, b in keys),
-                "give two pairs NEW:OLD of time codes or more, with NEW increasing: 1:1,48:24",
+                "give at least two pairs NEW:OLD of time codes, with NEW increasing: 1:1,48:24",
             )
     if target.suffix.lower() not in SUFFIXES:
         raise UsageError(
             f"{target} does not end in {', '.join(SUFFIXES)}",
-            "the root layer of a bake is written: -o slow.usda",
+            "the output is the root layer of a bake: -o slow.usda",
         )
     if not target.parent.is_dir():
-        raise UsageError(f"{target.parent} is no folder", "choose a folder that exists, with -o")
+        raise UsageError(f"{target.parent} is not a folder", "choose a folder that exists, with -o")
     if target.is_dir():
         raise UsageError(f"{target} is a folder", "name the file: -o slow.usda")
 
@@ -135,7 +136,7 @@ def _caches(root: Sdf.Layer, bake: Path) -> dict[str, Path]:
     }
     if not found:
         raise InputError(
-            f"{bake}: it has no caches that could be retimed",
+            f"{bake}: it has no caches to retime",
             "give the root layer of a bake that was not flattened, and flatten the result",
         )
     return found
@@ -166,7 +167,7 @@ def _retimed(
     count = int((keys[-1][0] - keys[0][0]) / step + SAME) + 1
     if count > MOST_FRAMES:
         raise UsageError(
-            f"{count} samples were asked for, {MOST_FRAMES} are the limit",
+            f"{count} samples were requested, but the limit is {MOST_FRAMES}",
             "choose a higher --speed, or retime a part with --keys",
         )
     codes = [keys[0][0] + k * step for k in range(count)]
@@ -187,7 +188,7 @@ def _times(stage: Usd.Stage, cache: Path) -> list[float]:
     most = most_samples(stage)
     if len(most) < 2:
         raise InputError(
-            f"{cache}: it has {len(most)} time samples, and no motion that could be retimed",
+            f"{cache}: it has {len(most)} time samples and no motion to retime",
             "give a bake of more than one frame",
         )
     return most
@@ -199,9 +200,9 @@ def _require_within(
     for out, source in keys:
         if not first - SAME <= source <= last + SAME:
             raise UsageError(
-                f"--keys {out:g}:{source:g} is outside of the time codes {first:g} to {last:g} of"
+                f"--keys {out:g}:{source:g} is outside the time codes {first:g} to {last:g} of"
                 f" {cache}",
-                "NEW:OLD has the time code of the result first, that of the bake second",
+                "in NEW:OLD, NEW is a time code of the result and OLD one of the bake",
             )
 
 
@@ -210,8 +211,8 @@ def _require_still_source(root: Sdf.Layer, bake: Path, caches: Mapping[str, Path
     stage = open_stage(bake)
     if own := _sampled(root):
         raise InputError(
-            f"{bake}: <{own[0]}> is animated next to the bake, which --keys cannot retime",
-            "use --speed, with which everything plays at the same speed",
+            f"{bake}: <{own[0]}> is animated but not baked, and --keys cannot retime it",
+            "use --speed, which changes the speed of everything",
         )
     for cache in dict.fromkeys(caches.values()):
         moved = _paths(open_stage(cache).GetRootLayer())
@@ -220,8 +221,8 @@ def _require_still_source(root: Sdf.Layer, bake: Path, caches: Mapping[str, Path
             place = UsdGeom.Xformable(prim) if prim else None
             if place and place.TransformMightBeTimeVarying():
                 raise InputError(
-                    f"{bake}: <{path}> is animated in the source, which --keys cannot retime",
-                    "use --speed, with which the source plays at the same speed",
+                    f"{bake}: <{path}> is animated in the source, and --keys cannot retime it",
+                    "use --speed, which also changes the speed of the source",
                 )
 
 

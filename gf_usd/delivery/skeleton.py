@@ -50,9 +50,9 @@ def bind_meshes(
 def _make_skel_root(root: Usd.Prim) -> None:
     if root.IsA(UsdGeom.Gprim):
         raise InputError(
-            f"<{root.GetPath()}> is a {root.GetTypeName()} without a parent: joints need a prim"
-            " above the mesh",
-            "put the mesh under an Xform, and bake that",
+            f"<{root.GetPath()}> is a {root.GetTypeName()} without a parent, but joints need a "
+            f"prim above the mesh",
+            "put the mesh under an Xform and bake that",
         )
     if root.GetTypeName() != "SkelRoot":
         # not at the edit target, which may be a variant: text layers have no types there

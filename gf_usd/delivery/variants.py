@@ -58,20 +58,20 @@ def read_variants(
             baked = []
         if recording.flows and not baked and not clouds:
             raise InputError(
-                f"{bake}: the faces of <{recording.flows[0]}> change from frame to frame, which"
-                " joints and blend shapes cannot follow.",
-                "open the bake itself, or deliver the particles as Gaussians: --splats only",
+                f"{bake}: the faces of <{recording.flows[0]}> change from frame to frame, which "
+                f"joints and blend shapes cannot represent.",
+                "use the bake itself, or deliver the particles as Gaussians: --splats only",
             )
         if not baked and not clouds:
             raise InputError(
-                f"{bake}: no mesh of the bake is visible, and no captured Gaussians are.",
+                f"{bake}: neither a mesh nor captured Gaussians of the bake are visible.",
                 "bake again with mesh among --only"
                 if splats != NONE
                 else "leave --splats none out, or bake again with mesh among --only",
             )
         bodies = bodies_of(recording, list(source.frames()), baked) if baked else ()
         for path in recording.flows:
-            notes[f"{path}: left out, its faces change from frame to frame"] = None
+            notes[f"{path}: left out because its faces change from frame to frame"] = None
         names = tuple(mesh.name for mesh in recording.meshes)
         joined = with_splats(bodies, names, clouds)
         variants.append(

@@ -46,15 +46,15 @@ class Simulator:
         plan = prepare(asset, **options).plan
         if plan.particles.own is not None:
             raise InputError(
-                f"{asset}: particles have material values of their own, which are painted or"
-                " blended",
-                "fit an asset without painted values: one material is sought for all bodies",
+                f"{asset}: particles have individual material values, which are painted or blended",
+                "fit an asset without painted values: gf-usd fit determines one material for "
+                "all bodies",
             )
         table = plan.variants[0].table
         if len(table) > 1 and options.get("material") is None:
             raise InputError(
                 f"{asset} has {len(table)} materials: {', '.join(m.name for m in table)}",
-                "give the one that all bodies get at first: --material NAME",
+                "give the one that all bodies start with: --material NAME",
             )
         material = plan.materials[0]
         self._plan = replace(
@@ -64,7 +64,7 @@ class Simulator:
         )
         self._notes = plan.notes
         if len(table) > 1:
-            said = f"all bodies get one material; {material.name} makes {len(table)} of them"
+            said = f"all bodies must have one material, but {material.name} gives {len(table)}"
             self._notes = (*plan.notes, said)
 
     def scene(self) -> Scene:

@@ -140,7 +140,7 @@ FIGURES: Mapping[str, Figure] = {
         words="least height in the first contact", unit="m", of=_shown("least_height")
     ),
     "squash": Figure(
-        words="peak squash, 1 - least height over height", unit="", of=_shown("squash")
+        words="peak squash: 1 - least height / height", unit="", of=_shown("squash")
     ),
     "rebound": Figure(
         words="rise of the center of mass after the first contact", unit="m", of=_shown("rebound")
@@ -150,18 +150,21 @@ FIGURES: Mapping[str, Figure] = {
     ),
     "height": Figure(words="height at a time code", unit="m", of=_height, moment=True),
     "sag": Figure(
-        words="way down of the lowest point at a time code", unit="m", of=_sag, moment=True
+        words="downward displacement of the lowest point at a time code",
+        unit="m", of=_sag, moment=True,
     ),
     "settled_height": Figure(words="height at rest", unit="m", of=_settled_height),
     "settled_sag": Figure(
-        words="way down of the lowest point at rest", unit="m", of=_settled_sag
+        words="downward displacement of the lowest point at rest", unit="m", of=_settled_sag
     ),
     "settling_time": Figure(
-        words="time until the height stays within 5 % of its largest deviation from that at rest",
+        words="time until the height stays within 5 % of its largest deviation from the height "
+        "at rest",
         unit="s", of=_settling_time,
     ),
     "deflection": Figure(
-        words="way down of a point, at rest or at a time code", unit="m", of=_deflection,
+        words="downward displacement of a point, at rest or at a time code",
+        unit="m", of=_deflection,
         place=True, moment=True,
     ),
     "frequency": Figure(
@@ -207,7 +210,7 @@ def figure_named(name: str) -> Figure:
         return FIGURES[name]
     close = difflib.get_close_matches(name, FIGURES, n=1)
     guess = f"did you mean {close[0]}? " if close else ""
-    raise UsageError(f"there is no figure {name!r}", f"{guess}choose one of {', '.join(FIGURES)}")
+    raise UsageError(f"unknown figure {name!r}", f"{guess}choose one of {', '.join(FIGURES)}")
 
 
 def check_number(asked: Asked) -> None:
@@ -217,17 +220,17 @@ def check_number(asked: Asked) -> None:
         verb, hint = ("needs", "add") if figure.place else ("has no", "leave out")
         raise UsageError(
             f"--target {asked.text!r}: {asked.figure} {verb} a point",
-            f"{hint} :at=X,Y,Z, a place on the mesh at rest [stage units]",
+            f"{hint} :at=X,Y,Z, a point on the mesh at rest [stage units]",
         )
     if asked.time_code is not None and not figure.moment:
         raise UsageError(
-            f"--target {asked.text!r}: {asked.figure} has no time of its own",
+            f"--target {asked.text!r}: {asked.figure} does not take a time code",
             f"leave out @{asked.time_code:g}",
         )
     if asked.share and not asked.value:
         raise UsageError(
-            f"--target {asked.text!r}: a share of 0 is no standard deviation",
-            f"give one in numbers: {asked.figure}=0+-0.01",
+            f"--target {asked.text!r}: a standard deviation cannot be a share of 0",
+            f"give a number: {asked.figure}=0+-0.01",
         )
 
 
@@ -245,7 +248,7 @@ def number(asked: Asked, scene: Scene) -> Number:
             raise UsageError(
                 f"--target {asked.text!r}: time code {asked.time_code:g} is before the first"
                 f" frame, {scene.start:g}",
-                "--start says which time code the first frame has",
+                "--start sets the time code of the first frame",
             )
     return Number(
         name=asked.text,
@@ -268,8 +271,8 @@ def _nearest(asked: Asked, scene: Scene) -> Followed:
             best, least = corner(path, np.array([int(away.argmin())])), float(away.min())
     if best is None or least > scene.radius:
         raise UsageError(
-            f"--target {asked.text!r}: the nearest vertex is {least:.3g} m away, and the body has a"
-            f" radius of {scene.radius:.3g} m",
-            "give a place on the mesh of the asset, in its own units",
+            f"--target {asked.text!r}: the nearest vertex is {least:.3g} m away, but the body "
+            f"has a radius of {scene.radius:.3g} m",
+            "give a point on the mesh of the asset, in units of the asset",
         )
     return best

@@ -74,7 +74,7 @@ def fit(wanted: Wanted, progress: Progress | None = None) -> FitResult:
     began = time.monotonic()
     asked = [parse(text) for text in wanted.targets]
     if not asked:
-        raise UsageError("there is no target", "add what was observed: --target rebound=0.6")
+        raise UsageError("no target was given", "give what was observed: --target rebound=0.6")
     for one in asked:
         if one.file is None:
             check_number(one)
@@ -82,8 +82,8 @@ def fit(wanted: Wanted, progress: Progress | None = None) -> FitResult:
         held = SHORT.get(name, name)
         if held in HELD and wanted.options.get(held) is not None:
             raise UsageError(
-                f"{held} is asked for, and given with --{held.replace('_', '-')}",
-                "leave one of the two out; --bounds says where to look",
+                f"{held} is to be fitted, but it is also given with --{held.replace('_', '-')}",
+                "leave out one of the two; --bounds sets the range of the search",
             )
     options = {**wanted.options, "overwrite": True, "threads": 1}
     with simulations(wanted.processes, wanted.evaluations) as processes:
@@ -157,8 +157,8 @@ def _within(targets: Sequence[Target], end: float) -> tuple[list[Target], tuple[
         if isinstance(target, Motion) and target.seconds[-1] > end + 1e-6:
             inside = target.seconds <= end + 1e-6
             notes.append(
-                f"{target.name}: {int((~inside).sum())} of {len(inside)} times are after the last"
-                " frame and left out"
+                f"{target.name}: {int((~inside).sum())} of {len(inside)} times are after the "
+                f"last frame and are left out"
             )
             target = replace(target, seconds=target.seconds[inside], x=target.x[inside])
         kept.append(target)
@@ -194,9 +194,10 @@ def _searched(
         minimum = search(evaluate, starts(rows))
     except NothingRuns as error:
         raise BakeError(
-            f"{wanted.asset}: no simulation with values between the bounds shows what the targets"
-            f" ask for: {', '.join(target.name for target in targets)}",
-            "look at a bake with --material first: more --frames, another --drop, other --bounds",
+            f"{wanted.asset}: in no simulation with values within the bounds do the targets "
+            f"occur: {', '.join(target.name for target in targets)}",
+            "look at a bake with --material first; try more --frames, another --drop or other "
+            "--bounds",
         ) from error
     told = uncertainty(
         minimum.jacobian, minimum.residual, clusters(targets), prior=PRIOR,
@@ -238,12 +239,12 @@ def _remarks(
     assumed = [target.name for target in targets if not target.stated]
     if assumed:
         said.append(
-            f"no standard deviation is stated of {', '.join(assumed)}: 1 % was taken as their"
-            " relative weight, and intervals are by what is left"
+            f"no standard deviation is stated for {', '.join(assumed)}: 1 % was used as their "
+            f"relative weight, and the intervals are computed from the residuals"
         )
     said += [
         f"{one.name} is {abs(away):.3g} standard deviations off: it contradicts the other targets,"
-        " or no material between the bounds does it"
+        " or no material within the bounds reaches it"
         for one, target in zip(found, targets)
         if isinstance(target, Number)
         and abs(away := (one.fitted - one.target) / one.sigma) > MISFIT
@@ -251,13 +252,13 @@ def _remarks(
     scatter = float(np.sqrt(np.mean(minimum.residual**2)))
     if all(target.stated for target in targets) and scatter > MISFIT:
         said.append(
-            f"the targets are not reproduced within their standard deviations: what is left is"
-            f" {scatter:.3g} times as large, and the intervals have grown by it"
+            f"the targets are not reproduced within their standard deviations: the residuals "
+            f"are {scatter:.3g} times as large, and the intervals were enlarged by this factor"
         )
     if not minimum.converged:
         said.append(
-            f"the search ended after {wanted.max_minutes:g} minutes before it had converged;"
-            " --max-minutes lets it go on"
+            f"the search ended after {wanted.max_minutes:g} minutes before it converged; a "
+            f"larger --max-minutes continues it"
             + (" from what was simulated" if wanted.evaluations else "")
         )
     return said

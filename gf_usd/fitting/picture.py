@@ -74,5 +74,5 @@ def _numbers(result: FitResult, targets: Sequence[Target]) -> Rows | None:
         rows.append((target.figure, 1.0, *away))
         unit = FIGURES[target.figure].unit
         words.append(f"{one.target:.4g}, fitted {one.fitted:.4g} {unit}".rstrip())
-    title = "numbers: off their targets, in standard deviations"
+    title = "numbers: distances from their targets, in standard deviations"
     return Rows(title=title, rows=rows, words=words) if rows else None

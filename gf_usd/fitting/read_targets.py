@@ -40,15 +40,16 @@ def read_motion(asked: Asked, scene: Scene) -> tuple[Motion, tuple[str, ...]]:
         return attached(asked, tracks, scene)
     if motion is None or recording is None:
         raise InputError(
-            f"{asked.file} has neither meshes that move nor tracked points",
-            "export a point cache of the asset, or tracks as curves: see docs/fit.md",
+            f"{asked.file} contains neither moving meshes nor tracked points",
+            "export a point cache of the asset, or tracks as curves (see docs/fit.md)",
         )
     if not pairs:
         ours = ", ".join(f"<{path}> of {len(x)} points" for path, x in scene.surfaces.items())
         theirs = ", ".join(f"<{m.name}> of {len(m.points)}" for m in recording.meshes) or "none"
         raise InputError(
-            f"{asked.file} has no mesh of the asset: it has {theirs}, and the asset {ours}",
-            "export the same mesh, or points that were tracked: see docs/fit.md",
+            f"{asked.file} contains no mesh of the asset: it has {theirs}, but the asset has "
+            f"{ours}",
+            "export the same mesh, or tracked points (see docs/fit.md)",
         )
     rate = recording.time_codes_per_second
     begin = scene.start / scene.time_codes_per_second
@@ -67,7 +68,7 @@ def read_motion(asked: Asked, scene: Scene) -> tuple[Motion, tuple[str, ...]]:
         if recording.meshes[k].name != path
     ]
     if not np.array_equal(turn, np.eye(3)):
-        notes.append(f"{asked.file.name} has another up axis and is turned to that of the asset")
+        notes.append(f"{asked.file.name} has another up axis and is rotated to that of the asset")
     found = Motion(
         name=asked.file.name,
         followed=tuple(corner(path, chosen[path]) for path in pairs),
@@ -85,7 +86,7 @@ def require_times(file: Path, seconds: Floats, codes: Sequence[float], scene: Sc
         raise InputError(
             f"{file}: its time codes {min(codes):g} to {max(codes):g} are not after the first"
             f" frame, at {scene.start / scene.time_codes_per_second:.4g} s",
-            "--start says which time code the first frame has",
+            "--start sets the time code of the first frame",
         )
 
 
@@ -158,16 +159,18 @@ def attached(asked: Asked, tracks: Tracks, scene: Scene) -> tuple[Motion, tuple[
     if not good.any():
         nearest = distance[there].min(initial=np.inf)
         raise InputError(
-            f"{asked.file}: none of {len(good)} tracks lies on the asset at its first frame;"
-            f" {int(there.sum())} are seen then, the nearest {nearest:.3g} m off, and the body has"
-            f" a radius of {scene.radius:.3g} m",
-            "check the units and the place of the tracks, and --start and --drop of the body",
+            f"{asked.file}: none of {len(good)} tracks is on the asset at its first frame; "
+            f"{int(there.sum())} are visible then, the nearest is {nearest:.3g} m away, and the "
+            f"body has a radius of {scene.radius:.3g} m",
+            "check the units and the position of the tracks, and --start and --drop of the body",
         )
     notes = []
     if left := int((~there).sum()):
-        notes.append(f"{asked.file.name}: {left} tracks are not seen at the first frame: left out")
+        notes.append(
+            f"{asked.file.name}: {left} tracks are not visible at the first frame and are left out"
+        )
     if off := int((there & ~good).sum()):
-        notes.append(f"{asked.file.name}: {off} tracks lie off the surface: left out")
+        notes.append(f"{asked.file.name}: {off} tracks are off the surface and are left out")
     order = [k for name in scene.surfaces for k in np.flatnonzero(good) if path[k] == name]
     after = seconds > -1e-6
     followed = []

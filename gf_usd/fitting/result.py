@@ -23,29 +23,29 @@ AT_BOUND = 1e-3  # of what lies between the bounds
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A value that was sought, in SI."""
+    """A fitted value, in SI."""
 
     name: str  # of a field of Material, or of a parameter of its law
     unit: str
     value: float
-    low: float  # of the interval of 95 %
+    low: float  # of the 95 % interval
     high: float
-    identifiable: bool  # False: the targets tell little more than the bounds do
+    identifiable: bool  # False: the targets add little to the bounds
     start: float
     bounds: tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduced:
-    """A target and what the fitted material makes of it, in SI."""
+    """A target and its value with the fitted material, in SI."""
 
     name: str
     unit: str
     target: float  # a number; of points 0
-    sigma: float  # standard deviation that it was given
-    stated: bool  # somebody stated it
-    start: float  # simulated with the material that was started from; of points the rms distance
-    fitted: float  # with the fitted one
+    sigma: float  # its standard deviation
+    stated: bool  # whether the standard deviation was stated
+    start: float  # with the initial material; of points the rms distance
+    fitted: float  # with the fitted material
     sensitivity: Mapping[str, float]  # change for +10 % of each value, for +0.01 of a ratio
 
 
@@ -56,10 +56,10 @@ class FitResult:
     material: Material  # with the fitted values
     estimates: tuple[Estimate, ...]
     targets: tuple[Reproduced, ...]
-    not_identifiable: tuple[str, ...]  # sentences; empty where the targets tell all values
+    not_identifiable: tuple[str, ...]  # sentences; empty if the targets determine all values
     correlation: tuple[tuple[float, ...], ...]  # of the estimates, in their order
-    noise: float  # scatter of what is left over the standard deviations of the targets
-    converged: bool  # False: the time was over first
+    noise: float  # scatter of the residuals over the standard deviations of the targets
+    converged: bool  # False: the time limit was reached first
     simulations: int  # that were run
     read: int  # that were kept from before
     seconds: float
@@ -108,7 +108,7 @@ def reproduced(
     seen: Observation,
     start: Observation | None,
 ) -> tuple[Reproduced, ...]:
-    """The targets beside the simulation of the fitted material; start : None where it failed."""
+    """The targets and their values with the fitted material; start : None where it failed."""
     made, row, first = [], 0, 0
     steps = np.array([one.change_of_z for one in rows])
     for target in targets:
@@ -154,11 +154,14 @@ def not_identifiable(rows: Sequence[Unknown], found: Uncertainty) -> tuple[str, 
         if told <= 0:
             said += [f"{name} is not identifiable from these targets" for name in names]
             continue
-        listed = f"{', '.join(names[:-1])} and {names[-1]} are not identifiable from these targets"
+        listed = (
+            f"{', '.join(names[:-1])} and {names[-1]} are not separately identifiable from these"
+            " targets"
+        )
         if len(directions) == 1:
-            said.append(f"{listed} apart from each other: {_balance(rows, directions[0], members)}")
+            said.append(f"{listed}: {_balance(rows, directions[0], members)}")
         else:
-            said.append(f"{listed} apart from each other: they tell {told} combination of them")
+            said.append(f"{listed}: they determine only {told} combination of them")
     named = {k for members in groups for k in members}
     said += [
         f"{rows[k].name} is not identifiable from these targets"
@@ -178,7 +181,7 @@ def _balance(rows: Sequence[Unknown], direction: Floats, members: Sequence[int])
             words.append(f"{row.name} times {(row.high / row.low) ** change:.3g}")
         else:
             words.append(f"{row.name} {(row.high - row.low) * change:+.3g}")
-    return " with ".join(words) + " changes next to nothing"
+    return " with ".join(words) + " changes almost nothing"
 
 
 def at_bounds(rows: Sequence[Unknown], z: Floats) -> tuple[str, ...]:
@@ -186,7 +189,7 @@ def at_bounds(rows: Sequence[Unknown], z: Floats) -> tuple[str, ...]:
     return tuple(
         f"{row.name} ended at its {'lower' if one < 0.5 else 'upper'} bound,"
         f" {row.value(float(one)):.4g} {row.unit}".rstrip()
-        + f": --bounds {row.name}=LOW:HIGH moves it"
+        + f": --bounds {row.name}=LOW:HIGH changes it"
         for row, one in zip(rows, z)
         if min(one, 1.0 - one) < AT_BOUND
     )

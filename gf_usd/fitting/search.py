@@ -53,7 +53,7 @@ class Minimum:
     z: Floats  # (n,)
     residual: Floats  # (m,) whitened, there
     jacobian: Floats  # (m, n) of the residuals, by central differences
-    converged: bool  # False: the time was over first
+    converged: bool  # False: the time limit was reached first
 
 
 class _Enough(Exception):

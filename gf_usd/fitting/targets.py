@@ -111,7 +111,7 @@ def parse(text: str) -> Asked:
         return Asked(text=text, file=Path(found["file"]), sigma=sigma, share=share)
     found = FIGURE.fullmatch(text.strip().replace(" ", ""))
     if not found:
-        raise UsageError(f"--target {text!r} is no target", FORM)
+        raise UsageError(f"--target {text!r} is not a target", FORM)
     sigma, share = _spread(text, found)
     place = None
     if found["x"] is not None:

@@ -97,14 +97,13 @@ def unknowns(
             close = difflib.get_close_matches(name, [*known, *SHORT], n=1)
             guess = f"did you mean {close[0]}? " if close else ""
             raise UsageError(
-                f"{name} is no value of {material.name} that can be searched, whose law is"
-                f" {material.law}",
-                f"{guess}choose among {', '.join(known)}",
+                f"{name} cannot be fitted for {material.name}, whose law is {material.law}",
+                f"{guess}choose one of {', '.join(known)}",
             )
     if idle := sorted(given.keys() - set(wanted)):
         raise UsageError(
-            f"--bounds of {idle[0]} are given, which is not searched",
-            f"add {idle[0]} to --unknowns, or leave its bounds out",
+            f"--bounds are given for {idle[0]}, which is not fitted",
+            f"add {idle[0]} to --unknowns, or leave out its bounds",
         )
     return tuple(
         _bounded(_unknown(name, material, radius), given.get(name))
@@ -148,10 +147,12 @@ def _bounded(row: Unknown, bounds: tuple[float, float] | None) -> Unknown:
         return row
     low, high = bounds
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise UsageError(f"--bounds {row.name}={low:g}:{high:g}", "give LOW:HIGH, the lower first")
+        raise UsageError(
+            f"--bounds {row.name}={low:g}:{high:g}", "give LOW:HIGH, with the lower bound first"
+        )
     if row.log and low <= 0.0:
         raise UsageError(
-            f"--bounds {row.name}={low:g}:{high:g}: its logarithm is searched",
+            f"--bounds {row.name}={low:g}:{high:g}: the search uses its logarithm",
             "give a lower bound above 0",
         )
     if row.name == "poissons_ratio" and not (low > -1.0 and high < 0.5):

@@ -61,8 +61,8 @@ class Worker(Process):
             self._end.close()
             said = self._words.read_text("utf-8", "replace")[-LAST:].strip().splitlines()
             raise BakeError(
-                f"a process that simulates ended: {(said or ['it said nothing'])[-1]}",
-                "run gf-usd bake with the same options, which shows all that is said",
+                f"a simulation process ended: {(said or ['it printed nothing'])[-1]}",
+                "run gf-usd bake with the same options to see all of its output",
             )
         error = answer[0]["error"]
         if error is not None and not answer[0]["failed"]:
@@ -162,7 +162,7 @@ def simulations(processes: int, folder: Path | None) -> Iterator[Simulations]:
     """
     if not AVAILABLE:
         raise UsageError(
-            f"gf-usd fit needs processes with sockets, which {os.name} does not have",
+            f"gf-usd fit needs processes with sockets, which {os.name} does not support",
             "run it on Linux or macOS; the material that it writes can be baked anywhere",
         )
     scratch = Scratch()

@@ -210,11 +210,11 @@ def faults(seen: Diagnosis) -> list[str]:
         share = f"{100 * seen.hole_share:.2g} % of the closed area"
         said.append(f"{_count(len(seen.holes), 'hole')} ({share})")
     if against := sum(shell.against for shell in seen.shells):
-        said.append(f"{_count(against, 'triangle')} facing against the rest")
+        said.append(f"{_count(against, 'triangle')} facing the other way")
     if inward := seen.with_winding("inside out"):
         said.append(f"{inward} of {_count(len(seen.shells), 'shell')} inside out")
     if inner := sum(shell.inner for shell in seen.shells):
-        said.append(f"{_count(inner, 'shell')} inside others that bound nothing")
+        said.append(f"{_count(inner, 'shell')} inside others that bound no volume")
     if seen.duplicates:
         said.append(_count(seen.duplicates, "duplicate triangle"))
     return said
@@ -231,7 +231,7 @@ def tolerated(seen: Diagnosis) -> str:
         return ""
     small = any(hole.share <= HOLE_LIMIT for hole in seen.holes)
     hint = "; --repair fixes this" if small or len(said) > bool(seen.holes) else ""
-    return f"<{seen.path}> is filled in spite of {', '.join(said)}{hint}"
+    return f"<{seen.path}> is filled despite {', '.join(said)}{hint}"
 
 
 def _count(n: int, what: str) -> str:

@@ -42,7 +42,7 @@ def parse_box(text: str, unit: float, option: str = "--pin") -> tuple[Floats, Fl
         numbers = np.full(6, np.nan)
     if len(numbers) != 6 or not np.isfinite(numbers).all():
         raise UsageError(
-            f"{option} {text} is no box",
+            f"{option} {text} is not a box",
             f"give two corners in stage units: {option} box:-1,0,-1,1,0.2,1",
         )
     low, high = np.minimum(numbers[:3], numbers[3:]), np.maximum(numbers[:3], numbers[3:])
@@ -82,8 +82,8 @@ def make_pin(region: Region, solid: Solid, option: str = "--pin") -> Pin:
     """The pin of a region.  Raises InputError for a patch of something that is not filled."""
     if region.kind == "patch" and region.body not in {s.path for s in solid.surfaces}:
         raise InputError(
-            f"{option} {region.name} is a part of <{region.body}>, which is not filled",
-            "name a part of a mesh that is made soft, or a box",
+            f"{option} {region.name} is part of <{region.body}>, which is not filled",
+            "name a part of a mesh that is filled, or a box",
         )
     used = np.unique(region.triangles)
     anchors, path = region.points, region.path

@@ -72,8 +72,8 @@ class Repairs:
                 (self.collapsed, "collapsed"),
                 (self.slivers, "without area"),
                 (self.duplicates, "duplicate"),
-                (self.walls, "back to back in walls without thickness"),
-                (self.other_sides, "of the second side of surfaces that have both"),
+                (self.walls, "back-to-back in walls without thickness"),
+                (self.other_sides, "on the second side of double-sided surfaces"),
             )
             if n
         ]
@@ -81,20 +81,20 @@ class Repairs:
         if dropped:
             said.append(f"dropped triangles: {', '.join(dropped)}")
         if self.turned:
-            said.append(f"turned {_count(self.turned, 'triangle')} to agree with the rest")
+            said.append(f"turned {_count(self.turned, 'triangle')} to match the rest")
         if self.turned_parts:
             said.append(f"turned {_count(self.turned_parts, 'part')} that faced the wrong way")
         if self.inner:
-            said.append(f"dropped {_count(self.inner, 'part')} inside others, which bound nothing")
+            said.append(f"dropped {_count(self.inner, 'part')} inside others that bound no volume")
         if self.cavities:
             said.append(
-                f"left {_count(self.cavities, 'part')} that lie inside others and face inward:"
-                " cavities"
+                f"left {_count(self.cavities, 'part')} that lie inside others and face inward "
+                f"(cavities)"
             )
         if self.overlapping:
             said.append(
-                f"left {_count(self.overlapping, 'part')} that reach into others: what they"
-                " share is filled once"
+                f"left {_count(self.overlapping, 'part')} that overlap others: the common "
+                f"volume is filled once"
             )
         if self.holes_closed:
             said.append(
@@ -109,17 +109,17 @@ class Repairs:
             )
         if self.loose_edges:
             said.append(
-                f"left {_count(self.loose_edges, 'boundary edge')} that make no closed loop"
+                f"left {_count(self.loose_edges, 'boundary edge')} that form no closed loop"
             )
         if self.thickened:
             said.append(
-                f"made {_count(self.thickened, 'thin part')} {self.thickness:.3g} m thick, one"
-                " spacing, for the simulation"
+                f"made {_count(self.thickened, 'thin part')} {self.thickness:.3g} m thick (one "
+                f"spacing) for the simulation"
             )
         if self.thin_left:
             said.append(
-                f"left {_count(self.thin_left, 'sheet')} without flesh: too small for a body of"
-                " particles, or one-sided"
+                f"left {_count(self.thin_left, 'sheet')} unfilled: too small for a body of "
+                f"particles, or one-sided"
             )
         return tuple(said)
 

@@ -38,8 +38,8 @@ CHUNK_BYTES = 200_000
 KEPT_BYTES = 32_000_000  # of weights that are kept from frame to frame
 SKIN_NOTES = {
     "paper": (
-        "skin paper: offsets of vertices are stretched but not turned with the body"
-        " (GaussianFlesh eq. 6); meshes are distorted where it turns",
+        "skin paper: offsets of vertices are stretched with the body but not rotated "
+        "(GaussianFlesh eq. 6); meshes are distorted where it rotates",
     )
 }
 
@@ -112,9 +112,7 @@ def make_skin(name: str, X: Floats, particles: Floats) -> Skin:
     Raises UsageError for a name that is none of them.
     """
     if name not in SKINS:
-        raise UsageError(
-            f"there is no skin {name!r} on particles", f"choose one of {', '.join(SKINS)}"
-        )
+        raise UsageError(f"unknown skin {name!r} on particles", f"choose one of {', '.join(SKINS)}")
     return SKINS[name](X, particles)
 
 

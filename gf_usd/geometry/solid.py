@@ -130,9 +130,9 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
     if not kept:
         listed = "\n".join(f"  {path}: {reason}" for path, reason in embedded)
         raise InputError(
-            f"{asset.facts.path}: no mesh encloses a volume: nothing can be filled:\n{listed}",
+            f"{asset.facts.path}: no mesh encloses a volume, so nothing can be filled:\n{listed}",
             "close the holes or give the mesh thickness"
-            + ("" if repaired else "; --repair gives open and flat sheets that of one spacing"),
+            + ("" if repaired else "; --repair makes open and flat sheets one spacing thick"),
         )
     points = np.concatenate([s.points for s in kept])
     low, high = points.min(0), points.max(0)
@@ -199,8 +199,8 @@ def _volume(solid: Solid, asset: Asset, repaired: bool) -> float:
         total += float(part.inside(X).mean() * np.prod(size))
     if total <= 0.0:
         raise InputError(
-            f"{asset.facts.path}: none of {PROBES} points probed lies inside its"
-            f" {len(solid.surfaces)} surfaces",
+            f"{asset.facts.path}: none of {PROBES} tested points is inside its "
+            f"{len(solid.surfaces)} surfaces",
             "the walls are thinner than a hundredth of the asset; give the mesh thickness"
             + ("" if repaired else ", or add --repair"),
         )

@@ -65,18 +65,18 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
     points, triangles = _contour(region)
     if len(triangles) == 0:
         raise InputError(
-            f"<{splats.path}>: no surface could be put around its {len(splats)} Gaussians",
-            "check that they are those of one object, without its surroundings",
+            f"<{splats.path}>: no surface could be constructed around its {len(splats)} Gaussians",
+            "check that they belong to a single object, without its surroundings",
         )
     volume = signed_volume(points, triangles)
     if volume < 0.0:
         triangles = triangles[:, ::-1].copy()
     notes.append(
-        f"a surface was put around {len(kept)} of {len(splats)} Gaussians, on cells of "
+        f"a surface was constructed around {len(kept)} of {len(splats)} Gaussians, on cells of "
         f"{region.grid.h:.3g} m: volume {abs(volume):.3g} m^3"
-        + (f", gaps up to {2.0 * region.closing:.3g} m closed" if region.closing else "")
-        + ("; it was open below and is closed flat there" if region.capped else "")
-        + ("; a side of it is missing and is closed flat" if region.flat else "")
+        + (f", gaps up to {2.0 * region.closing:.3g} m were closed" if region.closing else "")
+        + ("; its open bottom was closed with a flat face" if region.capped else "")
+        + ("; a missing side was closed with a flat face" if region.flat else "")
     )
     _, near = cKDTree(splats.points[kept]).query(points, k=4)
     colors = srgb_to_linear(splats.colors[kept][near].mean(axis=1))
@@ -115,7 +115,7 @@ def _of_the_body(splats: Splats) -> tuple[Ints, float, list[str]]:
     near, _ = cKDTree(splats.points[rows]).query(splats.points[rows], k=NEIGHBORS + 1)
     mean = near[:, 1:].mean(axis=1)
     spacing = float(np.median(mean))
-    drop(mean > STRAY * max(spacing, 1e-300), "are strays, far from all others")
+    drop(mean > STRAY * max(spacing, 1e-300), "are strays, far from all the others")
     low, high = np.quantile(splats.points[rows], (0.02, 0.98), axis=0)
     size = float(np.linalg.norm(high - low))
     longest = np.linalg.norm(splats.axes[rows], axis=1).max(axis=1)

@@ -255,7 +255,7 @@ class CacheWriter:
         if not time_code > self._time_code:
             raise BakeError(
                 f"frame {frame.index} has time code {time_code:g}, after {self._time_code:g}.",
-                "this is a fault of the bake, not of the asset: please report it",
+                "this is a bug in gf-usd, not a fault of the asset: please report it",
             )
         for what, poses, tracks in (
             ("meshes", frame.meshes, self._meshes),
@@ -263,9 +263,9 @@ class CacheWriter:
         ):
             if set(poses) != set(tracks):
                 raise BakeError(
-                    f"frame {frame.index} has {what} {_list(poses)}, "
-                    f"the asset has {_list(tracks)}.",
-                    "this is a fault of the bake, not of the asset: please report it",
+                    f"frame {frame.index} has {what} {_list(poses)}, but the asset has "
+                    f"{_list(tracks)}.",
+                    "this is a bug in gf-usd, not a fault of the asset: please report it",
                 )
         layer = self._stage.GetEditTarget().GetLayer()
         # One notice a frame; attributes that get their specs in a new layer want theirs at once.

@@ -282,7 +282,7 @@ def _open_complete(path: Path) -> Sdf.Layer:
         return Sdf.Layer.FindOrOpen(str(path.absolute()))
     except Tf.ErrorException as error:
         raise BakeError(
-            f"{path} cannot be read, which the bake goes on from.",
+            f"{path} cannot be read, but the bake has to continue from it.",
             "bake without --resume, which starts over",
         ) from error
 

@@ -169,7 +169,9 @@ class Package(Files):
         name = self._name(named).removesuffix(named.name) + file.name
         self._names[file] = name
         if file.suffix.lower() not in ALLOWED:
-            self.notes[f"{file.name} is in the package, where AR clients allow no such file"] = None
+            self.notes[
+                f"{file.name} is in the package, but AR clients do not allow this type of file"
+            ] = None
         return name
 
     def _name(self, file: Path) -> str:

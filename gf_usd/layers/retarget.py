@@ -74,8 +74,8 @@ def restore_rest(source: Usd.Stage, result: Usd.Stage) -> tuple[str, ...]:
         for path in sorted({p for lost_at, _ in lost for p in _instances_above(result, lost_at)}):
             result.GetPrimAtPath(path).SetInstanceable(False)
             notes.append(
-                f"<{path}> is no longer an instance: relationships in it have targets outside "
-                "its root prim, which only an ordinary prim can keep"
+                f"<{path}> is no longer an instance: its relationships have targets outside its "
+                f"root prim, which only an ordinary prim can have"
             )
         for path, targets in lost:
             _point(result, source.GetPropertyAtPath(path), targets)

@@ -123,7 +123,11 @@ def write_root(
     retargeted = repeat_edits(stage, layer, unskinned)
     notes = _restore(stage, layer, switches)
     if display_set != DISPLAY_SET:
-        notes = (*notes, f"the asset has a variant set {DISPLAY_SET!r}: ours is {display_set!r}")
+        notes = (
+            *notes,
+            f"the asset already has a variant set {DISPLAY_SET!r}: that of gf-usd is named"
+            f" {display_set!r}",
+        )
     save(layer)
     del layer
     if partial:

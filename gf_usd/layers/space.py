@@ -93,7 +93,7 @@ class Space:
             raise InputError(
                 f"<{self._prim.GetPath()}>: the local-to-world transform at time code "
                 f"{time_code:g} flattens space (scales {stretch[0]:.3g} to {stretch[-1]:.3g}).",
-                "give the prim and its parents scales other than zero, or leave it out",
+                "give the prim and its parents scales other than zero, or exclude it from the bake",
             )
         return np.linalg.inv(matrix)
 

@@ -107,9 +107,7 @@ def find_home(source: Usd.Stage, asset: Asset, choices: Choices | None = None) -
     if not chosen or not chosen.GetPath().IsRootPrimPath():
         chosen = next((p for p in standing if p.GetPath() in held), next(iter(standing), None))
     if chosen is None:
-        raise InputError(
-            f"{asset.facts.path} has no root prim that is defined.", "check it with usdcat"
-        )
+        raise InputError(f"{asset.facts.path} has no defined root prim.", "check it with usdcat")
     empty = choices is not None and not choices.particles
     inside = empty or not chosen.IsA(UsdGeom.Gprim)
     if inside:
@@ -217,9 +215,12 @@ def hold_source(
             value = attribute.Get(time)
             spec.default = Sdf.ValueBlock() if value is None else value
             held.add(prim.GetPath())
-    notes = [f"<{path}> is animated, and held as it is when everything rests" for path in held]
+    notes = [
+        f"<{path}> is animated and is kept in its pose at the time everything is at rest"
+        for path in held
+    ]
     notes += [
-        f"<{path}> is animated by its source and keeps moving next to the pose at rest"
+        f"<{path}> is animated by its source and keeps moving while the baked prims are at rest"
         for path in moving
     ]
     return tuple(sorted(notes))
@@ -270,7 +271,7 @@ def require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
     prim = stage.GetPrimAtPath(path)
     if not prim:
         raise BakeError(
-            f"{source}: there is no prim <{path}>.",
+            f"{source}: the prim <{path}> does not exist.",
             "the file changed since it was read: run the bake again",
         )
     return prim

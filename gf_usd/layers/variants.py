@@ -46,10 +46,12 @@ class BakedVariant:
 def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices) -> None:
     """Raise UsageError for no bakes, an unknown display, or names that cannot be variants."""
     if not bakes:
-        raise UsageError("There is no bake to write a root layer for.", "give a --material")
+        raise UsageError(
+            "There is no bake for which a root layer could be written.", "give a --material"
+        )
     if display not in choices.shapes:
         shown = ", ".join(choices.shapes)
-        raise UsageError(f"There is no display {display!r}.", f"choose one of: {shown}")
+        raise UsageError(f"Unknown display {display!r}.", f"choose one of: {shown}")
     names = [bake.name for bake in bakes]
     for name in names:
         if not name or not Sdf.Path.IsValidPathString(f"/x{{v={name}}}")[0]:
@@ -58,7 +60,7 @@ def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices
             )
         if name == NONE or names.count(name) > 1:
             raise UsageError(
-                f"The variant name {name!r} is taken.", "give each look a name of its own"
+                f"The variant name {name!r} is taken.", "give each look a different name"
             )
 
 

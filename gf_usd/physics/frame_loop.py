@@ -33,8 +33,8 @@ class FrameStats:
     """What was noticed between two frames, on the substeps, under the names of `Health`."""
 
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor
-    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
-    let_go: int = 0  # contact samples at once that seemed deeper than they can have come
+    overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
+    let_go: int = 0  # most contact samples released at the same time
     friction_capped: int = 0
     work: float = 0.0  # [J] done on the body by what holds it
     injected: float = 0.0  # [J] given to the body between substeps: see `shape_correction`
@@ -159,7 +159,7 @@ class Solver(ABC):
     def _hint(self) -> str:
         """What a person may do about a frame that cannot be had."""
         if self.settings.substeps:
-            return "this preset gives every frame the same few substeps: leave --preset out"
+            return "this preset uses the same few substeps for every frame: leave out --preset"
         return "lower the impact (--drop), use a stiffer material or --law neoHookean"
 
     def next(self, index: int, last: Health) -> Frame:
@@ -197,8 +197,8 @@ class Solver(ABC):
             self.state.load(saved)
             self.guard.refine()
         raise SolverError(
-            f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
-            f" halvings of the step to {self.dt:.3g} s",
+            f"frame {index}: {fault}, with {self.coarse} substeps, and still after {RETRIES} "
+            f"halvings of the step to {self.dt:.3g} s",
             self._hint() + "; the frames before it are in the partial cache",
             frame=index,
             particle=particle,
@@ -250,7 +250,7 @@ class Guard:
         if not (gain <= most or limited):
             return worst(particles), (
                 f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
-                f" (at most {most:.2g} J is rounding and integration error)"
+                f" (at most {most:.2g} J can be rounding and integration error)"
             )
         # A particle is no further from the middle of its body than the box around all is long.
         low, high = corners(particles.x)
@@ -258,8 +258,8 @@ class Guard:
             far = self._distances(particles.x)
             if far.max() > ESCAPE * self._reach:
                 return int(far.argmax()), (
-                    f"a particle is {far.max():.4g} m from the others, the body is"
-                    f" {self._reach:.3g} m long at rest"
+                    f"a particle is {far.max():.4g} m away from the others, but the body is "
+                    f"{self._reach:.3g} m long at rest"
                 )
         return self._judge_inversion(last, now, particles)
 

@@ -46,8 +46,6 @@ def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any)
         both: Any = _coupled()
         return both(particles, materials, settings, **more)
     if settings.solver not in SOLVERS:
-        raise UsageError(
-            f"there is no solver {settings.solver!r}", f"choose {' or '.join(SOLVERS)}"
-        )
+        raise UsageError(f"unknown solver {settings.solver!r}", f"choose {' or '.join(SOLVERS)}")
     solver: Any = SOLVERS[settings.solver]()
     return solver(particles, materials, settings, **more)

@@ -114,8 +114,8 @@ def stable_step(
     )
     if not 0.0 < step.dt < np.inf:
         raise InputError(
-            f"there is no stable step: waves run at {wave_speed:.3g} m/s over cells of {h:.3g} m,"
-            f" contact springs swing at {step.contact:.3g} rad/s",
+            f"there is no stable time step: waves travel at {wave_speed:.3g} m/s through cells "
+            f"of {h:.3g} m, and contact springs oscillate at {step.contact:.3g} rad/s",
             "check the unit (--meters-per-unit), the material, --drop and --gravity",
         )
     return step

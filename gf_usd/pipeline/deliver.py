@@ -49,9 +49,9 @@ class Delivery:
         with _shared(target):
             if stamp(target) != seen and not converted.is_at(target):
                 raise UsageError(
-                    f"another bake made {target} of another file, or in another way, while this one"
-                    " was prepared",
-                    "bake them into another folder each with -o",
+                    f"another bake wrote {target} from another file or with other options while "
+                    f"this one was prepared",
+                    "use -o to bake each of them into its own folder",
                 )
             converted.write(target)
 
@@ -133,7 +133,7 @@ def output_lock(root: Path, sequences: Sequence[Path], seen: Stamps) -> Iterator
     Raises UsageError where another bake holds one, or wrote since then; BakeError where a lock
     cannot be made.
     """
-    elsewhere = dict.fromkeys(sequences, "name another folder for the frames")
+    elsewhere = dict.fromkeys(sequences, "give another folder for the frames")
     with ExitStack() as stack:
         for path in (root, *sequences):
             if file_locks.inherited(path):

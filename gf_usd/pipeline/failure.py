@@ -113,7 +113,7 @@ def leave(
 def _require_source(delivery: Delivery) -> None:
     if delivery.files.source is None and delivery.converted is not None:
         raise BakeError(
-            "no root layer was written: the layer of a mesh file is not kept for one file",
+            "no root layer was written, because --flatten does not keep the layer of a mesh file",
             "bake without --flatten",
         )
 
@@ -127,6 +127,6 @@ def _where(path: Path, failed: dict[str, Any]) -> str:
         return said
     x, y, z = failed["rest_position"]
     return (
-        f"{said}, at particle {failed['particle']} of <{failed['prim']}>,"
-        f" which rests at ({x:.4g}, {y:.4g}, {z:.4g})"
+        f"{said}, at particle {failed['particle']} of <{failed['prim']}>, with the rest "
+        f"position ({x:.4g}, {y:.4g}, {z:.4g})"
     )

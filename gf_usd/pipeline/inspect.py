@@ -57,21 +57,21 @@ KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overla
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What was found of one asset; made by `inspect`."""
+    """What `inspect` found about an asset."""
 
     asset: Asset  # as it was read
-    diagnoses: tuple[Diagnosis, ...]  # one a surface, before any repair
+    diagnoses: tuple[Diagnosis, ...]  # one per surface, before any repair
     repairs: tuple[Repairs, ...] = ()
     plan: Plan | None = None  # None: refused
     cost: Cost | None = None
     parts: tuple[Part, ...] = ()
     warnings: tuple[str, ...] = ()
     refusal: InputError | None = None
-    thickness: Thickness | None = None  # of what is filled
+    thickness: Thickness | None = None  # of the filled bodies
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Of the plan, else of the reader."""
+        """Notes of the plan, or of the reader if there is no plan."""
         return self.plan.notes if self.plan else self.asset.facts.notes
 
     def fill_of(self, path: str) -> tuple[str, str]:
@@ -205,9 +205,7 @@ def lost_volume(seen: Inspection) -> str:
     whole, fill = sum(d.volume for d in filled), seen.plan.particles.volume
     if fill >= KEPT * whole or not any(faults(d) for d in filled):
         return ""
-    return (
-        f"only {fill:.3g} of the {whole:.3g} m^3 that the meshes enclose are filled: try --repair"
-    )
+    return f"only {fill:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"
 
 
 def _part(part: Part) -> dict[str, Any]:
@@ -247,7 +245,7 @@ def inspect(
     Raises
     ------
     UsageError : the options make no sense.
-    InputError : the file cannot be read, or holds nothing that could be made soft.
+    InputError : the file cannot be read, or contains nothing to bake.
     """
     from gf_usd.geometry.thin.parts import poor_parts
 
@@ -269,7 +267,7 @@ def inspect(
     except InputError as refusal:
         warnings = [implausible_size(asset)]
         if not repair and would_fill(mend(asset, request, spec)[1]):
-            warnings.append("with --repair it can be baked")
+            warnings.append("it can be baked with --repair")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
     prepared = of_a_shot(Prepared(plan=plan))
     seen = replace(seen, plan=prepared.plan, cost=prepared.cost, thickness=thickness(solid))

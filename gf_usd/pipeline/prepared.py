@@ -100,7 +100,7 @@ def prepare(
     stages = Stages(watch)
     if resume and options.get("certify"):
         raise UsageError(
-            "--certify does not go with --resume: it needs all frames of one run",
+            "--certify cannot be combined with --resume, because it needs all frames of one run",
             "start over with --overwrite, or omit --certify",
         )
     stages.begin(READING, Path(path).name)
@@ -140,8 +140,8 @@ def of_a_shot(prepared: Prepared) -> Prepared:
         return prepared
     frames = shot_frames(plan.settings.frames)
     note = (
-        f"{frames} frames are simulated, and not until rest, which usually takes about {usual}"
-        f" frames, and may take {plan.settings.frames} and about"
+        f"{frames} frames are simulated, not until rest, which usually takes about {usual} frames,"
+        f" at most {plan.settings.frames} frames in about"
         f" {duration(prepared.cost['estimated_seconds'])}; use --frames rest for that"
     )
     shorter = replace(

@@ -34,7 +34,7 @@ def require_healthy(result: BakeResult, *, strict: bool) -> None:
     raise UnhealthyError(
         f"{result.root}: the bake is complete and its files are written, but it has {count}:"
         f"{lines}",
-        "; ".join(hints) + ("" if errors else "; without --strict this is no error"),
+        "; ".join(hints) + ("" if errors else "; without --strict this is not an error"),
         warnings=tuple(warning for _, warning in warnings),
         result=result,
     )
@@ -71,23 +71,23 @@ class VariantResult:
 
     variant: str  # its name
     cache: Path  # the layer that the frames are in
-    material: Material  # the one that most of the volume has
+    material: Material  # that of most of the volume
     frames: int  # that were written
     health: dict[str, Any] = field(repr=False)  # totals; docs/guide.md has the keys
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)  # fields of `Health`
     warnings: tuple[HealthWarning, ...] = ()  # each with about, message and hint
     clips: tuple[Path, ...] = ()  # files next to the cache
-    at_rest: int | None = None  # frame, from 1, at which everything was; None: not looked for
-    certificate: Certificate | None = None  # how certain its figures are; None: not asked for
-    storage: dict[str, Any] | None = None  # what storing less saved; docs/guide.md has the keys
+    at_rest: int | None = None  # frame, from 1, at which all rested; None: not tested
+    certificate: Certificate | None = None  # how certain its figures are; None: not requested
+    storage: dict[str, Any] | None = None  # saved disk space; docs/guide.md has the keys
 
     @property
     def look(self) -> str:
-        """The name of `variant` before; it stays until 1.0."""
+        """The former name of `variant`; it works until 1.0."""
         return self.variant
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
-        """Plain values; with every frame's health on request."""
+        """The result as plain values, on request with the health of every frame."""
         out = {
             "variant": self.variant,
             "look": self.variant,  # its name before; until 1.0
@@ -109,14 +109,14 @@ class BakeResult:
     """A finished bake."""
 
     root: Path  # the layer to open
-    report: Path  # what was measured, as JSON
-    bakes: tuple[VariantResult, ...]  # one a material
-    particles: int  # their number
-    seconds: float  # [s] that it took
+    report: Path  # its JSON report
+    bakes: tuple[VariantResult, ...]  # one per material
+    particles: int  # number of particles
+    seconds: float  # [s] the bake took
     settings: Settings  # of the first material
     notes: tuple[str, ...] = ()  # what was assumed, in words
-    findings: tuple[dict[str, str], ...] = ()  # faults that `check` found and the source has not
-    outputs: tuple[Path, ...] = ()  # every file, also those that bakes of a mesh file share
+    findings: tuple[dict[str, str], ...] = ()  # of `check`, less those of the source
+    outputs: tuple[Path, ...] = ()  # all files, including shared ones of a mesh file
 
     @property
     def cache(self) -> Path:

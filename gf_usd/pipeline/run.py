@@ -81,13 +81,13 @@ def run(
     plan = prepared.plan
     if slice and not plan.choices.clip_frames:
         raise UsageError(
-            f"--slice {slice} counts value clips, and this bake has none",
-            "add --clip-frames, the frames of a clip",
+            f"--slice {slice} counts value clips, but this bake has none",
+            "add --clip-frames, the number of frames per clip",
         )
     if slice and plan.choices.certify:
         raise UsageError(
-            f"--slice {slice} does not go with --certify: it needs all frames of one run",
-            "leave one of the two out",
+            f"--slice {slice} cannot be combined with --certify, which needs all frames of one run",
+            "leave out one of the two",
         )
     # read before the first frame: a file that changes meanwhile is found by who resumes
     clipped = plan.variants if plan.choices.clip_frames else ()
@@ -121,7 +121,7 @@ def run(
 
 def _again(plan: Plan) -> str:
     """How to have the rest of a bake that ended early, in words."""
-    go_on = "the same command with --resume goes on"
+    go_on = "run the same command with --resume to continue"
     return go_on if plan.choices.clip_frames else "bake again"
 
 

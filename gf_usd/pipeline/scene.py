@@ -86,7 +86,7 @@ def plan_scene(spec: SceneSpec) -> Plan:
     extent = float(np.ptp(np.concatenate([s.points for s in spec.surfaces]), axis=0).max())
     if spec.floor is not None and lowest < spec.floor - BELOW * extent:
         raise UsageError(
-            f"a body begins {spec.floor - lowest:.4g} m below the floor, which is at"
+            f"a body starts {spec.floor - lowest:.4g} m below the floor, which is at"
             f" {spec.floor:g} m",
             "move the body up, or lower the floor",
         )

@@ -150,7 +150,7 @@ def require_free(files: Outputs, overwrite: bool) -> None:
     while not parent.exists() and parent != parent.parent:
         parent = parent.parent
     if not parent.is_dir():
-        raise UsageError(f"{parent} is no folder", "choose a folder to write to with -o")
+        raise UsageError(f"{parent} is not a folder", "choose a folder to write to with -o")
     try:
         with tempfile.TemporaryFile(dir=parent):
             pass
@@ -276,7 +276,7 @@ def require_free_sequences(asked: Sequence[Sequence[SplatSequence]], overwrite: 
     """Raise UsageError where a frame is there already, or a folder's name is that of a file."""
     for sequence in (one for each in asked for one in each):
         if sequence.folder.exists() and not sequence.folder.is_dir():
-            raise UsageError(f"{sequence.folder} is no folder", "name another for the frames")
+            raise UsageError(f"{sequence.folder} is not a folder", "name another for the frames")
         there = sequence.there()
         if there and not overwrite:
             raise UsageError(

@@ -86,12 +86,12 @@ def _format(path: Path) -> Format:
     row = format_of(path)
     if row is None:
         what = f"{path} has the suffix '{path.suffix}'" if path.suffix else f"{path} has no suffix"
-        raise InputError(f"{what}: there is no reader for it", _what_can_be_read())
+        raise InputError(f"{what}, which is not supported", _what_can_be_read())
     return row
 
 
 def _what_can_be_read() -> str:
-    return f"give a file that ends in {', '.join(SUFFIXES)}"
+    return f"give a file with one of these suffixes: {', '.join(SUFFIXES)}"
 
 
 def _require_file(path: Path) -> None:
@@ -118,10 +118,10 @@ def _of_folder(folder: Path) -> str:
     names = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
     own = [name for name in names if Path(name).stem == folder.resolve().name]
     if len(found := own or names) == 1:
-        return f"give its asset file: {folder / found[0]}"
+        return f"give the asset file in it: {folder / found[0]}"
     if found:
         more = f" or one of {len(found) - 3} others" if len(found) > 3 else ""
-        return f"give one of its asset files: {', '.join(found[:3])}{more}"
+        return f"give one of the asset files in it: {', '.join(found[:3])}{more}"
     return _what_can_be_read()
 
 

@@ -55,20 +55,20 @@ def convert_mesh(
 
     if meters_per_unit is not None and not 0.0 < meters_per_unit < math.inf:
         raise InputError(
-            f"--meters-per-unit {meters_per_unit:g} is not a size",
+            f"--meters-per-unit {meters_per_unit:g} is not a valid unit size",
             "give the size of the file's unit in meters, e.g. 0.01 for centimeters",
         )
     row = format_of(path, MESH, PROGRAM)
     if rigged and (is_splat_file(path) or row is None or not row.rigged):
         raise InputError(
-            f"{path}: --flesh: no skeleton is read of {path.suffix} files",
+            f"{path}: --flesh: skeletons of {path.suffix} files are not supported",
             "export the character as USD or glTF, with its skeleton and its animation",
         )
     if is_splat_file(path):
         return convert_splats(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
     if up_axis is not None and up_axis.upper() not in ("Y", "Z"):
         raise InputError(
-            f"up axis {up_axis!r}: USD knows Y and Z", "give --up-axis Y or --up-axis Z"
+            f"up axis {up_axis!r}: USD allows only Y and Z", "give --up-axis Y or --up-axis Z"
         )
     axis = None if up_axis is None else up_axis.upper()
     assert row is not None
@@ -78,7 +78,8 @@ def convert_mesh(
         file: MeshFile = row.rigged_function(path, fps) if rigged else row.function(path)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be read: {error}", "check the permissions of it and its files"
+            f"{path} cannot be read: {error}",
+            "check the permissions of the file and of the files it refers to",
         ) from error
     unit, width = meters_per_unit or file.meters_per_unit, 0.0
     if unit is None:

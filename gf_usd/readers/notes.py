@@ -56,11 +56,11 @@ def unit_and_axis(
     if width and unit != 1.0:
         chosen = f", which makes the body {width * unit:.3g} m wide instead of {width:.3g} m"
     said = {
-        OPTION: (f"metersPerUnit = {unit:g}, as asked for", f"upAxis = {axis}, as asked for"),
+        OPTION: (f"metersPerUnit = {unit:g}, as requested", f"upAxis = {axis}, as requested"),
         ASSUMED: (
-            f"{kind} files name no unit: {unit:g} m per unit is assumed{chosen}"
+            f"{kind} files state no unit: {unit:g} m per unit is assumed{chosen}"
             " (--meters-per-unit)",
-            f"{kind} files name no up axis: {axis} is assumed (--up-axis{hint})",
+            f"{kind} files state no up axis: {axis} is assumed (--up-axis{hint})",
         ),
     }
     return [

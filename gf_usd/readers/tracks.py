@@ -82,7 +82,8 @@ def _of_curves(prim: Usd.Prim, path: Path) -> Rows:
         raise InputError(
             f"{path}: <{prim.GetPath()}> has {len(points)} points for curves of {counts.sum()}"
             " vertices, or some are not finite",
-            "export the tracks again: a curve for each tracked point, a vertex for each frame",
+            "export the tracks again with a curve for each tracked point and a vertex for each "
+            "frame",
         )
     world = _placed(prim, Usd.TimeCode.Default(), path).points(points)
     begin = prim.GetStage().GetStartTimeCode()
@@ -92,9 +93,9 @@ def _of_curves(prim: Usd.Prim, path: Path) -> Rows:
         codes = np.asarray(stated.ComputeFlattened(), np.float64)
     if len(codes) != len(points):
         raise InputError(
-            f"{path}: <{prim.GetPath()}> has {len(codes)} numbers in primvars:timeCode for"
+            f"{path}: <{prim.GetPath()}> has {len(codes)} values of primvars:timeCode for"
             f" {len(points)} points",
-            "author one for each vertex, with the interpolation vertex",
+            "author one value for each vertex, with vertex interpolation",
         )
     ends = np.cumsum(counts)
     return [(codes[e - n : e], world[e - n : e]) for n, e in zip(counts, ends)]
@@ -112,8 +113,9 @@ def _of_points(prim: Usd.Prim, path: Path) -> Rows:
         places.append(_placed(prim, time, path).points(found))
     if len({len(one) for one in places}) > 1 or not np.isfinite(np.concatenate(places)).all():
         raise InputError(
-            f"{path}: <{prim.GetPath()}> changes its number of points, or some are not finite",
-            "export tracks of the same points in all frames, or curves, which may be shorter",
+            f"{path}: <{prim.GetPath()}> has a changing number of points, or some are not finite",
+            "export tracks of the same points in all frames, or curves, which need not cover "
+            "all frames",
         )
     x = np.array(places)
     return [(np.array(times), x[:, k]) for k in range(x.shape[1])]

@@ -33,7 +33,7 @@ class BackgroundWriter:
 
     def start(self, work: Callable[[], None]) -> None:
         """Begin; call `settle` before."""
-        assert self._thread is None, "the last piece of work was not waited for"
+        assert self._thread is None, "the last task was not waited for"
 
         def run() -> None:
             try:

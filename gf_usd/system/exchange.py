@@ -80,7 +80,7 @@ class _Writer:
         for kind, of in CONTAINERS.items():
             if isinstance(value, of):
                 return {kind: [self.encode(one) for one in value]}
-        raise TypeError(f"{type(value)} does not pass between processes")
+        raise TypeError(f"{type(value)} cannot be passed between processes")
 
 
 CONTAINERS: dict[str, type] = {"tuple": tuple, "list": list, "set": frozenset}
@@ -93,7 +93,7 @@ class _Reader:
         for module, name, row in rows:  # a row names objects before it only
             of = getattr(import_module(module), name) if module.startswith(PACKAGE) else None
             if not is_dataclass(of) or not isinstance(of, type):
-                raise ValueError(f"{module}.{name} is no dataclass of this package")
+                raise ValueError(f"{module}.{name} is not a dataclass of this package")
             self._objects.append(of(**{key: self.decode(value) for key, value in row.items()}))
 
     def decode(self, tree: Any) -> Any:

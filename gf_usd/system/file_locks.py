@@ -78,7 +78,7 @@ def acquire(
             os.close(descriptor)
             raise BakeError(
                 f"{target} cannot be locked: {error.strerror}",
-                "the file system of this folder may have no locks: write to another one",
+                "the file system of this folder may not support locks: write to another one",
             ) from error
         if not free:
             os.close(descriptor)
@@ -103,8 +103,8 @@ def _open(target: Path) -> int:
         return os.open(target, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise BakeError(
-            f"{target} cannot be made: {error.strerror}",
-            f"check that {target.parent} is a folder that can be written, with space left",
+            f"{target} cannot be created: {error.strerror}",
+            f"check that {target.parent} is a writable folder with space left",
         ) from error
 
 

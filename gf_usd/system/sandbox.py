@@ -71,7 +71,7 @@ def parse_limits(text: str | None) -> Limits | None:
         size = float(found[1]) * UNITS[found[2]] if found else 0.0
         if name not in known or size <= 0.0:
             raise UsageError(
-                f"--limits {text!r}: {part!r} is no limit",
+                f"--limits {text!r}: {part!r} is not a limit",
                 "give time=SECONDS, memory=BYTES and output=BYTES with commas, e.g."
                 " --limits time=600,memory=32G, or --limits none",
             )
@@ -211,20 +211,20 @@ def _answer(path: Path, ended: Ended, limits: Limits) -> Any:
         return answer["value"]
     if ended.err == NO_MEMORY:
         raise InputError(
-            f"{path}: reading it asked for more than {limits.memory / 1e9:g} GB of memory",
+            f"{path}: reading it needed more than {limits.memory / 1e9:g} GB of memory",
             f"the file may be damaged; {TRUST} memory=BYTES",
         )
     if ended.status == FAILED and ended.err:
         raise InputError(
-            f"{path} made its reader fail: {ended.err}",
-            "the file is likely damaged: export it again; a sound file that does this is a fault"
-            " of gf-usd, worth a report",
+            f"{path} caused its reader to fail: {ended.err}",
+            "the file is probably damaged: export it again; if an intact file causes this, it "
+            "is a bug in gf-usd: please report it",
         )
     number = -ended.status
-    how = f"signal {number}, {signal.Signals(number).name}" if number > 0 else "without a word"
+    how = f"signal {number}, {signal.Signals(number).name}" if number > 0 else "without output"
     raise InputError(
-        f"{path} made its reader crash ({how})",
-        "the file is likely damaged: export it again, or open it in a USD viewer first",
+        f"{path} caused its reader to crash ({how})",
+        "the file is probably damaged: export it again, or open it in a USD viewer first",
     )
 
 
@@ -273,7 +273,7 @@ def _words(error: BaseException) -> str:
     try:
         first = (str(error).strip().splitlines() or [""])[0][:300]
     except UnicodeDecodeError:
-        first = "its words are not UTF-8"
+        first = "its messages are not UTF-8"
     if isinstance(error, MemoryError) or "bad_alloc" in first:
         return NO_MEMORY
     return f"{type(error).__name__}: {first}"

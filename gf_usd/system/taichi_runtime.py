@@ -149,7 +149,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     if device not in DEVICES:
         raise UsageError(f"Unknown device {device!r}.", f"choose one of: {', '.join(DEVICES)}")
     if threads is not None and threads < 1:
-        raise UsageError(f"{threads} CPU threads were asked for.", "ask for 1 or more")
+        raise UsageError(f"{threads} CPU threads were requested.", "give 1 or more")
     wanted = {"device": device, "threads": threads or cores(), "f64": f64}
     if _started == wanted and is_ours():
         return

@@ -61,7 +61,7 @@ def register(folder: Path) -> None:
     missing = [name for name in APIS if registry.FindAppliedAPIPrimDefinition(name) is None]
     if missing:
         raise SchemaTooLate(
-            f"the schema library {NAMESPACE} was registered too late: USD had already read its "
+            f"the schema library {NAMESPACE} was registered too late: USD had already read the "
             f"schema definitions and has none for {', '.join(missing)}",
             "import gf_usd.system.usd_schema before anything opens a stage, or start the program"
             f" with PXR_PLUGINPATH_NAME={folder}",
@@ -77,9 +77,9 @@ def _refuse_another_version(folder: Path) -> None:
     theirs, ours = registered / DEFINITIONS, folder / DEFINITIONS
     if not theirs.is_file() or theirs.read_bytes() != ours.read_bytes():
         raise GfUsdError(
-            f"another version of the schema library {NAMESPACE} is registered already: "
+            f"another version of the schema library {NAMESPACE} is already registered: "
             f"{registered} differs from {folder}",
-            f"take {registered} out of PXR_PLUGINPATH_NAME, or put {folder} there instead",
+            f"remove {registered} from PXR_PLUGINPATH_NAME, or replace it with {folder}",
         )
 
 

@@ -48,7 +48,7 @@ class Comparison:
     time_codes: Floats  # (T,) of A
     other_time_codes: Floats  # (T,) of B at the same moments
     seconds: Floats  # (T,) [s] of playback since A's first frame
-    largest: Floats  # (T,) [m] distance of the point that is farthest off
+    largest: Floats  # (T,) [m] largest distance of a point
     rms: Floats  # (T,) [m] root of the mean square of the distances
     volumes: Floats  # (T, 2) [m^3] of A and of B
     center: Floats  # (T,) [m] distance of the centers of mass
@@ -200,21 +200,22 @@ def pair_meshes(a: Recording, b: Recording) -> Pairing:
     if not pairs and (a.flows or b.flows):
         flows = f"{a.path}: <{a.flows[0]}>" if a.flows else f"{b.path}: <{b.flows[0]}>"
         raise InputError(
-            f"{flows} has other points in every frame, which cannot be compared point by point.",
-            "compare the particles: gf_usd.read has their positions at every frame",
+            f"{flows} has different points in every frame and cannot be compared point by point.",
+            "compare the particles: gf_usd.read returns their positions in every frame",
         )
     if not pairs:
         raise InputError(
-            f"{a.path} and {b.path} have no mesh in common: {_listed(a, mine)} in the one,"
-            f" {_listed(b, left)} in the other.",
+            f"{a.path} and {b.path} have no mesh in common: the first has {_listed(a, mine)}, "
+            f"the second {_listed(b, left)}.",
             "compare two bakes of one asset, or give the meshes of both the same names",
         )
     for i, j in pairs.items():
         if len(a.meshes[i].points) != len(b.meshes[j].points):
             raise InputError(
-                f"{a.path}: <{a.meshes[i].name}> has {len(a.meshes[i].points)} points, and"
-                f" <{b.meshes[j].name}> of {b.path} has {len(b.meshes[j].points)}.",
-                "point by point means the same points: compare before subdivision and decimation",
+                f"{a.path}: <{a.meshes[i].name}> has {len(a.meshes[i].points)} points, but "
+                f"<{b.meshes[j].name}> of {b.path} has {len(b.meshes[j].points)}.",
+                "the meshes must have the same points: compare them before subdivision or "
+                "decimation",
             )
     return Pairing(
         first=tuple(pairs),
@@ -252,7 +253,7 @@ def _pairing_notes(
     if extra := [j for j in left if b.baked[j]]:
         yield f"not in {a.path.name}: {_listed(b, extra)}"
     if a.up != b.up:
-        yield f"{b.path.name} has another up axis and is turned to that of {a.path.name}"
+        yield f"{b.path.name} has another up axis and is rotated to that of {a.path.name}"
 
 
 def _turn(a: Recording, b: Recording) -> Floats:
@@ -278,15 +279,15 @@ def _moments(
     if not kept:
         raise InputError(
             f"{a.path} moves in time codes {a.time_codes[0]:g} to {a.time_codes[-1]:g} and {b.path}"
-            f" in {b.time_codes[0]:g} to {b.time_codes[-1]:g}: they have no time in common.",
+            f" in {b.time_codes[0]:g} to {b.time_codes[-1]:g}: these ranges do not overlap.",
             "compare from the first frame of each: --align start",
         )
     codes, partners = [code for code, _ in kept], [at for _, at in kept]
     notes = []
     if len(kept) < len(pairs):
         notes.append(
-            f"{len(kept)} of {len(pairs)} frames are compared, time codes {codes[0]:g} to"
-            f" {codes[-1]:g}: {b.path.name} has no others"
+            f"{len(kept)} of {len(pairs)} frames are compared, at time codes {codes[0]:g} to "
+            f"{codes[-1]:g}: {b.path.name} has only these"
         )
     known = np.asarray(b.time_codes)
     between = sum(float(np.abs(known - at).min()) > SAME_TIME for at in partners)

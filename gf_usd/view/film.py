@@ -83,7 +83,7 @@ def write_gif(path: Path, frames: Iterable[Pixels], fps: float, samples: Sequenc
     """
     if fps > FASTEST:
         raise UsageError(
-            f"A GIF cannot show {fps:g} frames a second.", f"give --fps {FASTEST:g} or less"
+            f"A GIF cannot show {fps:g} frames per second.", f"give --fps {FASTEST:g} or less"
         )
     height, width, _ = samples[0].shape
     output = ("-filter_complex", PALETTE.format(len(samples)), "-f", "gif", "-loop", "0")
@@ -94,9 +94,9 @@ def require_folder(path: Path) -> None:
     """Raise UsageError where a file of this name cannot be made."""
     if not path.parent.is_dir() or path.is_dir():
         raise UsageError(
-            f"The picture {path} cannot be written: "
+            f"The image {path} cannot be written: "
             + ("it is a folder" if path.is_dir() else f"{path.parent} is not a folder"),
-            "choose a file name in a folder that exists and that you may write to, with -o",
+            "choose a file name in a folder that exists and is writable, with -o",
         )
 
 
@@ -126,7 +126,7 @@ def _encode(
             said.seek(0)
             raise BakeError(
                 f"ffmpeg could not write {partial}: {said.read().decode(errors='replace').strip()}",
-                "check that there is space left and that you may write to this folder",
+                "check that this folder is writable and has space left",
             )
     publish(path)
 

@@ -62,8 +62,8 @@ class Legend:
     def __init__(self, quantity: Quantity, size: tuple[int, int]) -> None:
         if size[0] < SMALLEST_PICTURE[0] or size[1] < SMALLEST_PICTURE[1]:
             raise UsageError(
-                f"A picture of {size[0]}x{size[1]} pixels is too small for a legend.",
-                f"ask for {SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} or more with --size",
+                f"An image of {size[0]}x{size[1]} pixels is too small for a legend.",
+                f"give at least {SMALLEST_PICTURE[0]}x{SMALLEST_PICTURE[1]} with --size",
             )
         self._layer, self.reserved = _draw(quantity, size)
 

@@ -254,7 +254,7 @@ class Clock:
 
 
 PACKAGES = "on Debian and Ubuntu: apt-get install libx11-6 libgl1 libegl1 libusb-1.0-0 libgomp1"
-INSTEAD = "gf-usd report makes a page that plays in a browser"
+INSTEAD = "gf-usd report writes a page that plays in a browser"
 
 
 def import_open3d() -> Any:
@@ -301,7 +301,7 @@ def require_display() -> None:
     if not display:
         raise UsageError(
             f"The display DISPLAY={name} cannot be opened.",
-            f"check that it runs and that you may use it; without a display, {INSTEAD}",
+            f"check that it is running and that you may use it; without a display, {INSTEAD}",
         )
     x11.XCloseDisplay(display)
 

@@ -44,7 +44,7 @@ def test_a_bake_after_stages_were_opened(tmp_path: Path) -> None:
 result = bake(progress=lambda done, total: seen.append((done, total)), material=gf_usd.Material(
     name='soft', law='neoHookean', density=1e3, youngs_modulus=1e5, poissons_ratio=.3))
 print(type(result).__name__, result.root, result.bakes[0].material.name, seen)
-print([note for note in result.notes if 'own' in note])
+print([note for note in result.notes if 'separate' in note])
 read = gf_usd.read(result.root)
 print(gf_usd.check(result.root).ok, len(read), len(read.health))
 print(gf_usd.inspect(SPHERE, particles=60).refusal)
@@ -52,7 +52,7 @@ print(gf_usd.inspect(SPHERE, particles=60).refusal)
     )
     first, notes, *rest = said.splitlines()
     assert first == "BakeResult out/sphere.soft.usda soft [(1, 3), (2, 3), (3, 3)]"
-    assert "a process of its own: USD had read its schema definitions before" in notes
+    assert "a separate process: USD read its schema definitions before" in notes
     assert rest[0].startswith("True 3 2")
     assert rest[1:] == ["None"]
 
@@ -87,7 +87,7 @@ ti.init(arch=ti.cpu, log_level=ti.ERROR)
 mine = ti.field(float, 3)
 mine.fill(7.0)
 result = bake()
-print(any('Taichi runs for another part' in note for note in result.notes), mine.to_numpy())
+print(any('already runs Taichi' in note for note in result.notes), mine.to_numpy())
 for call in (lambda: gf_usd.inspect(SPHERE), lambda: gf_usd.simulate(gf_usd.Scene())):
     try:
         call()
@@ -98,10 +98,10 @@ print(gf_usd.preview(result.root, size=(32, 24)).pixels.shape, mine.to_numpy())
     ).splitlines()
     assert said[2:5] == [  # behind Taichi's own words
         "True [7. 7. 7.]",
-        "Taichi runs for another part of this program already, and there is one in a process:"
-        " inspect would end what it computes",
-        "Taichi runs for another part of this program already, and there is one in a process:"
-        " simulate would end what it computes",
+        "another part of this program already runs Taichi, and a process can run it only once:"
+        " inspect would end that computation",
+        "another part of this program already runs Taichi, and a process can run it only once:"
+        " simulate would end that computation",
     ]
     assert said[5] == "(24, 32, 3) [7. 7. 7.]"
 
@@ -133,7 +133,7 @@ mine = ti.field(float, 3)
 mine.fill(7.0)
 told(running)
 result = bake()
-print(any('Taichi runs for another part' in note for note in result.notes), mine.to_numpy())
+print(any('already runs Taichi' in note for note in result.notes), mine.to_numpy())
 """,
     )
     ended = "another part of this program started or reset Taichi, which ended the simulation"

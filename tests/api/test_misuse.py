@@ -25,7 +25,7 @@ def material(**values: Any) -> gf_usd.Material:
 
 
 def takes_nothing() -> None:
-    """No function of (frames done, frames in all)."""
+    """No function of (frames done, total frames)."""
 
 
 def named(value: Any) -> str:
@@ -66,7 +66,7 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
     ({"material": material(parameters={"yield_stress": 1.0})}, "has no parameter", "none"),
     ({"drop": (1, 2)}, "drop is (1, 2), of type tuple", "'3r' (radii of the body)"),
     ({"drop": -1.0}, "drop is -1", "give a length of 0 or more"),
-    ({"drop": "3 radii"}, "drop: '3 radii' is no number", "3r (radii of the body)"),
+    ({"drop": "3 radii"}, "drop: '3 radii' is not a number", "3r (radii of the body)"),
     ({"gravity": (0, -9.81)}, "gravity is (0, -9.81)", "three numbers: (0, -9.81, 0)"),
     ({"velocity": (0, 1)}, "velocity is (0, 1)", "three numbers: (0, 2, 0)"),
     ({"velocity": 3.0}, "velocity is 3.0", "three numbers: (0, 2, 0)"),
@@ -87,8 +87,8 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
     ({"material_labels": {"label": "metal"}}, "material_labels is", "{'label': {3: 'metal'}}"),
     ({"limits": {"time": -1}}, "limits: 'time' is -1", "numbers above 0 for time, memory, output"),
     ({"limits": {"cpu": 1}}, "limits: 'cpu' is 1", "numbers above 0 for time, memory, output"),
-    ({"progress": 3}, "progress is 3, of type int", "a function of (frames done, frames in all)"),
-    ({"progress": takes_nothing}, "of type function", "a function of (frames done, frames in all)"),
+    ({"progress": 3}, "progress is 3, of type int", "a function of (frames done, total frames)"),
+    ({"progress": takes_nothing}, "of type function", "a function of (frames done, total frames)"),
     ({"max_hours": -1}, "max_hours is -1", "give a number from 0 to inf"),
     ({"max_hours": math.nan}, "max_hours is nan", "give a number from 0 to inf"),
     ({"only": []}, "only is [], of type list", "give a word, or a list of words"),
@@ -120,7 +120,7 @@ def test_a_misuse_is_answered_in_our_words(
         (("",), "the asset is ''", "give the path of a file"),
         ((["a.usda", "b.usda"],), "of type list", "gf-usd batch, bakes several"),
         ((Usd.Stage.CreateInMemory(),), "the asset is a stage", "stage.Export('asset.usda')"),
-        ((str(SPHERE), "rubber"), "'rubber' has no name", "material='rubber'"),
+        ((str(SPHERE), "rubber"), "'rubber' has no keyword", "material='rubber'"),
     ],
 )
 def test_what_is_no_asset_is_refused(arguments: tuple[Any, ...], message: str, hint: str) -> None:

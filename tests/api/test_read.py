@@ -37,7 +37,7 @@ def test_it_is_a_sequence_of_frames(result: gf_usd.BakeResult, bake: gf_usd.Bake
     assert [frame.time_code for frame in bake[1:]] == list(bake.time_codes[1:])
     assert bake[-1].index == FRAMES - 1
     assert bake[1].time == pytest.approx(1.0 / result.settings.fps)
-    with pytest.raises(IndexError, match="has 4 frames, and no frame 4"):
+    with pytest.raises(IndexError, match="has 4 frames but no frame 4"):
         bake[FRAMES]
 
 
@@ -102,7 +102,7 @@ def test_meshes_are_in_meters(result: gf_usd.BakeResult, bake: gf_usd.Bake) -> N
 
 
 def test_what_cannot_be_read_is_said(result: gf_usd.BakeResult, tmp_path: Path) -> None:
-    with pytest.raises(gf_usd.InputError, match="nothing in it was baked by gf-usd"):
+    with pytest.raises(gf_usd.InputError, match="the file contains no bake by gf-usd"):
         gf_usd.read(SPHERE)
     with pytest.raises(gf_usd.InputError, match="does not exist"):
         gf_usd.read(tmp_path / "nope.usda")

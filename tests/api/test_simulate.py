@@ -188,7 +188,7 @@ def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
     one = gf_usd.simulate(alone(), frames=3, particles=100, threads=1)
     next(one)
     other = gf_usd.simulate(alone(), frames=3, particles=100, threads=2)
-    with pytest.raises(gf_usd.UsageError, match="Taichi was started anew"):
+    with pytest.raises(gf_usd.UsageError, match="Taichi was restarted"):
         next(one)
     assert next(other).index == 0
 
@@ -197,14 +197,14 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.Scene(up="X"), "up is 'X'"),
     (lambda s: gf_usd.Scene(gravity=(0, 1)), "gravity is (0, 1), of type tuple"),
     (lambda s: gf_usd.Scene(floor="0"), "floor is '0', of type str"),
-    (lambda s: s.add_body(UNIT), "has points and no faces"),
-    (lambda s: s.add_body(UNIT[:, :2], FACES), "points are an array of shape (8, 2)"),
+    (lambda s: s.add_body(UNIT), "has points but no faces"),
+    (lambda s: s.add_body(UNIT[:, :2], FACES), "points is an array of shape (8, 2)"),
     (lambda s: s.add_body(UNIT * np.nan, FACES), "8 of 8 points are not finite"),
-    (lambda s: s.add_body(UNIT, [[0, 1, 8]]), "a face has the point 8, and there are 8"),
-    (lambda s: s.add_body(UNIT, [[0, 1]]), "the smallest of 2 corners"),
+    (lambda s: s.add_body(UNIT, [[0, 1, 8]]), "a face refers to point 8, but there are 8"),
+    (lambda s: s.add_body(UNIT, [[0, 1]]), "the smallest with 2 corners"),
     (lambda s: s.add_body(UNIT, [[0.0, 1.0, 2.0]]), "a face is [0.0, 1.0, 2.0]"),
     (lambda s: s.add_body(UNIT, FACES, material="ruber"), "there is no material 'ruber'"),
-    (lambda s: s.add_body(UNIT, FACES, name="block"), "has a block already"),
+    (lambda s: s.add_body(UNIT, FACES, name="block"), "already has a block"),
     (lambda s: s.add_body(UNIT, FACES, name="a b"), "name is 'a b'"),
     (lambda s: s.add_body(UNIT, FACES, velocity=3.0), "velocity is 3.0, of type float"),
     (lambda s: s.add_obstacle(UNIT, FACES, friction=-1.0), "friction is -1"),
@@ -231,7 +231,7 @@ def test_a_scene_that_makes_no_sense_is_refused(call: Any, message: str) -> None
     ("motion", "message"),
     [
         (np.eye(4), "its motion is an array of shape (4, 4)"),
-        (np.eye(4)[None], "its motion has 1 frames of 3"),
+        (np.eye(4)[None], "its motion has 1 frames, but 3 are simulated"),
         (lambda time: np.eye(3), "its motion is an array of shape (3, 3, 3)"),
         (np.full((3, 4, 4), np.nan), "its motion is not finite"),
     ],
@@ -245,5 +245,5 @@ def test_a_motion_that_is_none_is_refused(motion: Any, message: str) -> None:
 
 
 def test_a_body_that_begins_below_the_floor_is_refused() -> None:
-    with pytest.raises(gf_usd.UsageError, match=r"a body begins 0\.5 m below the floor"):
+    with pytest.raises(gf_usd.UsageError, match=r"a body starts 0\.5 m below the floor"):
         gf_usd.simulate(alone(floor=1.5), particles=100)

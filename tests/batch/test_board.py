@@ -60,7 +60,7 @@ def test_lines_say_ends_and_new_attempts() -> None:
     board = Board(["a", "b"], at_once=1)
     retry = {"event": "retry", "job": "a", "attempt": 1, "why": "the bake was ended by SIGKILL"}
     assert plain_lines(board, retry, board.hear(retry)) == [
-        "a: once more, the bake was ended by SIGKILL"
+        "a: trying again: the bake was ended by SIGKILL"
     ]
     fault = ended("a", "refused", 2.0, "it is damaged\nat line 3")
     assert plain_lines(board, fault, board.hear(fault)) == [

@@ -81,12 +81,12 @@ def test_json_says_the_same(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "names no assets"),
-        ('file = "x"', "no key 'file'"),
-        ("[[assets]]", "names no files"),
-        ('[[assets]]\nfiles = ["none/*.usd"]', "no file is called none/*.usd"),
-        ('[[assets]]\nfiles = ["a.usd"]\nseed = 1', "no key 'seed'"),
-        ('[settings]\nparticle = 3\n[[assets]]\nfiles = ["a.usd"]', "no option 'particle'"),
+        ("", "lists no assets"),
+        ('file = "x"', "unknown key 'file'"),
+        ("[[assets]]", "lists no files"),
+        ('[[assets]]\nfiles = ["none/*.usd"]', "no file matches none/*.usd"),
+        ('[[assets]]\nfiles = ["a.usd"]\nseed = 1', "unknown key 'seed'"),
+        ('[settings]\nparticle = 3\n[[assets]]\nfiles = ["a.usd"]', "unknown option 'particle'"),
         ('[settings]\nparticles = "many"\n[[assets]]\nfiles = ["a.usd"]', "particles is 'many'"),
         ('[settings]\nparticles = true\n[[assets]]\nfiles = ["a.usd"]', "particles is True"),
         ('[settings]\nparticles = -1\n[[assets]]\nfiles = ["a.usd"]', "--particles is -1"),

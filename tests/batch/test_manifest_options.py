@@ -51,7 +51,7 @@ def test_words_become_values(name: str, text: str, value: object) -> None:
 
 
 def test_a_word_that_is_no_number_is_refused() -> None:
-    with pytest.raises(UsageError, match="'many' is no int"):
+    with pytest.raises(UsageError, match="'many' is not of type int"):
         parse("particles", "many", "--set")
     with pytest.raises(UsageError, match="repair is 'yes'"):
         clean({"repair": parse("repair", "yes", "--set")}, "here", Path())
@@ -69,5 +69,5 @@ def test_limits_reach_the_bake_and_do_not_decide_what_it_writes() -> None:
     job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options=options)
     assert job.arguments()[-2:] == ["--limits", "time=60,memory=4G"]
     assert decisive(options) == {"material": "rubber"}
-    with pytest.raises(UsageError, match="here: --limits 'time=0': 'time=0' is no limit"):
+    with pytest.raises(UsageError, match="here: --limits 'time=0': 'time=0' is not a limit"):
         clean({"limits": "time=0"}, "here", Path())

@@ -71,9 +71,9 @@ def test_failures_are_on_top_with_why_and_what_to_do(tmp_path: Path) -> None:
     assert "too dark" in good[1][1]
     numbers = good[1][3:]
     assert numbers == ["1", "2", "", "0.50", "1.0e-05", "120", "4", "", "3.2", "3.0", "300", "1"]
-    assert "One job needs a look" in text
+    assert "One job needs attention" in text
     assert "gf-usd batch x --select bad" in text
-    assert "1 were not run yet: never" in text
+    assert "1 have not been run yet: never" in text
 
 
 def test_a_slice_is_no_fault(tmp_path: Path) -> None:
@@ -83,12 +83,12 @@ def test_a_slice_is_no_fault(tmp_path: Path) -> None:
     entry = {"repeat": "gf-usd batch x"}
     text = build_page(plan, [sliced], entry, {})
     assert Table(text).rows[1][0]["data-kind"] == "begun"
-    assert "One job has frames left. To repeat just these:" in text
-    assert "with frames left 1" in text
+    assert "One job has remaining frames. To repeat only these:" in text
+    assert "with remaining frames 1" in text
     assert "1 jobs, 0 good" in text
-    assert "need a look 0" in text
+    assert "need attention 0" in text
     both = build_page(plan, [sliced, outcome("bad", "failed")], entry, {})
-    assert "One job needs a look; One job has frames left." in both
+    assert "One job needs attention; One job has remaining frames." in both
 
 
 def test_it_is_self_contained_and_safe(tmp_path: Path) -> None:

@@ -116,5 +116,5 @@ def test_jobs_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:
     found = plan(tmp_path, {"files": ["a.usda", "b.usda"], "matrix": {"seed": [0, 1]}})
     chosen = choose(found, ["b.*", "a.rubber.seed1"])
     assert [job.name for job in chosen] == ["a.rubber.seed1", "b.rubber.seed0", "b.rubber.seed1"]
-    with pytest.raises(UsageError, match="no job is called c"):
+    with pytest.raises(UsageError, match="no job matches c"):
         choose(found, ["c*"])

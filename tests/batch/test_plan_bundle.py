@@ -37,7 +37,7 @@ def test_jobs_come_back_as_they_went(tmp_path: Path) -> None:
     assert elsewhere.jobs[1].root == Path("/other/a.seed1.usda")
     assert elsewhere.jobs[1].asset == asked.jobs[1].asset
     path.write_text('{"form": "gf-usd jobs 1", "jobs": [{}]}', encoding="utf-8")
-    with pytest.raises(InputError, match="holds no jobs"):
+    with pytest.raises(InputError, match="contains no jobs"):
         read_jobs(path)
     path.write_text("{}", encoding="utf-8")
     assert not is_bundle(path)

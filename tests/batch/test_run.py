@@ -116,7 +116,7 @@ def test_an_asset_that_changes_under_the_bake_is_not_done(tmp_path: Path) -> Non
 def test_a_system_without_processes_of_posix_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     resources.require_processes()
     monkeypatch.setattr(resources, "PROCESSES", False)
-    with pytest.raises(UsageError, match="needs processes of POSIX"):
+    with pytest.raises(UsageError, match="needs POSIX processes"):
         resources.require_processes()
 
 

@@ -41,7 +41,7 @@ def test_a_job_takes_so_many_runs(
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [({"frames": 9}, "counts value clips"), ({"clip_frames": 2}, "depends on its frames"),
+    [({"frames": 9}, "counts value clips"), ({"clip_frames": 2}, "depends on the number of frames"),
      ({"frames": 9, "clip_frames": 0}, "counts value clips")],
 )  # fmt: skip
 def test_what_cannot_be_counted_is_refused(

@@ -21,7 +21,7 @@ RESULT = {
 DAMAGED = "/x.usda is damaged: 12:3\nin two lines"
 FINISHED = {"finished": {"event": "finished", **RESULT}}
 SLICED = {"sliced": {"event": "sliced", "look": "rubber", "done": 3, "frames": 5}}
-GOES_ON = "the same command goes on with it"
+GOES_ON = "run the same command to continue"
 ERROR = {"error": {"event": "error", "status": 3, "message": DAMAGED, "hint": "export it again"}}
 STDERR = f"note: centimeters\nerror: {DAMAGED}\n\nhint: export it again\n"
 
@@ -55,12 +55,12 @@ def test_a_whole_result_is_done(tmp_path: Path) -> None:
         (ended(-11), FINISHED, "crashed", "the bake was ended by SIGSEGV", ""),
         (ended(143), {}, "crashed", "the bake was ended by SIGTERM", ""),
         (ended(143), ERROR, "crashed", "the bake was ended by SIGTERM", ""),
-        (ended(143, stopped=True), {}, "stopped", "interrupted before its end", ""),
-        (ended(143, timed_out=True), {}, "timeout", "no end after 2 s", "raise --timeout"),
+        (ended(143, stopped=True), {}, "stopped", "interrupted before it ended", ""),
+        (ended(143, timed_out=True), {}, "timeout", "not finished after 2 s", "raise --timeout"),
         (ended(1, "Traceback\n  line\nMemoryError: 3\n"), {}, "crashed", "MemoryError: 3", ""),
         (ended(1), {}, "crashed", "no words", ""),
         (ended(5), SLICED, "sliced", "rubber: 3 of 5 frames are done", GOES_ON),
-        (ended(5, stopped=True), {}, "stopped", "interrupted before its end", ""),
+        (ended(5, stopped=True), {}, "stopped", "interrupted before it ended", ""),
         # words on stderr decide nothing
         (ended(1, STDERR), {}, "crashed", "hint: export it again", ""),
     ],

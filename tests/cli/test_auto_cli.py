@@ -215,7 +215,7 @@ def test_a_batch_takes_auto_and_asks_no_advisor(vision):
     from gf_usd.batch.manifest import _materials
 
     assert _materials("auto", Path()) == "auto"
-    with pytest.raises(UsageError, match="a batch asks no advisor"):
+    with pytest.raises(UsageError, match="a batch does not use an advisor"):
         _materials("auto:vision", Path())
 
 

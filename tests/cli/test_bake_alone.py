@@ -64,7 +64,7 @@ def test_frames_of_one_name_have_one_writer(gf_usd, here: Path, tmp_path: Path) 
     refused = gf_usd(*words)
     assert refused.status == 2
     assert "another bake is writing all/ball.rubber.ply" in refused.err
-    assert "name another folder for the frames" in refused.err
+    assert "give another folder for the frames" in refused.err
     held.release(remove=True)
     assert gf_usd(*words).status == 0
     assert names(here / "all") == ["ball.rubber.0001.ply", "ball.rubber.0002.ply"]

@@ -49,7 +49,7 @@ def test_the_asset_is_not_written_even_when_asked(gf_usd, here: Path, block: Pat
         (("--law", "stvk"), "there is no law 'stvk'"),
         (("--device", "tpu"), "there is no device 'tpu'"),
         (("--frames", "0"), "--frames is 0"),
-        (("--gravity", "down"), "--gravity: 'down' is no number"),
+        (("--gravity", "down"), "--gravity: 'down' is not a number"),
         (("-o", "shot.obj"), "-o shot.obj: a root layer ends in .usda, .usd or .usdc"),
     ],
 )

@@ -76,7 +76,7 @@ def test_the_result_is_a_sound_layer_over_the_capture(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300, degree=2))
     done = gf_usd("bake", path, "--material", "jelly", *SMALL)
     assert done.status == 0, done.err
-    assert "a surface was put around 300 of 300 Gaussians" in done.err
+    assert "a surface was constructed around 300 of 300 Gaussians" in done.err
     assert names(here) == [
         "ball.jelly.cache.usdc", "ball.jelly.report.json", "ball.jelly.usda", "ball.source.usdc",
     ]  # fmt: skip
@@ -172,7 +172,7 @@ def test_inspect_knows_captures(gf_usd, here, tmp_path):
     assert said["bakeable"]
     (mesh,) = said["meshes"]
     assert (mesh["type"], mesh["watertight"]) == ("ParticleField3DGaussianSplat", True)
-    assert any("a surface was put around" in note for note in said["notes"])
+    assert any("a surface was constructed around" in note for note in said["notes"])
 
 
 def test_samples_handles_and_clips_hold_for_captures(gf_usd, here, tmp_path):
@@ -202,7 +202,7 @@ def test_a_held_capture_stands_still_under_a_turning_prim(gf_usd, here, tmp_path
     stage.Save()
     done = gf_usd("bake", path, *SMALL, "--handles", "1", "--start", "4")
     assert done.status == 0, done.err
-    assert "is made of Gaussians: no initial velocity is read" in done.err
+    assert "consists of Gaussians: no initial velocity is read" in done.err
     stage = Usd.Stage.Open("ball.rubber.usda")
     prim = stage.GetPrimAtPath("/ball")
     turned = []

@@ -119,7 +119,7 @@ def test_sigterm_ends_the_bakes_and_says_how_to_go_on(
     ended = [json.loads(line) for line in out.splitlines()]
     assert [e["state"] for e in ended if e["event"] == "finished"] == ["stopped"] * 4
     assert "4 stopped" in err
-    assert "to repeat just these: gf-usd batch" in err
+    assert "to repeat only these: gf-usd batch" in err
     left = [name for name in names(here / "out") if not name.startswith(".")]
     assert left
     assert all(".partial." in name for name in left)
@@ -182,16 +182,16 @@ def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("nothing*.usda",), "no file is called nothing*.usda"),
+        (("nothing*.usda",), "no file matches nothing*.usda"),
         (("a.usda", "b.toml"), "give one manifest, or assets"),
         (("a.usda", "-m", "ruber"), "no material 'ruber'"),
-        (("a.usda", "--set", "seed"), "--set seed: there is no value"),
-        (("a.usda", "--set", "speed=1"), "no option 'speed'"),
-        (("a.usda", "--seed", "a"), "'a' is no int"),
-        (("a.usda", "--select", "b"), "no job is called b"),
+        (("a.usda", "--set", "seed"), "--set seed: the value is missing"),
+        (("a.usda", "--set", "speed=1"), "unknown option 'speed'"),
+        (("a.usda", "--seed", "a"), "'a' is not of type int"),
+        (("a.usda", "--select", "b"), "no job matches b"),
         (("a.usda", "--slice", "2"), "a.rubber: --slice counts value clips"),
         (("a.usda", "--part", "1/2"), "--part 1/2 is given without --slice"),
-        (("a.usda", "--path-mapping", "x.json"), "--path-mapping goes with"),
+        (("a.usda", "--path-mapping", "x.json"), "--path-mapping applies only"),
         (("a.usda", "--scheduler", "tcp://127.0.0.1:9"), "no scheduler answers"),
     ],
 )  # fmt: skip

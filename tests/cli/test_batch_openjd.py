@@ -51,7 +51,7 @@ def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -
     block.write_text("#usda 1.0\ndef {", encoding="utf-8")
     broken = subprocess.run(command, capture_output=True, text=True, check=False)
     assert broken.returncode == 1
-    assert "openjd_fail: 2 of 2 jobs are not good: block.rubber.seed" in broken.stdout
+    assert "openjd_fail: 2 of 2 jobs failed: block.rubber.seed" in broken.stdout
 
 
 def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
@@ -65,7 +65,7 @@ def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
     out, _ = process.communicate(timeout=2 * NOTICE)
     assert time.monotonic() - began < NOTICE
     assert process.returncode == 1
-    assert "openjd_fail: 2 of 2 jobs are not good" in out
+    assert "openjd_fail: 2 of 2 jobs failed" in out
     assert "exited with code: 143" in out
     final = [p.name for p in (here / "out").iterdir() if ".partial." not in p.name]
     assert all(name.startswith(".") for name in final)

@@ -96,8 +96,8 @@ def test_a_bake_passes(gf_usd, here: Path, block: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "message"),
     [
-        ("no.usda", "no.usda is no file."),
-        ("notes.txt", "notes.txt is not USD, as far as its name says."),
+        ("no.usda", "no.usda is not a file."),
+        ("notes.txt", "notes.txt does not have the suffix of a USD file."),
         ("text.usda", "text.usda cannot be opened as USD: "),
     ],
 )

@@ -59,8 +59,8 @@ def test_the_distance_the_place_and_the_time_are_said(run: Run, tmp_path: Path) 
     assert "1 mesh, 8 points, 4 frames" in told
     assert "largest distance 5 mm" in told  # half a unit of a cm
     assert "of </Box> at time code 3" in told
-    assert "different: farther off than 4 mm from time code 3 on" in told
-    assert "volume of B over that of A: 1 to 1" in told
+    assert "different: distance above 4 mm from time code 3 on" in told
+    assert "volume of B relative to A: 1 to 1" in told
 
 
 @pytest.mark.parametrize(("tolerance", "status"), [("6mm", 0), ("1%", 1), ("50%", 0)])
@@ -131,8 +131,8 @@ def test_a_film_has_three_parts(run: Run, tmp_path: Path) -> None:
     [
         (["--tolerance", "3"], "has no unit"),
         (["--align", "middle"], "choose one of: time, start"),
-        (["-o", "out.txt"], "compare writes a page, a picture or a film"),
-        (["-o", "nowhere/out.html"], "no folder"),
+        (["-o", "out.txt"], "compare writes a page, an image or a film"),
+        (["-o", "nowhere/out.html"], "is not a folder"),
         (["--fps", "12"], "write a film"),
         (["--variant", "jelly"], "has no variant 'jelly'"),
     ],
@@ -158,7 +158,7 @@ def test_motions_at_other_times_are_refused_and_aligned(run: Run, tmp_path: Path
     stage.Export(str(b))
     status, _, said = run(a, b)
     assert status == 3
-    assert "no time in common" in said
+    assert "these ranges do not overlap" in said
     assert "--align start" in said
     assert run(a, b, "--align", "start", "--tolerance", "0mm")[0] == 0
 

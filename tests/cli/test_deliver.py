@@ -12,12 +12,12 @@ def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     source = moving_splats(tmp_path / "ball.usdc", mesh=False)
     done = gf_usd("deliver", source, "-o", tmp_path / "out.glb", "--error", "2%")
     assert done.status == 0, done.err
-    assert "/Ball/Splats: 200 Gaussians, off by at most" in done.out
-    assert "covariances by" in done.out
+    assert "/Ball/Splats: 200 Gaussians, position error at most" in done.out
+    assert "covariance error" in done.out
     done = gf_usd("deliver", source, "-o", tmp_path / "out.glb", "--error", "2%", "--json")
     told = json.loads(done.out)["splats"][0]
     assert told["count"] == 200
     assert len(told["covariance"]) == 3
     done = gf_usd("deliver", source, "-o", tmp_path / "out.usdz", "--splats", "only")
     assert done.status == 2
-    assert "--splats only is for .glb" in done.err
+    assert "--splats only is only for .glb" in done.err

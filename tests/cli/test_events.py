@@ -99,13 +99,15 @@ def test_notes_and_warnings_are_told(gf_usd, here: Path, tmp_path: Path) -> None
     found = events(done.out)
     notes = [event["message"] for event in found if event["event"] == "note"]
     assert notes == found[-2]["notes"]
-    assert "metersPerUnit is not authored: 0.01 (centimeters) is assumed, as USD says" in notes
+    assert (
+        "metersPerUnit is not authored: 0.01 (centimeters), the default of USD, is assumed" in notes
+    )
     warnings = [event for event in found if event["event"] == "warning"]
     assert [{k: w[k] for k in w.keys() - TOLD} for w in warnings] == found[-2]["warnings"]
     assert "inside-out" in [warning["about"] for warning in warnings]
     assert kinds(found)[-2:] == ["finished", "error"]
     assert found[-1]["status"] == 4
-    assert found[-1]["hint"].endswith("without --strict this is no error")
+    assert found[-1]["hint"].endswith("without --strict this is not an error")
 
 
 def test_an_error_is_told_with_its_status_and_hint(gf_usd, here: Path, tmp_path: Path) -> None:
@@ -138,7 +140,7 @@ def test_what_cannot_be_written_is_said_before_the_bake(gf_usd, here: Path, bloc
 def test_a_full_disk_ends_the_bake_in_words(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--events", "/dev/full")
     assert done.status == 1
-    assert "--events /dev/full: no event can be written: No space left on device" in done.err
+    assert "--events /dev/full: events cannot be written: No space left on device" in done.err
     assert "Traceback" not in done.err
 
 

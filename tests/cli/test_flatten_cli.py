@@ -142,4 +142,4 @@ def test_a_report_of_one_file_knows_its_look(gf_usd, here: Path, block: Path) ->
     assert (motion.variants, motion.variant) == (("rubber",), "rubber")
     assert motion.recording().ground == 0.0
     assert gf_usd("report", "a.usdz").status == 0
-    assert "does not say how it was baked" not in (here / "a.html").read_text()
+    assert "does not record how it was baked" not in (here / "a.html").read_text()

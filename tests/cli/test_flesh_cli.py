@@ -122,7 +122,7 @@ def test_an_asset_without_a_skeleton_is_refused(tmp_path: Path) -> None:
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
     for name, text, words in (
         ("block.usda", BLOCK, "no skeleton poses"),
-        ("triangle.obj", triangle, "no skeleton is read of .obj files"),
+        ("triangle.obj", triangle, "skeletons of .obj files are not supported"),
     ):
         path = tmp_path / name
         path.write_text(text)
@@ -228,9 +228,9 @@ def test_a_goal_of_a_subset_goes_before_that_of_the_mesh(
 @pytest.mark.parametrize(
     ("faces", "goal", "words"),
     [
-        (FOREARM, paint(1.5), "1 of 1 values out of range, the first is 1.5"),
+        (FOREARM, paint(1.5), "1 of 1 values out of range; the first is 1.5"),
         (FOREARM, "float[] primvars:gaussianFlesh:goal = [0, 1]", "has 2 values on a subset of"),
-        ([0, 34], paint(0.5), "reach from 0 to 34, and the mesh has 34 faces"),
+        ([0, 34], paint(0.5), "range from 0 to 34, but the mesh has 34 faces"),
     ],
 )
 def test_a_goal_of_a_subset_that_is_none_is_refused(
@@ -290,7 +290,7 @@ def test_a_goal_out_of_range_is_refused(tmp_path: Path) -> None:
     with pytest.raises(gf_usd.GfUsdError) as caught:
         gf_usd.bake(path, flesh=True, output=tmp_path / "out.usda", **FEW)
     assert "</Arm/Skin>" in caught.value.message
-    assert "1 of 1 values out of range, the first is 1.5" in caught.value.message
+    assert "1 of 1 values out of range; the first is 1.5" in caught.value.message
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def test_strict_ends_with_status_4_and_keeps_the_files(gf_usd, here: Path, block
     assert result["warnings"] != []
     for warning in result["warnings"]:
         assert f"\n  jelly: {warning['message']}\n" in error
-    assert error.rstrip().endswith("without --strict this is no error")
+    assert error.rstrip().endswith("without --strict this is not an error")
 
 
 def test_strict_passes_a_sound_bake(gf_usd, here: Path, block: Path) -> None:
@@ -110,7 +110,7 @@ def test_the_cost_is_told_before_it_is_spent(gf_usd, here: Path, block: Path) ->
     done = gf_usd("bake", block, *SMALL, "-m", "rubber,metal")
     first = done.err.splitlines()[0]
     assert re.fullmatch(
-        r"\d+ particles, 6 frames, \d+ \(rubber\), \d+ \(metal\) substeps a frame:"
+        r"\d+ particles, 6 frames, \d+ \(rubber\), \d+ \(metal\) substeps per frame:"
         r" about \d+ s, about \d+ kB",
         first,
     ), first
@@ -134,7 +134,7 @@ def test_what_would_take_hours_is_refused_in_seconds(gf_usd, here: Path, block: 
     assert names(here) == ["hard.usda"]
     shown = gf_usd("bake", block, *options, "--dry-run")
     assert shown.status == 0
-    assert f"minutes: refused, it is more than --max-hours {MAX_HOURS:g}\n" in shown.out
+    assert f"minutes: refused because it is more than --max-hours {MAX_HOURS:g}\n" in shown.out
     assert "refused" not in gf_usd("bake", block, *options, "--dry-run", "--max-hours", "1e6").out
 
 

@@ -83,7 +83,7 @@ def test_a_refused_asset_ends_with_the_words_of_bake_and_status_3(gf_usd, sheet,
     assert done.err.startswith("error: ")
     assert "hint: " in done.err
     assert "refused" in done.out
-    assert done.out.splitlines()[-1] == "warning: with --repair it can be baked"
+    assert done.out.splitlines()[-1] == "warning: it can be baked with --repair"
 
 
 def test_json_on_stdout_whatever_the_verdict(gf_usd, sheet, odd, tmp_path):
@@ -116,12 +116,12 @@ def test_oddities_and_what_to_do_about_them(gf_usd, odd, tmp_path):
     assert done.status == 0
     assert "inside out  filled" in done.out
     assert "rides along" in done.out
-    assert "</Root/Box> is filled in spite of 1 of 1 shell inside out" in done.out
+    assert "</Root/Box> is filled despite 1 of 1 shell inside out" in done.out
     assert "with --meters-per-unit 0.01 it would be 1.2 m" in done.out
     options = ["--repair", "--meters-per-unit", "0.01"]
     mended = gf_usd("inspect", odd, *options, *FEW)
     assert "repaired for the fill: turned 1 part that faced the wrong way" in mended.out
-    assert "1 unit = 0.01 m (as asked)" in mended.out
+    assert "1 unit = 0.01 m (as requested)" in mended.out
     assert "warning" not in mended.out
 
 

@@ -94,5 +94,5 @@ def test_a_refused_file_leaves_nothing(gf_usd, tmp_path):
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n")
     refused = gf_usd("bake", path, *SIZES)
     assert refused.status == 3
-    assert "broken.obj, line 4: the face names v 4, and there are 3" in refused.err
+    assert "broken.obj, line 4: the face names v 4, but there are 3" in refused.err
     assert [p.name for p in tmp_path.iterdir()] == ["broken.obj"]

@@ -76,7 +76,7 @@ def test_pins_and_floors_that_do_nothing_are_refused(arm: Path) -> None:
         ({"pins": ["box:900,0,0,901,1,1"]}, "does not touch the asset"),
         ({"pins": ["/Arm/Bar"]}, "hold all"),
         ({"pins": ["/Arm/Bra"]}, "there is no prim"),
-        ({"pins": ["box:1,2"]}, "is no box"),
+        ({"pins": ["box:1,2"]}, "is not a box"),
         ({"floor": "1,1"}, "floor is"),
     ):
         with pytest.raises(gf_usd.GfUsdError) as caught:

@@ -56,7 +56,7 @@ def test_range_rate_and_odd_sizes_of_a_film(stage, tmp_path):
     out = tmp_path / "a.mp4"
     done = run(stage, "-o", out, "--size", "81x61", "--time-codes", "2:3:0.25", "--fps", "10")
     assert done.exit_code == 0, done.output
-    assert "H.264 wants even sizes: 82x62" in done.output
+    assert "H.264 needs an even width and height: 82x62" in done.output
     facts, frames = mp4(out)
     assert (facts["size"], facts["fps"], len(frames)) == ((82, 62), 10.0, 5)
 
@@ -75,7 +75,7 @@ def test_a_gif_shows_what_the_pictures_show(stage, tmp_path):
 def test_a_gif_is_thinned_to_what_browsers_play(stage, tmp_path):
     done = run(stage, "-o", tmp_path / "a.gif", "--size", "60x40", "--time-codes", "1:3:0.25")
     # a quarter of a time code at 24 a second are 96 frames a second: every second one is kept
-    assert "at most 50 frames a second: 48 are kept" in done.output
+    assert "at most 50 frames per second: 48 are kept" in done.output
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 5
 
@@ -110,26 +110,26 @@ def Camera "cam" {
     side = 90 * 2 * 50 / 15.2908 / 25
     assert red.mean(axis=0) == pytest.approx((44.5, 59.5), abs=0.6)
     assert np.ptp(red, axis=0) + 1 == pytest.approx((side, side), abs=2)
-    with pytest.raises(InputError, match="no camera </none>"):
+    with pytest.raises(InputError, match="The camera </none> does not exist"):
         raise run(path, "--camera", "/none").exception
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("-o", "a.mp4", "--frame", "1"), "--frame does not go with the rest"),
-        (("--time-codes", "1:2"), "--time-codes does not go"),
-        (("--fps", "12"), "--fps does not go"),
-        (("--columns", "2"), "--columns does not go"),
-        (("--color-range", "0:1"), "--color-range does not go"),
-        (("-o", "a.gif", "--sheet", "4"), "--sheet makes a PNG"),
-        (("--sheet", "0"), "--sheet 0 is too few"),
-        (("-o", "a.mp4", "--fps", "0"), "--fps 0.0 is not a rate"),
+        (("-o", "a.mp4", "--frame", "1"), "--frame does not apply to the other options"),
+        (("--time-codes", "1:2"), "--time-codes does not apply"),
+        (("--fps", "12"), "--fps does not apply"),
+        (("--columns", "2"), "--columns does not apply"),
+        (("--color-range", "0:1"), "--color-range does not apply"),
+        (("-o", "a.gif", "--sheet", "4"), "--sheet writes a PNG"),
+        (("--sheet", "0"), "--sheet 0 is too small"),
+        (("-o", "a.mp4", "--fps", "0"), "--fps 0.0 is not a frame rate"),
         (("-o", "a.mp4", "--time-codes", "0:2"), "outside the motion"),
         (("-o", "a.mp4", "--time-codes", "3:1"), "ends before it begins"),
         (("-o", "a.mp4", "--time-codes", "1"), "is not a range"),
         (("-o", "a.mp4", "--time-codes", "1:2:0"), "the step is not above 0"),
-        (("-o", "a.mp4", "--time-codes", "1:3:1e-9"), "more than 100000"),
+        (("-o", "a.mp4", "--time-codes", "1:3:1e-9"), "more than the limit of 100000"),
         (("-o", "none/a.mp4",), "none is not a folder"),
         (("-o", "a.mkv",), "does not end in .png, .mp4 or .gif"),
         (("--color", "heat"), "Unknown --color heat"),

@@ -82,7 +82,7 @@ def test_a_former_spelling_works_with_a_note(command: str, former: str, capfd) -
         now,
         "3",
     ]
-    note = f"note: {former} is called {now} now; the old name works until 1.0\n"
+    note = f"note: {former} is now called {now}; the old name works until 1.0\n"
     assert capfd.readouterr().err == 2 * note
     assert present(command, [former, "1", "-q"]) == [now, "1", "-q"]
     assert capfd.readouterr().err == ""
@@ -107,7 +107,7 @@ def test_a_batch_by_its_former_options(gf_usd, here: Path, block: Path) -> None:
     assert (done.status, done.out) == (0, gf_usd(*words, "-o", "out", "--select", "*.jelly").out)
     assert "--frames rest:40" in done.out
     assert "block.rubber" not in done.out
-    assert "note: --out is called --output now" in done.err
+    assert "note: --out is now called --output" in done.err
 
 
 def test_a_picture_by_the_former_options(gf_usd, here: Path) -> None:
@@ -117,13 +117,13 @@ def test_a_picture_by_the_former_options(gf_usd, here: Path) -> None:
     new = gf_usd(*words, "-o", "b.gif", "--time-codes", "1:3")
     assert (old.status, new.status) == (0, 0), old.err + new.err
     assert (here / "a.gif").read_bytes() == (here / "b.gif").read_bytes()
-    assert "note: --colour is called --color now" in old.err
+    assert "note: --colour is now called --color" in old.err
 
 
 def test_a_picture_by_the_former_keywords(here: Path) -> None:
     (here / "box.usda").write_text(FALLING_BOX, encoding="utf-8")
     small = {"sheet": 2, "size": (60, 40)}
-    with pytest.warns(FutureWarning, match="frames is called time_codes now"):
+    with pytest.warns(FutureWarning, match="frames is now called time_codes"):
         old = gf_usd_api.preview("box.usda", frames=(1, 3), **small)
     new = gf_usd_api.preview("box.usda", time_codes=(1, 3), **small)
     assert old.pixels is not None

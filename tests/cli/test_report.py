@@ -84,7 +84,7 @@ def test_without_the_json_the_root_layer_is_asked(gf_usd, work):
     (work / "block.soft.report.json").unlink()
     assert gf_usd("report", "block.soft.usda", "--variant", "rubber").status == 0
     text = (work / "block.soft.html").read_text(encoding="utf-8")
-    assert "Missing: block.soft.report.json is not next to the file" in text
+    assert "Missing: there is no block.soft.report.json next to the file" in text
     assert "Smallest volume ratio" in text
     assert "neoHookean" in text
     titles = [plot["title"] for plot in data(work / "block.soft.html")["variants"][0]["plots"]]
@@ -102,10 +102,10 @@ def test_a_page_is_replaced(gf_usd, work):
     [
         (("block.soft.usda", "--variant", "liquid"), 2, "no variant 'liquid'"),
         (("block.soft.usda", "-o", "page.pdf"), 2, "does not end in .html"),
-        (("block.soft.usda", "-o", "nowhere/page.html"), 2, "nowhere is no folder"),
+        (("block.soft.usda", "-o", "nowhere/page.html"), 2, "nowhere is not a folder"),
         (("block.soft.usda", "-o", "folder.html"), 2, "folder.html is a folder"),
         (("block.soft.usda", "--max-frames", 1), 2, "max-frames"),
-        (("block.usda",), 3, "nothing in it moves"),
+        (("block.usda",), 3, "nothing in this file moves"),
         (("gone.usda",), 3, "does not exist"),
     ],
 )
@@ -158,5 +158,5 @@ def test_a_page_of_splats_prefers_a_capture(gf_usd, tmp_path, monkeypatch):
 def test_a_page_of_splats_without_any_is_refused(gf_usd, work):
     done = gf_usd("report", "--splats", "block.usda")
     assert done.status == 3
-    assert "there are no Gaussians that move" in done.err
+    assert "contains no moving Gaussians" in done.err
     assert not (work / "block.splats.html").exists()

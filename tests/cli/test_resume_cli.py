@@ -217,7 +217,7 @@ def test_without_a_checkpoint_it_begins_anew_and_says_so(gf_usd, here: Path, blo
     assert "there will be none without --clip-frames; the bake starts over" in done.err
     refused = gf_usd(*words, "--slice", "1", "--overwrite")
     assert refused.status == 2
-    assert "--slice 1 counts value clips, and this bake has none" in refused.err
+    assert "--slice 1 counts value clips, but this bake has none" in refused.err
 
 
 @pytest.mark.slow

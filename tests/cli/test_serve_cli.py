@@ -39,7 +39,7 @@ def server(path: Path) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "gf_usd", "serve", "--timeout", "100"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        assert f"listens at {path}" in process.stderr.readline()
+        assert f"is listening at {path}" in process.stderr.readline()
         yield process
         process.send_signal(signal.SIGTERM)
         assert process.stderr.read() == "ended\n"
@@ -50,10 +50,10 @@ def server(path: Path) -> Iterator[subprocess.Popen[str]]:
 def test_without_a_server_it_is_refused(gf_usd: Call, block: Path, path: Path) -> None:
     done = gf_usd("bake", block, "--serve")
     assert done.status == 2
-    assert f"no gf-usd serve listens at {path}" in done.err
-    assert "start one with: gf-usd serve" in done.err
+    assert f"no gf-usd serve is listening at {path}" in done.err
+    assert "start one with gf-usd serve" in done.err
     for option in ("--status", "--stop"):
-        assert "no gf-usd serve listens" in gf_usd("serve", option).err
+        assert "no gf-usd serve is listening" in gf_usd("serve", option).err
     assert "cannot show a plan" in gf_usd("bake", block, "--serve", "--dry-run").err
 
 
@@ -66,8 +66,8 @@ def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:
         ({"asset": "/a.usda"}, "a job has no root"),
         ({**job, "options": 3}, "no object of options"),
         ({"arguments": "bake"}, "'bake'"),
-        ({"arguments": ["batch", "x"]}, "'batch x' is no bake"),
-        ({**job, "version": "0.0"}, "and its client 0.0"),
+        ({"arguments": ["batch", "x"]}, "'batch x' is not a bake"),
+        ({**job, "version": "0.0"}, "but its client is 0.0"),
     )
     for request, message in wrong:
         with pytest.raises(UsageError, match=message):

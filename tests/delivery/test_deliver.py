@@ -328,7 +328,7 @@ def test_the_smaller_file_is_kept(ball: Path, tmp_path: Path) -> None:
 
 
 def test_limits_that_do_not_allow_the_error_are_named(ball: Path, tmp_path: Path) -> None:
-    with pytest.raises(BakeError, match=r"1 blend shapes are too few and 2 joints leave"):
+    with pytest.raises(BakeError, match=r"1 blend shapes are not enough and 2 joints leave"):
         deliver(ball, tmp_path / "out.glb", error=1e-4, most_joints=2, most_shapes=1)
     assert list(tmp_path.iterdir()) == []
 
@@ -359,7 +359,7 @@ def test_an_input_is_never_replaced(ball: Path, tmp_path: Path) -> None:
 
 def test_what_stands_still_is_refused(tmp_path: Path) -> None:
     still = write(tmp_path / "still.usda", 'def Xform "a" {}\n', BALL)
-    with pytest.raises(InputError, match="nothing in it moves"):
+    with pytest.raises(InputError, match="nothing in this file moves"):
         deliver(still, tmp_path / "out.glb")
     assert Sdf.Layer.FindOrOpen(str(still)) is not None
 

@@ -314,13 +314,13 @@ def test_the_same_bytes_each_time(alone: Path, tmp_path: Path) -> None:
 def test_what_makes_no_sense_is_refused(over_mesh: Path, alone: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--splats is 'some'"):
         deliver(over_mesh, tmp_path / "out.glb", splats="some")
-    with pytest.raises(UsageError, match=r"--splats all is for \.glb"):
+    with pytest.raises(UsageError, match=r"--splats all is only for \.glb"):
         deliver(over_mesh, tmp_path / "out.usdz", splats="all")
     with pytest.raises(UsageError, match="--bind-splats is 'glue'"):
         deliver(over_mesh, tmp_path / "out.glb", bind_splats="glue")
     for name, kind in (("out.glb", "shapes"), ("out.usdz", "auto")):
-        with pytest.raises(UsageError, match=r"--bind-splats nodes is for joints in \.glb"):
+        with pytest.raises(UsageError, match=r"--bind-splats nodes is only for joints in \.glb"):
             deliver(over_mesh, tmp_path / name, kind=kind, bind_splats="nodes")
-    with pytest.raises(InputError, match="no mesh of the bake"):
+    with pytest.raises(InputError, match="neither a mesh nor captured Gaussians of the bake"):
         deliver(alone, tmp_path / "out.glb", splats="none")
     assert list(tmp_path.iterdir()) == []

@@ -86,20 +86,20 @@ def test_tracks_lie_on_the_surface_at_the_first_frame(tmp_path: Path) -> None:
     assert followed.of(CORNERS + LIFT) == pytest.approx(found.x[0])
     assert found.x[:, 0, 1] == pytest.approx([2.25, 2.0, 1.5])
     assert np.isnan(found.x[2, 1]).all()
-    assert notes == ("film.usda: 1 tracks lie off the surface: left out",)
+    assert notes == ("film.usda: 1 tracks are off the surface and are left out",)
 
 
 def test_what_shows_nothing_of_the_asset_is_refused(tmp_path: Path) -> None:
     file = written(tmp_path, MESH % ("Y", "Tet"))
     other = replace(scene(), surfaces={"/World/Box": np.zeros((8, 3))})
-    with pytest.raises(InputError, match="has no mesh of the asset"):
+    with pytest.raises(InputError, match="contains no mesh of the asset"):
         read_motion(parse(file), other)
     with pytest.raises(InputError, match="are not after the first frame"):
         read_motion(parse(file), replace(scene(), start=17.0))
     far = replace(scene(), surfaces={"/World/Tet": CORNERS + 50.0})
-    with pytest.raises(InputError, match="none of 3 tracks lies on the asset"):
+    with pytest.raises(InputError, match="none of 3 tracks is on the asset"):
         read_motion(parse(written(tmp_path, CURVES % "9")), far)
     with pytest.raises(InputError, match="does not exist"):
         read_motion(parse(str(tmp_path / "none.usda")), scene())
-    with pytest.raises(InputError, match="nothing in it moves"):
+    with pytest.raises(InputError, match="nothing in this file moves"):
         read_motion(parse(written(tmp_path, '#usda 1.0\ndef Xform "A" {}\n')), scene())

@@ -42,7 +42,7 @@ def test_short_names_and_bounds() -> None:
         (["youngs"], {}, "did you mean youngs_modulus"),
         (["yield_stress"], {}, "neoHookean"),
         (["E"], {"nu": (0.1, 0.2)}, "add poissons_ratio"),
-        (["E"], {"E": (2.0, 1.0)}, "the lower first"),
+        (["E"], {"E": (2.0, 1.0)}, "with the lower bound first"),
         (["E"], {"E": (0.0, 1.0)}, "above 0"),
         (["nu"], {"nu": (0.1, 0.5)}, "0.49"),
     ],

@@ -38,7 +38,7 @@ def test_a_box_without_a_lid_has_one_hole_of_a_sixth():
     np.testing.assert_allclose(hole.center, [0.5, 0.5, 0.0])
     assert seen.hole_share == pytest.approx(1 / 6)
     # All that is wrong is a hole that repair would leave: it is not recommended.
-    assert tolerated(seen) == "</Body> is filled in spite of 1 hole (17 % of the closed area)"
+    assert tolerated(seen) == "</Body> is filled despite 1 hole (17 % of the closed area)"
 
 
 def test_the_hole_is_found_whatever_way_the_triangles_face():

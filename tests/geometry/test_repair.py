@@ -175,6 +175,4 @@ def test_seams_between_uv_islands_are_no_holes():
 def test_notes_name_the_mesh():
     whole = sphere()
     _, repairs = repair_asset(asset(sphere(path="/A"), replace(turned(whole, [3]), path="/B")))
-    assert notes(repairs) == (
-        "</B> repaired for the fill: turned 1 triangle to agree with the rest",
-    )
+    assert notes(repairs) == ("</B> repaired for the fill: turned 1 triangle to match the rest",)

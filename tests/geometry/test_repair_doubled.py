@@ -35,7 +35,7 @@ def test_a_body_of_quads_with_both_sides_keeps_one_that_faces_outward(shift: int
     mended, done = repair_surface(of_faces(CUBE_POINTS, [*back(QUADS, shift), *QUADS]))
     assert (done.other_sides, done.walls, done.duplicates) == (12, 0, 0)
     assert volume(mended) == pytest.approx(1.0, rel=1e-12)
-    assert "12 of the second side" in done.messages()[0]
+    assert "12 on the second side" in done.messages()[0]
 
 
 def test_a_copy_with_points_of_its_own_is_the_second_side_too() -> None:
@@ -88,7 +88,7 @@ def test_parts_that_overlap_stay_and_share_their_flesh() -> None:
     mended, done = repair_surface(crossed)
     assert mended is crossed
     assert (done.overlapping, done.changed) == (2, False)
-    assert "2 parts that reach into others" in done.messages()[0]
+    assert "2 parts that overlap others" in done.messages()[0]
     # counted on a lattice of 200,000 places along the box: to their rounding
     assert build_solid(asset(mended)).volume == pytest.approx(9.0, rel=0.02)
 

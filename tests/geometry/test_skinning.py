@@ -215,7 +215,7 @@ def test_names() -> None:
     with pytest.raises(UsageError) as refused:
         make_skin("glue", VERTICES, BALL.X)
     assert str(refused.value) == (
-        "there is no skin 'glue' on particles\n\nhint: choose one of idw, paper"
+        "unknown skin 'glue' on particles\n\nhint: choose one of idw, paper"
     )
     with pytest.raises(UsageError) as refused:
         Request(skin="glue").check()

@@ -179,7 +179,7 @@ def test_walls_thinner_than_any_probe_are_refused_in_words():
     needles = [needle(1.0, 1e-4, path="/A"), needle(1.0, 1e-4, mirrored=True, path="/B")]
     volume = sum(abs(signed_volume(n.points, n.triangles)) for n in needles)
     assert PROBES * volume < 0.05
-    with pytest.raises(InputError, match="points probed lies inside") as caught:
+    with pytest.raises(InputError, match="tested points is inside") as caught:
         build_solid(asset(*needles))
     assert "2 surfaces" in caught.value.message
     assert "thinner than a hundredth" in caught.value.hint

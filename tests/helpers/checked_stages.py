@@ -271,36 +271,36 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
         ("negative mass", metadata("kilogramsPerUnit", -1.0), "kilogramsPerUnit = -1"),
     ],
     "time-range": [
-        ("late", late_samples, "samples from 1 to 12, the stage runs from 1 to 9"),
-        ("backwards", lambda s: s.SetStartTimeCode(20.0), "startTimeCode 20 lies after"),
-        ("none", no_range, "the stage says no time range"),
+        ("late", late_samples, "samples from 1 to 12, but the stage runs from 1 to 9"),
+        ("backwards", lambda s: s.SetStartTimeCode(20.0), "startTimeCode 20 is after"),
+        ("none", no_range, "the stage has no time range"),
     ],
     "particle-lengths": [
-        ("masses", put(POINTS, OURS + "masses", floats(ONES[:5])), "5 elements for 27 points"),
+        ("masses", put(POINTS, OURS + "masses", floats(ONES[:5])), "5 elements but 27 points"),
         (
             "strain",
             put(GAUSSIANS, OURS + "deformationGradients", Vt.Matrix3dArray(2), MIDDLE),
-            "deformationGradients has 2 elements for 27 points at time 1",
+            "deformationGradients has 2 elements but 27 points at time 1",
         ),
         (
             "longer",
             put(POINTS, OURS + "vonMisesStress", floats(np.ones(28)), MIDDLE),
-            "28 elements for 27 points at time 6, and so in 6 more samples",
+            "28 elements but 27 points at time 6, and also in 6 more samples",
         ),
     ],
     "point-lengths": [
         ("scales", put(GAUSSIANS, "scales", vec3(np.ones((3, 3)))), "scales has 3 elements"),
-        ("too many", put(GAUSSIANS, "opacities", floats(np.ones(30))), "30 elements for 27"),
+        ("too many", put(GAUSSIANS, "opacities", floats(np.ones(30))), "30 elements but 27"),
         ("widths", put(POINTS, "widths", floats(np.full(2, 0.1))), "widths has 2 elements"),
         ("ids", lambda s: UsdGeom.Points.Get(s, POINTS).CreateIdsAttr([1, 2]), "ids has 2"),
-        ("velocities", half(("velocities",)), "velocities has 7 elements for 8 points at time 6"),
+        ("velocities", half(("velocities",)), "velocities has 7 elements but 8 points at time 6"),
     ],
     "sh-count": [
-        ("degree", put(GAUSSIANS, "radiance:sphericalHarmonicsDegree", 2), "wants 243"),
+        ("degree", put(GAUSSIANS, "radiance:sphericalHarmonicsDegree", 2), "needs 243"),
         ("negative", put(GAUSSIANS, "radiance:sphericalHarmonicsDegree", -1), "Degree is -1"),
     ],
     "finite": [
-        (name, put(path, name, value, code), "not finite, the first is [1]")
+        (name, put(path, name, value, code), "not finite; the first is [1]")
         for path, name, value, code in (
             (MESH, "points", vec3(with_nan(CUBE)), MIDDLE),
             (MESH, "velocities", vec3(with_nan(CUBE)), MIDDLE),
@@ -335,10 +335,10 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
         (name, put(path, name, value), message)
         for path, name, value, message in (
             (GAUSSIANS, "opacities", floats(ONES * 1.5), "27 of 27 values outside [0, 1]"),
-            (GAUSSIANS, "scales", vec3(np.zeros((COUNT, 3))), "outside (0, inf], the first is 0"),
+            (GAUSSIANS, "scales", vec3(np.zeros((COUNT, 3))), "outside (0, inf]; the first is 0"),
             (GAUSSIANS, OURS + "restScales", vec3(-(GRID**2) - 1), "outside (0, inf]"),
             (POINTS, "widths", floats(-ONES), "widths has 27 of 27 values outside [0, inf]"),
-            (POINTS, OURS + "restVolumes", floats(0 * ONES), "outside (0, inf], the first is 0"),
+            (POINTS, OURS + "restVolumes", floats(0 * ONES), "outside (0, inf]; the first is 0"),
             (POINTS, OURS + "masses", floats(-ONES), "the first is -1 at [0]"),
             (POINTS, OURS + "youngsModulus", floats(0 * ONES), "outside (0, inf]"),
             (POINTS, OURS + "poissonsRatio", floats(0.5 * ONES), "outside (-1, 0.5)"),
@@ -365,11 +365,11 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
         ),
     ],
     "allowed-tokens": [
-        ("law", put(RUBBER, OURS + "law", "ogden"), 'law = "ogden" is none of corotated'),
-        ("solver", put("/Body", OURS + "solver", "fem"), 'solver = "fem" is none of total'),
+        ("law", put(RUBBER, OURS + "law", "ogden"), 'law = "ogden" is not one of corotated'),
+        ("solver", put("/Body", OURS + "solver", "fem"), 'solver = "fem" is not one of total'),
     ],
     "dangling-relationship": [
-        ("gone", target(POINTS, OURS + "sourceMeshes", "/Body/Lost"), "leads to </Body/Lost>"),
+        ("gone", target(POINTS, OURS + "sourceMeshes", "/Body/Lost"), "refers to </Body/Lost>"),
         (
             "type",
             target(POINTS, OURS + "sourceMeshes", RUBBER),
@@ -387,7 +387,7 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
         (
             "negative",
             put(POINTS, OURS + "materialIndices", Vt.IntArray(COUNT, -1)),
-            "values from -1 to -1, gaussianFlesh:materials has 2 targets",
+            "values from -1 to -1, but gaussianFlesh:materials has 2 targets",
         ),
     ],
     "applied-schema": [
@@ -402,7 +402,11 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
     ],
     "mesh-topology": [
         ("range", put(MESH, "faceVertexIndices", [*FACES[:-1], 8]), "from 0 to 8"),
-        ("sum", put(MESH, "faceVertexCounts", [4] * 5), "add up to 20, faceVertexIndices has 24"),
+        (
+            "sum",
+            put(MESH, "faceVertexCounts", [4] * 5),
+            "add up to 20, but faceVertexIndices has 24",
+        ),
         ("line", put(MESH, "faceVertexCounts", [4] * 5 + [2, 2]), "a face of 2 corners"),
         (
             "no points",
@@ -414,12 +418,16 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
         (
             "more",
             lambda s: grow(s.GetPrimAtPath(MESH)),
-            "9 points where the first sample has 8 at time 6",
+            "9 points, but the first sample has 8 at time 6",
         ),
     ],
     "normals-length": [
-        ("faceVarying", normals_by("faceVarying"), "8 elements, interpolation faceVarying wants"),
-        ("uniform", normals_by("uniform"), "interpolation uniform wants 6"),
+        (
+            "faceVarying",
+            normals_by("faceVarying"),
+            "8 elements, but interpolation faceVarying needs",
+        ),
+        ("uniform", normals_by("uniform"), "interpolation uniform needs 6"),
         ("indices", primvar_normals, "primvars:normals has 3 elements"),
     ],
     "extent": [

@@ -30,7 +30,7 @@ def cube_obj(first: int = 1) -> str:
 
 
 def png(color: tuple[int, int, int] = (200, 30, 10), size: tuple[int, int] = (4, 2)) -> bytes:
-    """A picture of one color, its lower left texel white."""
+    """An image of one color, its lower left texel white."""
     picture = Image.new("RGB", size, color)
     picture.putpixel((0, size[1] - 1), (255, 255, 255))
     out = BytesIO()

@@ -147,7 +147,7 @@ def test_fuzzer_finds_no_error_of_others_in_a_short_run() -> None:
         words, capture_output=True, text=True, timeout=150, check=False,
         cwd=Path(__file__).parents[2],
     )  # fmt: skip
-    assert "made its reader fail" not in done.stdout, done.stdout
+    assert "caused its reader to fail" not in done.stdout, done.stdout
     assert done.stderr == ""
     cases = re.search(r"seed 1000: (\d+) cases", done.stdout)
     assert cases is not None

@@ -131,13 +131,13 @@ def test_wrong_frames_are_refused_in_words(tmp_path: Path) -> None:
     few = replace(first, gaussians=replace(first.gaussians, scales=np.ones((3, 3))))
     cases = (
         (short, f"points of <{path}> at time code 10 have shape (3, 3), not (8, 3)."),
-        (astray, f"points of <{path}> at time code 10 hold 1 numbers that are not finite."),
+        (astray, f"points of <{path}> at time code 10 contain 1 numbers that are not finite."),
         (
             few,
             "scales of </duck/GaussianFlesh/Gaussians> at time code 10 have shape (3, 3), "
             "not (40, 3).",
         ),
-        (replace(first, meshes={}), f"frame 0 has meshes none, the asset has <{path}>."),
+        (replace(first, meshes={}), f"frame 0 has meshes none, but the asset has <{path}>."),
     )
     with CacheWriter(tmp_path / "c.usdc", asset, particles, info) as writer:
         for frame, message in cases:

@@ -133,8 +133,8 @@ def test_instances_end_where_their_targets_could_not_be_kept(tmp_path: Path) -> 
     asset = INSTANCES.asset(tmp_path)
     root, _, _ = bake(asset, tmp_path)
     words = (
-        "is no longer an instance: relationships in it have targets outside its root prim, "
-        "which only an ordinary prim can keep"
+        "is no longer an instance: its relationships have targets outside its root prim, "
+        "which only an ordinary prim can have"
     )
     assert root.notes == (f"</root/left> {words}", f"</root/right> {words}")
     stage = Usd.Stage.Open(str(root.path))

@@ -72,7 +72,10 @@ def test_several_root_prims_are_switched_one_by_one(tmp_path: Path) -> None:
 def test_names_that_the_asset_uses_are_left_to_it(tmp_path: Path) -> None:
     root, _, _ = bake(IMPLICIT.asset(tmp_path), tmp_path)
     assert root.display_set == "gaussianFleshDisplay"
-    assert root.notes == ("the asset has a variant set 'display': ours is 'gaussianFleshDisplay'",)
+    assert root.notes == (
+        "the asset already has a variant set 'display': that of gf-usd is named"
+        " 'gaussianFleshDisplay'",
+    )
     stage = Usd.Stage.Open(str(root.path))
     prim = stage.GetPrimAtPath("/root")
     assert prim.GetVariantSet("display").GetVariantSelection() == "big"
@@ -95,7 +98,7 @@ def test_instancing_outside_the_bake_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        ((), "There is no bake to write a root layer for."),
+        ((), "There is no bake for which a root layer could be written."),
         (("my rubber",), "'my rubber' cannot be the name of a variant."),
         (("none",), "The variant name 'none' is taken."),
         (("a", "b", "a"), "The variant name 'a' is taken."),
@@ -119,5 +122,5 @@ def test_a_display_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as caught:
         write_root(tmp_path / "root.usda", asset, [look], display="voxels")
     assert str(caught.value) == (
-        "There is no display 'voxels'.\n\nhint: choose one of: mesh, gaussians, points"
+        "Unknown display 'voxels'.\n\nhint: choose one of: mesh, gaussians, points"
     )

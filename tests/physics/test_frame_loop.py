@@ -49,7 +49,7 @@ def test_a_gain_of_any_kind_is_seen(kind: str) -> None:
 def test_the_words_have_the_numbers() -> None:
     assert words(Guard(SCALE, 1.0), health(10.0), health(25.5)) == (
         "energy rose from 10 J to 25.5 J within the frame"
-        " (at most 2 J is rounding and integration error)"
+        " (at most 2 J can be rounding and integration error)"
     )
 
 
@@ -73,7 +73,7 @@ def test_a_particle_that_flew_off_is_named() -> None:
     x[3, 1] = 2.0 * ESCAPE
     particle, fault = Guard(SCALE, 1.0).judge(health(), health(), place(x))
     assert particle == 3
-    assert "200 m from the others" in fault
+    assert "200 m away from the others" in fault
     x[3, 1] = 0.5 * ESCAPE
     assert Guard(SCALE, 1.0).judge(health(), health(), place(x)) == (-1, "")
 
@@ -176,7 +176,7 @@ def test_a_step_that_is_too_long_is_rolled_back() -> None:
         # each rollback of a frame halves its step
         assert now.health.substeps >= solver.coarse << now.health.rollbacks
     # It still is the same ball: a step up to six times as long as the sound one moves its center by
-    # .011 m at most (measured), in contact; the bound is twice that.
+    # .011 m (measured), in contact; the bound is twice that.
     fine = run(dropped())
     assert sum(f.health.rollbacks for f in fine) == 0
     for rough, sound in zip(frames, fine):
@@ -223,11 +223,11 @@ def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BakeError) as caught:
         next(frames)
     assert caught.value.message == (
-        f"frame 1: it looks odd, with {solver.coarse} substeps and still after {RETRIES}"
+        f"frame 1: it looks odd, with {solver.coarse} substeps, and still after {RETRIES}"
         f" halvings of the step to {coarse / 2**RETRIES:.3g} s"
     )
     assert caught.value.hint == (
-        "this preset gives every frame the same few substeps: leave --preset out;"
+        "this preset uses the same few substeps for every frame: leave out --preset;"
         " the frames before it are in the partial cache"
     )
     body, _ = ball(300)
@@ -253,7 +253,7 @@ def test_a_motion_that_is_no_number_is_told_with_its_place() -> None:
     with pytest.raises(BakeError) as caught:
         next(frames)
     words = re.match(
-        r"frame 1: (\d+) of (\d+) grid nodes are no longer finite, first near particle (\d+) at"
+        r"frame 1: (\d+) of (\d+) grid nodes are no longer finite, the first near particle (\d+) at"
         r" rest position \[(.+)\] m, with",
         caught.value.message,
     )

@@ -37,9 +37,9 @@ def test_every_solver_flies(name):
 
 def test_an_unknown_solver_is_refused():
     body, _ = ball(100)
-    with pytest.raises(UsageError, match="no solver 'fem'"):
+    with pytest.raises(UsageError, match="unknown solver 'fem'"):
         make_solver(settings(solver="fem"), body, [look("rubber", body)])
-    with pytest.raises(UsageError, match="no solver 'fem'"):
+    with pytest.raises(UsageError, match="there is no solver 'fem'"):
         Request(solver="fem").check()
 
 

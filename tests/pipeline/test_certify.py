@@ -77,7 +77,7 @@ def test_particles_inside_out_are_no_material() -> None:
     runs = [observed(0.05, inverted_from=12), observed(0.1), observed(0.2)]
     found = certify(runs, held=False, single=True)
     assert found.figures["first_contact_time"].known
-    assert "inside out from frame 12" in found.figures["peak_strain"].reason
+    assert "inverted from frame 12" in found.figures["peak_strain"].reason
 
 
 def test_several_bodies_have_no_bounce() -> None:
@@ -89,7 +89,7 @@ def test_several_bodies_have_no_bounce() -> None:
     ("count", "volume", "error", "said"),
     [
         (FEWEST - 1, 1.0, None, f"63 particles, fewer than {FEWEST}; give --particles 4096"),
-        (FEWEST, 1.1, None, "another body"),
+        (FEWEST, 1.1, None, "a different body"),
         (FEWEST, 1.0, InputError("too thin", ""), "half of the resolution failed: too thin"),
         (FEWEST, 1.0, SolverError("it burst", "", frame=3), "failed: it burst"),
     ],

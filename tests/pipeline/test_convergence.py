@@ -117,7 +117,7 @@ def test_curves_that_part_are_known_until_they_do():
     assert 30 <= found.until <= 32
     assert np.isfinite(found.half[: found.until]).all()
     assert np.isnan(found.half[found.until :]).all()
-    assert "no closer" in found.reason
+    assert "no less than" in found.reason
 
 
 def test_a_band_that_is_too_wide_says_nothing():

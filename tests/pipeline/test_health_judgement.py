@@ -202,7 +202,7 @@ def test_strict_names_every_warning_and_says_that_the_files_are_there() -> None:
     )
     assert [line.split(":")[0] for line in lines] == ["  look1", "  look1", "  look2"]
     assert error.hint.count("--drop") == 2, "a hint that two warnings share is given once"
-    assert error.hint.endswith("without --strict this is no error")
+    assert error.hint.endswith("without --strict this is not an error")
 
 
 def test_one_warning_is_one() -> None:

@@ -143,7 +143,7 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
     file.write_text("")
     for folder in (file, file / "below"):
         assert refusal(require_free, in_folder(folder), False) == (
-            f"{file} is no folder",
+            f"{file} is not a folder",
             "choose a folder to write to with -o",
         )
 

@@ -55,17 +55,17 @@ REFUSED = [
     ({"device": "tpu"}, "there is no device 'tpu'", "choose cpu or cuda"),
     ({"seed": -1}, "--seed is -1", "give a number of 0 or more"),
     ({"start": math.nan}, "--start is nan", "give a finite time code"),
-    ({"time_scale": "slow"}, "--time-scale: 'slow' is no number", SCALE),
-    ({"time_scale": "inf"}, "--time-scale: 'inf' is no number", SCALE),
+    ({"time_scale": "slow"}, "--time-scale: 'slow' is not a number", SCALE),
+    ({"time_scale": "inf"}, "--time-scale: 'inf' is not a number", SCALE),
     ({"time_scale": "0"}, "--time-scale is 0", "give a number above 0, or auto"),
-    ({"drop": "high"}, "--drop: 'high' is no number", LENGTH),
-    ({"drop": "r"}, "--drop: '' is no number", LENGTH),
+    ({"drop": "high"}, "--drop: 'high' is not a number", LENGTH),
+    ({"drop": "r"}, "--drop: '' is not a number", LENGTH),
     ({"drop": "-1"}, "--drop is -1", "give a length of 0 or more"),
     ({"drop": "-2r"}, "--drop is -2r", "give a length of 0 or more"),
     ({"gravity": "1,2"}, "--gravity is '1,2'", GRAVITY),
-    ({"gravity": "down"}, "--gravity: 'down' is no number", GRAVITY),
-    ({"gravity": "0,nan,0"}, "--gravity: 'nan' is no number", GRAVITY),
-    ({"gravity": ""}, "--gravity: '' is no number", GRAVITY),
+    ({"gravity": "down"}, "--gravity: 'down' is not a number", GRAVITY),
+    ({"gravity": "0,nan,0"}, "--gravity: 'nan' is not a number", GRAVITY),
+    ({"gravity": ""}, "--gravity: '' is not a number", GRAVITY),
 ]
 
 
@@ -252,7 +252,7 @@ def test_a_text_is_parsed_once() -> None:
     assert request.parsed["clamp"] == (0.5, 2.0)
     assert (request.parsed["drop"].value, request.parsed["drop"].in_radii) == (3.0, True)
     assert request.parsed["floor"] is None
-    with pytest.raises(UsageError, match="--drop: '' is no number"):
+    with pytest.raises(UsageError, match="--drop: '' is not a number"):
         Request(drop="").check()
 
 

@@ -41,7 +41,10 @@ def test_the_faces_with_a_painted_weight_are_held(plan) -> None:
 def test_a_weight_that_nobody_has_is_refused(plan) -> None:
     with pytest.raises(InputError) as caught:
         plan(mesh("One", PAINTED), pins=("paint:nothing",))
-    assert "--pin paint:nothing: no face of 1 mesh(es) has a weight of 0.5" in caught.value.message
+    assert (
+        "--pin paint:nothing: no face of 1 mesh(es) has a weight of at least 0.5"
+        in caught.value.message
+    )
     with pytest.raises(InputError, match="joint:hips"):
         plan(mesh("One"), pins=("joint:hips",))
 

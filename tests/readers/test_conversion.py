@@ -14,8 +14,8 @@ from gf_usd.core.errors import BakeError, InputError
 from gf_usd.readers import convert, read_asset
 
 ASSUMED = (
-    "OBJ files name no unit: 1 m per unit is assumed (--meters-per-unit)",
-    "OBJ files name no up axis: Y is assumed (--up-axis)",
+    "OBJ files state no unit: 1 m per unit is assumed (--meters-per-unit)",
+    "OBJ files state no up axis: Y is assumed (--up-axis)",
 )
 
 
@@ -39,12 +39,12 @@ def test_what_is_assumed_is_said_and_can_be_asked_otherwise(cube):
     np.testing.assert_allclose(asset.surfaces[0].points, 0.01 * CORNERS, atol=1e-9)
     assert asset.facts.up_axis == "Z"
     assert asset.facts.notes == (
-        "metersPerUnit = 0.01, as asked for",
-        "upAxis = Z, as asked for",
+        "metersPerUnit = 0.01, as requested",
+        "upAxis = Z, as requested",
     )
     assert (asset.facts.unit_from, asset.facts.axis_from) == ("option", "option")
     for options in ({"meters_per_unit": 0.0}, {"meters_per_unit": np.nan}, {"up_axis": "X"}):
-        with pytest.raises(InputError, match=r"is not a size|USD knows Y and Z"):
+        with pytest.raises(InputError, match=r"is not a valid unit size|USD allows only Y and Z"):
             read_asset(cube, **options)
 
 
@@ -63,7 +63,7 @@ def test_a_file_without_a_unit_is_taken_to_be_of_a_plausible_size(tmp_path, edge
     trimesh.creation.box(extents=(edge, 0.7 * edge, 0.5 * edge)).export(path)
     facts = read_asset(path).facts
     assert (facts.units.meters_per_unit, facts.unit_from) == (unit, "assumed")
-    (note,) = [note for note in facts.notes if "name no unit" in note]
+    (note,) = [note for note in facts.notes if "state no unit" in note]
     chosen = f", which makes the body {edge * unit:.3g} m wide instead of {edge:.3g} m"
     assert note.endswith(
         f"{unit:g} m per unit is assumed{chosen * (unit != 1.0)} (--meters-per-unit)"

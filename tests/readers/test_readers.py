@@ -37,8 +37,8 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
     for path, words in (
         (tmp_path / "none", f"{tmp_path / 'none'} is a folder, not an asset file"),
         (empty, f"{empty} is empty (0 bytes)"),
-        (word, f"{word} has the suffix '.docx': there is no reader for it"),
-        (bare, f"{bare} has no suffix: there is no reader for it"),
+        (word, f"{word} has the suffix '.docx', which is not supported"),
+        (bare, f"{bare} has no suffix, which is not supported"),
     ):
         with pytest.raises(InputError) as error:
             read_asset(path)
@@ -49,12 +49,12 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
 @pytest.mark.parametrize(
     ("names", "hint"),
     [
-        (("lamp.usd", "lamp_geo.usdc", "notes.txt"), "give its asset file: {lamp.usd}"),
-        (("shade.usdc",), "give its asset file: {shade.usdc}"),
-        (("b.obj", "a.usda"), "give one of its asset files: a.usda, b.obj"),
+        (("lamp.usd", "lamp_geo.usdc", "notes.txt"), "give the asset file in it: {lamp.usd}"),
+        (("shade.usdc",), "give the asset file in it: {shade.usdc}"),
+        (("b.obj", "a.usda"), "give one of the asset files in it: a.usda, b.obj"),
         (tuple("edcba"), ""),
         (tuple(f"{k}.usda" for k in range(5)),
-         "give one of its asset files: 0.usda, 1.usda, 2.usda or one of 2 others"),
+         "give one of the asset files in it: 0.usda, 1.usda, 2.usda or one of 2 others"),
     ],
 )  # fmt: skip
 def test_a_folder_says_which_file_is_meant(tmp_path, names, hint):
@@ -66,7 +66,9 @@ def test_a_folder_says_which_file_is_meant(tmp_path, names, hint):
         read_asset(folder)
     name = hint.partition("{")[2].rstrip("}")
     wanted = hint.replace(f"{{{name}}}", str(folder / name)) if name else hint
-    assert error.value.hint == (wanted or f"give a file that ends in {', '.join(SUFFIXES)}")
+    assert error.value.hint == (
+        wanted or f"give a file with one of these suffixes: {', '.join(SUFFIXES)}"
+    )
 
 
 def test_suffix_in_capitals(write):

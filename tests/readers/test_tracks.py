@@ -81,7 +81,7 @@ def test_points_are_tracks(tmp_path: Path) -> None:
     [
         (CURVES.replace("[3, 2]", "[3, 3]") % "", "has 5 points for curves of 6"),
         (CURVES % 'float[] primvars:timeCode = [11] ( interpolation = "vertex" )', "timeCode"),
-        (POINTS % ", (0, 0, 0)", "changes its number of points"),
+        (POINTS % ", (0, 0, 0)", "has a changing number of points"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(tmp_path: Path, text: str, said: str) -> None:

@@ -93,8 +93,8 @@ def test_a_step_that_is_far_too_long_ends_in_words(here: Path) -> None:
     x, y, z = failed["rest_position"]
     assert done.stderr.startswith(
         f"error: {SPHERE}: Hard failed at frame {failed['frame']} (time code"
-        f" {failed['time_code']:g}), at particle {failed['particle']} of <{BODY}>, which rests at"
-        f" ({x:.4g}, {y:.4g}, {z:.4g}): {failed['why']}\n"
+        f" {failed['time_code']:g}), at particle {failed['particle']} of <{BODY}>, with the rest"
+        f" position ({x:.4g}, {y:.4g}, {z:.4g}): {failed['why']}\n"
     )
     for name in left:
         assert name in done.stderr

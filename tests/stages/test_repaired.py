@@ -90,9 +90,9 @@ def bake(tmp_path: Path) -> Callable[..., tuple[Path, dict]]:
 @pytest.mark.parametrize(
     ("mesh", "volume", "alone", "said", "cells"),
     [
-        (two_sides, 1.0, False, "12 of the second side of surfaces that have both", 3**3),
-        (rooms, 2.0, True, "4 back to back in walls without thickness", 5 * 3 * 3),
-        (crossed, 9.0, True, "2 parts that reach into others", 2 * 8 * 2 * 2 - 2**3),
+        (two_sides, 1.0, False, "12 on the second side of double-sided surfaces", 3**3),
+        (rooms, 2.0, True, "4 back-to-back in walls without thickness", 5 * 3 * 3),
+        (crossed, 9.0, True, "2 parts that overlap others", 2 * 8 * 2 * 2 - 2**3),
         (nested, 1.0, True, "dropped 1 part inside others", 3**3),
         (hollow, 1.0 - 0.216, True, "left 1 part that lie inside others and face inward", 4**3),
     ],

@@ -97,8 +97,8 @@ def test_what_is_animated_beside_a_pose_at_rest_is_held_at_its_time() -> None:
     Sdf.AttributeSpec(baked, "xformOp:translate", Sdf.ValueTypeNames.Double3).default = (7, 7, 7)
     notes = hold_source(layer, source, [Sdf.Path("/A")], Usd.TimeCode(4.0))
     assert notes == (
-        "</A/Light> is animated, and held as it is when everything rests",
-        "</B/Light> is animated by its source and keeps moving next to the pose at rest",
+        "</A/Light> is animated and is kept in its pose at the time everything is at rest",
+        "</B/Light> is animated by its source and keeps moving while the baked prims are at rest",
     )
     layer.subLayerPaths = [source.GetRootLayer().identifier]
     held = Usd.Stage.Open(layer)
@@ -170,7 +170,10 @@ def test_nothing_of_the_stage_moves_beside_the_pose(tmp_path: Path) -> None:
     assert not any(a.GetNumTimeSamples() for p in stage.TraverseAll() for a in p.GetAttributes())
     # it rests after the last sample of the animation
     assert stage.GetAttributeAtPath("/Sphere/Light.xformOp:translate").Get() == (9.0, 0.0, 0.0)
-    assert "</Sphere/Light> is animated, and held as it is when everything rests" in done.notes
+    assert (
+        "</Sphere/Light> is animated and is kept in its pose at the time everything is at rest"
+        in done.notes
+    )
 
 
 def test_frames_until_rest_are_parsed() -> None:
@@ -253,7 +256,7 @@ def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch, limit,
     (note,) = (note for note in plan.notes if "not until rest" in note)
     assert note.startswith(f"{plan.settings.frames} frames are simulated")
     assert re.search(
-        r"usually takes about \d+ frames, and may take \d+ and about [\d.]+ (s|minutes|hours);",
+        r"usually takes about \d+ frames, at most \d+ frames in about [\d.]+ (s|minutes|hours);",
         note,
     )
 

@@ -94,7 +94,7 @@ def test_a_child_holds_it_on_until_it_is_released(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_is_an_error_in_words(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(BakeError, match=r"\.a\.usda\.lock cannot be made"):
+    with pytest.raises(BakeError, match=r"\.a\.usda\.lock cannot be created"):
         acquire(tmp_path / "file" / "a.usda")
 
 

@@ -41,11 +41,11 @@ def Mesh "Body" {
 @pytest.mark.parametrize(
     ("work", "words"),
     [
-        ("crash", "made its reader crash (signal 11, SIGSEGV)"),
+        ("crash", "caused its reader to crash (signal 11, SIGSEGV)"),
         ("hang", "took longer than 0.2 s"),
-        ("eat", "asked for more than 16 GB"),
-        ("fail", "made its reader fail: KeyError: 'points'"),
-        ("vanish", "made its reader crash (without a word)"),
+        ("eat", "needed more than 16 GB"),
+        ("fail", "caused its reader to fail: KeyError: 'points'"),
+        ("vanish", "caused its reader to crash (without output)"),
     ],
 )
 def test_what_goes_wrong_is_said(tmp_path: Path, work: str, words: str) -> None:
@@ -73,7 +73,7 @@ def test_a_refusal_is_raised_here_and_temporary_files_go(tmp_path: Path) -> None
 def test_a_refusal_for_want_of_memory_names_the_limit(tmp_path: Path) -> None:
     file = tmp_path / "a.usdc"
     file.write_bytes(b"PXR-USDC")
-    with pytest.raises(InputError, match="asked for more than 16 GB"):
+    with pytest.raises(InputError, match="needed more than 16 GB"):
         attempt(file, "isolated_tasks:refuse_for_memory", Limits())
 
 
@@ -96,20 +96,23 @@ def test_limits_are_parsed() -> None:
     "text", ["", "time", "time=0", "time=-1", "size=3", "memory=8X", "time=nan"]
 )
 def test_wrong_limits_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="is no limit"):
+    with pytest.raises(UsageError, match="is not a limit"):
         parse_limits(text)
 
 
 @pytest.mark.parametrize(
     ("work", "words"),
-    [("words_that_fail", "UnicodeDecodeError: "), ("quoting", "Quoting: its words are not UTF-8")],
+    [
+        ("words_that_fail", "UnicodeDecodeError: "),
+        ("quoting", "Quoting: its messages are not UTF-8"),
+    ],
 )
 def test_errors_of_others_are_named(tmp_path: Path, work: str, words: str) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
     with pytest.raises(InputError, match=words) as caught:
         attempt(file, f"isolated_tasks:{work}", Limits())
-    assert "worth a report" in caught.value.hint
+    assert "please report it" in caught.value.hint
 
 
 @pytest.mark.parametrize("look", [prepare, inspect])
@@ -123,7 +126,7 @@ def test_options_are_judged_before_a_file_is_tried(
         look(file, fps=0.0, limits=Limits())
     with pytest.raises(UsageError, match="there is no material"):
         look(file, material="ruber", limits=Limits())
-    with pytest.raises(InputError, match="made its reader crash"):
+    with pytest.raises(InputError, match="caused its reader to crash"):
         look(file, limits=Limits())
 
 
@@ -251,7 +254,9 @@ def test_what_a_task_prints_is_not_its_result(tmp_path: Path, capfd) -> None:
 def test_what_does_not_pass_between_processes_is_said(tmp_path: Path) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
-    with pytest.raises(InputError, match="TypeError: <class 'object'> does not pass"):
+    with pytest.raises(
+        InputError, match="TypeError: <class 'object'> cannot be passed between processes"
+    ):
         attempt(file, "isolated_tasks:unknown", Limits())
 
 

@@ -82,7 +82,7 @@ def test_what_cannot_be_written_is_said(tmp_path, monkeypatch):
         write_mp4(tmp_path / "none" / "a.mp4", frames(), 24.0, (WIDTH, HEIGHT))
     with pytest.raises(UsageError, match=r"none.a\.gif cannot be written"):
         write_gif(tmp_path / "none" / "a.gif", frames(), 24.0, [picture(0)])
-    with pytest.raises(UsageError, match="60 frames a second"):
+    with pytest.raises(UsageError, match="60 frames per second"):
         write_gif(tmp_path / "a.gif", frames(), 60.0, [picture(0)])
     monkeypatch.setattr(movie, "MP4", ("-no-such-option", "1"))
     # also where all frames fit into the pipe before ffmpeg gives up

@@ -1,1 +1,1 @@
-"""Pictures of a stage at any of its times, and the options that say which."""
+"""Images of a stage at any time code, and the options that select them."""

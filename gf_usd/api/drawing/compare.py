@@ -1,4 +1,4 @@
-"""`gf_usd.compare`: two bakes, or a bake and a motion of another program, point by point."""
+"""`gf_usd.compare`: compares a bake with another bake or animation, point by point."""
 
 from __future__ import annotations
 
@@ -48,33 +48,35 @@ def compare(
     Parameters
     ----------
     path : root layer of a bake, or any USD file in which meshes move: A.
-    other : another one, of this or another program: B.  Meshes are paired by path, else by name.
-    output : files to write, each replaced: a page (.html) with both motions and their distances, a
-        film (.mp4, .gif) of A, B, and B colored by distance, or a picture (.png) of the worst
-        frame.
-    tolerance : the largest distance that counts as the same: [m], or a text such as "2mm" or
+    other : another file, from this or another program: B.  Meshes are paired by path, else by name.
+    output : files to write; existing ones are replaced: a page (.html) with both motions and their
+        distances, a film (.mp4, .gif) of A, B, and B colored by distance, or an image (.png) of
+        the worst frame.
+    tolerance : the largest distance that counts as the same: [m], or a string such as "2mm" or
         "0.5%" (of the radius of a sphere of A's volume); None: 0.
-    variant, other_variant : of the bakes; None: what the files select.
-    align : "time": equal times of the two stages are the same moment; "start": their first frames.
-    size : (width, height) [pixels] of each of the three parts of a picture or film.
+    variant, other_variant : of the bakes; None: those selected in the files.
+    align : "time": compare at equal times of the two stages; "start": from the first frame of each.
+    size : (width, height) [pixels] of each of the three parts of an image or film.
     fps : frames per second of the film; None: real time.
-    progress : called after each frame of a film with (frames done, frames in all).
+    progress : called after each frame of a film with (frames done, total frames).
 
     Returns
     -------
     Comparison : largest and rms distances, volumes and centers of mass over time, the first time
-        over the tolerance, and `same`.
+        at which the tolerance is exceeded, and `same`.
 
     Raises
     ------
     UsageError : an option makes no sense, no such variant, or an output cannot be written.
-    InputError : a file cannot be read, nothing in it moves, or the two have no mesh or no time in
-        common.
+    InputError : a file cannot be read, nothing in it moves, or the two files have no common mesh
+        or time.
     BakeError : the disk refuses.
     """
     with keywords("tolerance", "variant", "other_variant", "align", "size", "fps"):
         if isinstance(tolerance, bool) or not isinstance(tolerance, str | float | int | None):
-            raise values.refuse("tolerance", tolerance, "meters, or a text such as '2mm' or '0.5%'")
+            raise values.refuse(
+                "tolerance", tolerance, "meters, or a string such as '2mm' or '0.5%'"
+            )
         many = [output] if isinstance(output, str | os.PathLike) else list(output)
         asked: dict[str, Any] = {
             "path": asset_path(path),
@@ -142,7 +144,7 @@ def _judge(
         if target.suffix.lower() not in (".png", *FILMS):
             raise UsageError(
                 f"{target} does not end in .html, .png, .mp4 or .gif.",
-                "compare writes a page, a picture or a film: -o difference.html",
+                "compare writes a page, an image or a film: -o difference.html",
             )
         film = target.suffix.lower() in FILMS
         small = size or ("360x270" if film else "480x360")
@@ -160,7 +162,7 @@ def _judge(
         require_folder(target)
         pictures.append(options)
     if fps is not None and not any(options.film for options in pictures):
-        raise UsageError("--fps does not go with the rest.", "write a film: -o out.mp4")
+        raise UsageError("--fps does not apply to the other options.", "write a film: -o out.mp4")
     return pictures
 
 

@@ -1,4 +1,4 @@
-"""The words of ``preview``: sizes, spans and ranges, and which options go together."""
+"""The option values of ``preview``: sizes, spans and ranges, and which options can be combined."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_FRAMES = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What was asked for, as far as it can be judged before the stage is opened."""
+    """The requested output, as far as it can be checked before the stage is opened."""
 
     target: Path
     size: tuple[int, int]  # (width, height) [pixels] of a picture, a frame or a tile
@@ -62,14 +62,14 @@ def read_options(
     if suffix not in SUFFIXES:
         raise UsageError(
             f"{target} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}.",
-            "preview writes pictures as .png and films as .mp4 or .gif: -o out.png",
+            "preview writes images as .png and films as .mp4 or .gif: -o out.png",
         )
     film = suffix in FILMS
-    _refuse(sheet is not None and film, f"--sheet makes a PNG, not {target.name}.", "-o out.png")
+    _refuse(sheet is not None and film, f"--sheet writes a PNG, not {target.name}.", "-o out.png")
     many = film or sheet is not None
     for given, name, needed, hint in (
         (frame is not None, "--frame", not many, "use --time-codes A:B for films and sheets"),
-        (frames is not None, "--time-codes", many, "use --frame for one picture, or --sheet 12"),
+        (frames is not None, "--time-codes", many, "use --frame for a single image, or --sheet 12"),
         (fps is not None, "--fps", film, "write a film: -o out.mp4"),
         (columns is not None, "--columns", sheet is not None, "ask for a sheet: --sheet 12"),
         (
@@ -79,12 +79,12 @@ def read_options(
             "give --color strain, elastic, plastic or stress",
         ),
     ):
-        _refuse(given and not needed, f"{name} does not go with the rest.", hint)
+        _refuse(given and not needed, f"{name} does not apply to the other options.", hint)
     for value, name in ((sheet, "--sheet"), (columns, "--columns")):
-        _refuse(value is not None and value < 1, f"{name} {value} is too few.", "give 1 or more")
+        _refuse(value is not None and value < 1, f"{name} {value} is too small.", "give 1 or more")
     _refuse(
         fps is not None and not (math.isfinite(fps) and 0.0 < fps <= 1000.0),
-        f"--fps {fps} is not a rate.",
+        f"--fps {fps} is not a frame rate.",
         "give frames per second above 0, at most 1000",
     )
     default = TILE if sheet is not None else SIZES[suffix]
@@ -172,7 +172,9 @@ def time_codes(span: Span | None, known: tuple[float, ...], step: float, path: P
     UsageError : the stage does not move, the span leaves its motion, or has too many frames.
     """
     _refuse(
-        len(known) < 2, f"{path} does not move.", "draw one picture of it: -o out.png, no --sheet"
+        len(known) < 2,
+        f"{path} does not move.",
+        "render a single image: -o out.png, without --sheet",
     )
     span = span or Span(first=None, last=None, step=None)
     first = known[0] if span.first is None else span.first
@@ -185,7 +187,7 @@ def time_codes(span: Span | None, known: tuple[float, ...], step: float, path: P
     count = math.floor((last - first) / (span.step or step) + 1e-6) + 1
     _refuse(
         count > MOST_FRAMES,
-        f"{count} frames are more than {MOST_FRAMES}.",
+        f"{count} frames are more than the limit of {MOST_FRAMES}.",
         "give a shorter range or a larger step: --time-codes FIRST:LAST:STEP",
     )
     return [first + i * (span.step or step) for i in range(count)]

@@ -1,4 +1,4 @@
-"""Pictures of a stage at any of its times, alike in camera, light and colors."""
+"""Images of a stage at any time code, with the same camera, light and colors."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ PALETTE_FRAMES = 6  # of a gif that its colors are taken from
 
 
 class Drawing:
-    """Draws a stage; everything that all frames share is found once.
+    """Renders a stage; everything that all frames share is computed once.
 
     Parameters
     ----------
     size : (width, height) [pixels].
     limits : range of the colors; None: from the motion.
-    fitted : camera where the stage has none; None: one that has the whole motion.
+    fitted : camera where the stage has none; None: one that shows the whole motion.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""`gf_usd.preview`: a stage as a picture, a contact sheet or a film."""
+"""`gf_usd.preview`: renders a stage as an image, a contact sheet or a film."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ UNWRITTEN = Path("picture.png")  # stands for a target where there is none
 
 @dataclass(frozen=True, kw_only=True)
 class Preview:
-    """What was drawn.  A notebook shows pictures by themselves."""
+    """The rendered result.  Notebooks display images automatically."""
 
-    path: Path | None  # the file; None: none was asked for
+    path: Path | None  # the file; None: none was requested
     pixels: NDArray[np.uint8] | None  # (H, W, 3) sRGB of a picture or a sheet; None: a film
     size: tuple[int, int]  # (width, height) [pixels]
     frames: int = 1  # of a film
@@ -68,7 +68,7 @@ def preview(
     frames: TimeCodes = None,
     range: tuple[float, float] | None = None,
 ) -> Preview:
-    """Draw a stage on the CPU and without a window.
+    """Render a stage on the CPU, without a window.
 
     >>> gf_usd.preview(result.root, size=(160, 120)).pixels.shape
     (120, 160, 3)
@@ -76,24 +76,26 @@ def preview(
     Parameters
     ----------
     path : a bake, or any other USD stage.
-    output : picture (.png) or film (.mp4, .gif); a file of that name is replaced.  None: the
-        picture is returned and nothing is written.
-    frame : time code of a single picture; None: the first of the stage.
-    time_codes : (first, last) or (first, last, step), time codes of a film or a sheet, the last one
-        included, None where it is open; None: the whole motion.
+    output : image (.png) or film (.mp4, .gif); an existing file is replaced.  None: the image is
+        returned and nothing is written.
+    frame : time code of a single image; None: the first of the stage.
+    time_codes : (first, last) or (first, last, step), time codes of a film or a sheet, including
+        the last; None for an open end.  None: the whole motion.
     show : mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard deviation), points
-        or both (mesh and gaussians); None: the first of mesh, splats, gaussians, points there is.
+        or both (mesh and gaussians); None: the first of mesh, splats, gaussians, points that
+        exists.
     size : (width, height) [pixels]; of one tile for a sheet.
-    sheet : number of frames of a contact sheet, spread by how much moves between them, or evenly
-        over `time_codes`; columns : of the sheet.
+    sheet : number of frames of a contact sheet, spaced by the amount of motion, or evenly over
+        `time_codes`; columns : of the sheet.
     fps : frames per second of the film; None: real time.
-    camera : path of a camera in the stage; None: one that is fitted to the whole motion.
-    variant : of a bake: one of its materials, or "none" for the asset itself; None: the one that
-        the file selects.
+    camera : path of a camera in the stage; None: a camera fitted to the whole motion.
+    variant : of a bake: one of its materials, or "none" for the asset itself; None: the one
+        selected in the file.
     color : strain (largest |stretch - 1|), elastic or plastic (its parts, of a bake with internal),
         or stress (von Mises, of a bake with stress); None: the asset's own colors.
-    color_range : (low, high) of the colors, a pure number for strains, [Pa] for stress.
-    progress : called after each frame of a film with (frames done, frames in all).
+    color_range : (low, high) values of the first and the last color, dimensionless for strains,
+        [Pa] for stress.
+    progress : called after each frame of a film with (frames done, total frames).
     frames, range : former names of `time_codes` and `color_range`, which work until 1.0.
 
     Returns
@@ -103,7 +105,7 @@ def preview(
     Raises
     ------
     UsageError : times outside the motion, an impossible size, or a folder that cannot be written.
-    InputError : the stage cannot be read, or does not hold what is to be shown.
+    InputError : the stage cannot be read, or does not contain what should be shown.
     """
     with keywords(
         "frame", "show", "size", "sheet", "columns", "fps", "camera", "variant", "color",
@@ -151,7 +153,7 @@ def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:
         return new
     if new is not None:
         raise UsageError(f"{name} and {former} mean the same", f"leave {former} out")
-    words = f"{former} is called {name} now; the old name works until 1.0"
+    words = f"{former} is now called {name}; the old name works until 1.0"
     warnings.warn(words, FutureWarning, stacklevel=3)  # the line that calls `preview`
     return old
 
@@ -193,7 +195,7 @@ def draw(
     if options.target.suffix.lower() == ".mp4" and (options.size[0] % 2 or options.size[1] % 2):
         width, height = (n + n % 2 for n in options.size)
         options = replace(options, size=(width, height))
-        notes.append(f"H.264 wants even sizes: {width}x{height}")
+        notes.append(f"H.264 needs an even width and height: {width}x{height} is used")
     source = PictureStage(path, show, camera=camera, color=color, variant=variant)
     motion = source.motion
     if options.film:
@@ -204,7 +206,7 @@ def draw(
             total = len(codes)
             codes, rate = drawing.thin_for_gif(codes, rate)
             if len(codes) < total:
-                notes.append(f"a gif shows at most 50 frames a second: {rate:g} are kept")
+                notes.append(f"a GIF has at most 50 frames per second: {rate:g} are kept")
         drawing.write_film(paint, codes, rate, options, progress or (lambda done, total: None))
         return Preview(
             path=options.target, pixels=None, size=options.size, frames=len(codes), fps=rate,

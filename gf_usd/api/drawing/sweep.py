@@ -1,4 +1,4 @@
-"""The contact sheet of a sweep: a row of pictures for each variant of a bake."""
+"""The contact sheet of a sweep: a row of images for each variant of a bake."""
 
 from __future__ import annotations
 

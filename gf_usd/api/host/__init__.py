@@ -1,1 +1,1 @@
-"""A call as a guest of another program: in this process or in one of its own."""
+"""A call as a guest of another program, in this process or in a separate one."""

@@ -1,9 +1,9 @@
 """A call as a guest of another program: a notebook, a DCC, a daemon.
 
 The program may have opened stages before, which makes it too late to register the schema, or may
-use Taichi itself, of which there is one in a process.  What writes or checks layers, or computes
-with Taichi, then runs in a process of its own.  What is left in this process is what was there
-before: no signal handlers, no log settings, no environment variables, nothing of Taichi replaced.
+use Taichi itself, which can run only once in a process.  Code that writes or checks layers, or
+computes with Taichi, then runs in a separate process.  This process is left as it was: no signal
+handlers, log settings or environment variables are changed, and nothing in Taichi is replaced.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gf_usd.system.taichi_runtime import borrowed, is_taken
 
 # Taichi, and USD's registry of schemas, are the process's: calls of several threads take turns.
 _TURN = threading.RLock()
-TAKEN = "Taichi runs for another part of this program already"
+TAKEN = "another part of this program already runs Taichi"
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def why_away(*, schema: bool = True) -> str:
         from gf_usd.system import usd_schema
 
         if usd_schema.LATE is not None:
-            return "USD had read its schema definitions before gf-usd was loaded"
+            return "USD read its schema definitions before gf-usd was loaded"
     return ""
 
 
@@ -70,7 +70,7 @@ def require_here(what: str) -> None:
     """Raise UsageError where something that hands over its solver cannot be in this process."""
     if is_taken():
         raise UsageError(
-            f"{TAKEN}, and there is one in a process: {what} would end what it computes",
-            "call it in a process of its own (multiprocessing with the method spawn), or before"
-            " the other part starts Taichi; gf_usd.bake starts a process by itself",
+            f"{TAKEN}, and a process can run it only once: {what} would end that computation",
+            "call it in a separate process (multiprocessing with the spawn method), or before "
+            "the other part starts Taichi; gf_usd.bake starts a process itself",
         )

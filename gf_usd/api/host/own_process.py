@@ -1,7 +1,7 @@
-"""A function in a process of its own, where this one cannot run it: an answer, or its error.
+"""Runs a function in a separate process if this one cannot run it, and returns its result or error.
 
 A host may have read USD's schema definitions before gf-usd was loaded, or may use Taichi itself,
-of which there is one in a process.
+which can run only once in a process.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def call(
     """
     if os.name != "posix":
         raise UsageError(
-            "this needs a process of its own, which is known on POSIX systems only",
+            "this needs a separate process, which is only supported on POSIX systems",
             "import gf_usd.system.usd_schema before the first stage is opened, and leave Taichi to"
             " gf-usd",
         )
@@ -67,7 +67,7 @@ def _answer(request: Path, progress: Callable[[int, int], None] | None) -> Any:
         )
     except OSError as error:
         raise UsageError(
-            f"a process of its own cannot be started with {sys.executable}: {error.strerror}",
+            f"a separate process cannot be started with {sys.executable}: {error.strerror}",
             "set sys.executable to a Python that has gf-usd, or run gf-usd from a terminal",
         ) from error
     finished = False
@@ -85,10 +85,10 @@ def _answer(request: Path, progress: Callable[[int, int], None] | None) -> Any:
             child.end()
     if ended.status != 0:
         how = f"with status {ended.status}" if ended.status > 0 else f"by signal {-ended.status}"
-        last = (ended.err.strip().splitlines() or ["it said nothing"])[-1]
+        last = (ended.err.strip().splitlines() or ["it printed nothing"])[-1]
         raise BakeError(
             f"the process that did the work ended {how}: {last}",
-            "run the same with gf-usd from a terminal, which shows all that is said",
+            "run the same with gf-usd in a terminal to see all of its output",
         )
     answer = exchange.read(ended.reply)
     if answer["error"] is not None:

@@ -1,1 +1,1 @@
-"""Laws and materials as data: what a law is called, its parameters, and presets."""
+"""Laws and materials as data: the names and parameters of laws, and presets."""

@@ -1,12 +1,11 @@
-"""Dimensionless presets, made absolute for a body's size.
+"""Dimensionless presets, and their values for a body of a given size.
 
 Moduli are in rho g0 r and times in T = sqrt(r / g0), with r = (3 V / 4 pi)^(1/3) and
-g0 = 9.81 m/s^2 whatever the scene's gravity, so that a 5 cm and a 5 m duck squash alike
-(docs/physics.md).
-
-The presets are Neo-Hookean where the paper has them corotated: the corotated law resists collapse
-to J = 0 by a finite pressure, so that its answer to squashing is inversion (eight of eleven assets
-baked as rubber; as Neo-Hookean none).  `--preset paper` keeps the paper's law.
+g0 = 9.81 m/s^2 whatever the scene's gravity, so that a 5 cm and a 5 m duck deform alike
+(docs/physics.md).  The presets are Neo-Hookean, while those of the paper are corotated: the
+corotated law resists collapse to J = 0 only with a finite pressure, so that squashed bodies invert
+(eight of eleven assets baked as rubber; none as Neo-Hookean).  `--preset paper` keeps the paper's
+law.
 """
 
 from __future__ import annotations

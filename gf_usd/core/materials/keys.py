@@ -17,9 +17,9 @@ KEYED: tuple[str, ...] = ("youngs_modulus", "poissons_ratio", "damping_time", "f
 
 @dataclass(frozen=True, kw_only=True)
 class ValueKeys:
-    """The values of particles at key times, in groups of particles with the same.
+    """The values of particles at key times, in groups of particles with equal values.
 
-    Each is straight between two keys, and the same before the first and after the last.
+    Values are linear between two keys, and constant before the first and after the last.
     """
 
     times: Floats  # (K,) time codes, ascending

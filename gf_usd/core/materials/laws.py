@@ -1,4 +1,4 @@
-"""The laws as data: a row of `LAWS` says everything about a law but its formulas.
+"""The laws as data: a row of `LAWS` contains everything about a law except its formulas.
 
 The command line, readers, writers, check rules and the schema read it here, without Taichi; the
 formulas are in the module of gf_usd.physics.laws that the row names.
@@ -14,7 +14,7 @@ from gf_usd.core.errors import UsageError
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A number of a law besides its moduli, constant in time."""
+    """A parameter of a law in addition to its moduli, constant in time."""
 
     name: str  # of Material.parameters; the same in every law that has it
     unit: str  # of `StageUnits.factor`, e.g. "Pa"
@@ -29,7 +29,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Internal:
-    """A number that a law remembers of each particle."""
+    """An internal variable that a law stores for each particle."""
 
     name: str
     rest: float  # before anything has happened
@@ -56,23 +56,24 @@ class LawSpec:
 
 YIELD_STRESS = Parameter(
     name="yield_stress", unit="Pa", attribute="yieldStress", default=1e9,
-    meaning="Stress at which the material begins to flow: equivalent, before any hardening.",
+    meaning="Equivalent stress at which the material begins to flow, before any hardening.",
     label="Yield stress", required=True,
 )  # fmt: skip
 HARDENING = Parameter(
     name="hardening", unit="Pa", attribute="hardening", default=0.0,
-    meaning="Growth of the yield stress with the equivalent plastic strain, or, of crushable"
-    " materials, with the logarithm of the volume that they have lost for good.",
+    meaning="Increase of the yield stress with the equivalent plastic strain or, for crushable"
+    " materials, with the logarithm of the permanently lost volume.",
     label="Hardening",
 )  # fmt: skip
 FLOW_VISCOSITY = Parameter(
     name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
-    meaning="Stress above the yield stress at a plastic strain rate of 1/s; 0: flow at once.",
+    meaning="Stress above the yield stress at a plastic strain rate of 1/s; 0: flow without"
+    " viscosity.",
     label="Viscosity of flow",
 )  # fmt: skip
 PLASTIC_STRAIN = Internal(
     name="plastic_strain", rest=0.0, attribute="plasticStrain",
-    meaning="Equivalent plastic strain of each particle, summed over its past.",
+    meaning="Accumulated equivalent plastic strain of each particle.",
     label="Plastic Strain",
 )  # fmt: skip
 
@@ -85,8 +86,8 @@ ELASTIC_STRAIN = Internal(
 
 LOOSENING = Internal(
     name="loosening", rest=0.0, attribute="loosening",
-    meaning="Logarithm of the volume that each particle gained as it came apart, which closes"
-    " before it bears pressure again.",
+    meaning="Logarithm of the volume that each particle gained when it came apart; this gap"
+    " closes before the particle bears pressure again.",
     label="Loosening",
 )  # fmt: skip
 
@@ -103,13 +104,14 @@ def _von_mises(token: str, code: str, over: str = "") -> LawSpec:
             HARDENING,
             Parameter(
                 name="saturation", unit="Pa", attribute="saturation", default=0.0,
-                meaning="Hardening that saturates: what the yield stress gains by it at most.",
+                meaning="Saturating hardening: the largest amount that it adds to the yield"
+                " stress.",
                 label="Saturating hardening",
             ),
             Parameter(
                 name="saturation_rate", unit="", attribute="saturationRate", default=0.0,
-                meaning="Plastic strains e-fold the rest of the saturating hardening this many"
-                " times per unit.",
+                meaning="Rate of the saturating hardening: the part that remains is exp(-rate *"
+                " equivalent plastic strain).",
                 label="Saturation rate",
             ),
             FLOW_VISCOSITY,
@@ -139,15 +141,16 @@ LAWS: dict[str, LawSpec] = {
                 HARDENING,
                 Parameter(
                     name="cap_shape", unit="", attribute="capShape", default=2.12,
-                    meaning="Shape alpha of the yield surface, an ellipse of pressure and shear:"
-                    " 3 / sqrt(2) keeps the width of what is pressed along one axis.",
+                    meaning="Shape alpha of the yield surface, an ellipse of pressure and"
+                    " shear: with 3 / sqrt(2) a body keeps its width when it is"
+                    " compressed along one axis.",
                     label="Shape of the cap", low=0.1, high=2.9,
                 ),
                 Parameter(
                     name="tensile_yield_ratio", unit="", attribute="tensileYieldRatio",
                     default=1.0,
-                    meaning="Tension at which a crushable material yields over the pressure at"
-                    " which it does, the same from all sides.",
+                    meaning="Ratio of the hydrostatic tension to the hydrostatic pressure at"
+                    " which a crushable material yields.",
                     label="Tensile yield ratio", low=0.05, high=5.0,
                 ),
             ),
@@ -155,8 +158,8 @@ LAWS: dict[str, LawSpec] = {
             internal=(
                 Internal(
                     name="lost_volume", rest=0.0, attribute="lostVolume",
-                    meaning="Logarithm of the volume that each particle has lost for good: rest"
-                    " volume over what is left of it.",
+                    meaning="Logarithm of the permanent volume loss of each particle: rest"
+                    " volume divided by remaining volume.",
                     label="Lost Volume",
                 ),
             ),
@@ -168,8 +171,8 @@ LAWS: dict[str, LawSpec] = {
             parameters=(
                 Parameter(
                     name="internal_friction", unit="", attribute="internalFriction", default=0.6,
-                    meaning="Shear stress that a granular material bears over its pressure: the"
-                    " tangent of the steepest slope at which it stays.",
+                    meaning="Ratio of the shear stress that a granular material bears to its"
+                    " pressure: the tangent of its steepest stable slope.",
                     label="Internal friction", low=0.01, high=5.0, required=True,
                 ),
                 Parameter(
@@ -202,7 +205,7 @@ LAWS: dict[str, LawSpec] = {
                 Parameter(
                     name="hardening_coefficient", unit="", attribute="hardeningCoefficient",
                     default=10.0,
-                    meaning="Logarithm of how much stiffer snow becomes per volume that it loses.",
+                    meaning="Logarithm of the stiffening of snow per unit of lost volume.",
                     label="Hardening coefficient", high=20.0,
                 ),
             ),
@@ -212,8 +215,9 @@ LAWS: dict[str, LawSpec] = {
             internal=(
                 Internal(
                     name="plastic_volume", rest=1.0, attribute="plasticVolume",
-                    meaning="Determinant of the plastic part F_p of each particle's deformation:"
-                    " below 1 where snow was compacted, above where it came apart.",
+                    meaning="Determinant of the plastic part F_p of each particle's"
+                    " deformation: below 1 if snow was compacted, above 1 if it came"
+                    " apart.",
                     label="Plastic Volume",
                 ),
             ),
@@ -248,7 +252,7 @@ LAWS: dict[str, LawSpec] = {
                 Parameter(
                     name="flow_exponent", unit="", attribute="flowExponent", default=1.0,
                     meaning="Exponent of the plastic strain rate in the stress above the yield"
-                    " stress: 1 for a Bingham fluid, less where flow thins by shear.",
+                    " stress: 1 for a Bingham fluid, less for shear-thinning flow.",
                     label="Exponent of flow", low=0.1, high=1.0,
                 ),
             ),

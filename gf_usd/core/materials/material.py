@@ -1,4 +1,4 @@
-"""A material: a constitutive law with its numbers, in SI."""
+"""A material: a constitutive law with its parameters, in SI."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def young_poisson(mu: Any, lam: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A constitutive law with its numbers, absolute (SI)."""
+    """A constitutive law with its parameters, in SI."""
 
     name: str
     law: str  # a row of LAWS
@@ -33,7 +33,7 @@ class Material:
     damping_time: float = 0.0  # Kelvin-Voigt tau [s]
     friction: float = 0.8  # Coulomb
     restitution: float = 0.85  # enters the contact damping ratio
-    # By name, in SI: those of the law's own that are not at their default.
+    # By name, in SI: the parameters of the law that are not at their default.
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     @property
@@ -52,13 +52,13 @@ class Material:
 
     @property
     def yield_strain(self) -> float | None:
-        """Y / E, the elastic strain at which it yields; None where it never does."""
+        """Y / E, the elastic strain at which it yields; None if it never yields."""
         stress = self.parameters.get(YIELD_STRESS.name) if LAWS[self.law].flows else None
         return None if stress is None else stress / self.youngs_modulus
 
     @property
     def values(self) -> dict[str, Any]:
-        """Every field, with the parameters of the law among them, as reports hold it."""
+        """All fields, including the parameters of the law, as in reports."""
         fields = {name: value for name, value in vars(self).items() if name != "parameters"}
         return fields | {p.name: self.parameter(p) for p in law_parameters([self.law])}
 

@@ -1,4 +1,4 @@
-"""Newton's terms for materials with flow, ``newton:mpm:``, and what they are here.
+"""The attributes of Newton for materials with flow, ``newton:mpm:``, and their counterparts here.
 
 Newton bounds sqrt(J2), the stress of pure shear, by yieldStress + internalFriction p, and the
 pressure p by yieldPressure and, in tension, by tensileYieldRatio times that.

@@ -1,4 +1,4 @@
-"""Material values of single particles: their material's, or their own where a body is mixed."""
+"""Material values of particles: those of their material, or their own in a mixed body."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from gf_usd.core.materials.material import Material, scaled_parameters
 
 @dataclass(frozen=True, kw_only=True)
 class Physical:
-    """An absolute preset: the numbers of a real material."""
+    """An absolute preset: the values of a real material."""
 
     name: str
     density: float  # [kg/m^3]

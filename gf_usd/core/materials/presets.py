@@ -1,4 +1,4 @@
-"""Every preset by name, and a material that is given whole."""
+"""All presets by name, and materials with all values given."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Preset = DimensionlessPreset | Physical
 
 @dataclass(frozen=True)
 class Fixed:
-    """A material that is given whole, for example by a file."""
+    """A material with all values given, for example by a file."""
 
     given: Material
     notes: tuple[str, ...] = ()  # what was chosen for it

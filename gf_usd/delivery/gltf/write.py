@@ -291,7 +291,8 @@ class _Writer:
         )
         if "black" in (texture.wrap_s, texture.wrap_t):
             self.notes[
-                "a texture that is black outside repeats its border: glTF has no such wrap"
+                "a texture that is black outside its border repeats its border instead, because "
+                "glTF has no such wrap mode"
             ] = None
         return len(self._textures) - 1
 

@@ -115,11 +115,11 @@ def bone_cores(
             cores.append(Core(bone=number, points=points, radius=np.where(radius > 0.0, wide, 0.0)))
     notes = []
     if outside:
-        notes.append(f"{_some(outside)}: outside of the flesh, and hold nothing")
+        notes.append(f"{_some(outside)}: outside the flesh, and holding nothing")
     if thin:
         notes.append(
-            f"{_some(thin)}: the flesh around is too thin for the grid, with cells of {cell:.3g} m,"
-            " and moves with the bone; more --particles make it finer"
+            f"{_some(thin)}: the flesh around them is too thin for the grid, which has cells of "
+            f"{cell:.3g} m, and moves with the bones; more --particles make the grid finer"
         )
     return Cores(cores=tuple(cores)), tuple(notes)
 

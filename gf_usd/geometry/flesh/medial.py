@@ -149,8 +149,8 @@ def _paths(
             points = frame[surface.path]
             if len(points) != len(surface.points):
                 raise InputError(
-                    f"{where}: --flesh: <{surface.path}> has {len(points)} points, and"
-                    f" {len(surface.points)} of its surface are to follow them",
+                    f"{where}: --flesh: <{surface.path}> has {len(points)} points, but "
+                    f"{len(surface.points)} points of its surface have to follow them",
                     "bake it without --repair, or give a cache of a mesh",
                 )
             now += to_points @ points

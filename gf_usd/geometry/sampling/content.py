@@ -235,7 +235,7 @@ def _reached(solid: Solid, index: int, grid: Grid, key: Ints) -> Ints:
 def _refuse_too_many(cells: int, h: float) -> None:
     if cells > MOST_CELLS:
         raise InputError(
-            f"the body reaches more than {MOST_CELLS} cells of {h:.3g} m",
+            f"the body extends over more than {MOST_CELLS} cells of {h:.3g} m",
             "lower --particles or raise --spacing",
         )
 

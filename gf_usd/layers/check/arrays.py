@@ -61,7 +61,7 @@ def mismatches(count: Track[int], points: Track[int]) -> Iterator[Mismatch]:
 
 def told(found: Iterable[Mismatch]) -> str:
     """Mismatches in words; empty where there are none."""
-    return once((time, f"{have} elements for {want} points") for time, have, want in found)
+    return once((time, f"{have} elements but {want} points") for time, have, want in found)
 
 
 @rule("particle-lengths", "every array of GaussianFleshParticlesAPI has one element per particle")
@@ -79,7 +79,7 @@ def particle_lengths(stage: Usd.Stage) -> Iterator[Finding]:
                 )
 
 
-@rule("point-lengths", "the per-point arrays that USD defines are as long as the points")
+@rule("point-lengths", "the per-point arrays that USD defines have one element per point")
 def point_lengths(stage: Usd.Stage) -> Iterator[Finding]:
     """Empty arrays count as not authored, as in USD.
 
@@ -146,7 +146,7 @@ def sh_count(stage: Usd.Stage) -> Iterator[Finding]:
         if problem := once(_sh_problems(lengths(coefficients), lengths(position), degree)):
             yield speak.error(
                 f"{coefficients.GetName()} has {problem}",
-                f"author {(degree + 1) ** 2} coefficients per particle, or the degree that fits",
+                f"author {(degree + 1) ** 2} coefficients per particle, or correct the degree",
             )
 
 
@@ -165,7 +165,7 @@ def _sh_problems(
         if have and particles is not None and have != each * particles:
             yield (
                 time,
-                f"{have} coefficients, degree {degree} with {particles} particles wants "
+                f"{have} coefficients, degree {degree} with {particles} particles needs "
                 f"{each * particles}",
             )
 
@@ -204,7 +204,7 @@ class Faces:
         )
 
 
-@rule("mesh-topology", "faceVertexIndices are as many as faces want and lead to points")
+@rule("mesh-topology", "faceVertexIndices match faceVertexCounts and index existing points")
 def mesh_topology(stage: Usd.Stage) -> Iterator[Finding]:
     """A vertex that no face uses is no error; a face without its vertex is one."""
     for prim in prims(stage):
@@ -227,18 +227,18 @@ def _face_problems(faces: Faces) -> Iterator[tuple[Usd.TimeCode, str]]:
         elif counts.total != indices.count:
             yield (
                 time,
-                f"faceVertexCounts add up to {counts.total}, "
-                f"faceVertexIndices has {indices.count} elements",
+                f"faceVertexCounts add up to {counts.total}, but faceVertexIndices has "
+                f"{indices.count} elements",
             )
         elif points is not None and indices.count and not 0 <= indices.low <= indices.high < points:
             yield (
                 time,
-                f"faceVertexIndices run from {indices.low} to {indices.high}, "
-                f"the mesh has {points} points",
+                f"faceVertexIndices range from {indices.low} to {indices.high}, but the mesh "
+                f"has {points} points",
             )
 
 
-@rule("point-count", "a mesh of constant topology has as many points in every sample")
+@rule("point-count", "a mesh of constant topology has the same number of points in every sample")
 def point_count(stage: Usd.Stage) -> Iterator[Finding]:
     for prim in prims(stage):
         if not prim.IsA(UsdGeom.Mesh):
@@ -249,18 +249,19 @@ def point_count(stage: Usd.Stage) -> Iterator[Finding]:
         sizes = faces.points.facts
         first = next(iter(sizes), 0)
         changes = (
-            (Usd.TimeCode(code), f"{size} points where the first sample has {first}")
+            (Usd.TimeCode(code), f"{size} points, but the first sample has {first}")
             for code, size in zip(faces.points.codes, sizes)
             if size != first
         )
         if problem := once(changes):
             yield about("point-count", prim).error(
-                f"points has {problem}, with one topology for all",
-                "author the same points in every sample, or topology samples that go with them",
+                f"points has {problem}, but the topology is constant",
+                "author the same number of points in every sample, or matching samples of the "
+                "topology",
             )
 
 
-@rule("normals-length", "normals are as many as their interpolation wants")
+@rule("normals-length", "normals have the count that their interpolation requires")
 def normals_length(stage: Usd.Stage) -> Iterator[Finding]:
     """primvars:normals, where authored, is what USD reads instead of normals."""
     for prim in prims(stage):
@@ -279,7 +280,8 @@ def normals_length(stage: Usd.Stage) -> Iterator[Finding]:
         if problem := once(_normal_problems(lengths(attribute), Faces.of(prim), interpolation)):
             yield about("normals-length", prim).error(
                 f"{name} has {problem}",
-                "author as many normals as the interpolation wants, or set the one that fits",
+                "author as many normals as the interpolation needs, or set a matching "
+                "interpolation",
             )
 
 
@@ -298,4 +300,4 @@ def _normal_problems(
         }.get(interpolation)
         # an empty array means that there are no normals
         if have and want is not None and have != want:
-            yield time, f"{have} elements, interpolation {interpolation} wants {want}"
+            yield time, f"{have} elements, but interpolation {interpolation} needs {want}"

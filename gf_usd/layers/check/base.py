@@ -107,7 +107,7 @@ def once(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
     time, text = first
     more = sum(1 for _ in rest)
     when = "" if time.IsDefault() else f" at time {time.GetValue():g}"
-    return f"{text}{when}" + (f", and so in {more} more samples" if more else "")
+    return f"{text}{when}" + (f", and also in {more} more samples" if more else "")
 
 
 def reason(error: Tf.ErrorException) -> str:
@@ -120,5 +120,5 @@ def unreadable(rule_name: str, error: Tf.ErrorException) -> Finding:
     """The finding that USD failed while a rule looked at the stage."""
     return about(rule_name, "/").error(
         f"USD cannot read the stage: {reason(error)}",
-        "repair or write again the file it names: it is damaged, or made for another USD version",
+        "repair or re-export the named file: it is damaged, or was written for another USD version",
     )

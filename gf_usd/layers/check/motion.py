@@ -153,7 +153,7 @@ class Tally:
         return self.factors[order[np.searchsorted(reached, 0.5 * reached[-1])]]
 
 
-@rule("velocities", "velocities are the motion of the points in units per second")
+@rule("velocities", "velocities match the motion of the points, in units per second")
 def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
     rate = stage.GetTimeCodesPerSecond()
     for prim in prims(stage):
@@ -167,35 +167,35 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
             continue
         speak = about("velocities", prim)
         if position.GetName() == "positionsh":
-            yield speak.skip(f"{name}: positions in half precision are too coarse to judge by")
+            yield speak.skip(f"{name}: positions in half precision are too coarse for this check")
             continue
         if count < WINDOW:
-            yield speak.skip(f"{name}: {count} samples of motion, {WINDOW} are wanted to judge")
+            yield speak.skip(f"{name}: {count} samples of motion; this check needs {WINDOW}")
             continue
         tally = tally_of(position, velocity, rate)
         if not tally.moving:
             continue
-        fix = f"author stage units per second; this stage has {rate:g} time codes in a second"
+        fix = f"author stage units per second; this stage has {rate:g} time codes per second"
         if not tally.decided:
             yield speak.skip(
-                f"{name}: the motion is smooth in {tally.smooth} of {tally.moving} places only, "
-                "too few to judge"
+                f"{name}: the motion is smooth in only {tally.smooth} of {tally.moving} places, "
+                f"too few for this check"
             )
         elif tally.frozen > 0.5 * tally.smooth:
             yield speak.error(
-                f"{name} is not zero where {position.GetName()} stands still, in {tally.frozen} of "
-                f"{tally.smooth} places",
+                f"{name} is not zero in {tally.frozen} of {tally.smooth} places where "
+                f"{position.GetName()} does not move",
                 fix,
             )
         elif abs(tally.factor - 1.0) > WRONG and tally.agreed < AGREE:
             yield speak.skip(
-                f"{name}: {min(tally.factors):.2g} to {max(tally.factors):.2g} times the motion, "
-                "from moment to moment: it is too fast for the samples"
+                f"{name}: {min(tally.factors):.2g} to {max(tally.factors):.2g} times the "
+                f"motion, depending on the moment: the motion is too fast for the samples"
             )
         elif abs(tally.factor - 1.0) > WRONG and tally.trembles(rate):
             yield speak.skip(
-                f"{name} is {tally.factor:.3g} times the motion, and would carry a point farther in"
-                " a sample than it ever goes: it trembles too fast for the samples"
+                f"{name} is {tally.factor:.3g} times the motion and would carry a point farther "
+                f"in one sample than it ever moves: the point vibrates too fast for the samples"
             )
         elif abs(tally.factor - 1.0) > WRONG:
             yield speak.error(
@@ -275,7 +275,7 @@ def _derivatives(offsets: tuple[float, ...]) -> Vectors:
 ROUNDING = 1e-5
 
 
-@rule("extent", "extent encloses the points at every sample")
+@rule("extent", "extent encloses the points in every sample")
 def extent(stage: Usd.Stage) -> Iterator[Finding]:
     """Required: min and max of the points, for Points those of their balls (width / 2 around).
 

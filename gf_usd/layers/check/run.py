@@ -23,7 +23,7 @@ from gf_usd.layers.stage import VARIANT_SET
 from gf_usd.layers.usd_warnings import gathered
 from gf_usd.system import usd_schema  # noqa: F401  (the rules ask USD for the schema's definitions)
 
-UNSAFE = "not run: the time codes of a layer stand still, reading its samples would never end"
+UNSAFE = "not run: the time codes of a layer do not advance, so reading its samples would never end"
 VALIDATORS = "usd"
 
 
@@ -33,12 +33,12 @@ class CheckResult:
 
     path: str
     findings: tuple[Finding, ...]  # errors first
-    skipped: tuple[Skip, ...]  # what could not be judged, and why
-    inherited: tuple[Finding, ...] = ()  # of a bake: errors that its source has, too
+    skipped: tuple[Skip, ...]  # what could not be checked, and why
+    inherited: tuple[Finding, ...] = ()  # of a bake: errors that its source also has
     warned: tuple[str, ...] = ()  # USD's own warnings, counted
     layers: int
     prims: int
-    rules: int  # rules of ours that ran
+    rules: int  # number of gf-usd rules that ran
 
     @property
     def errors(self) -> int:
@@ -61,14 +61,16 @@ def check_file(path: str | Path) -> CheckResult:
 
     Raises
     ------
-    InputError : there is no such file, or USD cannot open it.
+    InputError : the file does not exist, or USD cannot open it.
     """
     file = Path(path)
     if not file.is_file():
-        raise InputError(f"{file} is no file.", "give the path of a usd, usda, usdc or usdz file")
+        raise InputError(
+            f"{file} is not a file.", "give the path of a usd, usda, usdc or usdz file"
+        )
     if not Usd.Stage.IsSupportedFile(str(file)):
         raise InputError(
-            f"{file} is not USD, as far as its name says.",
+            f"{file} does not have the suffix of a USD file.",
             "give a file that ends in usd, usda, usdc or usdz",
         )
     with gathered() as warned:
@@ -77,7 +79,7 @@ def check_file(path: str | Path) -> CheckResult:
         except Tf.ErrorException as error:
             raise InputError(
                 f"{file} cannot be opened as USD: {reason(error)}",
-                "write the file again; what it claims to be and what it holds differ",
+                "export the file again; its content does not match its suffix",
             ) from error
         result = _less_source(check_stage(stage), stage)
     return replace(result, warned=warned.lines())

@@ -25,7 +25,7 @@ PREFIX = "GaussianFlesh"
 
 @rule(
     "dangling-relationship",
-    "relationships of ours lead to prims of the right type",
+    "relationships of our schema target prims of the right type",
     reads_samples=False,
 )
 def dangling_relationship(stage: Usd.Stage) -> Iterator[Finding]:
@@ -39,13 +39,13 @@ def dangling_relationship(stage: Usd.Stage) -> Iterator[Finding]:
                 target = stage.GetPrimAtPath(path)
                 if not target:
                     yield speak.error(
-                        f"{name} leads to <{path}>, where there is no prim",
+                        f"{name} refers to <{path}>, which does not exist",
                         "author the path of a prim on this stage, or remove the target",
                     )
                 elif name in TARGET_TYPES and not _may_be(target, TARGET_TYPES[name][1]):
                     wanted = TARGET_TYPES[name][0]
                     yield speak.error(
-                        f"{name} leads to <{path}>, a {target.GetTypeName()}, not {wanted}",
+                        f"{name} refers to <{path}>, a {target.GetTypeName()}, not {wanted}",
                         f"author the path of {wanted}",
                     )
 
@@ -55,7 +55,7 @@ def _may_be(prim: Usd.Prim, schema: type[Usd.SchemaBase]) -> bool:
     return prim.GetPrimTypeInfo().GetSchemaType().isUnknown or prim.IsA(schema)
 
 
-@rule("material-indices", "material indices count the targets of gaussianFlesh:materials")
+@rule("material-indices", "material indices are within the targets of gaussianFlesh:materials")
 def material_indices(stage: Usd.Stage) -> Iterator[Finding]:
     for prim in prims(stage):
         indices = authored(prim, INDICES)
@@ -65,8 +65,8 @@ def material_indices(stage: Usd.Stage) -> Iterator[Finding]:
         targets = len(relationship.GetTargets()) if relationship else 0
         if problem := once(_beyond(indices, targets)):
             yield about("material-indices", prim).error(
-                f"{INDICES} has {problem}, {MATERIALS} has {targets} targets",
-                "author the missing materials as targets, or indices of those that are there",
+                f"{INDICES} has {problem}, but {MATERIALS} has {targets} targets",
+                "author the missing materials as targets, or indices of existing targets",
             )
 
 
@@ -76,7 +76,11 @@ def _beyond(attribute: Usd.Attribute, targets: int) -> Iterator[tuple[Usd.TimeCo
             yield time, f"values from {array.min()} to {array.max()}"
 
 
-@rule("applied-schema", "API schemas are applied to prims they are made for", reads_samples=False)
+@rule(
+    "applied-schema",
+    "API schemas are applied only to prim types that they allow",
+    reads_samples=False,
+)
 def applied_schema(stage: Usd.Stage) -> Iterator[Finding]:
     """USD keeps the limits of every API but never enforces them on a file.
 
@@ -90,7 +94,7 @@ def applied_schema(stage: Usd.Stage) -> Iterator[Finding]:
             if api.isUnknown:
                 if family.startswith(PREFIX):
                     yield speak.error(
-                        f"apiSchemas names {name}, which the schema library does not have",
+                        f"apiSchemas lists {name}, which is not in the schema library",
                         f"apply one of {', '.join(APIS)}",
                     )
                 continue
@@ -140,11 +144,11 @@ def stage_units(stage: Usd.Stage) -> Iterator[Finding]:
         if not usable:
             yield about("stage-units", "/").error(
                 f"the stage authors {key} = {value}",
-                f"author the size of a unit as a positive number, for example {key} = 1",
+                f"author a positive number, for example {key} = 1",
             )
 
 
-@rule("time-range", "every time sample lies between startTimeCode and endTimeCode")
+@rule("time-range", "every time sample is between startTimeCode and endTimeCode")
 def time_range(stage: Usd.Stage) -> Iterator[Finding]:
     """Samples outside are no error: a shot may use a part of a longer animation."""
     speak = about("time-range", "/")
@@ -152,7 +156,7 @@ def time_range(stage: Usd.Stage) -> Iterator[Finding]:
     bounded = stage.HasAuthoredTimeCodeRange()
     if bounded and not start <= end:
         yield speak.error(
-            f"startTimeCode {start:g} lies after endTimeCode {end:g}",
+            f"startTimeCode {start:g} is after endTimeCode {end:g}",
             "author the first and the last time code of the animation",
         )
         return
@@ -172,11 +176,12 @@ def time_range(stage: Usd.Stage) -> Iterator[Finding]:
             yield about("time-range", prim).warning(
                 f"{len(outside)} attributes ({', '.join(outside[:3])}"
                 f"{', ...' if len(outside) > 3 else ''}) have samples from {low:g} to {high:g}, "
-                f"the stage runs from {start:g} to {end:g}",
-                "widen startTimeCode and endTimeCode, or drop the samples outside",
+                f"but the stage runs from {start:g} to {end:g}",
+                "extend the range from startTimeCode to endTimeCode, or delete the samples "
+                "outside it",
             )
     if animated and not bounded:
         yield speak.warning(
-            f"{animated} attributes have time samples, but the stage says no time range",
+            f"{animated} attributes have time samples, but the stage has no time range",
             "author startTimeCode and endTimeCode in the root layer",
         )

@@ -18,12 +18,13 @@ SEVERITIES: dict[UsdValidation.ValidationErrorType, Severity] = {
     UsdValidation.ValidationErrorType.Info: "warning",
 }
 FIXES = {
-    "MissingDefaultPrim": "author defaultPrim in the root layer: the root prim to be referenced",
+    "MissingDefaultPrim": "author defaultPrim in the root layer: the name of the root prim to "
+    "be referenced",
     "MissingMetersPerUnitMetadata": "author metersPerUnit in the root layer",
     "MissingUpAxisMetadata": 'author upAxis = "Y" or "Z" in the root layer',
     "MissingMaterialBindingAPI": "apply MaterialBindingAPI to the prim that binds the material",
     "CompositionError": "correct the path of the layer or prim that cannot be composed",
-    "UnresolvableDependency": "correct the path of the file, or put the file there",
+    "UnresolvableDependency": "correct the path of the file, or put the file at that path",
 }
 
 
@@ -48,7 +49,7 @@ def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
                 prim_path=_path(error),
                 message=" ".join(error.GetMessage().split()),
                 fix=FIXES.get(str(error.GetName()))
-                or f"meet the rule: {' '.join(metadata.doc.split())}",
+                or f"follow the rule: {' '.join(metadata.doc.split())}",
             )
 
 

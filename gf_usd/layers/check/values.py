@@ -95,7 +95,7 @@ def limits(stage: Usd.Stage) -> dict[str, Interval]:
 FIELD_ONLY = frozenset(("opacities", "opacitiesh", "scales", "scalesh"))
 
 
-@rule("value-range", "opacities, sizes, masses and material numbers lie in their ranges")
+@rule("value-range", "opacities, sizes, masses and material parameters are within their ranges")
 def value_range(stage: Usd.Stage) -> Iterator[Finding]:
     ranges = limits(stage)
     for prim in prims(stage):
@@ -117,7 +117,7 @@ def _outside(attribute: Usd.Attribute, interval: Interval) -> Iterator[tuple[Usd
         if not len(bad):
             continue
         first = f"{values[bad[0]]:g}" + (f" at [{bad[0]}]" if array.ndim else "")
-        many = f"{len(bad)} of {len(values)} values outside {interval}, the first is "
+        many = f"{len(bad)} of {len(values)} values outside {interval}; the first is "
         yield time, (many if array.ndim else f"a value outside {interval}: ") + first
 
 
@@ -146,7 +146,7 @@ def _not_unit(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
             yield time, f"{len(bad)} of {len(length)} quaternions that are not unit, {first}"
 
 
-@rule("allowed-tokens", "tokens of ours are among the words that the schema allows")
+@rule("allowed-tokens", "tokens of our schema have allowed values")
 def allowed_tokens(stage: Usd.Stage) -> Iterator[Finding]:
     for prim in prims(stage):
         for attribute in prim.GetAuthoredPropertiesInNamespace("gaussianFlesh"):
@@ -156,7 +156,7 @@ def allowed_tokens(stage: Usd.Stage) -> Iterator[Finding]:
             value = attribute.Get()
             if allowed and value is not None and value not in allowed:
                 yield about("allowed-tokens", prim).error(
-                    f'{attribute.GetName()} = "{value}" is none of {", ".join(allowed)}',
+                    f'{attribute.GetName()} = "{value}" is not one of {", ".join(allowed)}',
                     f"author one of {', '.join(allowed)}",
                 )
 
@@ -203,8 +203,8 @@ def finite(stage: Usd.Stage) -> Iterator[Finding]:
             if problem := once(_problems(attribute)):
                 yield about("finite", prim).error(
                     f"{name} holds {problem}",
-                    "write the file again from finite numbers; after a bake this means that the "
-                    "simulation went wrong: try a smaller step or a softer material",
+                    "export the file again with finite numbers; in a bake it means that the "
+                    "simulation failed: try a smaller step or a softer material",
                 )
 
 
@@ -226,6 +226,6 @@ def _problems(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
         if len(bad):
             yield (
                 time,
-                f"{len(bad)} of {len(elements)} elements that are not finite, "
-                f"the first is [{bad[0]}]",
+                f"{len(bad)} of {len(elements)} elements that are not finite; the first is "
+                f"[{bad[0]}]",
             )

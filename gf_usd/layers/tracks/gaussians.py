@@ -154,10 +154,10 @@ class SplatTrack:
         worst = int((errors / self._shape).argmax())
         if errors[worst] > self._shape[worst]:
             raise BakeError(
-                f"<{self._path}> at time code {time_code:g}: in half precision Gaussian {worst} is"
-                f" off by {errors[worst]:.3g} stage units, and {self._shape[worst]:.3g} are allowed"
-                f": it grew more than {GROWTH:g} times.",
-                "ask for a --precision so fine that single precision is kept, or leave it out",
+                f"<{self._path}> at time code {time_code:g}: in half precision, Gaussian {worst}"
+                f" has an error of {errors[worst]:.3g} stage units, but {self._shape[worst]:.3g} is"
+                f" allowed: it grew more than {GROWTH:g} times.",
+                "give a --precision so fine that single precision is kept, or leave it out",
             )
 
     def state(self) -> dict[str, Any]:
@@ -182,14 +182,14 @@ class SplatTrack:
         """What half precision costs, in words."""
         if self._too_coarse:
             return (
-                f"<{self._path}>: its orientations and scales stay in single precision: in half"
-                f" precision shapes may be off by {self._too_coarse:.2g} stage units, more than"
-                " --precision leaves them",
+                f"<{self._path}>: its orientations and scales stay in single precision: in half "
+                f"precision, their error may be {self._too_coarse:.2g} stage units, which is "
+                f"more than --precision allows",
             )
         if not self._halves:
             return ()
         off = ", ".join(track.said for track in self._halves)
-        notes = (f"<{self._path}>: in half precision, off by at most: {off}",)
+        notes = (f"<{self._path}>: largest errors in half precision: {off}",)
         if self._range:
             why = f"half precision is too coarse for {self._range}"
             notes += (f"<{self._path}>: its scales stay in single precision: {why}",)
@@ -260,7 +260,7 @@ class Track:
             largest = float(np.abs(rounded).max(initial=0.0))
             if largest > HIGHEST:
                 raise BakeError(
-                    f"{self.name} up to {largest:.4g} do not fit into half precision.",
+                    f"{self.name} up to {largest:.4g} do not fit in half precision.",
                     "leave --half out",
                 )
             self.singles.count(rounded, rounded.nbytes)

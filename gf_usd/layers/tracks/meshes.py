@@ -198,7 +198,7 @@ class MeshTrack:
             if mesh.GetNormalsAttr().HasAuthoredValue():  # which the primvar hid
                 over.CreateAttribute("normals", Types.Normal3fArray, False).Block()
             self.notes.append(
-                f"<{self.path}>: its authored normals could not be carried along and are blocked"
+                f"<{self.path}>: its authored normals cannot follow the motion and are blocked"
             )
             return
         self._normals = mine
@@ -224,14 +224,14 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
     if np.shape(values) != shape:
         raise BakeError(
             f"{what} at time code {time_code:g} have shape {np.shape(values)}, not {shape}.",
-            "this is a fault of the bake, not of the asset: please report it",
+            "this is a bug in gf-usd, not a fault of the asset: please report it",
         )
     finite = np.isfinite(values)
     if not finite.all():
         bad = int((~finite).sum())
         raise BakeError(
-            f"{what} at time code {time_code:g} hold {bad} numbers that are not finite.",
-            "the simulation went astray: try a smaller --spacing or a softer --material",
+            f"{what} at time code {time_code:g} contain {bad} numbers that are not finite.",
+            "the simulation became unstable: try a smaller --spacing or a softer --material",
         )
 
 

@@ -46,7 +46,7 @@ UNIFORM = Sdf.VariabilityUniform
 # Rounding of positions, in spacings, from which on the particles have an origin of their own: far
 # below what is seen, and far above what an asset near the origin has.
 COARSE = 1e-3
-FLOW = "Flow"  # the prim of particles that flow, which is shown beside meshes
+FLOW = "Flow"  # the prim of flowing particles, which is shown together with meshes
 
 
 class ParticleTrack:

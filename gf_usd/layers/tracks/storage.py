@@ -246,19 +246,19 @@ class Storage:
         parts = [
             f"{_size(size)} by {how}"
             for size, how in (
-                (self.samples_left_out, "samples left out" + self._left()),
+                (self.samples_left_out, "leaving samples out" + self._left()),
                 (self.half_precision, "half precision"),
                 (self.velocities_left_out, "leaving velocities out"),
             )
             if size
         ]
         if self.samples and not self.samples_left_out:
-            parts.append("nothing by samples: none could be left out")
-        saved = f"{', '.join(parts)}" if parts else "nothing could be saved"
-        said = f"{_size(self.bytes)} in place of {_size(self.bytes_without)}: {saved}"
+            parts.append("nothing from samples, because none could be left out")
+        saved = f"{', '.join(parts)}" if parts else "nothing"
+        said = f"{_size(self.bytes)} instead of {_size(self.bytes_without)}; saved: {saved}"
         if "positions_m" in self.errors:
             off = self.errors["positions_m"]
-            said += f"; points are off by {off:.3g} m at most"
+            said += f"; the largest error of points is {off:.3g} m"
             if self.precision is not None and self.precision.relative:
                 said += f", {100.0 * off / self.radius:.2g} % of the radius"
         return said

@@ -443,7 +443,8 @@ class BodyContact:
         """Have samples inside their own body that see no place of it keep the plane they had.
 
         depth : (n,) [m] under the planes until now.  Where a place ends, at an edge or at a crease,
-        none may be found; a sample is not inside any more once it is STAY beside what it faced.
+        none may be found; a sample is no longer inside once it is STAY to the side of what it
+        faced.
         """
         f, offset = self.planes, self._offset
         unseen = (depth > 0.0) & (search.planes.partner == narrow_phase.NOBODY) & (f.partner >= 0)

@@ -30,7 +30,7 @@ THICK = 4.0  # [spacings] that two sides of a limb are apart which never meet ea
 SEE = 2.0  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
 SEEDS = 3  # samples facing one whose triangles are looked at
 STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
-ASIDE = 0.5  # cosine of a sample's normal with those of triangles beside what it faces
+ASIDE = 0.5  # cosine of a sample's normal with those of triangles next to what it faces
 TURN = 3.0  # [spacings] that a normal turned by a radian is as far as
 # [spacings] from a sample to what it may face: as far as two normals that are alike let it look.
 WIDEST = float(np.hypot(2.0 * SEE, 2.0**0.5 * TURN))
@@ -213,7 +213,7 @@ class SelfContact:
         out, neighbors = np.full((len(rows), SEEDS), -1), self._mesh[1]
         if len(rows) == 0:
             return out
-        # Facing is near in space and in minus the normal: what lies beside is as far as `wide`.
+        # Facing is near in space and in minus the normal: what is next to it is as far as `wide`.
         wide = TURN * self._spacing
         at = kd_tree(np.hstack([x[scene], wide * normal[scene]])).query(
             np.hstack([x[rows], -wide * normal[rows]]), k=min(LOOKED, len(scene)),

@@ -91,7 +91,7 @@ class SolidBodies:
 
 
 class Exchange:
-    """What moves a flow beside solid bodies: `Partner` of their solver."""
+    """Moves a flow together with solid bodies: the `Partner` of their solver."""
 
     def __init__(self, solid: TotalLagrangian, flow: UpdatedLagrangian) -> None:
         assert solid.body.contact is not None

@@ -48,9 +48,9 @@ def flowing_bodies(particles: Particles, materials: Sequence[Material]) -> Ints:
     if (halves := np.flatnonzero((share > 0.0) & (share < 1.0))).size:
         k = int(halves[0])
         raise InputError(
-            f"{int(flows[body == k].sum())} of the {int((body == k).sum())} particles of body {k}"
-            " flow without end and the others do not: a body does one or the other",
-            "make two meshes of it, one for each material",
+            f"{int(flows[body == k].sum())} of the {int((body == k).sum())} particles of body "
+            f"{k} flow without end and the others do not, but a body must do one or the other",
+            "split it into two meshes, one for each material",
         )
     return share > 0.0
 

@@ -56,7 +56,8 @@ class Coupled(Solver):
         flows = flowing_bodies(particles, materials)
         if flows.all() or not flows.any():
             raise UsageError(
-                "all bodies flow, or none does: there is nothing to divide", "use --solver tl or ul"
+                "either all bodies flow or none does, so there is nothing to couple",
+                "use --solver tl or ul",
             )
 
         def part(which: Ints, *, copied: bool) -> Part:
@@ -162,7 +163,7 @@ class Coupled(Solver):
 def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None:
     """Raise UsageError for what a bake of solid and flowing bodies does not know."""
     asked = {
-        "--flesh and attachments that draw": goals is not None,
+        "--flesh and attachments that pull": goals is not None,
         "--rigid": any(pin.rigid for pin in pins),
         "pins that move": any(len(pin.path) > 1 for pin in pins),
         "the WLS recomputation of F": settings.wls,
@@ -174,7 +175,7 @@ def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None
         if wanted:
             raise UsageError(
                 f"a bake with both flowing and solid bodies does not support {what}",
-                "leave it out, or bake the bodies apart with --prim",
+                "leave it out, or bake the bodies separately with --prim",
             )
 
 

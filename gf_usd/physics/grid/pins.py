@@ -296,8 +296,8 @@ class PinConstraint:
         for index, pin in enumerate(self.pins):
             if pin.sharp and not (nodes.axes == index).any():
                 raise InputError(
-                    f"--pin {pin.name} holds no node of the grid: it is smaller than a cell, or"
-                    " away from the body",
+                    f"--pin {pin.name} holds no node of the grid: it is smaller than a cell or "
+                    f"outside the body",
                     "enlarge it, or use more particles (--particles) for a finer grid",
                 )
 

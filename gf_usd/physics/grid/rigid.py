@@ -160,7 +160,7 @@ def rigid_regions(stencil: Stencil, m: Floats, pins: Sequence[Pin]) -> RigidRegi
         if not len(mine):
             raise InputError(
                 f"--rigid {pins[number].name} holds no particle",
-                "use more particles (--particles), or a larger region that lies in the body",
+                "use more particles (--particles), or a larger region inside the body",
             )
         weight, X = stencil.node_mass[mine], stencil.node_X[mine]
         center = weight @ X / weight.sum()
@@ -172,7 +172,8 @@ def rigid_regions(stencil: Stencil, m: Floats, pins: Sequence[Pin]) -> RigidRegi
         moments, axes = np.linalg.eigh(np.trace(second) * np.eye(3) - second)
         if moments[0] < THIN * weight.sum() * stencil.h**2:
             raise InputError(
-                f"--rigid {pins[number].name} holds {len(mine)} nodes of the grid, too few to turn",
+                f"--rigid {pins[number].name} holds {len(mine)} nodes of the grid, which are "
+                f"too few to rotate",
                 "use more particles (--particles), or a larger region",
             )
         axes[:, 0] *= np.sign(np.linalg.det(axes))

@@ -110,9 +110,9 @@ class _Blocks:
         if not (np.abs(block) < FAR - 2).all():
             worst = int(np.abs(block).max(axis=1).argmax())
             raise BakeError(
-                f"particle {worst} is {np.abs(block[worst]).max()} blocks of a surface from the"
-                f" origin, and {FAR} have a place.",
-                "leave --surface out, or end the bake before it flies away: --frames",
+                f"particle {worst} is {np.abs(block[worst]).max()} surface blocks from the "
+                f"origin, but the limit is {FAR}.",
+                "leave out --surface, or end the bake with --frames before the particle flies away",
             )
         keys, of = np.unique(_keys(block), return_inverse=True)
         local = (x - BLOCK * block).astype(np.float32)

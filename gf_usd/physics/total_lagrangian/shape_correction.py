@@ -91,9 +91,9 @@ class ShapeCorrection:
         s = body.settings
         if s.procrustes > 0.0 and body.pin_constraint is not None:
             raise UsageError(
-                f"--procrustes {s.procrustes:g} moves the body towards its rest shape about its"
-                " mean, and --pin holds it elsewhere",
-                "leave one of the two out",
+                f"--procrustes {s.procrustes:g} moves the body toward its rest shape about its "
+                f"mean position, but --pin holds it elsewhere",
+                "leave out one of the two",
             )
         self._body, self._alpha, self._clamp = body, s.procrustes, s.clamp
         X = body.particles.X

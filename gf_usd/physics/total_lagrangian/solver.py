@@ -38,7 +38,7 @@ from gf_usd.physics.total_lagrangian.state import State
 
 
 class Partner(Protocol):
-    """What moves beside a body within its frames, and gives it impulses."""
+    """A second solver that advances with a body within its frames, and gives it impulses."""
 
     def detect(self, index: int, dt: float, done: int, left: int) -> tuple[int, float]:
         """How many of `left` substeps what is found near now holds for, and how many shorter ones
@@ -49,7 +49,7 @@ class Partner(Protocol):
         ...
 
     def begin(self, substeps: int, dt: float) -> int:
-        """Move beside the next of so many substeps of dt [s] of the body, and push it; how many."""
+        """Advance over the next of so many substeps of dt [s], and push the body; how many."""
         ...
 
     def end(self) -> None:
@@ -132,7 +132,7 @@ class TotalLagrangian(Solver):
         self._sample_particle = (
             _particle_of_samples(body) if keys and keys.changes("friction") else None
         )
-        self.partner: Partner | None = None  # what moves beside the body, and pushes it
+        self.partner: Partner | None = None  # advances with the body, and pushes it
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""

@@ -242,8 +242,8 @@ class StateView:
         X, nodes = self._body.particles.X, self._body.stencil.free_X
         worst = int(np.linalg.norm(X - nodes[np.argmax(bad)], axis=1).argmin())
         return worst, (
-            f"{int(bad.sum())} of {len(self.u)} grid nodes are no longer finite, first near"
-            f" particle {worst} at rest position {X[worst].round(4).tolist()} m"
+            f"{int(bad.sum())} of {len(self.u)} grid nodes are no longer finite, the first near "
+            f"particle {worst} at rest position {X[worst].round(4).tolist()} m"
         )
 
     def strains(self, index: int, F: Floats | None = None) -> tuple[Floats, Floats]:

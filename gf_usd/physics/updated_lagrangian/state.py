@@ -21,7 +21,7 @@ LARGEST_GRID = 1 << 25  # nodes: 5 GB
 PARTICLES = ("x", "v", "C", "F", "L")
 FAULT = 4  # of `grid`: see `sort_kernels`
 OVERFLOW = 2
-FEW = 64  # empty cells that are kept beside half as many as are not
+FEW = 64  # empty cells that are kept in addition to half the number of filled ones
 SPARE = 1.75  # times the cells and nodes there are that arrays have room for
 
 
@@ -88,8 +88,8 @@ class State(DeviceState):
         x = self.rows("x")
         far = np.linalg.norm(x - np.median(x, axis=0), axis=1)
         return int(far.argmax()), (
-            f"the particles are spread over more than {self._most_nodes:.3g} nodes of the grid, or"
-            f" further than a million cells: one is {far.max():.4g} m from the others"
+            f"the particles occupy more than {self._most_nodes:.3g} nodes of the grid, or are"
+            f" more than a million cells apart: one is {far.max():.4g} m away from the others"
         )
 
     @property

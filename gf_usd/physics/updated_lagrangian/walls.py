@@ -70,9 +70,10 @@ def planes(walls: Sequence[Wall], X: Floats, origin: Floats, h: float) -> Planes
         name = "xyz"[wall.axis]
         if abs(index - np.round(index)) > NEAR:
             raise UsageError(
-                f"the wall at {name} = {wall.at:.6g} m does not fit the grid, cells of {h:.6g} m"
+                f"the wall at {name} = {wall.at:.6g} m does not fit the grid with cells of "
+                f"{h:.6g} m"
                 f" from {origin[wall.axis]:.6g} m",
-                "put it on a whole number of half cells from there",
+                "place it an integer number of half cells from there",
             )
         if abs(side[wall.axis]) != NOWHERE:
             raise UsageError(
@@ -83,7 +84,7 @@ def planes(walls: Sequence[Wall], X: Floats, origin: Floats, h: float) -> Planes
         if behind:
             raise UsageError(
                 f"{behind} of {len(X)} particles are behind the wall at {name} = {wall.at:.6g} m",
-                "turn the wall by above=, or move it",
+                "flip the wall with above=, or move it",
             )
         side[wall.axis] = round(index)
         stuck[wall.axis] |= (1 if wall.above else 2) * wall.sticks

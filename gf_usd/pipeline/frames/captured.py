@@ -174,8 +174,8 @@ class SplatDeformer:
         from gf_usd.physics.output.gaussians import STRETCH
 
         return tuple(
-            f"{path}: {track.clamped} times a Gaussian would have been stretched or flattened more"
-            f" than {STRETCH:g} times beyond its own axes, and was clamped"
+            f"{path}: {track.clamped} times a Gaussian was clamped, because it would have been "
+            f"stretched or flattened more than {STRETCH:g} times relative to its own axes"
             for path, track in self._tracks.items()
             if track.clamped
         )

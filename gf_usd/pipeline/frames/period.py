@@ -114,12 +114,12 @@ class Period:
         each = f"{self.difference:.2g} m, {100.0 * self.share:.2g} % of the radius"
         if self._until and self.share > PERIODIC:
             return (
-                f"the cycle that is written is the last of {self.cycles}, the most that --loop auto"
-                f" simulates, and still differs from the one before by {each}; up to"
+                f"the written cycle is the last of {self.cycles}, the maximum of --loop auto, "
+                f"and still differs from the previous one by {each}; up to"
                 f" {100.0 * PERIODIC:g} % counts as periodic",
             )
         more = "; a larger --loop reduces the difference" if self.share > NOT_PERIODIC else ""
         return (
-            f"the cycle that is written, number {self.cycles}, differs from the one before by"
+            f"the written cycle, number {self.cycles}, differs from the previous one by"
             f" {each}{more}",
         )

@@ -1,1 +1,1 @@
-"""What is measured of a bake beside its frames: surfaces inside bodies, and how certain it is."""
+"""Measurements of a bake in addition to its frames: surfaces inside bodies, and its uncertainty."""

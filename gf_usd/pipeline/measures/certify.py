@@ -73,7 +73,7 @@ class Certificate:
         count = len(center.half)
         if center.until == count:
             most = float(center.half.max())
-            return f"path of the center of mass +- {most:.2g} m or less, in all {count} frames"
+            return f"path of the center of mass +- at most {most:.2g} m, in all {count} frames"
         return (
             f"path of the center of mass known to frame {center.until - 1} of {count - 1};"
             f" {lost(center, self.contacts)}"
@@ -131,8 +131,8 @@ def coarser(
             )
         if abs(filled - volume) > VOLUME * volume:
             return (), (
-                f"{what} is of another body, of {filled:.4g} m^3 in place of {volume:.4g}: where"
-                " --repair gives a sheet thickness, it has that of the spacing"
+                f"{what} has a different body, of {filled:.4g} m^3 instead of {volume:.4g}: "
+                f"--repair makes sheets as thick as the spacing"
             )
         found.append(made)
     return tuple(found), ""
@@ -182,7 +182,7 @@ def _judge(
         return unknown(value, f"it is reached in frame {decided}; {lost(center, series.starts)}")
     turned = next((i for i, count in enumerate(series.inverted) if count), None)
     if turned is not None and turned <= decided:
-        return unknown(value, f"particles were turned inside out from frame {turned} on")
+        return unknown(value, f"particles are inverted from frame {turned} on")
     known = [value, *(one for one in others if one is not None)]
     if FIGURES[name].unit == "s":
         return estimate(known, float(series.times[-1]))

@@ -92,8 +92,8 @@ def estimate(values: Sequence[Floats], scale: float, least: float = 0.0) -> Inte
         if d1 > SMALL * scale:
             return unknown(
                 fine,
-                f"it changes by {d2:.3g} from a quarter to half of the resolution and by {d1:.3g}"
-                " from there to all of it: the differences do not shrink",
+                f"it changes by {d2:.3g} from a quarter to half of the resolution and by "
+                f"{d1:.3g} from half to full resolution: the differences do not decrease",
             )
         return Interval(fine=fine, value=fine, half=max(UNORDERED * d1, least), order=order)
     if float(step @ before) < 0.0:
@@ -147,8 +147,8 @@ def band(curves: Sequence[Floats], scale: float) -> Band:
     reason = ""
     if until < count and parted[until]:
         reason = (
-            f"the run at half of the resolution is {d1[until]:.3g} m off, which is no closer than"
-            f" the {d2[until]:.3g} m of the one at a quarter"
+            f"the run at half of the resolution differs by {d1[until]:.3g} m, which is no less "
+            f"than the {d2[until]:.3g} m of the run at a quarter"
         )
     elif until < count:
         reason = f"it is uncertain by {width[until]:.3g} m"

@@ -19,7 +19,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 
-TOUCHING = 1e-4  # of the height: a point that is no farther from the lowest lies beside it
+TOUCHING = 1e-4  # of the height: points this little above the lowest one touch with it
 NEWTON = 40  # steps at most; a handful is usual
 
 

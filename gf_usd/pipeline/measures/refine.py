@@ -42,8 +42,8 @@ class Until:
         unknown = [name for name in names if name not in FIGURES]
         if unknown:
             raise UsageError(
-                f"--until {text}: there is no figure {unknown[0]!r}",
-                f"choose of {', '.join(FIGURES)}",
+                f"--until {text}: unknown figure {unknown[0]!r}",
+                f"choose one of {', '.join(FIGURES)}",
             )
         try:
             value = float(share.strip().removesuffix("%")) / 100.0
@@ -104,8 +104,8 @@ def next_step(
     if spent + needed > budget:
         return Step(
             spacing=None,
-            said=f"--until {asked} was not reached: {words} is {known}, and the next bake would"
-            f" take about {duration(needed)} where --max-hours leaves"
+            said=f"--until {asked} was not reached: {words} is {known}, and the next bake would "
+            f"take about {duration(needed)}, but --max-hours leaves"
             f" {duration(max(0.0, budget - spent))}",
         )
     return Step(

@@ -40,7 +40,7 @@ class Rest:
         last = frames[-1]
         return (
             f"{look}: not at rest within {most} frames: the kinetic energy of the last one is"
-            f" {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as rest; --frames"
+            f" {last.kinetic:.3g} J, but at most {self.limit(last):.3g} J counts as rest; --frames"
             f" rest:{2 * most} simulates longer"
         )
 
@@ -49,7 +49,7 @@ class Rest:
         return BakeError(
             f"{path}, {look}: not at rest within {most} frames: the kinetic energy of the last one"
             f" is {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as rest",
-            f"simulate longer with --frames {2 * most}, or calm it with --drag, --friction or"
-            " another material; what is driven by a moving pin or obstacle, or drifts without"
-            " gravity, never rests",
+            f"simulate longer with --frames {2 * most}, or slow the motion with --drag, "
+            f"--friction or another material; a body that is driven by a moving pin or "
+            f"obstacle, or drifts without gravity, never comes to rest",
         )

@@ -59,7 +59,7 @@ def faults(answer: object, paths: Sequence[str], presets: Sequence[str]) -> str:
         if one.path not in paths:
             return f"it answered for <{one.path}>, which it was not asked about"
         if one.material not in presets:
-            return f"it named {one.material!r} for <{one.path}>, which is no preset"
+            return f"it named {one.material!r} for <{one.path}>, which is not a preset"
         sure = one.confidence
         if isinstance(sure, bool) or not isinstance(sure, (int, float)) or not 0.0 <= sure <= 1.0:
             return f"its confidence for <{one.path}> is {sure!r}, not a number from 0 to 1"

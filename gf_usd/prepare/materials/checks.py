@@ -48,7 +48,7 @@ def flow_notes(
             )
         elif law is None and stated and own and own.law is None:
             what = stated_flow(material.law)
-            notes.append(f"<{own.path}>: {what} is stated and no law: {material.law}")
+            notes.append(f"<{own.path}>: {what} is stated but no law: {material.law} is used")
         elif law is None and painted and not stated and (own is None or own.law is None):
             notes.append(f"<{path}>: a yield stress is painted: the law is {material.law}")
     return tuple(dict.fromkeys(notes))

@@ -84,8 +84,7 @@ def owners(
         elif near[k]:
             why, hint = "boxes override it for all of its particles", "make the boxes smaller"
         else:
-            why = f"none of its Gaussians is the nearest one to any of the {len(particles)}"
-            " particles"
+            why = f"none of its Gaussians is nearest to any of the {len(particles)} particles"
             hint = "use more --particles"
         raise InputError(f"{region.option} {region.text}: {why}", f"leave it out, or {hint}")
     return of, tuple(

@@ -54,7 +54,7 @@ def parse_sweep(text: str) -> Sweep:
         )
     if not parts[2].isdecimal() or not 2 <= int(parts[2]) <= MOST:
         raise UsageError(
-            f"--material-sweep {text}: {parts[2]} is no number of variants",
+            f"--material-sweep {text}: {parts[2]} is not a number of variants",
             f"give a whole number from 2 to {MOST}",
         )
     count = int(parts[2])

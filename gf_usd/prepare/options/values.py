@@ -397,7 +397,7 @@ def listener(name: str, value: Any) -> Any:
     """A function that can be told two numbers; None for nobody."""
     if value is None:
         return None
-    wanted = "a function of (frames done, frames in all)"
+    wanted = "a function of (frames done, total frames)"
     if not callable(value):
         raise refuse(name, value, wanted)
     try:

@@ -158,19 +158,22 @@ def require_sound(file: MeshFile) -> MeshFile:
     """
     meshes = [mesh for node in file.nodes for mesh in node.meshes()]
     if not any(len(mesh.counts) for mesh in meshes):
-        raise InputError(f"{file.path}: there is no face in it", "give a file with a mesh in it")
+        raise InputError(
+            f"{file.path}: the file contains no faces", "give a file that contains a mesh"
+        )
     for mesh in meshes:
         where = f"{file.path}: mesh '{mesh.name}'"
         lost = int((~np.isfinite(mesh.points)).any(axis=1).sum())
         if lost:
             raise InputError(
-                f"{where}: {lost} of {len(mesh.points)} points are not finite (NaN or inf)", REPAIR
+                f"{where}: {lost} of {len(mesh.points)} points are not finite (NaN or infinity)",
+                REPAIR,
             )
         outside = (mesh.indices < 0) | (mesh.indices >= len(mesh.points))
         if outside.any():
             raise InputError(
-                f"{where}: {int(outside.sum())} of {len(mesh.indices)} indices are outside its "
-                f"{len(mesh.points)} points, the first is {mesh.indices[outside][0]}",
+                f"{where}: {int(outside.sum())} of {len(mesh.indices)} indices do not refer to "
+                f"any of its {len(mesh.points)} points; the first is {mesh.indices[outside][0]}",
                 REPAIR,
             )
         if len(mesh.points) and not np.ptp(mesh.points, axis=0).any():
@@ -214,7 +217,7 @@ def load(path: Path, data: bytes, kind: str) -> list[tuple[str, Floats, Ints]]:
         if len(getattr(mesh, "faces", ()))
     ]
     if not meshes:
-        raise InputError(f"{path}: there is no face in it", "give a file with a mesh in it")
+        raise InputError(f"{path}: the file contains no faces", "give a file that contains a mesh")
     return meshes
 
 

@@ -20,8 +20,8 @@ from gf_usd.readers.notes import source_of, unit_and_axis
 PROGRAM = "usd-convert-asset"
 PATIENCE = 600  # [s] for one conversion
 HINT = (
-    f"install {PROGRAM} (pip install {PROGRAM}, Python 3.12, in an environment of its own) so that "
-    "it is on PATH; or export the asset as glb or obj"
+    f"install {PROGRAM} (pip install {PROGRAM}, Python 3.12, in a separate environment) and put "
+    f"it on PATH, or export the asset as glb or obj"
 )
 
 
@@ -37,9 +37,7 @@ def convert_fbx(
         refuse_pointer(path, file.read(512))
     program = shutil.which(PROGRAM)
     if program is None:
-        raise InputError(
-            f"{path}: FBX is only read by way of {PROGRAM}, which is not on PATH", HINT
-        )
+        raise InputError(f"{path}: reading FBX requires {PROGRAM}, which is not on PATH", HINT)
     folder = Folder()
     folder.pictures.mkdir()
     # The program puts pictures somewhere below its result.
@@ -56,7 +54,7 @@ def convert_fbx(
         raise InputError(
             f"{path}: {PROGRAM} failed with status {done.returncode}"
             + (f": {said[-1]}" if said else ""),
-            "check that the file opens elsewhere; or export the asset as glb or obj",
+            "check that the file opens in another program, or export the asset as glb or obj",
         )
     _flatten(path, made, folder.layer, meters_per_unit, up_axis)
     unit_from, axis_from = source_of(meters_per_unit, True), source_of(up_axis, True)
@@ -78,7 +76,7 @@ def _flatten(
     try:
         flat = Usd.Stage.Open(str(made), Usd.Stage.LoadAll).Flatten()
     except Tf.ErrorException as error:
-        raise InputError(f"{path}: what {PROGRAM} wrote is no USD", HINT) from error
+        raise InputError(f"{path}: the output of {PROGRAM} is not a USD file", HINT) from error
     if meters_per_unit is not None:
         flat.pseudoRoot.SetInfo("metersPerUnit", float(meters_per_unit))
     if up_axis is not None:

@@ -35,16 +35,21 @@ def read_libraries(
     for text in dict.fromkeys(libraries):
         for path in _library_paths(obj, text):
             if not path.is_file():
-                notes.add(f"its material file {path.name} is missing: no colors from it")
+                notes.add(f"its material file {path.name} is missing, so its colors are not read")
                 continue
             read.append(path)
             for name, material in _Library(path, notes).materials().items():
                 found.setdefault(name, material)
     absent = [name for name in wanted if name not in found]
     if absent and read:
-        notes.add(f"material {', '.join(absent[:3])} is in none of its material files: no color")
+        notes.add(
+            f"material {', '.join(absent[:3])} is in none of its material files and has no color"
+        )
     elif absent and not libraries:
-        notes.add(f"it names materials ({', '.join(absent[:3])}) but no material file: no colors")
+        notes.add(
+            f"it names materials ({', '.join(absent[:3])}) but no material file, so no "
+            f"colors are read"
+        )
     return {name: found[name] for name in wanted if name in found}, read
 
 
@@ -98,7 +103,9 @@ class _Library:
         elif key.lower() == "map_kd":
             self._texture(number, tokens[1:])
         elif key in CLEAR and _is_number(tokens[-1]) and float(tokens[-1]) != CLEAR[key]:
-            self._notes.add("transparency is not read: opaque", f"material {self._name}")
+            self._notes.add(
+                "transparency is not supported: the material is opaque", f"material {self._name}"
+            )
 
     def _constant(self, number: int, tokens: list[str]) -> None:
         if tokens[1:2] in (["xyz"], ["spectral"]):
@@ -136,11 +143,11 @@ class _Library:
             i = end
         name = " ".join(tokens[i:])
         if not name:
-            raise self._error(number, "map_Kd names no file")
+            raise self._error(number, "map_Kd gives no file name")
         picture = self._picture(name)
         if picture is None:
             self._notes.add(
-                f"its texture {name} does not exist: a constant color instead",
+                f"its texture {name} does not exist: a constant color is used",
                 f"material {self._name}",
             )
             return
@@ -167,7 +174,9 @@ class _Library:
 
     def _numbers(self, number: int, tokens: list[str]) -> list[float]:
         if not all(_is_number(token) for token in tokens):
-            raise self._error(number, f"'{' '.join(tokens)}' holds what is no finite number")
+            raise self._error(
+                number, f"'{' '.join(tokens)}' contains a value that is not a finite number"
+            )
         return [float(token) for token in tokens]
 
     def _error(self, line: int, what: str) -> InputError:

@@ -49,7 +49,9 @@ def read_obj(path: Path) -> MeshFile:
         head = file.read(512)
     refuse_pointer(path, head)
     if b"\0" in head:
-        raise InputError(f"{path} is not an OBJ file: it holds binary data", "check what it is")
+        raise InputError(
+            f"{path} is not an OBJ file: it holds binary data", "check the type of the file"
+        )
     notes = Notes()
     reader = _Reader(path)
     for number, tokens in _statements(path):
@@ -130,10 +132,10 @@ class _Reader:
             values = [float(token) for token in tokens[1:8]]
         except ValueError:
             shown = " ".join(tokens)[:60]
-            raise self._error(number, f"'{shown}' holds what is no number") from None
+            raise self._error(number, f"'{shown}' contains a value that is not a number") from None
         least = 1 if key == "vt" else 3
         if len(values) < least:
-            raise self._error(number, f"{key} has {len(values)} numbers, it needs {least}")
+            raise self._error(number, f"{key} has {len(values)} numbers but needs {least}")
         if key == "vt":
             values = [values[0], values[1] if len(values) > 1 else 0.0]
         elif key == "vn":
@@ -167,11 +169,11 @@ class _Reader:
         try:
             value = int(text)
         except ValueError:
-            raise self._error(number, f"the corner '{token}' is no index") from None
+            raise self._error(number, f"the corner '{token}' is not an index") from None
         if value > 0:
             return value - 1
         if value == 0 or -value > length:
-            what = "indices begin at 1" if value == 0 else f"there are {length} before it"
+            what = "indices begin at 1" if value == 0 else f"only {length} precede it"
             raise self._error(number, f"the corner '{token}' has the index {value}: {what}")
         return length + value
 
@@ -181,8 +183,8 @@ class _Reader:
             notes.add(f"{count} {what} are left out")
         if not self._counts:
             raise InputError(
-                f"{self._path}: there is no face in it ({len(self._rows['v'])} points)",
-                "give a file with a mesh in it; free-form surfaces are exported as polygons",
+                f"{self._path}: the file contains no faces ({len(self._rows['v'])} points)",
+                "give a file that contains a mesh; export free-form surfaces as polygons",
             )
         points = self._table("v", 3)
         tables = Tables(
@@ -213,7 +215,7 @@ class _Reader:
         if len(lost):
             line = self._lines[key][lost[0]]
             more = f"; {len(lost)} rows in all" if len(lost) > 1 else ""
-            raise self._error(line, f"{key} holds a number that is not finite{more}")
+            raise self._error(line, f"{key} contains a number that is not finite{more}")
         return rows
 
     def _colors(self) -> np.ndarray | None:
@@ -229,8 +231,8 @@ class _Reader:
             face = int(np.searchsorted(np.cumsum(self._counts), outside[0], side="right"))
             raise self._error(
                 self._face_lines[face],
-                f"the face names {key} {corners[outside[0]] + 1}, and there are {length}; "
-                f"{len(outside)} corners do so",
+                f"the face names {key} {corners[outside[0]] + 1}, but there are {length}; "
+                f"{len(outside)} corners have such an index",
             )
 
     def _error(self, line: int, what: str) -> InputError:
@@ -267,7 +269,7 @@ def to_nodes(tables: Tables, defined: list[str], notes: Notes) -> tuple[FileNode
     face_of = np.repeat(np.arange(len(tables.counts)), tables.counts)
     unused = len(tables.points) - len(np.unique(tables.corners))
     if unused:
-        notes.add(f"{unused} of its {len(tables.points)} points belong to no face: left out")
+        notes.add(f"{unused} of its {len(tables.points)} points belong to no face and are left out")
     nodes = []
     for faces, parts in _bodies(tables, face_of):
         mesh = _mesh(tables, faces, parts, materials, face_of, notes)
@@ -308,7 +310,8 @@ def _mesh(
             for label, part in zip(names, parts)
         )
         notes.add(
-            f"its {len(parts)} objects or groups ({_some(names)}) share points: they are one mesh",
+            f"its {len(parts)} objects or groups ({_some(names)}) share points and are read as "
+            f"one mesh",
             name,
         )
     mine = np.isin(face_of, faces)
@@ -349,7 +352,7 @@ def _uvs(tables: Tables, mine: Ints, name: str, notes: Notes) -> tuple[Floats | 
     if missing.any():
         notes.add(
             f"{int(missing.sum())} of its {len(corners)} corners have no texture coordinates: "
-            "(0, 0) there",
+            f"(0, 0) is used",
             name,
         )
         corners = np.where(missing, len(table), corners)
@@ -365,8 +368,8 @@ def _normals(
     if missing.any():
         if not missing.all():
             notes.add(
-                f"{int(missing.sum())} of its {len(corners)} corners have no normal: all of its "
-                "normals are left out",
+                f"{int(missing.sum())} of its {len(corners)} corners have no normal, so all of "
+                f"its normals are left out",
                 name,
             )
         return None, None

@@ -40,8 +40,8 @@ def read_off(path: Path) -> MeshFile:
         count = int(tokens[0]) if tokens[0].isdigit() else -1
         if not 0 <= count < len(tokens) or not all(_is_whole(w) for w in tokens[1 : 1 + count]):
             raise InputError(
-                f"{path}, line {line}: '{' '.join(tokens)[:60]}' is no face: a count and as many "
-                "indices",
+                f"{path}, line {line}: '{' '.join(tokens)[:60]}' is not a face (a count "
+                f"followed by that many indices)",
                 REPAIR,
             )
         counts.append(count)
@@ -49,7 +49,7 @@ def read_off(path: Path) -> MeshFile:
     if any(len(tokens) > 3 for _, tokens in vertices) or any(
         len(tokens) > 1 + count for (_, tokens), count in zip(faces, counts)
     ):
-        notes.add("its colors are not read")
+        notes.add("its colors are ignored")
     mesh = FileMesh(
         name="mesh",
         points=np.array(points).reshape(-1, 3),
@@ -75,19 +75,21 @@ def _rows(path: Path, data: bytes) -> tuple[Rows, Rows]:
     if not rows or rows[0][1][0] not in HEADS:
         raise InputError(
             f"{path} does not begin with {' or '.join(HEADS)}",
-            "check what the file really is; other kinds of OFF are not read",
+            "check the type of the file; other kinds of OFF are not supported",
         )
     # The counts may stand on the first line, too.
     rows[0] = (rows[0][0], rows[0][1][1:])
     rows = rows if rows[0][1] else rows[1:]
     if not rows or len(rows[0][1]) < 2 or not all(token.isdigit() for token in rows[0][1][:2]):
-        raise InputError(f"{path}: no line with its numbers of vertices and faces", REPAIR)
+        raise InputError(
+            f"{path}: the line with the numbers of vertices and faces is missing", REPAIR
+        )
     n_vertices, n_faces = (int(token) for token in rows[0][1][:2])
     if len(rows) < 1 + n_vertices + n_faces:
         raise InputError(
-            f"{path} announces {n_vertices} vertices and {n_faces} faces, and {len(rows) - 1} "
-            "lines follow",
-            "it was cut off or altered: " + REPAIR,
+            f"{path} declares {n_vertices} vertices and {n_faces} faces, but {len(rows) - 1} "
+            f"lines follow",
+            "the file was truncated or altered: " + REPAIR,
         )
     return rows[1 : 1 + n_vertices], rows[1 + n_vertices : 1 + n_vertices + n_faces]
 
@@ -98,7 +100,7 @@ def _numbers(path: Path, line: int, tokens: list[str]) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != 3:
-        raise InputError(f"{path}, line {line}: '{' '.join(tokens)[:60]}' is no vertex", REPAIR)
+        raise InputError(f"{path}, line {line}: '{' '.join(tokens)[:60]}' is not a vertex", REPAIR)
     return numbers
 
 

@@ -70,12 +70,13 @@ def _require_mesh(path: Path, tables: dict[str, dict[str, Floats | Ragged]]) -> 
         return
     if "tristrips" in tables:
         raise InputError(
-            f"{path} holds triangle strips, which are not read", "export it with faces"
+            f"{path} holds triangle strips, which are not supported", "export it with faces"
         )
     count = len(np.asarray(vertex["x"]))
     raise InputError(
-        f"{path} holds {count} points and no face: it has no surface to fill",
-        "give a file with faces; a reconstruction program makes a mesh of a point cloud",
+        f"{path} holds {count} points but no faces, so there is no surface to fill",
+        "give a file with faces; a surface reconstruction program can turn a point cloud into a "
+        "mesh",
     )
 
 
@@ -99,10 +100,10 @@ def _mesh(
         per_face = colors is not None
     normals = _columns(vertex, ("nx", "ny", "nz"))
     if normals is not None and not np.isfinite(normals).all():
-        notes.add("its normals are not all finite: left out")
+        notes.add("some of its normals are not finite: all are left out")
         normals = None
     if textured and uvs is None:
-        notes.add("it names a texture but has no texture coordinates: left out")
+        notes.add("it names a texture but has no texture coordinates: the texture is left out")
     points = _columns(vertex, ("x", "y", "z"))
     assert points is not None
     return FileMesh(
@@ -154,7 +155,7 @@ def _uvs(
         for names in UV_NAMES:
             uvs = _columns(vertex, names) if uvs is None else uvs
     if uvs is not None and not np.isfinite(uvs).all():
-        notes.add("its texture coordinates are not all finite: left out")
+        notes.add("some of its texture coordinates are not finite: all are left out")
         return None, None
     return uvs, indices
 
@@ -164,6 +165,6 @@ def _picture(path: Path, texture: str, notes: Notes) -> Picture | None:
         return None
     found = path.parent / texture.replace("\\", "/")
     if not found.is_file():
-        notes.add(f"its texture {texture} does not exist: no texture")
+        notes.add(f"its texture {texture} does not exist and is left out")
         return None
     return Picture(name=found.name, path=found)

@@ -39,7 +39,7 @@ def header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
     if not data.startswith(b"ply") or b"end_header" not in data:
         raise InputError(
             f"{path} is not a PLY file: it does not begin with 'ply' and a header",
-            "check what the file really is",
+            "check the type of the file",
         )
     end = data.index(b"end_header")
     rest = data.find(b"\n", end)
@@ -53,24 +53,26 @@ def header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
             order = ENCODINGS.get(tokens[1] if len(tokens) > 1 else "")
         elif tokens[:1] == ["element"]:
             if len(tokens) != 3 or not tokens[2].isdigit():
-                raise InputError(f"{where} is no element with a count", REPAIR)
+                raise InputError(f"{where} is not an element with a count", REPAIR)
             elements.append(Element(tokens[1], int(tokens[2]), []))
         elif tokens[:1] == ["property"]:
             column = _column(where, tokens)
             if not elements or column.name in [c.name for c in elements[-1].columns]:
-                raise InputError(f"{where} stands before any element, or twice in one", REPAIR)
+                raise InputError(
+                    f"{where} comes before any element, or is in the same element twice", REPAIR
+                )
             elements[-1].columns.append(column)
         elif tokens[:2] == ["comment", "TextureFile"]:
             texture = line.split("TextureFile", 1)[1].strip()
     if order is None:
-        raise InputError(f"{path}: its header names no format that exists", REPAIR)
+        raise InputError(f"{path}: its header names no valid format", REPAIR)
     return elements, order, texture, start
 
 
 def _column(where: str, tokens: list[str]) -> Column:
     kinds = tokens[2:4] if tokens[1:2] == ["list"] else tokens[1:2]
     if len(tokens) != len(kinds) + 2 + (tokens[1:2] == ["list"]):
-        raise InputError(f"{where} is no property", REPAIR)
+        raise InputError(f"{where} is not a property", REPAIR)
     unknown = [kind for kind in kinds if kind not in TYPES]
     if unknown:
         raise InputError(f"{where} has the unknown type {unknown[0]}", REPAIR)
@@ -117,7 +119,8 @@ def read_body(
     data : the whole file.   start : where its header ends.
     order : "<" or ">" of binary files, "" of text.
 
-    Raises InputError for a body that is shorter than announced or holds what is no number.
+    Raises InputError for a body that is shorter than declared or contains a value that is not a
+    number.
     """
     body = _Text(path, data, start) if not order else _Binary(path, data, start, order)
     return {element.name: body.read(element) for element in elements if element.columns}
@@ -153,7 +156,7 @@ class _Text:
                     at += 1
                 if at + count > len(numbers):
                     raise self._error(
-                        number, f"{element.name} needs {at + count} numbers, has {len(numbers)}"
+                        number, f"{element.name} needs {at + count} numbers but has {len(numbers)}"
                     )
                 values[column.name].extend(numbers[at : at + count])
                 counts[column.name].append(count)
@@ -170,7 +173,7 @@ class _Text:
         flat: list[float] = []
         for number, tokens in rows:
             if len(tokens) < width:
-                what = f"{element.name} needs {width} numbers, has {len(tokens)}"
+                what = f"{element.name} needs {width} numbers but has {len(tokens)}"
                 raise self._error(number, what)
             flat.extend(self._numbers(number, tokens[:width]))
         table = np.array(flat).reshape(-1, width)
@@ -181,7 +184,7 @@ class _Text:
             return [float(token) for token in tokens]
         except ValueError:
             shown = " ".join(tokens)[:60]
-            raise self._error(number, f"'{shown}' holds what is no number") from None
+            raise self._error(number, f"'{shown}' contains a value that is not a number") from None
 
     def _count(self, number: int, found: list[float]) -> int:
         if not found or not (0 <= found[0] < 1e6 and found[0] == int(found[0])):
@@ -304,7 +307,7 @@ def _cast(values: list[float] | Floats, column: Column) -> Floats:
 
 def _short(path: Path, element: Element, held: int) -> InputError:
     return InputError(
-        f"{path}: its header announces {element.count} of element '{element.name}', "
-        f"and the file holds {held}",
-        "it was cut off or altered: " + REPAIR,
+        f"{path}: its header declares {element.count} rows of element '{element.name}', but the "
+        f"file holds {held}",
+        "the file was truncated or altered: " + REPAIR,
     )

@@ -58,14 +58,14 @@ def _stl_body(path: Path, data: bytes, notes: Notes) -> bytes:
     text = data.lstrip()[:5].lower() == b"solid" and b"facet" in data.lower()
     if count and len(data) >= whole and not (text and len(data) > whole):
         if len(data) > whole:
-            notes.add(f"{len(data) - whole} bytes follow its {count} triangles: left out")
+            notes.add(f"{len(data) - whole} bytes after its {count} triangles are ignored")
         return data[:whole]
     if text:
         if data.lower().count(b"endsolid") == 0:
-            raise InputError(f"{path} is cut off: its solid does not end", REPAIR)
+            raise InputError(f"{path} is truncated: its solid has no end", REPAIR)
         return data.decode("utf-8", errors="replace").encode()
     raise InputError(
-        f"{path} is no whole STL file: a binary one with {count} triangles has {whole} bytes, "
-        f"this has {len(data)}, and it is no text that begins with 'solid'",
-        "it was cut off or altered: " + REPAIR,
+        f"{path} is not a complete STL file: a binary file with {count} triangles has {whole} "
+        f"bytes, but this file has {len(data)} and is not text that begins with 'solid'",
+        "the file was truncated or altered: " + REPAIR,
     )

@@ -24,13 +24,14 @@ def find_camera(stage: Usd.Stage, path: Path, name: str) -> UsdGeom.Camera:
         if prim:
             what = f"<{name}> is of type {prim.GetTypeName() or 'none'}, not Camera."
         else:
-            what = f"there is no camera <{name}>."
+            what = f"The camera <{name}> does not exist."
         raise InputError(f"{path}: {what}", _choice(stage))
     camera = UsdGeom.Camera(prim)
     projection = camera.GetProjectionAttr().Get()
     if projection != UsdGeom.Tokens.perspective:
         raise InputError(
-            f"{path}: the camera {name} has {projection} projection; pictures have perspective.",
+            f"{path}: the camera {name} has {projection} projection; only perspective cameras "
+            f"are supported.",
             "choose another camera, or leave --camera out to have one fitted to the motion",
         )
     return camera
@@ -41,7 +42,7 @@ def _choice(stage: Usd.Stage) -> str:
     there = [str(prim.GetPath()) for prim in walk if prim.IsA(UsdGeom.Camera)]
     if not there:
         return "the stage has no camera: leave --camera out to have one fitted to the motion"
-    return f"the cameras of the stage: {', '.join(there)}"
+    return f"the cameras in the stage are {', '.join(there)}"
 
 
 def read_camera(
@@ -64,7 +65,7 @@ def read_camera(
     sound = min(focal, across, down) > 0.0 and np.isfinite(matrix).all()
     if not sound or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         raise InputError(
-            f"{path}: the camera {camera.GetPath()} makes no picture at {time}: focal length "
+            f"{path}: the camera {camera.GetPath()} cannot render an image at {time}: focal length "
             f"{focal:g}, aperture {across:g} x {down:g}, transform {_short(seen.transform)}.",
             "give it a focal length and apertures above 0 and a transform that can be inverted",
         )

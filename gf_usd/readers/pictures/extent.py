@@ -71,8 +71,9 @@ def _skeleton_times(root: Usd.Prim) -> set[float]:
 def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
     """The box [m] of the prims' points over up to 48 of the times; None where there are none.
 
-    Of prims that stay where they are beside some that move, a ground for example, the box has what
-    lies within AROUND of the size of the motion's own box: a picture fits what happens in it.
+    If some prims move and others, such as a ground, do not, the box includes of the latter only
+    what is within AROUND times the size of the box of the motion, so that the image fits the
+    motion.
     """
     chosen: list[float | None] = [None]
     if times:

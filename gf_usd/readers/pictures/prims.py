@@ -30,7 +30,7 @@ def is_ours(prim: Usd.Prim) -> bool:
 
 
 def stands_for_meshes(prim: Usd.Prim) -> bool:
-    """True for points that a bake shows beside meshes, of bodies that flow."""
+    """True for points of flowing bodies, which a bake shows in addition to meshes."""
     named = prim.HasRelationship("gaussianFlesh:sourceMeshes")
     return prim.IsA(UsdGeom.Points) and named and not is_ours(prim)
 
@@ -58,7 +58,7 @@ def read_splats(
     for name, values in (("orientations", orientations), ("scales", scales)):
         if values is None or len(values) != count:
             have = 0 if values is None else len(values)
-            raise LeftAlone(f"has {count} positions and {have} {name}")
+            raise LeftAlone(f"has {count} positions but {have} {name}")
     if opacities is None or len(opacities) != count:
         opacities = np.ones((count, 1))
     assert orientations is not None
@@ -72,7 +72,9 @@ def read_splats(
     finite = np.isfinite(positions).all(axis=1) & np.isfinite(local).all(axis=(1, 2))
     finite &= np.isfinite(harmonics.coefficients).all(axis=(1, 2)) & np.isfinite(opacities[:, 0])
     if not finite.all():
-        notes.add(f"{int((~finite).sum())} of {count} Gaussians are not finite: left out", where)
+        notes.add(
+            f"{int((~finite).sum())} of {count} Gaussians are not finite and are left out", where
+        )
     coefficients = harmonics.coefficients[finite]
     return RenderSplats(
         name=where,
@@ -126,7 +128,7 @@ def read_points(
     width = np.asarray([] if widths is None else widths, dtype=np.float64)
     if len(width) not in (1, count):
         size = float(np.ptp(positions, axis=0).max())
-        notes.add("has no usable widths: 1/100 of its size is shown", where)
+        notes.add("has no usable widths: 1/100 of its size is used", where)
         width = np.array([0.01 * size])
     colors = _display_colors(prim, time, count)
     radius = 0.5 * np.broadcast_to(width, (count,))
@@ -165,7 +167,7 @@ def _harmonics(
         if values is not None:
             notes.add(
                 f"{len(values)} spherical harmonics coefficients are fewer than {each} for each "
-                f"of {count} Gaussians: gray instead",
+                f"of {count} Gaussians: gray is used",
                 str(prim.GetPath()),
             )
         coefficients = np.zeros((count, 1, 3))

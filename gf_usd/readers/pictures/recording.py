@@ -47,7 +47,7 @@ class BakedMotion:
 
     Raises
     ------
-    InputError : no such file, not USD, damaged, or nothing in it moves.
+    InputError : no such file, not USD, damaged, or nothing in this file moves.
     UsageError : the file has no such variant.
     """
 
@@ -105,7 +105,7 @@ class BakedMotion:
             except LeftAlone as reason:
                 raise InputError(
                     f"{self._path}: at time code {code:g} a prim cannot be shown: {reason}.",
-                    "gf-usd check says more; bake the asset again",
+                    "run gf-usd check for details, then bake the asset again",
                 ) from reason
             yield frame
 
@@ -118,9 +118,9 @@ class BakedMotion:
             points = world_points(prim, time, xforms, skins) * self._facts.units.length
             if points.shape != shape.points.shape or not np.isfinite(points).all():
                 raise InputError(
-                    f"{self._path}: {prim.GetPath()} has {len(points)} points at time code"
-                    f" {code:g} and {len(shape.points)} at the first, or some are not finite.",
-                    "gf-usd check says more; bake the asset again",
+                    f"{self._path}: {prim.GetPath()} has {len(points)} points at time code "
+                    f"{code:g} but {len(shape.points)} at the first one, or some are not finite.",
+                    "run gf-usd check for details, then bake the asset again",
                 )
             meshes.append(points)
         flows = self._changing(self._context(time, xforms, skins, Notes()))
@@ -171,7 +171,7 @@ class BakedMotion:
                 raise InputError(
                     f"{self._path}: {prim.GetPath()} has {0 if array is None else len(array)}"
                     f" {name} at {time} for {count} Gaussians, or some are not finite.",
-                    "gf-usd check says more; bake the asset again",
+                    "run gf-usd check for details, then bake the asset again",
                 )
             values[name] = array.reshape(-1, width)
         # numpy sees a quaternion as (x, y, z, w)
@@ -202,12 +202,12 @@ class BakedMotion:
         self._times = sample_times(ours or [*candidates, *clouds])
         if len(self._times) < 2:
             raise InputError(
-                f"{self._path}: nothing in it moves.",
-                "bake it first: gf-usd bake, and give the root layer that this writes",
+                f"{self._path}: nothing in this file moves.",
+                "bake the asset with gf-usd bake and give the root layer that it writes",
             )
         for prim in prims:
             if prim.IsA(UsdGeom.Points) and not is_ours(prim) and _moves(prim):
-                self._notes.add("its points move, and are left out", str(prim.GetPath()))
+                self._notes.add("its points move and are left out", str(prim.GetPath()))
         self._read_rest(candidates)
 
     def _read_rest(self, candidates: Sequence[Usd.Prim]) -> None:
@@ -273,7 +273,7 @@ class BakedMotion:
         if not isinstance(settings, dict):
             return None
         if settings.get("floor_normal") is not None:
-            self._notes.add("its floor is tilted, which is not drawn")
+            self._notes.add("its floor is tilted and is not drawn")
             return None
         floor = settings.get("floor")
         return float(floor) if isinstance(floor, int | float) else None
@@ -332,7 +332,7 @@ def select_variant(stage: Usd.Stage, path: Path, variant: str | None) -> str:
     known = variants_of(stage)
     if variant is not None and variant not in known:
         there = (
-            f"it holds {', '.join(known)}" if known else "it holds no bake: leave the variant out"
+            f"it holds {', '.join(known)}" if known else "it holds no bake: leave out the variant"
         )
         raise UsageError(f"{path} has no variant {variant!r}.", there)
     prims = _switches(stage)

@@ -121,8 +121,8 @@ class PictureStage:
         if not self._prims:
             there = ", ".join(sorted({kind for kind, _ in self._all()})) or "nothing to draw"
             raise InputError(
-                f"{path}: there is no visible {' or '.join(SHOWS[self.show][0])} in it.",
-                f"it holds {there}: choose with --show",
+                f"{path}: it contains no visible {' or '.join(SHOWS[self.show][0])}.",
+                f"it contains {there}: choose with --show",
             )
         self._motion: Motion | None = None
         self._textures: dict[tuple[object, ...], Texture] = {}  # decoded once for a film
@@ -329,7 +329,9 @@ def _select(stage: Usd.Stage, path: Path, variant: str) -> None:
         close = difflib.get_close_matches(variant, known, n=1)
         guess = f"did you mean {close[0]}? " if close else ""
         listed = (
-            f"choose one of {', '.join(known)}" if known else "it has none: leave --variant out"
+            f"choose one of {', '.join(known)}"
+            if known
+            else "it has no variants: leave out --variant"
         )
         raise UsageError(f"{path} has no variant {variant!r}", f"{guess}{listed}")
     stage.SetEditTarget(stage.GetSessionLayer())

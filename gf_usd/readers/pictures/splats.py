@@ -90,8 +90,8 @@ class SplatMotion:
                 if is_ != was:
                     raise InputError(
                         f"{self._path}: <{one.name}> has {is_} Gaussians that are finite at time"
-                        f" code {code:g} and {was} at the first.",
-                        "gf-usd check says more; bake the asset again",
+                        f" code {code:g} and {was} at the first one.",
+                        "run gf-usd check for details, then bake the asset again",
                     )
             yield found
 
@@ -102,7 +102,7 @@ class SplatMotion:
         except LeftAlone as reason:
             raise InputError(
                 f"{self._path}: <{prim.GetPath()}> {reason} at time code {time.GetValue():g}.",
-                "gf-usd check says more; bake the asset again",
+                "run gf-usd check for details, then bake the asset again",
             ) from reason
 
     @staticmethod

@@ -89,8 +89,10 @@ class Values:
         self._carriers = [_carrier(prim) for prim in clouds]
         if not self._carriers:
             raise InputError(
-                f"{path}: there are no particles of a bake in it, which --color {what} needs.",
-                "give a file that gf-usd bake wrote, with its variant gaussianFlesh not none",
+                f"{path}: --color {what} needs the particles of a bake, and the file contains "
+                f"none.",
+                "give a file that gf-usd bake wrote, with a variant of gaussianFlesh other than "
+                "none",
             )
         measure = MEASURES[what]
         bare = [c for c in self._carriers if measure.attributes and not written(c.prim, measure)]
@@ -110,8 +112,8 @@ class Values:
                 where = str(carrier.prim.GetPath())
                 self._fits[where] = NeighborFit(carrier.rest)
                 self.notes.append(
-                    f"{where}: strain is fitted to the motion of neighboring particles, for the "
-                    "bake holds no deformation gradients (bake with --deformation-gradients)"
+                    f"{where}: strain is fitted to the motion of neighboring particles because "
+                    f"the bake holds no deformation gradients (bake with --deformation-gradients)"
                 )
 
     def of_particles(self, prim: Usd.Prim, time: Usd.TimeCode) -> Floats | None:

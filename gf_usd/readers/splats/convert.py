@@ -56,14 +56,16 @@ def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | 
     axis = "Y" if up_axis is None else up_axis.upper()
     if axis not in AXES:
         raise InputError(
-            f"up axis {up_axis!r}: Gaussians know Y, Z, -Y and -Z", "give one of --up-axis these"
+            f"up axis {up_axis!r}: it must be Y, Z, -Y or -Z", "give one of them with --up-axis"
         )
     name = _format(path).name
     notes = Notes()
     unit = 1.0 if meters_per_unit is None else meters_per_unit
     unit_from = source_of(meters_per_unit, False)
     axis_from = source_of(up_axis, _format(path).says_axis)
-    for line in unit_and_axis(name, unit, axis, unit_from, axis_from, ", -Y where it hangs"):
+    for line in unit_and_axis(
+        name, unit, axis, unit_from, axis_from, ", or -Y where the splats are upside down"
+    ):
         notes.add(line)
     splats = read_splat_file(path, notes)
     folder = Folder()

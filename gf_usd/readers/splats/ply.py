@@ -102,7 +102,7 @@ def _require(path: Path, elements: list[Element]) -> None:
     if missing:
         raise InputError(
             f"{path}: its Gaussian splats have no column {', '.join(missing)}",
-            "3DGS files have x y z, f_dc, opacity, scale and rot: " + REPAIR,
+            "3DGS files have the columns x y z, f_dc, opacity, scale and rot: " + REPAIR,
         )
 
 
@@ -160,7 +160,7 @@ def unpack(path: Path, tables: dict[str, Table]) -> Splats:
     have = len(next(iter(chunk.values()))) if chunk else 0  # type: ignore[arg-type]
     if count and have <= rows[-1]:
         raise InputError(
-            f"{path}: {count} packed Gaussians need {rows[-1] + 1} chunks, it has {have}", REPAIR
+            f"{path}: {count} packed Gaussians need {rows[-1] + 1} chunks but it has {have}", REPAIR
         )
     positions = _between(path, chunk, rows, ("x", "y", "z"), _bits(words["position"], XYZ))
     logs = _between(

@@ -25,8 +25,8 @@ def read_raw_splats(path: Path) -> Splats:
     refuse_pointer(path, data)
     if len(data) % ROW.itemsize:
         raise InputError(
-            f"{path} has {len(data)} bytes, which is no multiple of {ROW.itemsize}: it is not a "
-            ".splat file, or it was cut off",
+            f"{path} has {len(data)} bytes, which is not a multiple of {ROW.itemsize}: it is "
+            f"not a .splat file or was truncated",
             REPAIR,
         )
     rows = np.frombuffer(data, ROW)

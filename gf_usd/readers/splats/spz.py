@@ -133,7 +133,7 @@ def read_blocks(path: Path, data: bytes) -> tuple[Header, list[NDArray[np.uint8]
     else:
         raise InputError(
             f"{path} is not an SPZ file: it is not compressed with gzip",
-            "check what the file really is",
+            "check the type of the file",
         )
     blocks, at = [], 0
     for width in header.widths:
@@ -168,9 +168,9 @@ def _streams(path: Path, data: bytes) -> tuple[Header, bytes]:
     number, table = data[15], struct.unpack_from("<I", data, 16)[0] if len(data) >= 32 else 0
     if number != len(sizes) or table < 32 or len(data) < table + 16 * number:
         raise InputError(
-            f"{path}: its header wants {len(sizes)} blocks, and names {number} streams whose sizes"
-            f" stand at byte {table} of {len(data)}",
-            "it was cut off or altered: " + REPAIR,
+            f"{path}: its header requires {len(sizes)} blocks but declares {number} streams, "
+            f"whose sizes are at byte {table} of {len(data)}",
+            "the file was truncated or altered: " + REPAIR,
         )
     plain, at = [], table + 16 * number
     for k, size in enumerate(sizes):
@@ -191,7 +191,7 @@ def _header(path: Path, start: bytes) -> Header:
     if magic != MAGIC:
         raise InputError(
             f"{path} is not an SPZ file: it begins with 0x{magic:08x}, not 0x{MAGIC:08x}",
-            "check what the file really is",
+            "check the type of the file",
         )
     if degree > DEGREES or bits > 31:
         raise InputError(
@@ -216,7 +216,7 @@ def _filled(path: Path, header: Header, size: int, read: Callable[[int], bytes])
     while len(whole) < size and (piece := read(min(PIECE, size - len(whole)))):
         whole += piece
     if len(whole) < size:
-        raise _too_short(path, header, f"and {size - len(whole)} of them are not there")
+        raise _too_short(path, header, f"and {size - len(whole)} of them are missing")
     read(1)  # at the end of a gzip stream its checksum is looked at
     return bytes(whole)
 
@@ -225,13 +225,13 @@ def _too_short(path: Path, header: Header, have: str) -> InputError:
     return InputError(
         f"{path}: {header.count} Gaussians of degree {header.degree} take {header.size} bytes,"
         f" {have}",
-        "it was cut off or altered: " + REPAIR,
+        "the file was truncated or altered: " + REPAIR,
     )
 
 
 def _unknown_version(path: Path, version: int) -> InputError:
     return InputError(
-        f"{path} is SPZ version {version}; versions 1 to 3 in one gzip stream and version 4 in"
-        " streams of its own are read",
+        f"{path} is SPZ version {version}; versions 1 to 3 in one gzip stream and version 4 in "
+        f"separate streams are supported",
         "write it as PLY, or as SPZ version 3, for example with splat-transform",
     )

@@ -18,7 +18,7 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
 from gf_usd.readers.usd.stage import LeftAlone, open_stage, reading, stage_facts
 
-INSTANCE = "is an instance: in the bake it is an ordinary prim, since what is in it moves"
+INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
 
 
 def read_usd(
@@ -106,8 +106,8 @@ def _nothing(
     under = ", ".join(str(root.GetPath()) for root in found.roots[:3]) or "its root"
     if missing := [line for line in notes.lines() if line.startswith("does not compose")]:
         return InputError(
-            f"{path}: there is no mesh under {under}; {missing[0]}",
-            "bring the missing files along, or correct the paths in the asset",
+            f"{path}: no mesh was found under {under}; {missing[0]}",
+            "supply the missing files, or correct the paths in the asset",
         )
     if skipped:
         where, reason = next(iter(skipped.items()))
@@ -118,10 +118,10 @@ def _nothing(
         )
     there = ", ".join(f"{n} {name}" for name, n in found.types.most_common(5)) or "nothing"
     elsewhere = [] if by_name else _meshes_elsewhere(stage)
-    hint = "give an asset with a mesh in it"
+    hint = "give an asset that contains a mesh"
     if elsewhere:
         hint = f"there are meshes outside the default prim: --prim {elsewhere[0]}"
-    return InputError(f"{path}: there is no mesh under {under}: found {there}", hint)
+    return InputError(f"{path}: no mesh was found under {under}, which contains {there}", hint)
 
 
 def _meshes_elsewhere(stage: Usd.Stage) -> list[str]:

@@ -201,21 +201,21 @@ def _rig(skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, facts: StageFacts) ->
     topology = query.GetTopology()
     valid, reason = topology.Validate()
     if not valid:
-        raise InputError(f"{where} has joints in no valid order: {reason}", hint)
+        raise InputError(f"{where} has joints in an invalid order: {reason}", hint)
     joints = tuple(str(name) for name in query.GetJointOrder())
     given = query.GetJointWorldBindTransforms() if query.HasBindPose() else None
     if not joints or given is None or len(given) != len(joints):
         raise InputError(
-            f"{where} has {len(joints)} joints and no bind transform for each of them",
-            "author bindTransforms, one matrix for each joint: they are the rest shape",
+            f"{where} has {len(joints)} joints but not a bind transform for each of them",
+            "author bindTransforms, one matrix for each joint; they define the rest shape",
         )
     bind = np.array(given, dtype=np.float64).reshape(-1, 4, 4)
     finite = np.where(np.isfinite(bind).all((1, 2), keepdims=True), bind, 0.0)
     flat = np.abs(np.linalg.det(finite[:, :3, :3])) <= 1e-12
     if flat.any():
         raise InputError(
-            f"{where}: the bind transforms of {int(flat.sum())} of {len(joints)} joints have no"
-            f" inverse, the first is {joints[int(flat.argmax())]}",
+            f"{where}: the bind transforms of {int(flat.sum())} of {len(joints)} joints cannot "
+            f"be inverted; the first is {joints[int(flat.argmax())]}",
             hint,
         )
     return Rig(
@@ -336,8 +336,8 @@ def _world(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
     rows = np.array(matrix, dtype=np.float64)
     if not np.isfinite(rows).all() or abs(np.linalg.det(rows[:3, :3])) == 0.0:
         raise InputError(
-            f"{facts.path}: --flesh: the transform of <{rig.path}> has no inverse at time code"
-            f" {code:g}",
+            f"{facts.path}: --flesh: the transform of <{rig.path}> cannot be inverted at time "
+            f"code {code:g}",
             "repair the animation of the skeleton, or of a prim above it",
         )
     return rows
@@ -350,9 +350,9 @@ def _posed(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
     bad = ~np.isfinite(rows).all((1, 2))
     if len(rows) != len(rig.joints) or bad.any():
         what = (
-            f"gives {len(rows)} transforms for {len(rig.joints)} joints"
+            f"has {len(rows)} transforms for {len(rig.joints)} joints"
             if len(rows) != len(rig.joints)
-            else f"moves joint {rig.joints[int(bad.argmax())]} to what is not finite"
+            else f"moves joint {rig.joints[int(bad.argmax())]} to a position that is not finite"
         )
         raise InputError(
             f"{facts.path}: --flesh: the animation of <{rig.path}> {what} at time code {code:g}",

@@ -33,7 +33,7 @@ def tessellate(prim: Usd.Prim, time: Usd.TimeCode) -> Polygons:
 def _size(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float:
     value = prim.GetAttribute(name).Get(time)
     if not isinstance(value, float | int):  # a file may author any type
-        raise LeftAlone(f"its {name} is no number")
+        raise LeftAlone(f"its {name} is not a number")
     if not np.isfinite(value) or value < 0.0:
         raise LeftAlone(f"its {name} is {value:g}")
     return float(value)

@@ -70,12 +70,12 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
     place = _placement(prim, reading)
     points = place.points(polygons.points) * reading.meters_per_unit
     if not np.isfinite(points).all():
-        raise _broken(prim, reading, "its points leave the range of numbers in the world")
+        raise _broken(prim, reading, "the world coordinates of its points are too large")
     triangles, corners, faces = triangulate(points, polygons.counts, polygons.indices)
     kept = ~np.isin(faces, polygons.holes)
     triangles, corners, faces = triangles[kept], corners[kept], faces[kept]
     if len(triangles) == 0:
-        raise LeftAlone("has no face with three or more corners")
+        raise LeftAlone("has no face with at least three corners")
     if polygons.left_handed != place.mirrored:
         triangles, corners = triangles[:, ::-1], corners[:, ::-1]
     carriers = polygons.carriers
@@ -219,7 +219,9 @@ def _cloud(cloud: UsdGeom.Points, prim: Usd.Prim, reading: Reading) -> Polygons:
         raise LeftAlone("has no points")
     wide = widths(prim, points, reading.time, reading.notes)
     around, triangles = cover(points, wide)
-    reading.notes.add(f"a surface was put around its {len(points)} points", str(prim.GetPath()))
+    reading.notes.add(
+        f"a surface was constructed around its {len(points)} points", str(prim.GetPath())
+    )
     if cloud.GetPointsAttr().ValueMightBeTimeVarying():
         reading.notes.add(ANIMATED, str(prim.GetPath()))
     nearest = kd_tree(points).query(around)[1]
@@ -296,15 +298,17 @@ def _require_sound(
         raise _broken(
             prim,
             reading,
-            f"{int(outside.sum())} faceVertexIndices are outside its {len(points)} points, "
-            f"the first is {indices[outside][0]}",
+            f"{int(outside.sum())} faceVertexIndices do not refer to any of its {len(points)} "
+            f"points; the first is {indices[outside][0]}",
         )
 
 
 def _require_finite(prim: Usd.Prim, reading: Reading, points: Floats) -> None:
     lost = int((~np.isfinite(points)).any(axis=1).sum())
     if lost:
-        raise _broken(prim, reading, f"{lost} of {len(points)} points are not finite (NaN or inf)")
+        raise _broken(
+            prim, reading, f"{lost} of {len(points)} points are not finite (NaN or infinity)"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -344,7 +348,8 @@ def read_normals(
     }.get(interpolation)
     if carriers is None or len(carriers) != len(values):
         notes.add(
-            f"its {len(values)} normals are not one for each '{interpolation}' element: ignored",
+            f"its {len(values)} normals do not match the elements of its '{interpolation}' "
+            f"interpolation: ignored",
             str(prim.GetPath()),
         )
         return Normals()
@@ -354,8 +359,8 @@ def read_normals(
     lost = np.asarray(length == 0.0)
     if lost.any():
         notes.add(
-            f"{int(lost.sum())} of its {len(values)} normals have no direction: "
-            "that of the faces around them is used",
+            f"{int(lost.sum())} of its {len(values)} normals have no direction: the normals of "
+            f"the adjacent faces are used",
             str(prim.GetPath()),
         )
         world[lost] = _of_the_faces(points, where.triangles)[carriers[lost]]

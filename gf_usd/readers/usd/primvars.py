@@ -63,14 +63,14 @@ def primvar_at_corners(
         notes.add(f"primvar {what} has no values {width} wide: ignored", where)
         return None
     if not np.isfinite(values).all():
-        notes.add(f"primvar {what} holds values that are not finite: ignored", where)
+        notes.add(f"primvar {what} has values that are not finite: ignored", where)
         return None
     interpolation = str(primvar.GetInterpolation())
     spread = corners.spread(values[:, :width], interpolation)
     if spread is None:
         notes.add(
-            f"primvar {what} has {len(values)} values, which is not one for each "
-            f"'{interpolation}' element: ignored",
+            f"primvar {what} has {len(values)} values, which does not match the number of "
+            f"elements of its '{interpolation}' interpolation: ignored",
             where,
         )
     return spread

@@ -122,7 +122,7 @@ def _why_not(prim: Usd.Prim, time: Usd.TimeCode) -> str:
         return f"these {what} are the particles of a bake"
     if prim.IsA(UsdGeom.Points):
         if not is_body(prim, time):
-            return "Points without widths and without physics: no body is meant"
+            return "Points without widths and without physics are not a body"
     elif not (has_surface(prim) or name == SPLAT_TYPE):
         return f"{name}: only meshes, solid shapes, points and splats are made soft"
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
@@ -153,7 +153,7 @@ def named_prim(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
     else:
         parent = _nearest(stage, wanted)
         names = ", ".join(str(p.GetPath()) for p in parent.GetAllChildren()[:8])
-        hint = f"{parent.GetPath()} exists and holds {names or 'nothing'}"
+        hint = f"{parent.GetPath()} exists and contains {names or 'nothing'}"
     raise InputError(f"{path}: there is no prim {name}", hint)
 
 
@@ -196,8 +196,8 @@ def not_to_be_freed(stage: Usd.Stage, prims: Iterable[Usd.Prim]) -> dict[Sdf.Pat
         at = instances[-1].GetPath()
         if where := hidden[at]:
             reasons[path] = (
-                f"the instance <{at}> hides opinions on <{where}>, which would show if it were"
-                " freed: delete them, or make it an ordinary prim"
+                f"the instance <{at}> hides opinions on <{where}>, which would take effect if "
+                f"it were made an ordinary prim: delete them, or turn off instancing in the file"
             )
     return reasons
 

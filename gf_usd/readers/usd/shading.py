@@ -79,7 +79,7 @@ class ShadingReader:
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetShaderId() != "UsdPreviewSurface":
             kind = self._kind(material, shader)
-            self._notes.add(f"{kind} is not read: displayColor or gray instead", path)
+            self._notes.add(f"{kind} is not supported: displayColor or gray is used", path)
             return BoundShading(material=SurfaceMaterial(path=path, color=GRAY), understood=False)
         diffuse = shader.GetInput("diffuseColor")
         color = _color(self._value(diffuse), GRAY)
@@ -97,7 +97,7 @@ class ShadingReader:
             )
         self._notes.add(
             f"diffuseColor comes from {node.GetShaderId() or 'an unknown shader'}, which is not "
-            "read: a constant color instead",
+            f"supported: a constant color is used",
             path,
         )
         return BoundShading(material=SurfaceMaterial(path=path, color=color))
@@ -122,7 +122,7 @@ class ShadingReader:
         constant = SurfaceMaterial(path=path, color=_color(authored, color))
         asset = self._input(node, "file")
         if not isinstance(asset, Sdf.AssetPath) or not asset.path:
-            self._notes.add("its texture names no file: a constant color instead", path)
+            self._notes.add("its texture names no file: a constant color is used", path)
             return BoundShading(material=constant)
         options = {
             "space": str(self._input(node, "sourceColorSpace") or "auto"),
@@ -136,7 +136,7 @@ class ShadingReader:
             if key not in self._textures:
                 self._textures[key] = load_texture(asset, **options)
         except Unreadable as error:
-            self._notes.add(f"{error}: a constant color instead", path)
+            self._notes.add(f"{error}: a constant color is used", path)
             return BoundShading(material=constant)
         material = SurfaceMaterial(path=path, color=color, texture=self._textures[key])
         return BoundShading(material=material, place=self._place(path, node.GetInput("st")))
@@ -163,7 +163,8 @@ class ShadingReader:
                     offset=offset,
                 )
             self._notes.add(
-                f"its texture coordinates come from {node.GetShaderId()}, which is not read", path
+                f"its texture coordinates come from {node.GetShaderId()}, which is not supported",
+                path,
             )
             break
         return TexturePlace(
@@ -274,7 +275,7 @@ def _texture_coordinates(
         if found is None:
             notes.add(
                 f"has no usable primvar {place.primvar}, which the texture of "
-                f"{shading.material.path} reads: one place of the texture instead",
+                f"{shading.material.path} reads: a single point of the texture is used",
                 str(prim.GetPath()),
             )
     if found is None:
@@ -305,8 +306,8 @@ def _bindings(
             inside = (faces >= 0) & (faces < n_faces)
             if not inside.all():
                 notes.add(
-                    f"{int((~inside).sum())} of its {len(faces)} indices are outside the "
-                    f"{n_faces} faces: ignored",
+                    f"{int((~inside).sum())} of its {len(faces)} indices do not refer to any of "
+                    f"the {n_faces} faces: ignored",
                     str(subset.GetPath()),
                 )
             bind(shadings.bound(subset.GetPrim()), faces[inside])

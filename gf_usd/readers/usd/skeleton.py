@@ -65,7 +65,7 @@ class SkinnedPlacement(Placement):
         if self.skin.HasJointInfluences():
             posed = self._skin_normals(normals, carriers)
             if posed is None:
-                self._remark("its normals cannot follow its joints: left in their bind pose")
+                self._remark("its normals cannot follow its joints and stay in their bind pose")
             else:
                 normals = posed
         return super().normals(normals, carriers)
@@ -130,7 +130,7 @@ class SkinnedPlacement(Placement):
             posed,
         )
         if not deformed:
-            self._remark("its blend shapes do not fit its points: read without them")
+            self._remark("its blend shapes do not match its points and are ignored")
 
     def _remark(self, text: str) -> None:
         self.notes.add(text, str(self.skin.GetPrim().GetPath()))
@@ -169,8 +169,8 @@ class Skins:
         if bound is None:
             if UsdSkel.BindingAPI(prim).GetJointIndicesPrimvar().HasAuthoredValue():
                 self._notes.add(
-                    "has joint influences but no skeleton poses it (none is bound, or no SkelRoot "
-                    "is above it): read without a pose",
+                    "has joint influences but no skeleton poses it (none is bound, or it is not "
+                    "below a SkelRoot): it is read without a pose",
                     str(prim.GetPath()),
                 )
             return None
@@ -184,10 +184,12 @@ class Skins:
         if moves and not self._bind:
             self._notes.add(ANIMATED, str(prim.GetPath()))
         if not query.HasBindPose():
-            self._notes.add("its skeleton has no bind pose: read as identity", str(prim.GetPath()))
+            self._notes.add(
+                "its skeleton has no bind pose: the identity is assumed", str(prim.GetPath())
+            )
         if not self._fits(prim, query, skin):
             self._notes.add(
-                "its joint influences do not fit its points: read without a pose",
+                "its joint influences do not match its points: it is read without a pose",
                 str(prim.GetPath()),
             )
             return None

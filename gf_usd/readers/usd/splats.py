@@ -113,7 +113,7 @@ def _harmonics(
     if values is not None:
         notes.add(
             f"{len(values)} spherical harmonics coefficients are fewer than {each} for each of "
-            f"{count} Gaussians: gray instead",
+            f"{count} Gaussians: gray is used",
             str(prim.GetPath()),
         )
     return np.zeros((count, 1, 3), np.float32), half

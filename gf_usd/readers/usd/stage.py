@@ -60,7 +60,7 @@ def _text(error: object) -> str:
 
 
 def _first_line(text: str) -> str:
-    return (text.strip().splitlines() or ["it does not say why"])[0].strip()
+    return (text.strip().splitlines() or ["USD gives no reason"])[0].strip()
 
 
 def open_stage(path: Path) -> Usd.Stage:
@@ -75,7 +75,7 @@ def open_stage(path: Path) -> Usd.Stage:
         shown = head.split(b"\n")[0][:24].decode("ascii", errors="replace")
         raise InputError(
             f"{path} is not a USD file: it begins with {shown!r}",
-            "a text layer begins with '#usda 1.0'; check what the file really is",
+            "a text layer begins with '#usda 1.0'; check the type of the file",
         )
     root = Sdf.Layer.FindOrOpen(str(path))
     if root is None:
@@ -98,7 +98,7 @@ def _require_rates(path: Path, layer: Sdf.Layer) -> None:
             known = isinstance(rate, float | int)  # a text layer holds any type here
             if not (known and math.isfinite(rate) and rate > 0.0):
                 inside = "" if Path(layer.realPath) == path.resolve() else f" in {layer.identifier}"
-                shown = f"{rate:g}" if known else f"{_text(rate)!r}, which is no number"
+                shown = f"{rate:g}" if known else f"{_text(rate)!r}, which is not a number"
                 raise InputError(
                     f"{path}: {key} = {shown}{inside}; it must be above 0",
                     f"set {key} to the frames per second that the asset was made for, e.g. 24",
@@ -123,7 +123,9 @@ def stage_facts(
         notes.add(f"does not compose: {_first_line(_text(error))}")
     default = stage.GetDefaultPrim()
     if root.HasDefaultPrim() and not default:
-        notes.add(f"defaultPrim names '{root.defaultPrim}', which does not exist: every root prim")
+        notes.add(
+            f"defaultPrim names '{root.defaultPrim}', which does not exist: all root prims are used"
+        )
     unit, unit_from = _meters_per_unit(stage, path, notes, meters_per_unit)
     axis, axis_from = _up_axis(stage, path, notes, up_axis)
     return StageFacts(
@@ -204,14 +206,16 @@ def _meters_per_unit(
     if override is not None:
         if not (math.isfinite(override) and override > 0.0):
             raise InputError(
-                f"--meters-per-unit {override:g} is not a size",
+                f"--meters-per-unit {override:g} is not a valid unit size",
                 "give the size of the file's unit in meters, e.g. 0.01 for centimeters",
             )
-        notes.add(f"metersPerUnit = {override:g}, as asked for")
+        notes.add(f"metersPerUnit = {override:g}, as requested")
         return override, OPTION
     authored = _positive(stage, path, "metersPerUnit")
     if authored is None:
-        notes.add("metersPerUnit is not authored: 0.01 (centimeters) is assumed, as USD says")
+        notes.add(
+            "metersPerUnit is not authored: 0.01 (centimeters), the default of USD, is assumed"
+        )
         return float(UsdGeom.LinearUnits.centimeters), ASSUMED
     return authored, FILE
 
@@ -222,15 +226,15 @@ def _up_axis(stage: Usd.Stage, path: Path, notes: Notes, override: str | None) -
     if override is not None:
         axis = override.upper()
         if axis not in ("Y", "Z"):
-            raise InputError(f"up axis {override!r}: USD knows Y and Z", hint)
-        notes.add(f"upAxis = {axis}, as asked for")
+            raise InputError(f"up axis {override!r}: USD allows only Y and Z", hint)
+        notes.add(f"upAxis = {axis}, as requested")
         return axis, OPTION
     if not stage.HasAuthoredMetadata("upAxis"):
-        notes.add("upAxis is not authored: Y is assumed, as USD says")
+        notes.add("upAxis is not authored: Y, the default of USD, is assumed")
         return "Y", ASSUMED
     axis = str(_metadata(stage, "upAxis"))
     if axis not in ("Y", "Z"):
-        raise InputError(f"{path}: upAxis = {axis!r}; USD knows Y and Z", hint)
+        raise InputError(f"{path}: upAxis = {axis!r}; USD allows only Y and Z", hint)
     return axis, FILE
 
 
@@ -239,7 +243,7 @@ FLAT = 1e-12
 
 # The note on a mesh whose own animation the simulation takes the place of.
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
-CHANGES = "its topology changes over time: the one at the first frame is used"
+CHANGES = "its topology changes over time: that of the first frame is used"
 FOR_BAKES = (ANIMATED, CHANGES)  # notes that are no news for a picture
 
 

@@ -53,7 +53,7 @@ def load_texture(
     Raises Unreadable for a file that is missing, or that Pillow does not understand.
     """
     if "<UDIM>" in asset.path:
-        raise Unreadable(f"texture {asset.path}: UDIM tiles are not read")
+        raise Unreadable(f"texture {asset.path}: UDIM tiles are not supported")
     if not asset.resolvedPath:
         raise Unreadable(f"texture {asset.path} does not exist")
     picture = _picture(asset)
@@ -81,7 +81,7 @@ def _picture(asset: Sdf.AssetPath) -> Image.Image:
 
 def _short(error: Exception) -> str:
     if isinstance(error, Image.UnidentifiedImageError):
-        return "not a picture that Pillow knows"
+        return "not an image format that Pillow supports"
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 

@@ -99,7 +99,7 @@ def _require_same(
     for path, points in start.items():
         if now[path].shape != points.shape:
             raise InputError(
-                f"{facts.path}: --flesh: <{path}> has {len(points)} points at the first frame and"
-                f" {len(now[path])} at time code {code:g}",
-                "give a cache whose points stay the same from frame to frame",
+                f"{facts.path}: --flesh: <{path}> has {len(points)} points at the first frame "
+                f"but {len(now[path])} at time code {code:g}",
+                "give a cache with the same number of points in all frames",
             )

@@ -106,5 +106,5 @@ def _material(path: Path, prim: Usd.Prim, units: StageUnits, say: Assume | None)
     material = spec.whole()
     assert material is not None  # both moduli are there
     if spec.law is None and LAWS[material.law].flows:
-        tell(f"{stated_flow(material.law)} is stated and no law: {material.law}")
+        tell(f"{stated_flow(material.law)} is stated but no law: {material.law} is used")
     return material

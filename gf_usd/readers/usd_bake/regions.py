@@ -86,7 +86,7 @@ def read_weighted(
                 raise InputError(
                     f"{facts.path}: {said}: <{path}> has {len(weight)} weights for"
                     f" {len(points)} points",
-                    "paint a weight on each point",
+                    "paint a weight for each point",
                 )
             chosen = triangles[weight[triangles].min(1) >= HALF]
             if not len(chosen):
@@ -107,10 +107,10 @@ def read_weighted(
                 )
             )
     if not made:
-        what = "joints are " + ", ".join(dict.fromkeys(known)) if known else "none has it"
+        what = "joints are " + ", ".join(dict.fromkeys(known)) if known else "no mesh has it"
         raise InputError(
             f"{facts.path}: {said}: no face of {len(meshes)} mesh(es) has a weight of"
-            f" {HALF:g} and more",
+            f" at least {HALF:g}",
             f"name a float primvar on points, or a joint of the skeleton; {what}",
         )
     return tuple(made)
@@ -165,7 +165,7 @@ def _region(
         raise InputError(
             f"{facts.path}: {said}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
             " without a mesh under it",
-            "name a GeomSubset, a mesh or a prim above meshes, or give a box:"
+            "name a GeomSubset, a mesh or an ancestor of meshes, or give a box:"
             f" {option} box:x0,y0,z0,x1,y1,z1",
         )
     points, triangles = _triangles(prims, facts, rest, said)
@@ -250,7 +250,7 @@ def _chosen(
         )
     if not mine.any():
         raise InputError(
-            f"{facts.path}: {said} holds {len(indices)} indices but no face of its mesh",
-            "name a subset that has faces",
+            f"{facts.path}: {said} holds {len(indices)} indices but contains no face of its mesh",
+            "name a subset that contains faces",
         )
     return triangles[mine]

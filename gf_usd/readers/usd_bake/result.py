@@ -92,7 +92,7 @@ class BakedArrays:
         ]
         if not clouds and not self._health:
             raise InputError(
-                f"{self.path}: nothing in it was baked by gf-usd",
+                f"{self.path}: the file contains no bake by gf-usd",
                 "give the root layer that gf_usd.bake returned",
             )
         if self._cloud:
@@ -218,8 +218,8 @@ class BakedArrays:
     def _particles(self) -> Usd.Prim:
         if not self._cloud:
             raise InputError(
-                f"{self.path}: the particles were not written",
-                "bake again without --only, or with gaussians or points in it",
+                f"{self.path}: the bake did not write its particles",
+                "bake again without --only, or include gaussians or points in it",
             )
         return self._cloud
 
@@ -239,7 +239,7 @@ class BakedArrays:
                 return np.asarray(values, np.float64).reshape(-1, width)
         raise InputError(
             f"{self.path}: <{self._cloud.GetPath()}> has no {name} at {time}",
-            "gf-usd check says more; bake the asset again",
+            "run gf-usd check for details, then bake the asset again",
         )
 
     def _values(self, name: str, code: float) -> Array | None:

@@ -262,7 +262,7 @@ def _goals(
     bad = ~((values >= 0.0) & (values <= 1.0))  # NaN compares false
     if bad.any():
         raise InputError(
-            f"{where} has {int(bad.sum())} of {len(values)} values out of range, the first is"
+            f"{where} has {int(bad.sum())} of {len(values)} values out of range; the first is"
             f" {float(values[bad][0]):g}",
             "paint 0 (free) to 1 (keyframed)",
         )
@@ -283,13 +283,14 @@ def _goals_of_subsets(
             raise InputError(
                 f"{where} has {len(values)} values on a subset of"
                 f" {subset.GetElementTypeAttr().Get()}s",
-                "author one constant number, on a subset of faces; paint the mesh for more",
+                "author one constant number on a subset of faces, or paint the mesh for varying "
+                "values",
             )
         faces = np.asarray(subset.GetIndicesAttr().Get(time) or [], np.int64)
         if len(faces) and (faces.min() < 0 or faces.max() >= count):
             raise InputError(
-                f"{facts.path}: <{path}>: its indices reach from {faces.min()} to {faces.max()},"
-                f" and the mesh has {count} faces",
+                f"{facts.path}: <{path}>: its indices range from {faces.min()} to "
+                f"{faces.max()}, but the mesh has {count} faces",
                 "repair the subset in the program that made it",
             )
         yield faces, float(values[0])
@@ -300,7 +301,8 @@ def _numbers(primvar: UsdGeom.Primvar, time: Usd.TimeCode, where: str) -> Floats
     flat = primvar.ComputeFlattened(time)
     if flat is None:
         raise InputError(
-            f"{where} has indices outside its values", "author the primvar again, without indices"
+            f"{where} has indices that do not refer to any of its values",
+            "author the primvar again, without indices",
         )
     values = np.atleast_1d(np.asarray(flat))
     if values.ndim != 1 or not np.issubdtype(values.dtype, np.number):
@@ -317,7 +319,7 @@ def _require_within(values: Floats, least: float, most: float, where: str) -> No
         first = float(values[np.flatnonzero(bad)[0]])
         limits = f"between {least:g} and {most:g}" if np.isfinite(most) else f"above {least:g}"
         raise InputError(
-            f"{where} has {int(bad.sum())} of {len(values)} values out of range, the first is"
+            f"{where} has {int(bad.sum())} of {len(values)} values out of range; the first is"
             f" {first:g}",
             f"paint finite values {limits}, in units of the stage",
         )
@@ -337,7 +339,7 @@ def _at_corners(values: Floats, interpolation: str, surface: Surface, where: str
     count, index = rows[interpolation]
     if len(values) != count:
         raise InputError(
-            f"{where} has {len(values)} values, and '{interpolation}' wants {count}",
+            f"{where} has {len(values)} values, but '{interpolation}' interpolation needs {count}",
             "paint the mesh again, or correct the interpolation",
         )
     return values[index]

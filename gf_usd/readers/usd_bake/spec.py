@@ -32,8 +32,8 @@ def read_stage_spec(
     if out and len(out) == len(asset.surfaces):
         listed = "\n".join(f"  {path}: {why}" for path, why in out.items())
         raise InputError(
-            f"{asset.facts.path}: the stage keeps every mesh out of a bake:\n{listed}",
-            "name the mesh that is to be soft with --prim",
+            f"{asset.facts.path}: the stage excludes every mesh from the bake:\n{listed}",
+            "name the mesh to bake with --prim",
         )
     asset = replace(
         asset,
@@ -62,7 +62,7 @@ def read_motion(
 def _kept_out(bake: PrimBake) -> str:
     """Why the stage wants a prim left as it is; "" where it does not."""
     if bake.enabled is False:
-        return "the stage turns its bake off (gaussianFlesh:enabled)"
+        return "the stage turns off its bake (gaussianFlesh:enabled)"
     if bake.obstacle:
         return f"it is a {bake.role} collider: an obstacle"
     return ""

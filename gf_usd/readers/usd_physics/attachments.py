@@ -91,13 +91,13 @@ def attachments_of(
         for name in (STIFFNESS, DAMPING):
             attribute = prim.GetAttribute(_name(prim, name))
             if attribute and attribute.GetNumTimeSamples() > 1:
-                notes.add(f"{name} has time samples, and keeps the value of the rest pose", path)
+                notes.add(f"{name} has time samples but keeps the value of the rest pose", path)
         if kinds != ["point", "xform"] or sources[0] not in bodies:
-            notes.add("attaches other than points of a mesh to an xform: not read", path)
+            notes.add("does not attach points of a mesh to an xform: ignored", path)
         elif stiffness is None or stiffness == np.inf:
             found.append(path)
         elif stiffness == 0.0:
-            notes.add("is an attachment of stiffness 0: not read", path)
+            notes.add("is an attachment of stiffness 0: ignored", path)
         else:
             soft.append(path)
     return tuple(found), tuple(soft)
@@ -182,14 +182,16 @@ def read_written_pins(
         if region is None:
             return None
         if not isinstance(region, str) or not region:
-            raise refuse(facts.path, prim, PIN, region, "author a region as --pin names it")
+            raise refuse(
+                facts.path, prim, PIN, region, "author a region in the form that --pin accepts"
+            )
         if region.startswith("/") and not prim.GetStage().GetPrimAtPath(region):
-            raise refuse(facts.path, prim, PIN, region, "author a path where there is a prim")
+            raise refuse(facts.path, prim, PIN, region, "author the path of an existing prim")
         said = authored(prim, ANCHORS, time) is not None
         places = _Places(prim, readings, ANCHORS if said else "")
         if not places.at(time).size:
             raise refuse(
-                facts.path, prim, places.name, [], "author the places that are held, or bake"
+                facts.path, prim, places.name, [], "author the positions that are held, or bake"
                 " the asset again with --pin and --tets",
             )  # fmt: skip
         return WrittenPin(name=str(prim.GetPath()), region=region, path=places.over(time, times))
@@ -254,8 +256,8 @@ def _region(
     chosen = surface.triangles[np.isin(surface.triangles, indices).all(1)]
     if not len(chosen):
         raise InputError(
-            f"{where}: its {len(indices)} points are all corners of no face",
-            "attach all corners of the faces that are to be held",
+            f"{where}: its {len(indices)} points do not include all corners of any face",
+            "attach all corners of each face to be held",
         )
     used, renumbered = np.unique(chosen, return_inverse=True)
     points = surface.points[used]
@@ -263,8 +265,8 @@ def _region(
     apart = float(np.linalg.norm(path[0] - points, axis=1).max())
     if apart > APART * float(np.linalg.norm(np.ptp(surface.points, axis=0))):
         notes.add(
-            f"has points up to {apart:.3g} m from their places: they are held where they are, and"
-            " move as the places do",
+            f"has points up to {apart:.3g} m away from the positions they are attached to: they "
+            f"are held at their own positions and move with them",
             str(prim.GetPath()),
         )
     return Region(
@@ -311,9 +313,9 @@ class _Places:
         places = self.at(time)
         if places.shape != still.shape:
             raise InputError(
-                f"{self._where}: {self.name} has {len(places)} places at time code"
-                f" {time.GetValue():g}, and {len(still)} at rest",
-                "author as many places at all times",
+                f"{self._where}: {self.name} has {len(places)} positions at time code "
+                f"{time.GetValue():g} but {len(still)} at rest",
+                "author the same number of positions at all times",
             )
         M = matrix(self._carrier, self._readings.at(time))
         return (places @ M[:3, :3] + M[3, :3]) * self._readings.facts.units.length
@@ -336,14 +338,14 @@ def _attached(
     coords = places.at(time)
     if len(coords) != len(indices) or not len(indices):
         raise InputError(
-            f"{where} has {len(indices)} {of} and {len(coords)} {name}",
-            "author one place for each attached point",
+            f"{where} has {len(indices)} {of} but {len(coords)} {name}",
+            "author one position for each attached point",
         )
     if indices.min() < 0 or indices.max() >= len(surface.points):
         raise InputError(
-            f"{where}: its {of} reach from {indices.min()} to {indices.max()}, and"
+            f"{where}: its {of} range from {indices.min()} to {indices.max()}, but"
             f" <{body.GetPath()}> has {len(surface.points)} points",
-            "attach points of the mesh",
+            "give indices of points of the mesh",
         )
     return surface, indices, places
 

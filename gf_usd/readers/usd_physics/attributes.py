@@ -40,7 +40,7 @@ def count(path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> int | No
     """An authored whole number, 0 or more; None where none is.  Raises InputError for another."""
     value = authored(prim, name, time)
     if value is not None and not (isinstance(value, int) and value >= 0):
-        raise refuse(path, prim, name, value, "author a whole number of 0 or more")
+        raise refuse(path, prim, name, value, "author an integer of 0 or more")
     return value
 
 
@@ -108,8 +108,9 @@ def require_constant(path: Path, attribute: Usd.Attribute) -> None:
     low, high = (float(end(np.concatenate(values))) for end in (np.min, np.max))
     raise InputError(
         f"{path}: <{attribute.GetPrim().GetPath()}>: {attribute.GetName()} has {len(codes)} time"
-        f" samples, from {low:g} to {high:g}: the mass of a body does not change",
-        "author one value: youngsModulus, poissonsRatio, dampingTime, dynamicFriction may change",
+        f" samples, from {low:g} to {high:g}, but the mass of a body cannot change",
+        "author one value; only youngsModulus, poissonsRatio, dampingTime and dynamicFriction "
+        "may change",
     )
 
 

@@ -126,7 +126,7 @@ def _mass(
     above = prim.GetParent() if owner is None else None
     while above and not above.IsPseudoRoot():
         if MASS in apis(above) and number(here.path, above, MASSES[0], here.time):
-            notes.add("states a mass but is no body: not read", str(above.GetPath()))
+            notes.add("states a mass but is not a body: ignored", str(above.GetPath()))
         above = above.GetParent()
     return None, ""
 
@@ -221,8 +221,9 @@ class PhysicsMaterials:
         """
         if not spec.elastic and spec.path in self._deformable:
             self._notes.add(
-                "no Young's modulus is stated, which the AOUSD proposal leaves to the simulator:"
-                " the moduli are those of the bake's material, rubber where none is named",
+                "no Young's modulus is stated, which the AOUSD proposal leaves to the "
+                "simulator: the moduli of the bake's material are used, or those of rubber "
+                "where none is named",
                 spec.path,
             )
         if spec.elastic and spec.density is None and density is None:
@@ -273,7 +274,7 @@ def read_subsets(
     if not mesh.IsA(UsdGeom.Mesh):
         for subset in UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets():
             if materials.bound(subset.GetPrim()) != materials.bound(mesh):
-                text = "is no subset of a mesh's faces: its physics material is not read"
+                text = "is not a subset of the faces of a mesh: its physics material is ignored"
                 notes.add(text, str(subset.GetPath()))
         return ()
     whole = materials.bound(mesh)
@@ -287,12 +288,12 @@ def read_subsets(
             continue  # the mesh's own, or a look without a word of physics
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             notes.add(
-                "is no subset of faces: its physics material is not read", str(prim.GetPath())
+                "is not a subset of faces: its physics material is ignored", str(prim.GetPath())
             )
             continue
         faces = _faces(subset, facts, time, n_faces)
         if taken[faces].any():
-            notes.add("shares faces with a subset before it, which keeps them", str(prim.GetPath()))
+            notes.add("shares faces with an earlier subset, which keeps them", str(prim.GetPath()))
             faces = faces[~taken[faces]]
         taken[faces] = True
         if len(faces):
@@ -310,8 +311,8 @@ def _faces(subset: UsdGeom.Subset, facts: StageFacts, time: Usd.TimeCode, n_face
     if outside.any():
         raise InputError(
             f"{facts.path}: <{subset.GetPrim().GetPath()}>: {int(outside.sum())} of its"
-            f" {len(indices)} indices are no faces of the mesh, which has {n_faces};"
-            f" the first is {indices[outside][0]}",
+            f" {len(indices)} indices do not refer to any of the {n_faces} faces of the mesh; "
+            f"the first is {indices[outside][0]}",
             "repair the subset in the program that made it",
         )
     return np.unique(indices)

@@ -52,7 +52,10 @@ def obstacles(
             owner and owner.GetPath() in owners
         ):
             own.append(prim)
-            notes.add("is the collider of a baked body, whose own surface collides", _name(prim))
+            notes.add(
+                "is the collider of a baked body: the surface of the body collides instead",
+                _name(prim),
+            )
         else:
             others.append(prim)
     return others, own
@@ -80,7 +83,8 @@ def read_colliders(
         what = role(shape.prim, time)
         if what == "dynamic":
             notes.add(
-                "is a rigid body, which is not simulated: only its animation moves it",
+                "is a rigid body, and rigid bodies are not simulated: it moves only if it is "
+                "animated",
                 _name(shape.prim),
             )
         spec = materials.bound(shape.prim)
@@ -134,7 +138,9 @@ def _follow(
     }
     deforming = {k for k in changing if shapes[k].carriers is not None}
     for k in changing - deforming:
-        notes.add("deforms: its approximation only follows its transform", _name(shapes[k].prim))
+        notes.add(
+            "deforms, but its approximation only follows its transform", _name(shapes[k].prim)
+        )
     moving = {k for k, s in enumerate(shapes) if transform_varies(s.prim)}
     frames: list[list[Floats]] = [[] for _ in shapes]
     posed: list[list[Floats]] = [[] for _ in shapes]
@@ -149,8 +155,8 @@ def _follow(
             else:
                 deforming.discard(k)
                 notes.add(
-                    f"has {len(points)} points at time code {code:g} and {shapes[k].n_points} at"
-                    " rest: it only follows its transform",
+                    f"has {len(points)} points at time code {code:g} but {shapes[k].n_points} "
+                    f"at rest: it only follows its transform",
                     _name(shapes[k].prim),
                 )
     return [
@@ -244,7 +250,7 @@ def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
     if asked == "convexHull":
         hull = _hull(points)
         if hull is None:
-            notes.add("is flat: its own triangles collide instead of a convex hull", where)
+            notes.add("is flat: its own triangles are used instead of a convex hull", where)
         else:
             carriers, triangles = hull
             points = points[carriers]
@@ -253,7 +259,7 @@ def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
         points, triangles = make(points, prim, reading)
         carriers = None
     elif asked != "none":
-        notes.add(f"approximation {asked}: its own triangles collide, which are finer", where)
+        notes.add(f"approximation {asked}: its own triangles, which are finer, are used", where)
     return Shape(
         prim=prim, kind="mesh", points=points, triangles=triangles, approximation=asked,
         n_points=len(surface.points), carriers=carriers,

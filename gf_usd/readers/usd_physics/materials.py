@@ -87,7 +87,7 @@ def _poissons_ratio(authored: Authored, where: str, assume: Assume | None) -> fl
         assume(f"no Poisson's ratio is stated: {POISSON:g} is assumed")
         return POISSON
     if nu == 0.5:
-        assume(f"Poisson's ratio is 0.5 (incompressible): {INCOMPRESSIBLE:g} is used instead")
+        assume(f"Poisson's ratio is 0.5 (incompressible): {INCOMPRESSIBLE:g} is used")
         return INCOMPRESSIBLE
     return _within(where, "Poisson's ratio", nu, -1.0, 0.5)
 
@@ -113,9 +113,10 @@ UNREAD = {
     newton.GRANULAR: {newton.TENSION: 0.0, "yieldPressure": math.inf, "viscosity": 0.0},
 }
 WHY = {
-    "": "the stress at which it yields is the same in tension and under any pressure",
-    newton.CRUSHABLE: "crushable materials yield at once and by an ellipse of shear and pressure",
-    newton.GRANULAR: "what is granular bears no more tension than its cohesion gives",
+    "": "its yield stress is the same in tension and under any pressure",
+    newton.CRUSHABLE: "crushable materials yield without viscosity, on an ellipse in shear and "
+    "pressure",
+    newton.GRANULAR: "a granular material bears only the tension that its cohesion gives",
 }
 
 
@@ -169,7 +170,7 @@ def _newtons(
     if say and left:
         what = "internal friction" if kind == newton.GRANULAR else "yield stress"
         say(
-            f"the {what} is read in Newton's words, but not "
+            f"the {what} is read from the attributes of Newton, except for "
             + ", ".join(PREFIXES[1] + name for name in left)
             + f": {WHY[kind]}"
         )
@@ -214,7 +215,7 @@ def _number(authored: Authored, name: str, where: str, *, unstated: bool = False
 def _float(value: Any, name: str, where: str) -> float | None:
     if value is None or isinstance(value, float | int):
         return None if value is None else float(value)
-    raise InputError(f"{where}: {name} is {value!r}, which is no number", "author it as a float")
+    raise InputError(f"{where}: {name} is {value!r}, which is not a number", "author it as a float")
 
 
 def _within(where: str, name: str, value: float, low: float, high: float) -> float:

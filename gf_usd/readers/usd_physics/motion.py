@@ -119,7 +119,7 @@ def velocity_at_rest(
         return None
     if is_captured(prim):
         if transform_varies(prim) or prim.GetAttribute("velocities").HasAuthoredValue():
-            notes.add("is made of Gaussians: no initial velocity is read", str(prim.GetPath()))
+            notes.add("consists of Gaussians: no initial velocity is read", str(prim.GetPath()))
         return None
     now = readings.at(Usd.TimeCode(rest))
     where = str(prim.GetPath())
@@ -128,8 +128,8 @@ def velocity_at_rest(
         x, earlier = posed_points(prim, now), posed_points(prim, before)
         if x.shape != earlier.shape:
             notes.add(
-                f"has {len(earlier)} points a frame before the first one and {len(x)} there:"
-                " no initial velocity from its animation",
+                f"has {len(earlier)} points one frame before the first and {len(x)} at the "
+                f"first: its animation gives no initial velocity",
                 where,
             )
             return None
@@ -153,13 +153,13 @@ def _authored_velocities(prim: Usd.Prim, reading: Reading, notes: Notes) -> Floa
     count = len(UsdGeom.PointBased(prim).GetPointsAttr().Get(reading.time) or [])
     if len(local) != count or not np.isfinite(local).all():
         notes.add(
-            f"its {len(local)} velocities are not one finite one for each point: ignored", where
+            f"its {len(local)} velocities are not one finite vector for each point: ignored", where
         )
         return None
     if not local.any():
         return None
     if reading.skins.placement(prim) is not None:
-        notes.add("is posed by a skeleton: its authored velocities are not read", where)
+        notes.add("is posed by a skeleton: its authored velocities are ignored", where)
         return None
     notes.add("starts with its authored velocities", where)
     return local @ matrix(prim, reading)[:3, :3] * reading.meters_per_unit

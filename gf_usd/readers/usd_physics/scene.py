@@ -225,7 +225,7 @@ def read_gravity(
         return None, ""
     scene = scenes[0]
     for other in scenes[1:]:
-        notes.add(f"is another PhysicsScene: {scene.GetPath()} counts", str(other.GetPath()))
+        notes.add(f"is a second PhysicsScene: only {scene.GetPath()} is used", str(other.GetPath()))
     direction = vector(facts.path, scene, DIRECTION, time)
     length = 0.0 if direction is None else float(np.linalg.norm(direction))
     down = -facts.up if direction is None or length == 0.0 else direction / length
@@ -234,13 +234,14 @@ def read_gravity(
     if not isinstance(magnitude, float | int) or not magnitude < np.inf:
         raise refuse(
             facts.path, scene, MAGNITUDE, value,
-            "author a finite magnitude in stage units per second squared, or none for the earth's",
+            "author a finite magnitude in stage units per second squared, or leave it out for "
+            "Earth's gravity",
         )  # fmt: skip
     if magnitude * facts.units.length > STRONGEST:
         raise refuse(
             facts.path, scene, MAGNITUDE, value,
             f"author up to {STRONGEST / facts.units.length:g} (1 unit is {facts.units.length:g} m),"
-            " or none for the earth's",
+            " or leave it out for Earth's gravity",
         )  # fmt: skip
     g = (G0 if magnitude < 0.0 else magnitude * facts.units.length) * down + 0.0
     return (float(g[0]), float(g[1]), float(g[2])), str(scene.GetPath())

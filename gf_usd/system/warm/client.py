@@ -23,8 +23,8 @@ def events(path: Path, request: dict[str, Any]) -> Iterator[dict[str, Any]]:
     end = connect(path)
     if end is None:
         raise UsageError(
-            f"no gf-usd serve listens at {path}",
-            "start one with: gf-usd serve; or bake without --serve",
+            f"no gf-usd serve is listening at {path}",
+            "start one with gf-usd serve, or bake without --serve",
         )
     last = ""
     gone = contextlib.suppress(BrokenPipeError, ConnectionResetError)

@@ -34,7 +34,7 @@ def require_available() -> None:
     """Raise UsageError where the system has no such sockets."""
     if not AVAILABLE:
         raise UsageError(
-            "gf-usd serve needs Unix sockets, which this system does not have",
+            "gf-usd serve needs Unix sockets, which this system does not support",
             "run it under Linux, macOS or the Windows Subsystem for Linux, or bake without --serve",
         )
 
@@ -54,20 +54,20 @@ def listening_socket(path: Path) -> Iterator[socket.socket]:
     require_available()
     if len(os.fsencode(path)) > LONGEST:
         raise UsageError(
-            f"{path}: the path of a socket has at most {LONGEST} bytes, and this one"
-            f" {len(os.fsencode(path))}",
+            f"{path}: the path of a socket has at most {LONGEST} bytes, but this one has "
+            f"{len(os.fsencode(path))}",
             "give a shorter one: --socket PATH",
         )
     _make_private(path.parent)
     held = acquire(path)
     if held is None:
         raise UsageError(
-            f"another gf-usd serve listens at {path}",
-            "use that one, end it with gf-usd serve --stop, or give another --socket",
+            f"another gf-usd serve is already listening at {path}",
+            "use that one, stop it with gf-usd serve --stop, or give another --socket",
         )
     try:
         if path.exists() and not path.is_socket():
-            raise UsageError(f"{path} is there and is no socket", "give another --socket")
+            raise UsageError(f"{path} exists but is not a socket", "give another --socket")
         # its server holds no lock, so it was killed
         path.unlink(missing_ok=True)
         with socket.socket(socket.AF_UNIX) as end:
@@ -88,13 +88,13 @@ def _make_private(folder: Path) -> None:
         found = folder.stat()
     except OSError as error:
         raise BakeError(
-            f"{folder} cannot be made: {error.strerror}", "give another --socket PATH"
+            f"{folder} cannot be created: {error.strerror}", "give another --socket PATH"
         ) from error
     if found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise UsageError(
             f"{folder} belongs to user {found.st_uid} and has mode {found.st_mode & 0o777:o}:"
-            " others could take the place of the socket in it",
-            f"chmod 700 {folder}, or give another --socket in a folder of your own",
+            " other users could replace the socket in it",
+            f"chmod 700 {folder}, or give another --socket in a folder that belongs to you",
         )
 
 

@@ -220,8 +220,8 @@ def _request(client: socket.socket) -> dict[str, Any]:
         asked = None
     if not line.endswith(b"\n") or not isinstance(asked, dict):
         raise UsageError(
-            f"a request is one line with a JSON object of at most {LONGEST} bytes, and this is"
-            f" none: {line[:80]!r}",
+            f"a request is one line with a JSON object of at most {LONGEST} bytes, but this is "
+            f"not one: {line[:80]!r}",
             "docs/farm.md shows requests",
         )
     return asked
@@ -241,7 +241,10 @@ def _folder(asked: dict[str, Any]) -> str:
     """The working directory of a request.  Raises UsageError where it is no folder."""
     folder = Path(asked.get("folder") or Path.cwd())
     if not folder.is_absolute() or not folder.is_dir():
-        raise UsageError(f"{folder} is no absolute path of a folder", 'give "folder" the path')
+        raise UsageError(
+            f"{folder} is not the absolute path of a folder",
+            'set "folder" to the absolute path of a folder',
+        )
     return str(folder)
 
 

@@ -59,7 +59,8 @@ def lens(camera: Camera, width: int, height: int, origin: Floats, oversampling: 
         raise UsageError(
             f"The camera at {camera.eye} looking at {camera.target} with up {camera.up} "
             "has no direction.",
-            "move it away from its target, and choose an up that is not along the view",
+            "move it away from its target, and choose an up vector that is not parallel to the "
+            "view",
         )
     forward = forward / distance
     right = right / np.linalg.norm(right)

@@ -68,8 +68,9 @@ def make_rig(lights: tuple[Light, ...], view: Floats, up: Floats) -> Rig:
     lights = lights or studio(view, up)
     if len(lights) > 2:
         raise UsageError(
-            f"A picture has a key and a fill light; the scene has {len(lights)} lights.",
-            "leave the weaker ones out: the dome fills in for them",
+            f"An image can have a key light and a fill light, but the scene has {len(lights)} "
+            f"lights.",
+            "leave out the weaker ones: the dome light replaces them",
         )
     casting = [light for light in lights if light.shadows] or list(lights)
     key = casting[0]

@@ -55,8 +55,8 @@ def render_linear(
     width, height = size
     if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
         raise UsageError(
-            f"A picture of {width}x{height} pixels cannot be drawn.",
-            f"ask for 1 to {LARGEST} pixels each way, e.g. --size 640x480",
+            f"An image of {width}x{height} pixels cannot be rendered.",
+            f"give a width and a height of 1 to {LARGEST} pixels, e.g. --size 640x480",
         )
     ensure_taichi()
     if camera is None:
@@ -157,6 +157,6 @@ def write_png(path: Path, pixels: NDArray[np.uint8]) -> None:
         partial.replace(path)
     except OSError as error:
         raise UsageError(
-            f"The picture {path} cannot be written: {error.strerror or error}.",
-            "choose a folder that exists and that you may write to, with -o",
+            f"The image {path} cannot be written: {error.strerror or error}.",
+            "choose a folder that exists and is writable, with -o",
         ) from error

@@ -34,7 +34,7 @@ def comparison_plots(found: Comparison, names: tuple[str, str]) -> list[Plot]:
     x = found.seconds.tolist()
     distance = _plot(
         "Distance",
-        "of the same points in the two files",
+        "between the same points in the two files",
         [
             {"name": "largest", "x": [*x], "y": found.largest.tolist()},
             {"name": "rms", "x": [*x], "y": found.rms.tolist()},
@@ -48,7 +48,7 @@ def comparison_plots(found: Comparison, names: tuple[str, str]) -> list[Plot]:
     first = found.volumes[0, 0] or 1.0
     volume = _plot(
         "Volume",
-        f"over that of {names[0]} in the first frame",
+        f"relative to that of {names[0]} in the first frame",
         [
             {"name": name, "x": [*x], "y": (found.volumes[:, i] / first).tolist()}
             for i, name in enumerate(names)
@@ -103,8 +103,8 @@ def _stretch(motion: Motion, record: Record) -> Plot:
         "of particles and of the surface; 1 is undeformed",
         [
             _health(motion, record, "largest", _column(record, "max_stretch")),
-            _geometry(motion, "largest of the surface", known.get("surface_max")),
-            _geometry(motion, "smallest of the surface", known.get("surface_min")),
+            _geometry(motion, "surface, largest", known.get("surface_max")),
+            _geometry(motion, "surface, smallest", known.get("surface_min")),
             _health(motion, record, "smallest", _column(record, "min_stretch")),
         ],
     )
@@ -132,7 +132,7 @@ def _energy(motion: Motion, record: Record) -> Plot:
     curves = [_health(motion, record, name, values) for name, values in zip(names, columns)]
     return _plot(
         "Energy",
-        "only pins and moving obstacles may raise the total",
+        "only pins and moving obstacles may increase the total",
         [_health(motion, record, "total", total), *curves],
         ENERGIES,
     )

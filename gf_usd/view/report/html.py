@@ -203,7 +203,7 @@ def tables(i: int, record: Record, shown: Sequence[str], notes: Sequence[str]) -
     """Health, settings, materials, and what else there is to say of variant number i."""
     material = [row for m in record.materials for row in _material(m)]
     columns = (
-        [_health(record), _card("How certain it is", _pairs(_certain(record)))],
+        [_health(record), _card("Certainty", _pairs(_certain(record)))],
         [_card("Settings", _pairs(named_rows(record.settings, SETTINGS)))],
         [
             _card("Material", _pairs(material)),
@@ -223,7 +223,7 @@ def _certain(record: Record) -> list[tuple[str, str]]:
     if "center" in found:
         rows.append(("Path", found["center"]["told"].removeprefix("path of the ")))
     if rows:
-        rows.append(("From", f"runs of {', '.join(map(str, found['particles']))} particles"))
+        rows.append(("From", f"bakes with {', '.join(map(str, found['particles']))} particles"))
     return rows
 
 
@@ -323,7 +323,7 @@ def scrub_bar() -> Html:
         "div",
         _button("play", "play", "start", "stop"),
         _button("back", "one frame back", "back"),
-        _button("next", "one frame on", "next"),
+        _button("next", "one frame forward", "next"),
         tag("input", type="range", id="slider", min="0", max="0", value="0", aria_label="frame"),
         tag("span", id="counter"),
         class_="scrub",

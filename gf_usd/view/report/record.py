@@ -54,11 +54,11 @@ def load_report(root: Path) -> tuple[dict[str, Any], str]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return {}, f"{path.name} is not next to the file"
+        return {}, f"there is no {path.name} next to the file"
     except (OSError, ValueError) as error:
         return {}, f"{path.name} cannot be read ({error})"
     if not isinstance(data, dict) or not isinstance(data.get("bakes"), list):
-        return {}, f"{path.name} is no report of a bake"
+        return {}, f"{path.name} is not the report of a bake"
     return data, ""
 
 
@@ -73,13 +73,15 @@ def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str)
     bake = next(mine, None)
     about = recording.about
     if bake is not None and about.get("inputHash") not in (None, report.get("input_sha256")):
-        bake, why_empty = None, "the report next to the file is of another bake"
+        bake, why_empty = None, "the report next to the file belongs to another bake"
     if bake is None:
-        return _from_layer(recording, why_empty or "the report does not name this variant")
+        return _from_layer(recording, why_empty or "the report does not contain this variant")
     known = (
         "particles", "spacing_m", "volume_m3", "radius_m", "drop_m", "pins", "seconds",
     )  # fmt: skip
-    missing = () if bake.get("per_frame") else ("the report holds no health of single frames",)
+    missing = (
+        () if bake.get("per_frame") else ("the report contains no health of individual frames",)
+    )
     return Record(
         command=str(report.get("command", "")),
         version=str(report.get("version", "")),
@@ -108,8 +110,8 @@ def _from_layer(recording: Recording, why: str) -> Record:
     if not told:
         return Record(
             missing=(
-                f"{recording.path.name} does not say how it was baked: there are no settings,"
-                " materials or health; the curves are of the geometry alone",
+                f"{recording.path.name} does not record how it was baked: settings, materials "
+                f"and health are unknown, and the curves show only the geometry",
             )
         )
     materials = _table(told.get("materials"))
@@ -122,9 +124,9 @@ def _from_layer(recording: Recording, why: str) -> Record:
         warnings=tuple(Warned(message=str(words)) for words in told.get("warnings", ())),
         failure=str(told.get("failure", "")),
         missing=(
-            f"{why}: energies, the stretches of single frames and the depth of contact are not"
-            " known, nor notes and findings; the curves are of the geometry alone, and the summary"
-            " is that of the root layer",
+            f"{why}: the energies, stretches and contact depths of individual frames, the notes "
+            f"and the findings are unknown; the curves show only the geometry, and the summary "
+            f"comes from the root layer",
         ),
     )
 

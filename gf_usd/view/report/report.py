@@ -221,7 +221,7 @@ def _shown(motion: Motion) -> list[str]:
         counts.append(("triangles", len(skin.corners), skin.triangles))
     if motion.flow is not None:
         kept, whole = len(motion.flow.points), motion.flow.vertices
-        counts.append(("vertices of surfaces of what flows, over all frames", kept, whole))
+        counts.append(("vertices of flowing surfaces, over all frames", kept, whole))
     if recording.gaussians is not None:
         counts.append(("Gaussians", len(motion.chosen), len(recording.gaussians)))
     thinned = any(kept < whole for _, kept, whole in counts)
@@ -230,17 +230,18 @@ def _shown(motion: Motion) -> list[str]:
         for name, kept, whole in counts
     ]
     lines.append(
-        "Left out to keep the page small; the curves of points, surface and Gaussians are of all"
-        " of them at the frames shown, those of energy and particles of every frame."
+        "The rest is left out to keep the page small. The curves of points, surface and "
+        "Gaussians include all of them at the frames shown; those of energy and particles "
+        "include every frame."
         if thinned
         else "Nothing was left out."
     )
     lines.append(
-        "Positions are rounded to 1/65536 of the size of the motion. Textures are shown as one"
-        " color a corner."
+        "Positions are rounded to 1/65536 of the size of the motion. Textures are shown as one "
+        "color per corner."
     )
     if recording.gaussians is not None:
-        drawn = "A Gaussian is drawn as its ellipsoid of one standard deviation"
+        drawn = "A Gaussian is drawn as its ellipsoid at one standard deviation"
         grow = _grow(motion)
         lines.append(
             f"{drawn}, {grow:g} times as large to fill the gaps." if grow > 1 else f"{drawn}."
@@ -253,11 +254,12 @@ def _footer(records: Sequence[Record]) -> Html:
     source = next((r.source for r in records if r.source), "")
     baked = f"Baked by gf-usd {version}. " if version else ""
     of = f"Source: {source.replace(chr(92), '/').rsplit('/', 1)[-1]}. " if source else ""
-    keys = "Space plays and pauses, the arrow keys step, Home and End jump. Drag to turn, wheel to"
-    return tag(
-        "footer",
-        f"{baked}{of}{keys} zoom, shift or the right button to move, double click to see all.",
+    keys = (
+        "Space plays and pauses, the arrow keys step, Home and End jump. Drag to rotate, use the"
+        " wheel to zoom, drag with Shift or the right button to move, and double-click to see"
+        " everything."
     )
+    return tag("footer", f"{baked}{of}{keys}")
 
 
 def _plotly() -> str:

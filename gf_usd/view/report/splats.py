@@ -130,8 +130,9 @@ def build_splat_page(sources: Sequence[Source], limits: Limits) -> str:
         ),
         tag(
             "footer",
-            "Space plays and pauses, the arrow keys step, Home and End jump. Drag to turn, wheel to"
-            " zoom, shift or the right button to move, double click to see all.",
+            "Space plays and pauses, the arrow keys step, Home and End jump. Drag to rotate, "
+            "use the wheel to zoom, drag with Shift or the right button to move, and "
+            "double-click to see everything.",
         ),
     ]
     named = " and ".join(name for name in names if name)
@@ -147,8 +148,8 @@ def collect(source: Source, limits: Limits) -> Played:
     """
     if len(source.time_codes) < 2:
         raise InputError(
-            f"{source.name}: there are no Gaussians that move.",
-            "give the root layer of a bake; bake again with gaussians among --only",
+            f"{source.name} contains no moving Gaussians.",
+            "give the root layer of a bake, or bake again with gaussians included in --only",
         )
     codes = [source.time_codes[i] for i in spread(len(source.time_codes), limits.frames)]
     rows: list[tuple[NDArray[np.float32], ...]] = []
@@ -201,7 +202,7 @@ def _radiance(
             U, _, Vt = np.linalg.svd(np.linalg.inv(one.harmonics.frame))
             light[:, : h.shape[1] - 1] = turned(h, U @ Vt)[:, 1:]
         elif one.harmonics is not None:
-            said["Radiance that depends on the view is left out, as it is linear."] = None
+            said["View-dependent radiance is left out because it is linear."] = None
         colors.append(base)
         lights.append(light)
     return np.concatenate(colors), np.concatenate(lights), tuple(said)
@@ -295,7 +296,8 @@ def _shown(number: int, one: Played, rounding: float) -> Html:
     ]
     if one.grow > 1.0:
         lines.append(
-            f"Left out to keep the page small; the others are drawn {one.grow:g} times as large."
+            f"The rest is left out to keep the page small; the others are drawn {one.grow:g} "
+            f"times as large."
         )
     lines.append(
         "Positions are rounded to 1/65536 of the size of the motion, standard deviations by"

@@ -53,8 +53,8 @@ def test_a_point_in_two_cores_is_that_of_the_deeper_one() -> None:
 def test_a_bone_outside_holds_nothing_and_a_thin_limb_moves_with_its_bone() -> None:
     bones = [bone("out", (0.5, 1.5), y=0.5), bone("in", (0.5, 1.5))]
     cores, notes = bone_cores(bones, BAR, 0.2, 0.5)
-    assert "out: outside of the flesh" in notes[0]
-    assert "in: the flesh around is too thin for the grid" in notes[1]
+    assert "out: outside the flesh" in notes[0]
+    assert "in: the flesh around them is too thin for the grid" in notes[1]
     (pin,) = bone_pins(bones, cores)
     assert pin.name == "in"
     assert not pin.sharp

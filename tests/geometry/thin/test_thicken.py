@@ -89,7 +89,7 @@ def test_what_is_too_small_or_in_flesh_stays_as_it_is() -> None:
     made, (_, leaf) = thickened(cube(), small, spacing=0.1)
     assert made.surfaces[1] is small
     assert (leaf.thickened, leaf.thin_left) == (0, 1)
-    assert "left 1 sheet without flesh" in leaf.messages()[-1]
+    assert "left 1 sheet unfilled" in leaf.messages()[-1]
     within = joined(cube(), sheet(edge=0.5, at=(0.25, 0.5, 0.25)))
     same, (done,) = thickened(within, spacing=0.1)
     assert same.surfaces[0] is within

@@ -85,7 +85,10 @@ def test_the_validators_of_usd_are_heard(tmp_path: Path) -> None:
     assert finding.rule == "usd:usdValidation:StageMetadataChecker.MissingDefaultPrim"
     assert (finding.severity, finding.prim_path) == ("error", "/")
     assert "invalid or missing defaultPrim" in finding.message
-    assert finding.fix == "author defaultPrim in the root layer: the root prim to be referenced"
+    assert (
+        finding.fix
+        == "author defaultPrim in the root layer: the name of the root prim to be referenced"
+    )
 
 
 def test_a_damaged_sublayer_is_a_finding(tmp_path: Path) -> None:
@@ -117,9 +120,9 @@ def test_instances_are_judged_once_under_a_path_of_the_stage(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("gone.usda", None, "gone.usda is no file."),
+        ("gone.usda", None, "gone.usda is not a file."),
         ("text.usda", "hello\n", "text.usda cannot be opened as USD"),
-        ("duck.obj", "v 0 0 0\n", "duck.obj is not USD, as far as its name says."),
+        ("duck.obj", "v 0 0 0\n", "duck.obj does not have the suffix of a USD file."),
         ("cut.usdc", "PXR-USDC", "cut.usdc cannot be opened as USD"),
     ],
 )

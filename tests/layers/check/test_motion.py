@@ -68,7 +68,7 @@ def test_motion_faster_than_the_samples_is_left_undecided(tmp_path: Path) -> Non
     assert result.findings == ()
     (skip,) = result.skipped
     assert (skip.rule, skip.prim_path) == ("velocities", MESH)
-    assert "too few to judge" in skip.reason
+    assert "too few for this check" in skip.reason
 
 
 def test_few_samples_are_left_undecided(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_few_samples_are_left_undecided(tmp_path: Path) -> None:
         for code in CODES[4:]:
             attribute.ClearAtTime(code)
     (skip,) = check_stage(stage).skipped
-    assert skip.reason == "velocities: 4 samples of motion, 5 are wanted to judge"
+    assert skip.reason == "velocities: 4 samples of motion; this check needs 5"
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.25])
@@ -141,7 +141,7 @@ def test_velocities_of_points_that_stand_still(tmp_path: Path) -> None:
     (finding,) = check_stage(stage).findings
     assert finding.message == (
         # 8 points in 8 windows of 5 among 12 samples
-        "velocities is not zero where points stands still, in 64 of 64 places"
+        "velocities is not zero in 64 of 64 places where points does not move"
     )
 
 
@@ -175,7 +175,7 @@ def test_what_trembles_faster_than_the_samples_is_left_undecided(
         prim.GetAttribute("extent").Set(box(x), code)
     result = check_stage(stage)
     assert result.findings == ()
-    assert ["trembles" in skip.reason for skip in result.skipped] == [True]
+    assert ["vibrates too fast" in skip.reason for skip in result.skipped] == [True]
 
 
 @pytest.mark.parametrize("factor", [100.0, RATE, 1.0 / RATE])

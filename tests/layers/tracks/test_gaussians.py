@@ -92,9 +92,7 @@ def test_scales_that_are_too_small_stay_single(tmp_path: Path) -> None:
 
 def test_a_scale_beyond_halves_is_an_error_in_words(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
-    with pytest.raises(
-        BakeError, match=r"scales up to .* do not fit into half precision"
-    ) as caught:
+    with pytest.raises(BakeError, match=r"scales up to .* do not fit in half precision") as caught:
         written(tmp_path / "c.usdc", asset, particles_of(asset), HALF, stretch=1e6)
     assert caught.value.hint == "leave --half out"
 

@@ -44,7 +44,7 @@ def test_normals_that_were_not_carried_are_blocked_and_noted(tmp_path: Path) -> 
     asset = replace(asset, surfaces=(body,))
     summary, _, _ = write_cache(tmp_path / "c.usdc", asset)
     assert summary.notes == (
-        "</duck/geo/body>: its authored normals could not be carried along and are blocked",
+        "</duck/geo/body>: its authored normals cannot follow the motion and are blocked",
     )
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "c.usdc"))
     assert layer.GetAttributeAtPath("/duck/geo/body.normals").default == Sdf.ValueBlock()

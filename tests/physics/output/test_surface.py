@@ -120,5 +120,5 @@ def test_the_same_particles_have_the_same_surface_to_the_bit() -> None:
 
 
 def test_what_is_beyond_every_block_is_refused() -> None:
-    with pytest.raises(BakeError, match=r"particle 1 is \d+ blocks"):
+    with pytest.raises(BakeError, match=r"particle 1 is \d+ surface blocks"):
         drawn(np.array([[0.0, 0.0, 0.0], [1e9, 0.0, 0.0]]))

@@ -190,7 +190,7 @@ def bursting() -> UpdatedLagrangian:
 def test_what_needs_more_nodes_than_memory_has_ends_in_words():
     solver = bursting()
     solver.state._most_nodes = solver.state.node_capacity
-    with pytest.raises(SolverError, match="are spread over more than") as caught:
+    with pytest.raises(SolverError, match="occupy more than") as caught:
         list(solver.frames())
     assert caught.value.frame == 1
     assert 0 <= caught.value.particle < len(solver.particles)

@@ -39,7 +39,7 @@ def test_it_ends_after_the_first_cycle_that_differs_little_enough() -> None:
     assert period.difference == pytest.approx(largest[enough - 1], rel=1e-9)
     assert seen == [*range(LEAD + enough * CYCLE), *range(FIRST, FIRST + CYCLE)]
     assert period.skipped == (MOST - 1 - enough) * CYCLE
-    assert "the cycle that is written, number" in period.notes[0]
+    assert "the written cycle, number" in period.notes[0]
     assert period.health["loop_cycles"] == enough + 1
 
 
@@ -47,7 +47,7 @@ def test_what_never_becomes_periodic_is_said() -> None:
     period = Period(CYCLE, MOST - 1, FIRST, 1.0, until=True)
     assert len(run(period, decay=0.99)) == FIRST + CYCLE
     assert period.skipped == 0
-    assert f"the last of {MOST}, the most that --loop auto simulates" in period.notes[0]
+    assert f"the last of {MOST}, the maximum of --loop auto" in period.notes[0]
     assert period.health["loop_difference_share"] > PERIODIC
 
 

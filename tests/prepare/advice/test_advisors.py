@@ -121,7 +121,7 @@ WRONG = {
     "[one('/a')]": "did not answer for </b>",
     "[one('/a'), one('/b'), one('/c')]": "answered for </c>, which it was not asked about",
     "[one('/a'), one('/a'), one('/b')]": "answered 2 times for </a>",
-    "[one('/a', material='wood'), one('/b')]": "named 'wood' for </a>, which is no preset",
+    "[one('/a', material='wood'), one('/b')]": "named 'wood' for </a>, which is not a preset",
     "[one('/a', confidence=1.5), one('/b')]": "is 1.5, not a number from 0 to 1",
     "[one('/a', confidence=float('nan')), one('/b')]": "is nan, not a number",
     "[one('/a', confidence='high'), one('/b')]": "is 'high', not a number",

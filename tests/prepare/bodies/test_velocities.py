@@ -80,9 +80,9 @@ def test_one_of_the_two_leaves_the_other_to_the_stage(plan) -> None:
     ("options", "said"),
     [
         ({"velocity": "1,2"}, "--velocity is '1,2'"),
-        ({"velocity": "1,2,x"}, "--velocity: 'x' is no number"),
+        ({"velocity": "1,2,x"}, "--velocity: 'x' is not a number"),
         ({"spin": "1e12,0,0"}, "--spin is 1e12,0,0"),
-        ({"spin": "inf,0,0"}, "--spin: 'inf' is no number"),
+        ({"spin": "inf,0,0"}, "--spin: 'inf' is not a number"),
     ],
 )
 def test_what_is_no_motion_is_refused(plan, options, said) -> None:

@@ -189,7 +189,12 @@ def test_a_material_of_the_command_goes_before_what_is_painted(stage, tmp_path):
         ([np.inf], "constant", "youngsModulus", "1 of 1 values .* is inf"),
         ([0.5], "constant", "poissonsRatio", "1 of 1 values .* is 0.5"),
         ([0.0], "constant", "density", "1 of 1 values .* is 0"),
-        ([1e4] * 7, "uniform", "youngsModulus", "has 7 values, and 'uniform' wants 34"),
+        (
+            [1e4] * 7,
+            "uniform",
+            "youngsModulus",
+            "has 7 values, but 'uniform' interpolation needs 34",
+        ),
     ],
 )
 def test_values_that_make_no_sense_are_refused(

@@ -65,7 +65,7 @@ def test_a_yield_stress_of_the_stage_chooses_the_law(plan) -> None:
     made = plan(stage + material(SOFT, "float gaussianFlesh:yieldStress = 5e3"))
     (one,) = table(made)
     assert (one.law, one.parameters) == ("vonMises", {"yield_stress": 5e3})
-    assert about_yield(made) == ["</Stuff>: a yield stress is stated and no law: vonMises"]
+    assert about_yield(made) == ["</Stuff>: a yield stress is stated but no law: vonMises is used"]
 
 
 def test_newtons_yield_stress_does_so_too(plan) -> None:
@@ -80,7 +80,7 @@ def test_newtons_yield_stress_does_so_too(plan) -> None:
     assert one.parameters == {"yield_stress": pytest.approx(3**0.5 * 1e3)}
     said = "\n".join(about_yield(made))
     assert "no law: vonMises" in said
-    assert "/Stuff: the yield stress is read in Newton's words" in said
+    assert "/Stuff: the yield stress is read from the attributes of Newton" in said
     assert "tensileYieldRatio" in said
 
 
@@ -139,7 +139,7 @@ def test_a_material_file_says_what_was_chosen(plan, tmp_path: Path) -> None:
     made = plan(mesh("One"), material=str(file))
     assert table(made)[0].law == "vonMises"
     (note,) = about_yield(made)
-    assert note.endswith("</Stuff>: a yield stress is stated and no law: vonMises")
+    assert note.endswith("</Stuff>: a yield stress is stated but no law: vonMises is used")
 
 
 def test_mass_scaling_divides_the_moduli_of_what_flows_alone(plan) -> None:

@@ -50,28 +50,33 @@ def test_what_is_missing_is_said(tmp_path):
     obj = tmp_path / "thing.obj"
     obj.write_text("mtllib gone.mtl\nusemtl a\n" + cube_obj())
     source = convert(obj)
-    assert "its material file gone.mtl is missing: no colors from it" in source.notes
+    assert "its material file gone.mtl is missing, so its colors are not read" in source.notes
     assert source.asset().surfaces[0].materials == ()
     obj.write_text("usemtl a\n" + cube_obj())
-    assert "it names materials (a) but no material file: no colors" in convert(obj).notes
+    assert (
+        "it names materials (a) but no material file, so no colors are read" in convert(obj).notes
+    )
     found, notes = read(tmp_path, "newmtl b\nmap_Kd gone.png\nd 0.5\n", ("a", "b"))
     assert list(found) == ["b"]
     assert found["b"].material_parts == ()
     assert notes == (
-        "material b: its texture gone.png does not exist: a constant color instead",
-        "material b: transparency is not read: opaque",
-        "material a is in none of its material files: no color",
+        "material b: its texture gone.png does not exist: a constant color is used",
+        "material b: transparency is not supported: the material is opaque",
+        "material a is in none of its material files and has no color",
     )
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("newmtl a\nKd red\n", "line 2: 'red' holds what is no finite number"),
-        ("newmtl a\n\nKd 0 nan 0\n", "line 3: '0 nan 0' holds what is no finite number"),
+        ("newmtl a\nKd red\n", "line 2: 'red' contains a value that is not a finite number"),
+        (
+            "newmtl a\n\nKd 0 nan 0\n",
+            "line 3: '0 nan 0' contains a value that is not a finite number",
+        ),
         ("newmtl a\nKd\n", "line 2: Kd has no number"),
         ("newmtl a\nmap_Kd -what 1 a.png\n", "line 2: map_Kd has the unknown option -what"),
-        ("newmtl a\nmap_Kd -s 1 1 1\n", "line 2: map_Kd names no file"),
+        ("newmtl a\nmap_Kd -s 1 1 1\n", "line 2: map_Kd gives no file name"),
         ("version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ],
 )

@@ -97,7 +97,7 @@ def test_bodies_apart_are_meshes_and_groups_of_one_body_stay_together(obj, tmp_p
               for s in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim))}  # fmt: skip
     assert groups == {"left_one_top": [0, 1, 2], "left_one_bottom": [3, 4, 5]}
     notes = convert(path).notes
-    assert any("share points: they are one mesh" in note for note in notes)
+    assert any("share points and are read as one mesh" in note for note in notes)
 
 
 def test_lines_that_go_on_comments_and_what_is_left_out(obj):
@@ -109,7 +109,7 @@ def test_lines_that_go_on_comments_and_what_is_left_out(obj):
     assert "1 lines are left out" in source.notes
     assert "1 faces with fewer than three corners are left out" in source.notes
     assert "1 'curv' statements are left out" in source.notes
-    assert "1 of its 9 points belong to no face: left out" in source.notes
+    assert "1 of its 9 points belong to no face and are left out" in source.notes
 
 
 def test_colors_of_points_are_srgb(obj, tmp_path):
@@ -149,17 +149,20 @@ def test_materials_of_faces_with_color_and_texture(obj, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("v 0 0\n", "line 1: v has 2 numbers, it needs 3"),
-        ("v 0 0 0\nv 1 x 0\n", "line 2: 'v 1 x 0' holds what is no number"),
-        ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "line 2: v holds a number that is not finite"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "line 4: the face names v 7, and there are 3"),
+        ("v 0 0\n", "line 1: v has 2 numbers but needs 3"),
+        ("v 0 0 0\nv 1 x 0\n", "line 2: 'v 1 x 0' contains a value that is not a number"),
+        (
+            "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n",
+            "line 2: v contains a number that is not finite",
+        ),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "line 4: the face names v 7, but there are 3"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", "line 4: the corner '0' has the index 0"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n", "has the index -4: there are 3 before it"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/2 2 3\n", "line 4: the face names vt 2, and there are 0"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 c\n", "line 4: the corner 'c' is no index"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n", "has the index -4: only 3 precede it"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/2 2 3\n", "line 4: the face names vt 2, but there are 0"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 c\n", "line 4: the corner 'c' is not an index"),
         ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "has no size: its 3 points are all in one place"),
-        ("v 0 0 0\nv 1 0 0\n", "there is no face in it (2 points)"),
-        ("# nothing\n", "there is no face in it"),
+        ("v 0 0 0\nv 1 0 0\n", "the file contains no faces (2 points)"),
+        ("# nothing\n", "the file contains no faces"),
         ("version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "is a git-lfs pointer"),
         ("v 0 0 0\0\n", "is not an OBJ file: it holds binary data"),
     ],

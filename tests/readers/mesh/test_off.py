@@ -30,7 +30,7 @@ def test_polygons_comments_and_colors(tmp_path):
     rows += ["# faces", *(f"4 {' '.join(map(str, quad))}" for quad in QUADS)]
     path.write_text("\n".join(["COFF 8 6 12  # counts", *rows]))
     source = convert(path)
-    assert "its colors are not read" in source.notes
+    assert "its colors are ignored" in source.notes
     (cube,) = source.asset().surfaces
     assert cube.face_counts.tolist() == [4] * 6
     assert cube.face_indices.tolist() == [i for quad in QUADS for i in quad]
@@ -40,14 +40,17 @@ def test_polygons_comments_and_colors(tmp_path):
     ("data", "words"),
     [
         ("OFD\n3 1 0\n", "does not begin with OFF or COFF"),
-        ("OFF\nthree\n", "no line with its numbers of vertices and faces"),
-        (OFF.replace("8 12 0", "9 12 0"), "announces 9 vertices and 12 faces, and 20 lines"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 5\n", "outside its 3 points, the first is 5"),
+        ("OFF\nthree\n", "the line with the numbers of vertices and faces is missing"),
+        (OFF.replace("8 12 0", "9 12 0"), "declares 9 vertices and 12 faces, but 20 lines"),
+        (
+            "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 5\n",
+            "do not refer to any of its 3 points; the first is 5",
+        ),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n", "the first is -1"),
-        ("OFF\n3 1 0\n0 0 0\n1 x 0\n0 1 0\n3 0 1 2\n", "line 4: '1 x 0' is no vertex"),
+        ("OFF\n3 1 0\n0 0 0\n1 x 0\n0 1 0\n3 0 1 2\n", "line 4: '1 x 0' is not a vertex"),
         ("OFF\n3 1 0\n0 0 0\n1 nan 0\n0 1 0\n3 0 1 2\n", "1 of 3 points are not finite"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "line 6: '3 0 1' is no face"),
-        ("OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n", "there is no face in it"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "line 6: '3 0 1' is not a face"),
+        ("OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n", "the file contains no faces"),
         ("version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ],
 )

@@ -119,23 +119,32 @@ def test_a_missing_texture_is_said(tmp_path):
     path = tmp_path / "cube.ply"
     head = header().replace(b"comment made here", b"comment TextureFile gone.png")
     path.write_bytes(head + rows())
-    assert "its texture gone.png does not exist: no texture" in convert(path).notes
+    assert "its texture gone.png does not exist and is left out" in convert(path).notes
 
 
 @pytest.mark.parametrize(
     ("data", "words"),
     [
         (b"plywood", "is not a PLY file"),
-        (header("binary_middle_endian") + rows(), "names no format that exists"),
+        (header("binary_middle_endian") + rows(), "names no valid format"),
         (header(vertex="property half w\n") + rows(), "line 8: 'property half w' has the unknown"),
-        (header() + rows(faces=FACES[:3]), "announces 7 of element 'face', and the file holds 3"),
-        (header("binary_little_endian") + packed("<")[:60], "8 of element 'vertex'"),
-        (header("binary_little_endian") + packed("<")[:-3], "and the file holds 6"),
-        (header() + rows().replace(b"1.0", b"one", 1), "holds what is no number"),
-        (header() + rows(faces=[(0, 1, 9), *FACES[1:]]), "outside its 8 points, the first is 9"),
-        (header() + rows(faces=[(0, 1, -1), *FACES[1:]]), "outside its 8 points, the first is -1"),
+        (
+            header() + rows(faces=FACES[:3]),
+            "declares 7 rows of element 'face', but the file holds 3",
+        ),
+        (header("binary_little_endian") + packed("<")[:60], "8 rows of element 'vertex'"),
+        (header("binary_little_endian") + packed("<")[:-3], "but the file holds 6"),
+        (header() + rows().replace(b"1.0", b"one", 1), "contains a value that is not a number"),
+        (
+            header() + rows(faces=[(0, 1, 9), *FACES[1:]]),
+            "do not refer to any of its 8 points; the first is 9",
+        ),
+        (
+            header() + rows(faces=[(0, 1, -1), *FACES[1:]]),
+            "do not refer to any of its 8 points; the first is -1",
+        ),
         (header() + rows().replace(b"1.0", b"nan", 1), "1 of 8 points are not finite"),
-        (header(faces=0) + rows(faces=[]), "holds 8 points and no face"),
+        (header(faces=0) + rows(faces=[]), "holds 8 points but no faces"),
         (
             header(vertex="property float f_dc_0\n", faces=0) + b"0 0 0 1\n" * 8,
             "its Gaussian splats have no column opacity",

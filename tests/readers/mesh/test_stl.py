@@ -45,15 +45,15 @@ def test_bytes_after_the_triangles_are_left_out(tmp_path):
     path.write_bytes(STL + b"\0" * 7)
     source = convert(path)
     assert len(source.asset().surfaces[0].triangles) == 12
-    assert "7 bytes follow its 12 triangles: left out" in source.notes
+    assert "7 bytes after its 12 triangles are ignored" in source.notes
 
 
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (STL[:300], "a binary one with 12 triangles has 684 bytes, this has 300"),
-        (b"solid nothing\nendsolid", "it is no text that begins with 'solid'"),
-        (TEXT.encode()[:500], "is cut off: its solid does not end"),
+        (STL[:300], "a binary file with 12 triangles has 684 bytes, but this file has 300"),
+        (b"solid nothing\nendsolid", "is not text that begins with 'solid'"),
+        (TEXT.encode()[:500], "is truncated: its solid has no end"),
         (TEXT.replace("vertex 0.5", "vertex x", 1).encode(), "cannot be read as STL"),
         (TEXT.replace("vertex 0.5", "vertex nan", 1).encode(), "are not finite"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),

@@ -87,8 +87,8 @@ def test_the_motion_includes_that_of_the_camera(path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("/rig/none", "there is no camera </rig/none>"),
-        ("not a path", "there is no camera <not a path>"),
+        ("/rig/none", "The camera </rig/none>"),
+        ("not a path", "The camera <not a path>"),
         ("/rig", "</rig> is of type Xform, not Camera"),
         ("/rig/flat", "has orthographic projection"),
     ],
@@ -101,5 +101,5 @@ def test_what_is_no_camera_is_refused(path, name, message):
 
 
 def test_a_camera_that_makes_no_picture_is_refused(path):
-    with pytest.raises(InputError, match="/rig/broken makes no picture"):
+    with pytest.raises(InputError, match="/rig/broken cannot render an image"):
         PictureStage(path, camera="/rig/broken").camera(None, 1.0)

@@ -147,7 +147,7 @@ def test_a_tilted_floor_is_left_out_with_a_note(tmp_path):
     tilt = {"double floor = 0.25": "double floor = 0.25\ndouble3 floor_normal = (0, 0.6, 0.8)"}
     recording = BakedMotion(write(tmp_path, **tilt)).recording()
     assert recording.ground is None
-    assert "its floor is tilted, which is not drawn" in recording.notes
+    assert "its floor is tilted and is not drawn" in recording.notes
 
 
 def test_where_the_source_is_selected_the_first_bake_is_shown(tmp_path):
@@ -199,7 +199,7 @@ def test_broken_frames_are_refused_with_their_place(tmp_path, change, words):
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("still.usda", '#usda 1.0\ndef Sphere "Ball" {}\n', "nothing in it moves"),
+        ("still.usda", '#usda 1.0\ndef Sphere "Ball" {}\n', "nothing in this file moves"),
         ("no.usda", "hello", "not a USD file"),
         ("gone.usda", None, "does not exist"),
     ],

@@ -280,7 +280,7 @@ def test_what_is_not_there_is_said(tmp_path):
     path = write(tmp_path, BOX)
     with pytest.raises(InputError, match="no visible gaussians") as caught:
         PictureStage(path, "gaussians")
-    assert "it holds mesh" in caught.value.hint
+    assert "it contains mesh" in caught.value.hint
     with pytest.raises(UsageError, match="Unknown --show fog"):
         PictureStage(path, "fog")
     with pytest.raises(InputError, match="does not exist"):

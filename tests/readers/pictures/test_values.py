@@ -170,5 +170,7 @@ def test_what_a_bake_does_not_hold_is_refused(tmp_path):
         PictureStage(path, "mesh", color="heat")
     plain = tmp_path / "plain.usda"
     plain.write_text('#usda 1.0\ndef Cube "box" {\n}\n', encoding="utf-8")
-    with pytest.raises(InputError, match="no particles of a bake"):
+    with pytest.raises(
+        InputError, match="needs the particles of a bake, and the file contains none"
+    ):
         PictureStage(plain, "mesh", color="strain")

@@ -235,7 +235,7 @@ def raw(data):
         (
             "a.ply",
             raw(ply_bytes(ball(9))[:-4]),
-            "announces 9 of element 'vertex', and the file holds 8",
+            "declares 9 rows of element 'vertex', but the file holds 8",
         ),
         (
             "a.ply",
@@ -246,7 +246,7 @@ def raw(data):
             ("a.ply", raw(ply_bytes(ball(9, degree=d)).replace(b"vertex 9", b"vertex 0")), "its 0")
             for d in (0, 3)
         ),
-        ("a.splat", raw(bytes(33)), "33 bytes, which is no multiple of 32"),
+        ("a.splat", raw(bytes(33)), "33 bytes, which is not a multiple of 32"),
         ("a.splat", raw(bytes(32)), "none of its 1 Gaussians"),
         ("a.spz", raw(b"nothing of the kind"), "not compressed with gzip"),
         ("a.spz", raw(SANITY.read_bytes()[:60]), "is damaged"),
@@ -256,7 +256,7 @@ def raw(data):
         (
             "a.spz",
             spz(count=2),
-            "2 Gaussians of degree 0 take 38 bytes, and 19 of them are not there",
+            "2 Gaussians of degree 0 take 38 bytes, and 19 of them are missing",
         ),
         ("a.spz", raw(gzip.compress(bytes(40))), "begins with 0x00000000"),
         ("a.spz", raw(gzip.compress(bytes(4))), "ends within its header"),
@@ -278,9 +278,9 @@ def test_units_and_axes(tmp_path):
     np.testing.assert_allclose(
         splats.points, 0.01 * splats.positions * np.array([1, -1, -1]), atol=1e-9
     )
-    assert any("-Y, as asked for" in note for note in asset.facts.notes)
+    assert any("-Y, as requested" in note for note in asset.facts.notes)
     assert read_asset(path, up_axis="z").facts.up_axis == "Z"
-    with pytest.raises(InputError, match="Gaussians know Y, Z, -Y and -Z"):
+    with pytest.raises(InputError, match="it must be Y, Z, -Y or -Z"):
         read_asset(path, up_axis="X")
     assert (asset.facts.unit_from, asset.facts.axis_from) == ("option", "option")
     facts = read_asset(path).facts

@@ -59,16 +59,16 @@ HUGE = gzip.compress(struct.pack("<IIIBBBB", MAGIC, 3, 2**32 - 1, 3, 12, 0, 0) +
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (WHOLE[:20], "names 6 streams whose sizes stand at byte 0 of 20"),
-        (WHOLE[:90], "wants 6 blocks, and names 6 streams whose sizes stand at byte 32 of 90"),
-        (spoiled(WHOLE, 15, 5), "wants 6 blocks, and names 5 streams"),
-        (WHOLE[:-40], "60 Gaussians of degree 1 take 1740 bytes, and .* are not there"),
+        (WHOLE[:20], "declares 6 streams, whose sizes are at byte 0 of 20"),
+        (WHOLE[:90], "requires 6 blocks but declares 6 streams, whose sizes are at byte 32 of 90"),
+        (spoiled(WHOLE, 15, 5), "requires 6 blocks but declares 5 streams"),
+        (WHOLE[:-40], "60 Gaussians of degree 1 take 1740 bytes, and .* are missing"),
         (spoiled(WHOLE, TABLE, 9, 9, 9, 9), "is damaged"),
         (spoiled(WHOLE, 4, 5), "is SPZ version 5"),
         (gzip.compress(WHOLE), "is SPZ version 4; versions 1 to 3 in one gzip stream"),
         (spoiled(WHOLE, 8, 0, 0, 0, 0), "holds no Gaussians"),
-        (spoiled(WHOLE, 12, 0), "wants 5 blocks, and names 6 streams"),
-        (streamed(spz_bytes(ball(60)), size=2**32 - 1), "take 85899345900 bytes, and .* not there"),
+        (spoiled(WHOLE, 12, 0), "requires 5 blocks but declares 6 streams"),
+        (streamed(spz_bytes(ball(60)), size=2**32 - 1), "take 85899345900 bytes, and .* missing"),
         (HUGE, "4294967295 Gaussians of degree 3 take 279172874175 bytes, which .* cannot hold"),
     ],
     ids=[

@@ -88,11 +88,12 @@ BROKEN = {
     "no skeleton": (arm(skeleton=""), "no skeleton poses </Arm/Skin>"),
     "no inverse": (
         arm(bind="( (1, 0, 0, 0), (0, 0, 0, 0), (0, 0, 1, 0), (1, 0, 0, 1) )"),
-        "1 of 2 joints have no inverse, the first is A/B",
+        "1 of 2 joints cannot be inverted; the first is A/B",
     ),
     "indices": (arm(skin=str([0, 7] * len(points()))), "do not fit its 36 points and the 2 joints"),
     "order": (arm(joints='["A/B", "A"]'), "is no valid skeleton"),
-    "not finite": (arm(rotation="[(1, 0, 0, 0), (nan, 0, 0, 0)]"), "to what is not finite"),
+    "not finite": (arm(rotation="[(1, 0, 0, 0), (nan, 0, 0, 0)]"), "to a position that is not "
+    "finite"),
 }  # fmt: skip
 
 

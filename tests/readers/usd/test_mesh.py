@@ -146,7 +146,7 @@ def test_normals_of_the_wrong_number_are_ignored_in_words(read):
     assert asset.surfaces[0].normals is None
     assert asset.surfaces[0].normals_interpolation == ""
     assert asset.facts.notes == (
-        "/M: its 2 normals are not one for each 'vertex' element: ignored",
+        "/M: its 2 normals do not match the elements of its 'vertex' interpolation: ignored",
     )
 
 
@@ -202,9 +202,10 @@ def test_inherited_display_color(read):
     [
         (
             '[(1,0,0), (0,1,0)] ( interpolation = "vertex" )',
-            "has 2 values, which is not one for each 'vertex' element: ignored",
+            "has 2 values, which does not match the number of elements of its 'vertex' "
+            "interpolation: ignored",
         ),
-        ("[(nan, 0, 0)]", "holds values that are not finite: ignored"),
+        ("[(nan, 0, 0)]", "has values that are not finite: ignored"),
         (
             '[(1,0,0)] ( interpolation = "uniform" )\n'
             "int[] primvars:displayColor:indices = [0, 0, 0, 0, 0, 7]",
@@ -222,16 +223,16 @@ def test_display_color_that_does_not_fit_is_ignored_in_words(read, authored, wor
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("(1,1,1)", "(nan,1,1)", "/M: 1 of 8 points are not finite (NaN or inf)"),
+        ("(1,1,1)", "(nan,1,1)", "/M: 1 of 8 points are not finite (NaN or infinity)"),
         (
             "3,0,4,7]",
             "3,0,4,8]",
-            "/M: 1 faceVertexIndices are outside its 8 points, the first is 8",
+            "/M: 1 faceVertexIndices do not refer to any of its 8 points; the first is 8",
         ),
         (
             "3,0,4,7]",
             "3,0,-4,7]",
-            "/M: 1 faceVertexIndices are outside its 8 points, the first is -4",
+            "/M: 1 faceVertexIndices do not refer to any of its 8 points; the first is -4",
         ),
         (
             "[4, 4, 4, 4, 4, 4]",
@@ -258,4 +259,4 @@ def test_a_mesh_of_lines_is_left_alone(read):
         int[] faceVertexCounts = [2, 0]
         int[] faceVertexIndices = [0, 1]
     }""")
-    assert asset.skipped == (("/M", "has no face with three or more corners"),)
+    assert asset.skipped == (("/M", "has no face with at least three corners"),)

@@ -52,8 +52,8 @@ def test_prims_by_name_each_once(read):
         ("/A/Bax", "did you mean /A/Box"),
         ("Ball", "did you mean /A/Ball"),
         ("/B/Ball", "did you mean /A/Ball"),
-        ("/A/Wxyz/Qrst", "/A exists and holds /A/Box, /A/Ball"),
-        ("not a path!", "/ exists and holds /A, /B"),
+        ("/A/Wxyz/Qrst", "/A exists and contains /A/Box, /A/Ball"),
+        ("not a path!", "/ exists and contains /A, /B"),
     ],
 )
 def test_a_missing_prim_gets_the_nearest_names(read, name, hint):
@@ -113,7 +113,7 @@ def test_what_is_left_alone_has_a_reason(read):
         "/R/Guides/G": "purpose guide",
         "/R/Off": "invisible",
         "/R/Hair": "BasisCurves: only meshes, solid shapes, points and splats are made soft",
-        "/R/Dust": "Points without widths and without physics: no body is meant",
+        "/R/Dust": "Points without widths and without physics are not a body",
         "/R/Floor": "Plane: only meshes, solid shapes, points and splats are made soft",
         "/R/Grass": "PointInstancer: its instances are not made soft",
         "/R/Empty": "has 0 points and 0 faces",
@@ -158,8 +158,8 @@ def test_instances_are_read_in_place(read):
     assert paths(asset) == ["/One/Box", "/Two/Box"]
     assert asset.surfaces[0].points[:, 0].mean() == pytest.approx(5.0)
     assert asset.facts.notes == (
-        "/One and /Two: is an instance: in the bake it is an ordinary prim, "
-        "since what is in it moves",
+        "/One and /Two: is an instance: it becomes an ordinary prim in the bake "
+        "because its content moves",
     )
 
 
@@ -213,25 +213,29 @@ def test_what_inherits_from_a_baked_prim_follows_it(read):
     [
         (
             'def Xform "A" {\ndef Camera "C" {}\n}',
-            "there is no mesh under /A: found 1 Xform, 1 Camera",
-            "give an asset with a mesh in it",
+            "no mesh was found under /A, which contains 1 Xform, 1 Camera",
+            "give an asset that contains a mesh",
         ),
-        ("", "there is no mesh under its root: found nothing", "give an asset with a mesh"),
+        (
+            "",
+            "no mesh was found under its root, which contains nothing",
+            "give an asset that contains a mesh",
+        ),
         (
             '#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" {}\ndef Xform "B" {\ndef Mesh "M" {}\n}',
-            "there is no mesh under /A: found 1 Xform",
+            "no mesh was found under /A, which contains 1 Xform",
             "there are meshes outside the default prim: --prim /B/M",
         ),
         (
             'def Points "A" {}\ndef Mesh "M" {}',
             "nothing under /A, /M can be made soft: "
-            "/A (Points without widths and without physics: no body is meant) and 1 more",
+            "/A (Points without widths and without physics are not a body) and 1 more",
             "name other prims with --prim",
         ),
         (
             'def Xform "A" (references = @gone.usda@) {}',
-            "there is no mesh under /A; does not compose: Could not open asset",
-            "bring the missing files along",
+            "no mesh was found under /A; does not compose: Could not open asset",
+            "supply the missing files",
         ),
     ],
 )

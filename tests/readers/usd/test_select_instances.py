@@ -68,8 +68,8 @@ def test_an_instance_that_hides_opinions_is_left_alone(read, below, where):
     asset = read(CHAIRS.format(below=below))
     assert [s.path for s in asset.surfaces] == EVERY[2:]
     reason = (
-        f"the instance </World/A> hides opinions on </World/A/{where}>, which would show if it"
-        " were freed: delete them, or make it an ordinary prim"
+        f"the instance </World/A> hides opinions on </World/A/{where}>, which would take effect if"
+        " it were made an ordinary prim: delete them, or turn off instancing in the file"
     )
     assert dict(asset.skipped) == dict.fromkeys(EVERY[:2], reason)
 

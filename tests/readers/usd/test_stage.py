@@ -49,8 +49,8 @@ def test_facts_of_a_stage_that_says_nothing(read):
     assert facts.default_prim is None
     assert not facts.says_physics
     assert facts.notes == (
-        "metersPerUnit is not authored: 0.01 (centimeters) is assumed, as USD says",
-        "upAxis is not authored: Y is assumed, as USD says",
+        "metersPerUnit is not authored: 0.01 (centimeters), the default of USD, is assumed",
+        "upAxis is not authored: Y, the default of USD, is assumed",
     )
     assert (facts.unit_from, facts.axis_from) == ("assumed", "assumed")
 
@@ -138,7 +138,7 @@ def test_a_zip_that_is_no_usdz(write):
         ),
         ("metersPerUnit = inf", "metersPerUnit = inf; it must be a number from 1e-30 to 1e30"),
         ("kilogramsPerUnit = 0", "kilogramsPerUnit = 0.0; it must be a number above 0"),
-        ('upAxis = "X"', "upAxis = 'X'; USD knows Y and Z"),
+        ('upAxis = "X"', "upAxis = 'X'; USD allows only Y and Z"),
     ],
 )
 def test_metadata_that_makes_no_sense(read, metadata, words):
@@ -161,7 +161,7 @@ def test_zero_time_codes_in_a_sublayer_are_refused_before_samples_are_read(write
 
 def test_options_that_make_no_sense(write):
     path = write(BALL)
-    with pytest.raises(InputError, match="--meters-per-unit -1 is not a size"):
+    with pytest.raises(InputError, match="--meters-per-unit -1 is not a valid unit size"):
         read_asset(path, meters_per_unit=-1.0)
     with pytest.raises(InputError, match="up axis 'X'"):
         read_asset(path, up_axis="X")
@@ -170,7 +170,7 @@ def test_options_that_make_no_sense(write):
 @pytest.mark.parametrize("value", ["</A>", "{ int a = 1 }"])
 def test_a_rate_that_is_no_number_is_refused(write, value):
     file = write(f"#usda 1.0\n(\n    timeCodesPerSecond = {value}\n)\n{BALL}\n")
-    with pytest.raises(InputError, match="which is no number; it must be above 0") as caught:
+    with pytest.raises(InputError, match="which is not a number; it must be above 0") as caught:
         read_asset(file)
     assert "set timeCodesPerSecond" in caught.value.hint
 

@@ -112,7 +112,7 @@ def test_a_missing_uv_primvar_is_said(read, picture):
     asset = read(stage(textured(), quads=QUADS.replace("primvars:st", "primvars:uv")))
     assert asset.facts.notes == (
         "/Q: has no usable primvar st, which the texture of /Looks/M reads: "
-        "one place of the texture instead",
+        "a single point of the texture is used",
     )
     assert not np.any(asset.surfaces[0].triangle_uvs)
 
@@ -120,10 +120,14 @@ def test_a_missing_uv_primvar_is_said(read, picture):
 @pytest.mark.parametrize(
     ("content", "file", "words"),
     [
-        (None, "t.png", "texture t.png does not exist: a constant color instead"),
-        (b"no picture", "t.png", "texture t.png cannot be read: not a picture that Pillow knows"),
+        (None, "t.png", "texture t.png does not exist: a constant color is used"),
+        (
+            b"no picture",
+            "t.png",
+            "texture t.png cannot be read: not an image format that Pillow supports",
+        ),
         (b"", "t.png", "texture t.png cannot be read: it is empty"),
-        (b"x", "t.<UDIM>.png", "texture t.<UDIM>.png: UDIM tiles are not read"),
+        (b"x", "t.<UDIM>.png", "texture t.<UDIM>.png: UDIM tiles are not supported"),
     ],
 )
 def test_an_unreadable_texture_gives_its_fallback_in_words(read, tmp_path, content, file, words):

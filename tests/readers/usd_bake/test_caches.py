@@ -73,5 +73,5 @@ def test_points_that_come_and_go_are_refused(tmp_path: Path) -> None:
     path = written(tmp_path, text)
     frames = read_cache(path, SKIN, read_asset(path).facts, first=FIRST, times=[FIRST, LAST])
     next(frames)
-    with pytest.raises(InputError, match="has 36 points at the first frame and 37 at time code 13"):
+    with pytest.raises(InputError, match="has 36 points at the first frame but 37 at time code 13"):
         next(frames)

@@ -99,7 +99,7 @@ def test_the_rest_pose_is_the_one_asked_for(regions: Regions) -> None:
     ("name", "words"),
     [
         ("/Nothing", "without a mesh under it"),
-        ("/Moving/Box/empty", "0 indices but no face"),
+        ("/Moving/Box/empty", "0 indices but contains no face"),
         ("/Moving/Bocks", "there is no prim"),
     ],
 )

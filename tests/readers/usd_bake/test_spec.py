@@ -38,7 +38,7 @@ def test_colliders_are_obstacles_and_no_bodies(plan) -> None:
 def test_what_is_turned_off_stays_as_it_is(plan) -> None:
     seen = plan(cubes(OFF))
     assert soft(seen) == ["/Two"]
-    assert noted(seen, "the stage turns its bake off (gaussianFlesh:enabled)")
+    assert noted(seen, "the stage turns off its bake (gaussianFlesh:enabled)")
     assert seen.contact_setup.colliders == ()
 
 
@@ -51,10 +51,10 @@ def test_a_prim_asked_for_by_name_is_baked_all_the_same(plan) -> None:
 
 
 def test_a_stage_of_obstacles_only_is_refused_with_every_reason(plan) -> None:
-    with pytest.raises(InputError, match="keeps every mesh out of a bake") as refused:
+    with pytest.raises(InputError, match="excludes every mesh from the bake") as refused:
         plan(TABLE, mesh("One", OFF, at(3.0)))
     assert "/Table: it is a static collider" in str(refused.value)
-    assert "/One: the stage turns its bake off" in str(refused.value)
+    assert "/One: the stage turns off its bake" in str(refused.value)
     assert "--prim" in (refused.value.hint or "")
 
 

@@ -72,7 +72,7 @@ def test_points_of_a_face_are_held_and_move_as_the_prim(tmp_path: Path, said: st
     [
         ("bool physics:attachmentEnabled = false", ""),
         ("float physics:stiffness = 0", "attachment of stiffness 0"),
-        ('uniform token physics:type1 = "face"', "attaches other than points of a mesh"),
+        ('uniform token physics:type1 = "face"', "does not attach points of a mesh"),
     ],
 )
 def test_what_is_no_hard_attachment_of_points_holds_nothing(
@@ -133,14 +133,14 @@ def test_points_away_from_their_places_move_as_the_places_do(tmp_path: Path) -> 
     plan, _ = prepare(stage(tmp_path, shift=0.1), draw=None, **options)
     (pin,) = plan.pins
     np.testing.assert_allclose(pin.path[0], pin.anchors, atol=1e-6)
-    assert "up to 0.1 m from their places" in " ".join(plan.notes)
+    assert "up to 0.1 m away from the positions they are attached to" in " ".join(plan.notes)
 
 
 @pytest.mark.parametrize(
     ("held", "drop", "words"),
     [
-        ([0, 1], "", "its 2 points are all corners of no face"),
-        (HELD, "vector3f[] physics:coords1", "has 4 indices0 and 0 coords1"),
+        ([0, 1], "", "its 2 points do not include all corners of any face"),
+        (HELD, "vector3f[] physics:coords1", "has 4 indices0 but 0 coords1"),
     ],
 )
 def test_arrays_that_make_no_sense_are_refused(
@@ -159,7 +159,7 @@ def test_arrays_that_make_no_sense_are_refused(
 def test_a_point_that_is_not_there_is_refused(tmp_path: Path) -> None:
     path = stage(tmp_path)
     path.write_text(path.read_text().replace("indices0 = [0, 1, 4, 5]", "indices0 = [0, 1, 4, 8]"))
-    with pytest.raises(gf_usd.InputError, match="reach from 0 to 8, and </Cube> has 8 points"):
+    with pytest.raises(gf_usd.InputError, match="range from 0 to 8, but </Cube> has 8 points"):
         prepare(path, draw=None, particles=100, output=tmp_path / "out.usda")
 
 

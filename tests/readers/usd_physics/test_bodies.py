@@ -103,7 +103,7 @@ def test_a_mass_above_without_a_body_is_not_read_and_this_is_said(said) -> None:
         bodies=("/Pond/Duck",),
     )
     assert only(found).mass is None
-    assert found.notes == ("/Pond: states a mass but is no body: not read",)
+    assert found.notes == ("/Pond: states a mass but is not a body: ignored",)
 
 
 def test_omniverse_states_the_mass_of_a_soft_body_in_its_own_words(said) -> None:
@@ -244,7 +244,7 @@ def test_authored_point_velocities_move_a_mesh_that_stands_still(said) -> None:
     found = said(mesh("Duck", few), layer=layer)
     assert only(found).moving is None
     assert found.notes == (
-        "/Duck: its 1 velocities are not one finite one for each point: ignored",
+        "/Duck: its 1 velocities are not one finite vector for each point: ignored",
     )
 
 

@@ -120,7 +120,7 @@ def test_what_is_assumed_is_said(said) -> None:
     found = said(material("Soft", SOFT[0], half, DENSE), duck(bound("/Soft")))
     assert found.bodies[0].material is not None
     assert found.bodies[0].material.poissons_ratio == 0.47
-    assert found.notes == ("/Soft: Poisson's ratio is 0.5 (incompressible): 0.47 is used instead",)
+    assert found.notes == ("/Soft: Poisson's ratio is 0.5 (incompressible): 0.47 is used",)
 
 
 def test_a_material_without_moduli_goes_over_the_preset(said) -> None:
@@ -239,7 +239,7 @@ def test_a_face_in_two_parts_belongs_to_the_first_and_this_is_said(said) -> None
     parts = [subset("one", "0, 1", bound("/Soft")), subset("two", "1, 2", bound("/Hard"))]
     found = said(stage, duck(*parts))
     assert [part.faces.tolist() for part in found.bodies[0].subsets] == [[0, 1], [2]]
-    assert found.notes == ("/Duck/two: shares faces with a subset before it, which keeps them",)
+    assert found.notes == ("/Duck/two: shares faces with an earlier subset, which keeps them",)
 
 
 def test_parts_that_are_no_faces(said) -> None:
@@ -247,9 +247,7 @@ def test_parts_that_are_no_faces(said) -> None:
     points = subset("dots", "0, 1", bound("/Hard"), kind="point")
     found = said(stage, duck(points))
     assert found.bodies[0].subsets == ()
-    assert found.notes == ("/Duck/dots: is no subset of faces: its physics material is not read",)
+    assert found.notes == ("/Duck/dots: is not a subset of faces: its physics material is ignored",)
     with pytest.raises(InputError) as caught:
         said(stage, duck(subset("beak", "5, 6", bound("/Hard"))))
-    assert "</Duck/beak>: 1 of its 2 indices are no faces of the mesh, which has 6" in (
-        caught.value.message
-    )
+    assert "</Duck/beak>: 1 of its 2 indices do not refer to any of the 6" in (caught.value.message)

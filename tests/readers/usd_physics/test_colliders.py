@@ -78,7 +78,7 @@ def test_the_baked_body_and_its_own_colliders_are_no_obstacles(said) -> None:
     found = said(duck, mesh("Floor", apis=[COLLISION]), bodies=("/Duck/Look",))
     assert only(found).path == "/Floor"
     assert found.notes == (
-        "/Duck/Proxy: is the collider of a baked body, whose own surface collides",
+        "/Duck/Proxy: is the collider of a baked body: the surface of the body collides instead",
     )
     # and where the body is another one, both are in the way
     assert [c.path for c in said(duck).colliders] == ["/Duck/Look", "/Duck/Proxy"]
@@ -108,7 +108,8 @@ def test_a_rigid_body_that_is_not_baked_stays_and_this_is_said(said) -> None:
     found = said(mesh("Ball", apis=[COLLISION, "PhysicsRigidBodyAPI"]))
     assert only(found).role == "dynamic"
     assert found.notes == (
-        "/Ball: is a rigid body, which is not simulated: only its animation moves it",
+        "/Ball: is a rigid body, and rigid bodies are not simulated: it moves only if it is "
+        "animated",
     )
     driven = mesh(
         "Ball", "bool physics:kinematicEnabled = true", apis=[COLLISION, "PhysicsRigidBodyAPI"]
@@ -183,7 +184,7 @@ def test_an_approximation_that_is_left_out_is_said(said) -> None:
     found = said(mesh("Rock", token, apis=HULL))
     assert volume(only(found)) == pytest.approx(1.0)
     assert found.notes == (
-        "/Rock: approximation convexDecomposition: its own triangles collide, which are finer",
+        "/Rock: approximation convexDecomposition: its own triangles, which are finer, are used",
     )
     flat = prim(
         "Mesh",
@@ -195,7 +196,7 @@ def test_an_approximation_that_is_left_out_is_said(said) -> None:
     )
     found = said(flat)
     assert len(only(found).triangles) == 2
-    assert found.notes[0].startswith("/Sheet: is flat: its own triangles collide")
+    assert found.notes[0].startswith("/Sheet: is flat: its own triangles are used")
 
 
 def test_an_approximation_that_is_none_is_refused(said) -> None:
@@ -239,7 +240,9 @@ def test_colliders_without_a_surface_are_left_out_and_this_is_said(said) -> None
 
 def test_a_broken_mesh_is_refused(said) -> None:
     broken = BOX.replace("0,2,3,1", "0,2,3,99")
-    with pytest.raises(InputError, match="/Rock: 1 faceVertexIndices are outside its 8 points"):
+    with pytest.raises(
+        InputError, match="/Rock: 1 faceVertexIndices do not refer to any of its 8 points"
+    ):
         said(prim("Mesh", "Rock", broken, apis=[COLLISION]))
 
 

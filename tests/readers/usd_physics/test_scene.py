@@ -60,7 +60,7 @@ def test_of_several_scenes_the_first_counts_and_this_is_said(write: Write) -> No
     moon = scene("float physics:gravityMagnitude = 1.62", name="Moon")
     said = physics_of(write(ASSET + moon + scene()))
     assert said.gravity == pytest.approx((0, -1.62, 0), rel=1e-6)
-    assert said.notes == ("/Scene: is another PhysicsScene: /Moon counts",)
+    assert said.notes == ("/Scene: is a second PhysicsScene: only /Moon is used",)
 
 
 @pytest.mark.parametrize(

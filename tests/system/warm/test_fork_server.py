@@ -65,11 +65,11 @@ def test_a_child_works_where_its_parent_does(
 @pytest.mark.parametrize(
     ("work", "words"),
     [
-        ("crash", "made its reader crash (signal 11, SIGSEGV)"),
+        ("crash", "caused its reader to crash (signal 11, SIGSEGV)"),
         ("hang", "took longer than 0.2 s"),
-        ("eat", "asked for more than 16 GB"),
-        ("fail", "made its reader fail: KeyError: 'points'"),
-        ("vanish", "made its reader crash (without a word)"),
+        ("eat", "needed more than 16 GB"),
+        ("fail", "caused its reader to fail: KeyError: 'points'"),
+        ("vanish", "caused its reader to crash (without output)"),
     ],
 )
 def test_what_goes_wrong_is_said_and_harms_no_other(file: Path, work: str, words: str) -> None:
@@ -152,10 +152,10 @@ def _ahead(file: Path, task: str, threads: int = 0) -> list[str]:
     ("task", "words"),
     [
         ("loaded_already", "1"),
-        ("crash", "made its reader crash (signal 11, SIGSEGV)"),
+        ("crash", "caused its reader to crash (signal 11, SIGSEGV)"),
         ("hang", "took longer than 1 s"),
-        ("fail", "made its reader fail: KeyError: 'points'"),
-        ("vanish", "made its reader crash (without a word)"),
+        ("fail", "caused its reader to fail: KeyError: 'points'"),
+        ("vanish", "caused its reader to crash (without output)"),
     ],
 )
 def test_a_child_that_is_forked_ahead_is_as_isolated_as_any(

@@ -155,7 +155,7 @@ def test_a_server_without_commands_ends(path: Path) -> None:
 def test_one_server_at_a_path_and_a_dead_ones_socket_is_replaced(path: Path) -> None:
     with (
         serving(path),
-        pytest.raises(UsageError, match="another gf-usd serve listens"),
+        pytest.raises(UsageError, match="another gf-usd serve is already listening"),
         listening_socket(path),
     ):
         pass

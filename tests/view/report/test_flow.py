@@ -57,4 +57,4 @@ def test_the_view_holds_the_whole_motion(gaussians: int) -> None:
 
 def test_the_page_says_what_it_left_out() -> None:
     page = build_report([MeltingBox()], report_of(), "", Limits())
-    assert "all 56 vertices of surfaces of what flows" in page
+    assert "all 56 vertices of flowing surfaces" in page

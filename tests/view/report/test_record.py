@@ -44,11 +44,11 @@ ABOUT = {
 def test_the_report_beside_the_root_layer_is_read(tmp_path):
     root = tmp_path / "box.rubber.usda"
     assert report_path(root).name == "box.rubber.report.json"
-    assert load_report(root) == ({}, "box.rubber.report.json is not next to the file")
+    assert load_report(root) == ({}, "there is no box.rubber.report.json next to the file")
     report_path(root).write_text("{", encoding="utf-8")
     assert "cannot be read" in load_report(root)[1]
     report_path(root).write_text("[1]", encoding="utf-8")
-    assert "no report of a bake" in load_report(root)[1]
+    assert "is not the report of a bake" in load_report(root)[1]
     report_path(root).write_text(json.dumps(report_of()), encoding="utf-8")
     assert load_report(root) == (report_of(), "")
 
@@ -66,9 +66,9 @@ def test_a_report_of_this_bake_is_taken_whole():
 @pytest.mark.parametrize(
     ("report", "why", "words"),
     [
-        ({}, "x.json is not next to the file", "x.json is not next to the file"),
-        (report_of(input_sha256="other"), "", "is of another bake"),
-        (report_of(look="jelly"), "", "does not name this variant"),
+        ({}, "there is no x.json next to the file", "there is no x.json next to the file"),
+        (report_of(input_sha256="other"), "", "belongs to another bake"),
+        (report_of(look="jelly"), "", "does not contain this variant"),
     ],
 )
 def test_without_it_the_root_layer_speaks_and_says_so(report, why, words):
@@ -83,7 +83,7 @@ def test_without_it_the_root_layer_speaks_and_says_so(report, why, words):
 def test_a_file_that_says_nothing_is_said_so():
     record = make_record(FallingBox(variant="").recording(), {}, "no report")
     assert record.health == {}
-    assert "does not say how it was baked" in record.missing[0]
+    assert "does not record how it was baked" in record.missing[0]
 
 
 @pytest.mark.parametrize(

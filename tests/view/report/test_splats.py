@@ -84,5 +84,5 @@ def test_strays_do_not_set_the_view() -> None:
 
 
 def test_a_still_is_refused() -> None:
-    with pytest.raises(InputError, match="no Gaussians that move"):
+    with pytest.raises(InputError, match="contains no moving Gaussians"):
         build_splat_page([shell(10, frames=1)], Limits())

@@ -113,7 +113,7 @@ def read_animation(gltf: Gltf, notes: Notes) -> Animation:
         return Animation()
     names = [str(row.get("name") or f"number {k}") for k, row in enumerate(every)]
     if names[1:]:
-        notes.add(f"of {len(names)} animations the first is read: {names[0]}")
+        notes.add(f"only the first of {len(names)} animations is read: {names[0]}")
     channels = {}
     samplers = every[0].get("samplers", [])
     for k, row in enumerate(every[0].get("channels", [])):
@@ -122,12 +122,17 @@ def read_animation(gltf: Gltf, notes: Notes) -> Animation:
         node, path = target.get("node"), target.get("path")
         if path not in WIDTHS or node is None:
             if path == "weights":
-                notes.add("weights of morph targets are not read")
+                notes.add("weights of morph targets are ignored")
             continue
         if "matrix" in gltf.row("nodes", node):
-            raise InputError(f"{where} moves node {node}, which has a matrix", REPAIR)
+            raise InputError(
+                f"{where} animates node {node}, which has a matrix and so cannot be animated",
+                REPAIR,
+            )
         if row.get("sampler", len(samplers)) >= len(samplers):
-            raise InputError(f"{where} names no sampler of the {len(samplers)}", REPAIR)
+            raise InputError(
+                f"{where} does not refer to any of the {len(samplers)} samplers", REPAIR
+            )
         channels[node, path] = _channel(gltf, where, samplers[row["sampler"]], path)
     return Animation(channels=channels)
 
@@ -145,9 +150,9 @@ def frame_times(
     steps = (last - first) * rate
     if not steps <= LONGEST:
         raise InputError(
-            f"{where}: its animation takes {last - first:.3g} s, {steps:.3g} frames at {rate:g} a"
-            " second",
-            f"give one of up to {LONGEST} frames, or a smaller --fps",
+            f"{where}: its animation lasts {last - first:.3g} s, which is {steps:.3g} frames at "
+            f"{rate:g} frames per second",
+            f"give an animation of at most {LONGEST} frames, or a smaller --fps",
         )
     return rate, first + np.arange(int(np.ceil(steps - ON_FRAME)) + 1) / rate
 
@@ -157,16 +162,16 @@ def _channel(gltf: Gltf, where: str, sampler: dict[str, Any], path: str) -> Chan
     values = decoded(gltf, sampler.get("output"))
     mode = sampler.get("interpolation", LINEAR)
     if mode not in (STEP, LINEAR, CUBIC):
-        raise InputError(f"{where}: there is no interpolation {mode}", REPAIR)
+        raise InputError(f"{where}: unknown interpolation {mode}", REPAIR)
     if not len(times) or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
-        raise InputError(f"{where}: its {len(times)} times do not increase, or are not finite",
+        raise InputError(f"{where}: its {len(times)} key times do not increase or are not finite",
                          REPAIR)  # fmt: skip
     each = 3 if mode == CUBIC else 1
     width = WIDTHS[path]
     if values.shape != (each * len(times), width) or not np.isfinite(values).all():
         raise InputError(
-            f"{where}: {path} holds {len(values)} rows of {values.shape[1]} for {len(times)} keys"
-            f" ({mode}), or numbers that are not finite",
+            f"{where}: {path} has {len(values)} rows of {values.shape[1]} values for "
+            f"{len(times)} keys ({mode}), or some values are not finite",
             REPAIR,
         )
     tangents = None

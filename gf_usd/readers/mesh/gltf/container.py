@@ -55,7 +55,9 @@ class Gltf:
         rows = self.rows(key)
         if index is None or index >= len(rows):
             raise InputError(
-                f"{self.path}: it names number {index!r} of its {len(rows)} {key}", REPAIR
+                f"{self.path}: it refers to index {index!r}, but the number of its {key} is "
+                f"{len(rows)}",
+                REPAIR,
             )
         return rows[index]
 
@@ -67,8 +69,8 @@ class Gltf:
         data = self.buffers[view["buffer"]][start : start + length]
         if len(data) != length:
             raise InputError(
-                f"{self.path}: buffer view {index} wants bytes {start} to {start + length} of a "
-                f"buffer of {len(self.buffers[view['buffer']])}",
+                f"{self.path}: buffer view {index} refers to bytes {start} to {start + length} "
+                f"of a buffer with a length of {len(self.buffers[view['buffer']])}",
                 REPAIR,
             )
         return data
@@ -86,9 +88,13 @@ def open_gltf(path: Path) -> Gltf:
     try:
         tree = json.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not a glTF file: its JSON: {error}", REPAIR) from error
+        raise InputError(
+            f"{path} is not a valid glTF file: its JSON cannot be parsed: {error}", REPAIR
+        ) from error
     if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
-        raise InputError(f"{path} is not a glTF file: it has no 'asset'", "check what it really is")
+        raise InputError(
+            f"{path} is not a glTF file: it has no 'asset'", "check the type of the file"
+        )
     require_types(path, tree)
     version = tree["asset"].get("version", "")
     if not version.startswith("2."):
@@ -105,8 +111,9 @@ def open_gltf(path: Path) -> Gltf:
         length = row.get("byteLength", 0)
         if len(content) < length:
             raise InputError(
-                f"{path}: buffer {number} holds {len(content)} bytes of {length}",
-                "it was cut off or altered: " + REPAIR,
+                f"{path}: buffer {number} holds {len(content)} of the {length} bytes that it "
+                f"declares",
+                "the file was truncated or altered: " + REPAIR,
             )
         buffers.append(content)
     return Gltf(path=path, tree=tree, buffers=tuple(buffers), inputs=tuple(inputs))
@@ -121,14 +128,14 @@ def resolve(path: Path, uri: str) -> tuple[bytes, Path | None]:
         try:
             return base64.b64decode(uri.partition("base64,")[2], validate=True), None
         except binascii.Error as error:
-            raise InputError(f"{path}: embedded data is broken: {error}", REPAIR) from error
+            raise InputError(f"{path}: embedded data is invalid: {error}", REPAIR) from error
     file = path.parent / unquote(uri)
     try:
         content = file.read_bytes()
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path} needs {uri}, which cannot be read",
-            f"bring {uri} along, or export the asset as one .glb file",
+            f"supply {uri} with the asset, or export the asset as a single .glb file",
         ) from error
     refuse_pointer(file, content)
     return content, file
@@ -136,14 +143,14 @@ def resolve(path: Path, uri: str) -> tuple[bytes, Path | None]:
 
 def _unpack(path: Path, data: bytes) -> tuple[bytes, bytes]:
     """The JSON and the binary chunk of a GLB file."""
-    hint = "it was cut off or altered: " + REPAIR
+    hint = "the file was truncated or altered: " + REPAIR
     if len(data) < 20:
-        raise InputError(f"{path} is cut off: {len(data)} bytes", hint)
+        raise InputError(f"{path} is truncated: {len(data)} bytes", hint)
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise InputError(f"{path} is binary glTF {version}", "export it as glTF 2")
     if length > len(data):
-        raise InputError(f"{path} is cut off: {len(data)} bytes of {length}", hint)
+        raise InputError(f"{path} is truncated: it has {len(data)} of {length} bytes", hint)
     chunks: dict[int, bytes] = {}
     at = 12
     while at + 8 <= length:
@@ -166,8 +173,8 @@ def _require_understood(path: Path, tree: dict[str, Any]) -> None:
     ]
     if strange:
         raise InputError(
-            f"{path} can only be read with the extension {strange[0]}",
-            "export it again without this extension (compression, for example, turned off)",
+            f"{path} requires the extension {strange[0]}, which is not supported",
+            "export it again without this extension (for example, with compression turned off)",
         )
 
 
@@ -190,7 +197,7 @@ class GltfImages:
         webp = texture.get("extensions", {}).get(WEBP, {})
         number = webp.get("source", texture.get("source"))
         if number is None:
-            self._notes.add("a texture of it has no picture that is read: without it", material)
+            self._notes.add("one of its textures has no supported image and is left out", material)
             return None
         if number not in self._found:
             self._found[number] = self._picture(number, material)
@@ -267,7 +274,7 @@ def _is_index(value: Any) -> bool:
 
 
 number = _of("a finite number", _is_number)
-index = _of("a whole number of 0 or more", _is_index)
+index = _of("an integer of 0 or more", _is_index)
 text = _of("a text", lambda value: isinstance(value, str))
 flag = _of("true or false", lambda value: isinstance(value, bool))
 

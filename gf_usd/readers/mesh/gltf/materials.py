@@ -62,7 +62,9 @@ class GltfMaterials:
         found = primitive.attributes.get(f"TEXCOORD_{coordinates}")
         if found is None:
             if _reference(row):
-                self._notes.add("a mesh with its texture has no coordinates for it", _name(row))
+                self._notes.add(
+                    "a mesh that uses its texture has no texture coordinates", _name(row)
+                )
             return None
         if not np.isfinite(found).all():
             self._notes.add("texture coordinates that are not finite are left out", _name(row))
@@ -135,7 +137,9 @@ class GltfMaterials:
             return None
         if _placing(info) != _placing(_reference(row)):
             self._notes.add(
-                f"its {name} texture is placed otherwise than its first: left out", _name(row)
+                f"its {name} texture has a different placement from its first texture and is "
+                f"left out",
+                _name(row),
             )
             return None
         texture = self._gltf.row("textures", info["index"])

@@ -46,7 +46,7 @@ class Nodes:
         while (above := self.parents.get(out[-1])) is not None:
             out.append(above)
             if len(out) > DEEPEST:
-                raise InputError(f"{self._gltf.path}: node {index} stands below itself", REPAIR)
+                raise InputError(f"{self._gltf.path}: node {index} is its own descendant", REPAIR)
         return out
 
     def local(self, index: int) -> NDArray[np.float64]:
@@ -82,9 +82,9 @@ class Nodes:
         off = S - np.diag(np.diag(S))
         if np.abs(off).max() > SHEAR * np.abs(S).max():
             raise InputError(
-                f"{self._gltf.path}: the matrix of node {index} ({self.name(index)}) shears, and"
-                " the joint of a skeleton has a rotation and scales",
-                "export it again with translation, rotation and scale of each joint",
+                f"{self._gltf.path}: the matrix of node {index} ({self.name(index)}) contains a "
+                f"shear, but a joint of a skeleton may only have translation, rotation and scale",
+                "export it again with the translation, rotation and scale of each joint",
             )
         return Parts(
             translation=M[3, :3], rotation=Rotation.from_matrix(R).as_quat(), scale=np.diag(S)

@@ -56,11 +56,13 @@ def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive
     ]
     if not rows and GAUSSIANS in gltf.tree.get("extensionsUsed", []):
         raise InputError(
-            f"{gltf.path}: it holds Gaussians ({GAUSSIANS}), which are not read out of glTF",
+            f"{gltf.path}: it holds Gaussians ({GAUSSIANS}), which are not supported in glTF",
             "export them as PLY, SPZ or USD",
         )
     if not rows:
-        raise InputError(f"{gltf.path}: there is no mesh in it", "give a file with a mesh in it")
+        raise InputError(
+            f"{gltf.path}: the file contains no mesh", "give a file that contains a mesh"
+        )
     return {(m, p): _primitive(gltf, f"mesh {m}, primitive {p}", row) for m, p, row in rows}
 
 
@@ -69,7 +71,7 @@ def _is_surface(primitive: dict[str, Any], mesh: int, notes: Notes) -> bool:
     if mode not in (TRIANGLES, STRIP):
         notes.add(f"points, lines and triangle fans (mode {mode}) are left out", f"mesh {mesh}")
     elif primitive.get("targets"):
-        notes.add("morph targets are not read: the shape without them", f"mesh {mesh}")
+        notes.add("morph targets are not supported: the shape is read without them", f"mesh {mesh}")
     return mode in (TRIANGLES, STRIP)
 
 
@@ -84,7 +86,9 @@ def _primitive(gltf: Gltf, where: str, row: dict[str, Any]) -> Primitive:
         corners = _corners(gltf, where, row, len(raw["POSITION"]))
     points = raw.pop("POSITION")
     if points.shape[1] != 3:
-        raise InputError(f"{gltf.path}: {where}: POSITION is no triple of numbers", REPAIR)
+        raise InputError(
+            f"{gltf.path}: {where}: POSITION does not hold three numbers per point", REPAIR
+        )
     if len(points) and not np.ptp(points, axis=0).any():
         raise InputError(
             f"{gltf.path}: {where} has no size: its {len(points)} points are all in one place",
@@ -94,8 +98,8 @@ def _primitive(gltf: Gltf, where: str, row: dict[str, Any]) -> Primitive:
         low, high = WIDTHS.get(key.split("_")[0], (1, 16))
         if len(values) != len(points) or not low <= values.shape[1] <= high:
             raise InputError(
-                f"{gltf.path}: {where}: {key} holds {len(values)} rows of {values.shape[1]} for "
-                f"{len(points)} points",
+                f"{gltf.path}: {where}: {key} has {len(values)} rows of {values.shape[1]} "
+                f"values for {len(points)} points",
                 REPAIR,
             )
     return Primitive(
@@ -114,7 +118,7 @@ def _corners(gltf: Gltf, where: str, row: dict[str, Any], points: int) -> Ints:
     if accessor.get("componentType") not in INDICES or accessor.get("type") != "SCALAR":
         raise InputError(
             f"{gltf.path}: {where}: its indices are {accessor.get('type')} of component type "
-            f"{accessor.get('componentType')}, not unsigned whole numbers",
+            f"{accessor.get('componentType')}, not unsigned integers",
             REPAIR,
         )
     if "bufferView" not in accessor and "sparse" not in accessor:
@@ -129,7 +133,8 @@ def _triangles(gltf: Gltf, where: str, row: dict[str, Any], corners: Ints) -> In
         return np.stack([corners[k], corners[k + 1 + k % 2], corners[k + 2 - k % 2]], axis=1)
     if len(corners) % 3:
         raise InputError(
-            f"{gltf.path}: {where}: its {len(corners)} corners are no whole triangles", REPAIR
+            f"{gltf.path}: {where}: its {len(corners)} corners do not make complete triangles",
+            REPAIR,
         )
     return corners.reshape(-1, 3)
 
@@ -157,14 +162,14 @@ def _elements(gltf: Gltf, index: int | None) -> np.ndarray:
     if component is None or not rows:
         raise InputError(
             f"{where} holds {accessor.get('type')} of component type "
-            f"{accessor.get('componentType')}: there is no such thing",
+            f"{accessor.get('componentType')}, which glTF does not define",
             REPAIR,
         )
     dtype = np.dtype(component)
     if "bufferView" in accessor:
         found = _rows(gltf, where, accessor, dtype, count, rows, columns)
     elif count * rows * columns > sum(map(len, gltf.buffers)):
-        raise InputError(f"{where} holds {count} rows, and no data for them", REPAIR)
+        raise InputError(f"{where} declares {count} rows but has no data for them", REPAIR)
     else:
         found = np.zeros((count, rows * columns), dtype)
     if "sparse" not in accessor:
@@ -185,8 +190,8 @@ def _rows(
     end = start + (count - 1) * stride + size if count else start
     if stride < size or end > len(data):
         raise InputError(
-            f"{where} wants {count} rows of {size} bytes, {stride} apart, from byte {start} of a "
-            f"buffer view of {len(data)}",
+            f"{where} refers to {count} rows of {size} bytes with a stride of {stride}, from "
+            f"byte {start} of a buffer view of {len(data)} bytes",
             REPAIR,
         )
     if not count:
@@ -204,13 +209,17 @@ def _replaced(
     kind = at.get("componentType") if at else None
     if count is None or not at or not values or kind not in INDICES:
         raise InputError(
-            f"{where} is sparse, and does not say how many rows it has, which and what", REPAIR
+            f"{where} is sparse but does not state its number of rows, their indices and their "
+            f"values",
+            REPAIR,
         )
     where, dtype = f"{where}, sparse,", np.dtype(COMPONENTS[kind])
     index = _rows(gltf, where, at, dtype, count, 1, 1)[:, 0]
     new = _rows(gltf, where, values, base.dtype, count, rows, columns)
     if count and int(index.max()) >= len(base):
-        raise InputError(f"{where} replaces row {int(index.max())} of {len(base)}", REPAIR)
+        raise InputError(
+            f"{where} replaces row {int(index.max())}, but there are only {len(base)} rows", REPAIR
+        )
     out = base.copy()
     out[index] = new
     return out
@@ -230,8 +239,7 @@ def _decompressed(gltf: Gltf, where: str, row: dict[str, Any]) -> tuple[dict[str
         import DracoPy
     except ImportError as error:
         raise InputError(
-            f"{gltf.path}: {where} is compressed with {DRACO}, which is only read where DracoPy is "
-            "installed",
+            f"{gltf.path}: {where} is compressed with {DRACO}, which requires DracoPy",
             "export it without Draco compression, or: pip install DracoPy",
         ) from error
     blob = row["extensions"][DRACO]
@@ -251,5 +259,5 @@ def _decompressed(gltf: Gltf, where: str, row: dict[str, Any]) -> tuple[dict[str
         if number in by_id and key in row["attributes"]
     }
     if "POSITION" not in found or faces is None:
-        raise InputError(f"{gltf.path}: {where}: its compressed data holds no mesh", REPAIR)
+        raise InputError(f"{gltf.path}: {where}: its compressed data contains no mesh", REPAIR)
     return found, np.asarray(faces, np.int64).reshape(-1)

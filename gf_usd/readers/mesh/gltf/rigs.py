@@ -77,7 +77,7 @@ class Rigs:
         found = self._skins.influences(number, primitives)
         if found is None:
             raise InputError(
-                f"{self._gltf.path}: mesh '{name}' has a skin and no weights",
+                f"{self._gltf.path}: mesh '{name}' has a skin but no weights",
                 "bind it again in the program that made it",
             )
         at, matrix = self._of[number]
@@ -86,7 +86,7 @@ class Rigs:
         index, weights = found
         weights = weights.copy()
         if free := int((weights.sum(1) == 0.0).sum()):
-            self._notes.add(f"{free} points without weights follow its first joint", name)
+            self._notes.add(f"{free} points without weights follow the first joint", name)
             weights[weights.sum(1) == 0.0, 0] = 1.0
         joints = np.array([rows[node] for node in self._skins.joints(number)])
         skin = FileSkin(
@@ -103,7 +103,8 @@ class Rigs:
                     continue
                 if self._animation.nodes & set(chain[:above]):
                     self._notes.add(
-                        "moves on the joint that it hangs on: that motion is not read", mesh.name
+                        "moves relative to the joint it is attached to: that motion is ignored",
+                        mesh.name,
                     )
                 matrix = np.eye(4)
                 for between in chain[:above]:
@@ -123,15 +124,16 @@ class Rigs:
         where = f"{self._gltf.path}: skin {number}"
         if not joints or inverse is None:
             raise InputError(
-                f"{where} has {len(joints)} joints and no inverse bind matrices",
+                f"{where} has {len(joints)} joints but no inverse bind matrices",
                 "export it with its bind pose, which is the rest shape",
             )
         finite = np.where(np.isfinite(inverse).all((1, 2), keepdims=True), inverse, 0.0)
         flat = np.abs(np.linalg.det(finite)) <= FLAT
         if flat.any():
             raise InputError(
-                f"{where}: the inverse bind matrices of {int(flat.sum())} of {len(joints)} joints"
-                f" have no inverse, the first is {self._nodes.name(joints[int(flat.argmax())])}",
+                f"{where}: the inverse bind matrices of {int(flat.sum())} of {len(joints)} "
+                f"joints cannot be inverted; the first is "
+                f"{self._nodes.name(joints[int(flat.argmax())])}",
                 REPAIR,
             )
         mine = dict(zip(joints, inverse))
@@ -187,7 +189,10 @@ class Rigs:
         ]
         self._bind(tree, parents, local)
         if np.abs(np.float16(S).astype(float) - S).max() > HALF * np.abs(S).max():
-            self._notes.add("scales of its joints are rounded to half precision, as UsdSkel has it")
+            self._notes.add(
+                "the scales of its joints are rounded to half precision, the type "
+                "that UsdSkel stores"
+            )
         rest = [self._nodes.local(node) for node in tree.order]
         top = self._nodes.name(tree.order[0])
         return FileSkeleton(

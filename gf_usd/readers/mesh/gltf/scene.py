@@ -30,7 +30,7 @@ def read_gltf(path: Path) -> MeshFile:
     """
     gltf, notes = open_gltf(path), Notes()
     if gltf.tree.get("animations"):
-        notes.add("its animations are not read: it stands as its nodes do")
+        notes.add("its animations are ignored: the pose of its nodes is used")
     return _file(gltf, _Scene(gltf, notes), notes)
 
 
@@ -94,8 +94,8 @@ class _Scene:
         found = (*(node for node in walked if node is not None), *self._posed)
         if not found:
             raise InputError(
-                f"{self._gltf.path}: no node of its scene holds a mesh",
-                "export the scene with its meshes in it",
+                f"{self._gltf.path}: no node in its scene has a mesh",
+                "export the scene with its meshes",
             )
         return found
 
@@ -103,7 +103,7 @@ class _Scene:
         """A node and what is below; None where no mesh is."""
         row = self._gltf.row("nodes", index)
         if index in above or len(above) > 200:
-            raise InputError(f"{self._gltf.path}: node {index} stands below itself", REPAIR)
+            raise InputError(f"{self._gltf.path}: node {index} is its own descendant", REPAIR)
         below = [self._node(child, (*above, index)) for child in row.get("children", [])]
         children = tuple(node for node in below if node is not None)
         name = str(row.get("name") or f"node{index}")

@@ -35,7 +35,7 @@ class Skins:
         joints = self._joint_matrices(number)
         found = self.influences(number, primitives)
         if found is None:
-            notes.add("its skin has no weights: read without a pose", name)
+            notes.add("its skin has no weights: it is read without a pose", name)
             return FileNode(name=name, mesh=mesh)
         index, weight = found
         blend = np.einsum("vk,vkij->vij", weight, joints[index])
@@ -46,7 +46,7 @@ class Skins:
             a, b, c = np.moveaxis(blend[:, :3, :3], 1, 0)
             cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
             normals = np.einsum("vi,vij->vj", normals, cofactors)
-        notes.add("is skinned: it stands as the nodes of its skeleton do", name)
+        notes.add("is skinned: it is posed by the nodes of its skeleton", name)
         return FileNode(name=name, mesh=replace(mesh, points=points, normals=normals))
 
     def joints(self, number: int) -> list[int]:
@@ -81,8 +81,8 @@ class Skins:
         index = index.astype(np.int64)
         if not np.isfinite(weight).all() or index.min() < 0 or index.max() >= joints:
             raise InputError(
-                f"{self._gltf.path}: a skinned mesh names joint {index.max()} of {joints}, or "
-                "has weights that are not finite",
+                f"{self._gltf.path}: a skinned mesh refers to joint {index.max()} of {joints} "
+                f"or has weights that are not finite",
                 REPAIR,
             )
         total = weight.sum(axis=1, keepdims=True)
@@ -98,7 +98,8 @@ class Skins:
         kind = row.get("componentType"), row.get("type")
         if kind != (FLOAT, "MAT4") or row.get("count", 0) < len(joints):
             raise InputError(
-                f"{self._gltf.path}: accessor {at} holds no {len(joints)} inverse bind matrices",
+                f"{self._gltf.path}: accessor {at} does not hold {len(joints)} inverse bind "
+                f"matrices",
                 REPAIR,
             )
         return np.asarray(decoded(self._gltf, at)[: len(joints)].reshape(-1, 4, 4))

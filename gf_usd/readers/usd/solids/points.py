@@ -56,12 +56,15 @@ def widths(prim: Usd.Prim, points: Floats, time: Usd.TimeCode, notes: Notes) -> 
         found = np.atleast_1d(np.asarray(value, dtype=np.float64))
         if len(found) not in (1, count) or not (np.isfinite(found) & (found > 0.0)).all():
             raise LeftAlone(
-                f"its {len(found)} widths are not one, or one for each of {count} points, above 0"
+                f"its {len(found)} widths are not valid: it needs one, or one for each of "
+                f"{count} points, above 0"
             )
         return np.broadcast_to(found, (count,))
     if count < 2 or not (spacing := _spacing(points)) > 0.0:
-        raise LeftAlone(f"has {count} points in one place, and no widths")
-    notes.add(f"no widths are authored: the distance of neighbors, {spacing:.3g}, is taken", where)
+        raise LeftAlone(f"has {count} points in one place and no widths")
+    notes.add(
+        f"no widths are authored: the distance between neighbors, {spacing:.3g}, is used", where
+    )
     return np.full(count, spacing)
 
 
@@ -95,7 +98,7 @@ def cover(points: Floats, wide: Floats) -> tuple[NDArray[np.float64], Ints]:
         g = ndimage.gaussian_filter(g, BLUR)
     vertices, triangles = _contour(-g, nodes, h)
     if len(triangles) == 0:
-        raise LeftAlone(f"no surface could be put around its {len(points)} points")
+        raise LeftAlone(f"no surface could be constructed around its {len(points)} points")
     return vertices, triangles
 
 

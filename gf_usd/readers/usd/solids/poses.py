@@ -46,18 +46,18 @@ def bound_points(prim: Usd.Prim, points: Floats, time: Usd.TimeCode) -> tuple[Fl
     if bind is None:
         return points, ""
     if bind.shape != points.shape:
-        raise BrokenPose(f"its bind pose has {len(bind)} points, and the mesh has {len(points)}")
+        raise BrokenPose(f"its bind pose has {len(bind)} points, but the mesh has {len(points)}")
     if not np.isfinite(bind).all():
-        raise BrokenPose("its bind pose has points that are not finite (NaN or inf)")
+        raise BrokenPose("its bind pose has points that are not finite (NaN or infinity)")
     away = _away(bind, points)
     if away <= SAME:
         return points, ""
     if _apis(prim) & SIMULATED:
-        return points, "begins where its points are, and not in its bind pose"
+        return points, "starts from its points, not from its bind pose"
     if (simulated := _simulation_mesh(prim)) is None or _stands_bound(simulated, time):
-        return bind, "begins in its bind pose"
+        return bind, "starts from its bind pose"
     return points, (
-        f"begins where its points are: the simulation mesh <{simulated.GetPath()}> is not in the"
+        f"starts from its points: the simulation mesh <{simulated.GetPath()}> is not in the"
         " bind pose"
     )
 

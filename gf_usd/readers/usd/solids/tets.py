@@ -78,7 +78,7 @@ def boundary(tets: Ints) -> Ints:
     """
     faces, crowded = tet_surface(tets)
     if crowded:
-        raise BrokenTets(f"{crowded} faces belong to three and more tetrahedra")
+        raise BrokenTets(f"{crowded} faces belong to more than two tetrahedra")
     return faces
 
 
@@ -86,8 +86,8 @@ def _require_range(name: str, indices: Ints, count: int) -> None:
     outside = (indices < 0) | (indices >= count)
     if outside.any():
         raise BrokenTets(
-            f"{int(outside.sum())} {name} are outside its {count} points,"
-            f" the first is {indices[outside][0]}"
+            f"{int(outside.sum())} {name} do not refer to any of its {count} points; the first "
+            f"is {indices[outside][0]}"
         )
 
 
@@ -109,12 +109,13 @@ def _sign(volumes: Floats, least: Floats, where: str, say: Callable[[str], None]
     if flat.any():
         first = int(np.flatnonzero(flat)[0])
         say(
-            f"{int(flat.sum())} of {len(volumes)} tetrahedra are flat at {where}, as number {first}"
+            f"{int(flat.sum())} of {len(volumes)} tetrahedra have no volume at {where}, for "
+            f"example number {first}"
         )
     if flat.all():
-        raise BrokenTets(f"none of its {len(volumes)} tetrahedra has a volume at {where}")
+        raise BrokenTets(f"all of its {len(volumes)} tetrahedra have no volume at {where}")
     if inverted[~flat].all():
-        say(f"its tetrahedra are wound against its orientation at {where}: turned round")
+        say(f"the winding of its tetrahedra contradicts its orientation at {where} and is reversed")
         return -1.0
     if inverted.any():
         first = int(np.flatnonzero(inverted)[0])
@@ -132,11 +133,11 @@ def _look_at_rest(body: Tets, sign: float, say: Callable[[str], None]) -> None:
     rest = body.rest_points
     tets = body.rest_tets if len(body.rest_tets) else body.tets
     if len(tets) != len(body.tets):
-        raise BrokenTets(f"it has {len(body.tets)} tetrahedra and {len(tets)} of the rest shape")
+        raise BrokenTets(f"it has {len(body.tets)} tetrahedra but its rest shape has {len(tets)}")
     if not len(body.rest_tets) and len(rest) != len(body.points):
-        raise BrokenTets(f"it has {len(body.points)} points and {len(rest)} restShapePoints")
+        raise BrokenTets(f"it has {len(body.points)} points but {len(rest)} restShapePoints")
     if not np.isfinite(rest).all():
-        raise BrokenTets("its restShapePoints are not all finite (NaN or inf)")
+        raise BrokenTets("some of its restShapePoints are not finite (NaN or infinity)")
     _require_range("tetrahedra of the rest shape", tets, len(rest))
     _sign(signed_volumes(rest, tets) * sign, _flat(rest, tets), "its rest shape", say)
     now, then = (
@@ -158,8 +159,9 @@ def _authored(surface: Ints, outward: Ints, say: Callable[[str], None]) -> Ints:
     foreign, missing = rows.count(-1), len(set(order.values()) - set(rows))
     if foreign or missing or len(rows) != len(order):
         raise BrokenTets(
-            f"{foreign} of its {len(surface)} surfaceFaceVertexIndices are no faces of the surface"
-            f" of its tetrahedra, and {missing} of its {len(outward)} are missing"
+            f"{foreign} of its {len(surface)} surfaceFaceVertexIndices are not faces of the "
+            f"surface of its tetrahedra, and {missing} of the {len(outward)} faces of that "
+            f"surface are missing"
         )
     # An even permutation of the corners keeps the winding.
     same = np.array([_even(a, b) for a, b in zip(surface.tolist(), outward[rows].tolist())])
@@ -167,8 +169,8 @@ def _authored(surface: Ints, outward: Ints, say: Callable[[str], None]) -> Ints:
         return surface
     if same.any():
         say(
-            f"{int((~same).sum())} of its {len(surface)} surfaceFaceVertexIndices are wound inward:"
-            " turned round"
+            f"{int((~same).sum())} of its {len(surface)} surfaceFaceVertexIndices are wound "
+            f"inward and are reversed"
         )
     return np.where(same[:, None], surface, surface[:, ::-1])
 

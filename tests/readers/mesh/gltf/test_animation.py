@@ -87,22 +87,22 @@ def test_the_first_of_several_is_read_and_weights_are_not(tmp_path: Path) -> Non
     notes = Notes()
     animation = read_animation(open_gltf(gltf_arm.write(tmp_path, made)), notes)
     assert animation.nodes == {3, 4}
-    assert "of 2 animations the first is read: wave" in notes.lines()
-    assert "weights of morph targets are not read" in notes.lines()
+    assert "only the first of 2 animations is read: wave" in notes.lines()
+    assert "weights of morph targets are ignored" in notes.lines()
 
 
 BROKEN = {
     "do not increase": lambda made, rows: rows[0].update(
         input=made.accessor(np.array([0.5, 0.5], np.float32))
     ),
-    "rotation holds 3 rows of 4": lambda made, rows: rows[0].update(
+    "rotation has 3 rows of 4 values": lambda made, rows: rows[0].update(
         output=made.accessor(np.ones((3, 4), np.float32))
     ),
-    "there is no interpolation SMOOTH": lambda made, rows: rows[0].update(interpolation="SMOOTH"),
+    "unknown interpolation SMOOTH": lambda made, rows: rows[0].update(interpolation="SMOOTH"),
     "quaternion of length 0": lambda made, rows: rows[0].update(
         output=made.accessor(np.zeros((2, 4), np.float32))
     ),
-    "names no sampler of the 1": lambda made, rows: rows.pop(),
+    "does not refer to any of the 1": lambda made, rows: rows.pop(),
     "which has a matrix": lambda made, rows: made.tree["nodes"][3].update(
         matrix=np.eye(4).ravel().tolist()
     ),
@@ -128,5 +128,5 @@ def test_an_animation_of_a_year_is_refused(tmp_path: Path) -> None:
     for row in made.tree["animations"][0]["samplers"]:
         row["input"] = times
     animation = read_animation(open_gltf(gltf_arm.write(tmp_path, made)), Notes())
-    with pytest.raises(InputError, match="frames at 24 a second"):
+    with pytest.raises(InputError, match="frames at 24 frames per second"):
         frame_times(animation, None, "arm.glb")

@@ -147,34 +147,34 @@ def test_points_without_weights_are_said(tmp_path: Path) -> None:
     stage = converted(path)
     source = convert(path, rigged=True)
     assert source is not None
-    assert any("1 points without weights follow its first joint" in n for n in source.notes)
+    assert any("1 points without weights follow the first joint" in n for n in source.notes)
     np.testing.assert_allclose(skinned(stage, "Skin", 1.0)[0], posed(0.0)[0], atol=CLOSE)
 
 
 BROKEN = {
-    "2 joints and no inverse bind matrices": lambda made: made.tree["skins"][0].pop(
+    "2 joints but no inverse bind matrices": lambda made: made.tree["skins"][0].pop(
         "inverseBindMatrices"
     ),
-    "0 joints and no inverse bind matrices": lambda made: made.tree["skins"][0].update(joints=[]),
-    "have no inverse, the first is A": lambda made: made.tree["skins"][0].update(
+    "0 joints but no inverse bind matrices": lambda made: made.tree["skins"][0].update(joints=[]),
+    "cannot be inverted; the first is A": lambda made: made.tree["skins"][0].update(
         inverseBindMatrices=made.accessor(np.zeros((2, 16), np.float32))
     ),
-    "holds no 2 inverse bind matrices": lambda made: made.tree["skins"][0].update(
+    "does not hold 2 inverse bind matrices": lambda made: made.tree["skins"][0].update(
         inverseBindMatrices=made.accessor(np.zeros((1, 16), np.float32))
     ),
-    "has a skin and no weights": lambda made: made.tree["meshes"][0]["primitives"][0][
+    "has a skin but no weights": lambda made: made.tree["meshes"][0]["primitives"][0][
         "attributes"
     ].pop("WEIGHTS_0"),
-    "shears": lambda made: made.tree["nodes"][3].update(
+    "contains a shear": lambda made: made.tree["nodes"][3].update(
         matrix=[1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
     ),
-    "stands below itself": lambda made: made.tree["nodes"][4].update(children=[2]),
+    "is its own descendant": lambda made: made.tree["nodes"][4].update(children=[2]),
 }
 
 
 @pytest.mark.parametrize("words", BROKEN)
 def test_a_damaged_skin_is_refused(tmp_path: Path, words: str) -> None:
-    made = maker(animated=words != "shears")
+    made = maker(animated=words != "contains a shear")
     BROKEN[words](made)
     path = gltf_arm.write(tmp_path, made)
     with pytest.raises(InputError) as caught:

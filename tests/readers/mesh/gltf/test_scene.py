@@ -395,20 +395,29 @@ def odd_corners(maker: GltfMaker) -> None:
 BROKEN_ACCESSORS = [
     (changed("accessors 0", componentType=5124), "accessor 0 holds VEC3 of component type 5124"),
     (changed("accessors 0", type="VEC5"), "accessor 0 holds VEC5 of component type 5126"),
-    (changed("accessors 0", type="VEC2"), "POSITION is no triple of numbers"),
-    (changed("accessors 0", byteOffset=4), "accessor 0 wants 8 rows of 12 bytes, 12 apart, from"),
-    (changed("accessors 0", count=2**52), "accessor 0 wants 4503599627370496 rows of 12 bytes"),
-    (changed("accessors 1", count=7), "TEXCOORD_0 holds 7 rows of 2 for 8 points"),
+    (changed("accessors 0", type="VEC2"), "POSITION does not hold three numbers per point"),
+    (
+        changed("accessors 0", byteOffset=4),
+        "accessor 0 refers to 8 rows of 12 bytes with a stride of 12, from",
+    ),
+    (changed("accessors 0", count=2**52), "accessor 0 refers to 4503599627370496 rows of 12 bytes"),
+    (changed("accessors 1", count=7), "TEXCOORD_0 has 7 rows of 2 values for 8 points"),
     (changed("accessors 2", componentType=5126), "its indices are SCALAR of component type 5126"),
-    (changed("accessors 2", count=2**52), "accessor 2 wants 4503599627370496 rows of 4 bytes"),
-    (changed("bufferViews 0", byteStride=8), "wants 8 rows of 12 bytes, 8 apart"),
-    (changed("bufferViews 0", byteStride=2**52), "rows of 12 bytes, 4503599627370496 apart"),
-    (changed("accessors 0", sparse={"count": -1}), "accessors[0].sparse.count is not a whole"),
+    (changed("accessors 2", count=2**52), "accessor 2 refers to 4503599627370496 rows of 4 bytes"),
+    (changed("bufferViews 0", byteStride=8), "refers to 8 rows of 12 bytes with a stride of 8"),
+    (
+        changed("bufferViews 0", byteStride=2**52),
+        "rows of 12 bytes with a stride of 4503599627370496",
+    ),
+    (
+        changed("accessors 0", sparse={"count": -1}),
+        "accessors[0].sparse.count is not an integer of 0",
+    ),
     (lambda maker: without_data(maker, of=0, count=8), "its 8 points are all in one place"),
-    (lambda maker: without_data(maker, of=0, count=2**52), "4503599627370496 rows, and no data"),
+    (lambda maker: without_data(maker, of=0, count=2**52), "4503599627370496 rows but has no data"),
     (lambda maker: without_data(maker, of=1, count=36), "its indices have no data"),
-    (far_row, "accessor 0, sparse, replaces row 99 of 8"),
-    (odd_corners, "its 4 corners are no whole triangles"),
+    (far_row, "accessor 0, sparse, replaces row 99, but there are only 8"),
+    (odd_corners, "its 4 corners do not make complete triangles"),
 ]
 
 
@@ -429,15 +438,18 @@ def test_accessors_that_do_not_fit_are_refused(tmp_path, make, words):
     [
         (draco, "mesh 0, primitive 0 is compressed with KHR_draco_mesh_compression"),
         (sparse, "accessor 0 is sparse"),
-        (far_index, "1 of 36 indices are outside its 8 points, the first is 99"),
+        (far_index, "1 of 36 indices do not refer to any of its 8 points; the first is 99"),
         (not_finite, "1 of 8 points are not finite"),
-        (strange_extension, "only be read with the extension EXT_meshopt_compression"),
-        (below_itself, "node 0 stands below itself"),
-        (no_mesh, "there is no mesh in it"),
-        (gaussians, "it holds Gaussians (KHR_gaussian_splatting), which are not read out of glTF"),
+        (
+            strange_extension,
+            "requires the extension EXT_meshopt_compression, which is not supported",
+        ),
+        (below_itself, "node 0 is its own descendant"),
+        (no_mesh, "the file contains no mesh"),
+        (gaussians, "it holds Gaussians (KHR_gaussian_splatting), which are not supported in glTF"),
         (wrong_type, "nodes[0].translation is not a list of 3 numbers"),
-        (few_normals, "NORMAL holds 5 rows of 3 for 8 points"),
-        (long_view, "buffer view 0 wants bytes 0 to 1000000"),
+        (few_normals, "NORMAL has 5 rows of 3 values for 8 points"),
+        (long_view, "buffer view 0 refers to bytes 0 to 1000000"),
     ],
 )
 def test_what_cannot_be_read_is_refused(tmp_path, caplog, make, words):
@@ -457,10 +469,10 @@ def test_damaged_containers_are_refused(tmp_path):
     maker.mesh(maker.primitive(CORNERS, TRIANGLES))
     whole = maker.glb(tmp_path / "whole.glb").read_bytes()
     for data, words in (
-        (whole[:-20], f"is cut off: {len(whole) - 20} bytes of {len(whole)}"),
-        (whole[:15], "is cut off: 15 bytes"),
+        (whole[:-20], f"is truncated: it has {len(whole) - 20} of {len(whole)} bytes"),
+        (whole[:15], "is truncated: 15 bytes"),
         (b"glTF\1" + whole[5:], "is binary glTF 1"),
-        (b"\x89PNG and so on", "is not a glTF file: its JSON"),
+        (b"\x89PNG and so on", "is not a valid glTF file: its JSON"),
         (b"[1, 2]", "is not a glTF file: it has no 'asset'"),
         (json.dumps({"asset": {"version": "1.0"}}).encode(), "is glTF 1.0"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),

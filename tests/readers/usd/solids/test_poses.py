@@ -64,7 +64,7 @@ def test_a_graphics_mesh_begins_in_its_bind_pose(tmp_path: Path, names: tuple[st
     points, notes = skin_of(stage(tmp_path, pose(names, POINTS)))
     np.testing.assert_allclose(points, POINTS)
     assert "/Body/Skin" in notes
-    assert "begins in its bind pose" in notes
+    assert "starts from its bind pose" in notes
 
 
 def test_without_one_its_points_are_its_bind_pose(tmp_path: Path) -> None:
@@ -84,9 +84,9 @@ def test_where_the_simulation_mesh_has_left_its_own_points_stay(tmp_path: Path) 
     points, notes = skin_of(path)
     np.testing.assert_allclose(points, MOVED)
     assert "the simulation mesh </Body/Solid> is not in the bind pose" in notes
-    assert "begins where its points are, and not in its bind pose" in notes
+    assert "starts from its points, not from its bind pose" in notes
 
 
 def test_a_bind_pose_of_another_mesh_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="/Body/Skin: its bind pose has 3 points, and the mesh"):
+    with pytest.raises(InputError, match="/Body/Skin: its bind pose has 3 points, but the mesh"):
         read_asset(stage(tmp_path, pose(AOUSD, POINTS[:3])))
