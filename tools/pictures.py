@@ -51,7 +51,7 @@ LARGEST_FILM = 2_000_000
 KINDS = ("duck", "film", "pile", "walk", "can", "clay", "star", "flesh", "limits")
 FPS = 96  # four times the usual: a bounce of the 10 cm duck is over in three frames at 24
 # The film: a lower fall than the default, so that the duck is larger in it; until it has bounced
-# twice.  Played at 24 frames a second, a fifth of real speed.
+# twice.  Played at 24 frames per second, a fifth of real speed.
 DROP = ("--drop", "2.5r", "--time-scale", "0.2", "--fps", "24", "--frames", "58")
 FILM = "420x420"
 FRAMES = 40  # to the top of the rebound and no further: the camera is fitted to the whole motion

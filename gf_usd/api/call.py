@@ -34,7 +34,7 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
     """Give a function ``(path, **options)`` the fields of a table of options for its keywords.
 
     The function gets values as the command line would have them; see `option.Option.take`.  What
-    it raises names keywords in place of the options of the command line.
+    it raises names keywords instead of the options of the command line.
     """
 
     def decorate(function: Callable[..., R]) -> OfAsset[P, R]:
@@ -114,7 +114,7 @@ def keywords(*own: str, **renamed: str) -> Iterator[None]:
 
 
 def in_keywords(text: str, known: Mapping[str, str] | None = None) -> str:
-    """A text with keywords in place of options of the command line; known : by their names there,
+    """A text with keywords instead of options of the command line; known : by their names there,
     None: those of a bake.
     """
     words = _KEYWORDS if known is None else known

@@ -122,7 +122,7 @@ def memory_of(options: Mapping[str, Any]) -> float:
 def processes(jobs: Sequence[Job], *, memory: float | None = None) -> int:
     """How many jobs to run at once: one for each core, as far as memory goes for the largest.
 
-    memory : [bytes] of a job, in place of the estimate.
+    memory : [bytes] of a job, instead of the estimate.
     """
     most = memory or max((memory_of(job.options) for job in jobs), default=PROCESS_MEMORY)
     return max(1, min(cores(), len(jobs), int(free_memory() / most)))

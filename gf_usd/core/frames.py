@@ -56,7 +56,7 @@ class Particles:
     corners: Floats | None = None  # (bodies, 3) [m] the same of each body; None: all have `corner`
     outside: int = 0  # particles that lie outside of the solid they stand for
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
-    own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
+    own: Mapping[str, Floats] | None = None  # (N,) instead of the material's, see own_values
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
     keys: ValueKeys | None = None  # None: no value of a material changes with time
 

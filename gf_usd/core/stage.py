@@ -356,7 +356,7 @@ class Skeleton:
     bones: tuple[Bone, ...]
     # (V, bones) of each posed surface, by path; rows sum to 1
     weights: Mapping[str, csr_matrix] = field(default_factory=dict)
-    samples: SampledSkin | None = None  # in place of the weights
+    samples: SampledSkin | None = None  # instead of the weights
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -83,7 +83,7 @@ def unknowns(
 
     names : fields of Material, parameters of its law, or short ones (E, nu, tau, rho); none: the
         elastic ones, and the yield stress where the law flows.
-    bounds : [SI] in place of the usual ones, by name.
+    bounds : [SI] instead of the usual ones, by name.
 
     Raises UsageError for a name that the material has not, and for bounds that make no sense.
     """

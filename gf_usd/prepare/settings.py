@@ -207,7 +207,7 @@ def resolve(
     paper = request.preset == "paper"
     authored = authored_rate(facts)
     T = time_scale(radius)
-    # The paper's 60 frames a second are those of a body of 1 m: other sizes keep its frames per T.
+    # The paper's 60 frames per second are for a body of 1 m; others keep its frames per T.
     fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
     asked = request.parsed
     floor, normal = floor_plane(asked["floor"], facts.up, facts.units.length)

@@ -30,8 +30,8 @@ def read_asset(
     ----------
     path : the file as the user named it.
     prims : prim paths; each with its descendants.  None: the default prim, or every root prim.
-    meters_per_unit : [m] size of the file's unit, in place of what the file says or omits.
-    up_axis : "Y" or "Z", in place of what the file says or omits.
+    meters_per_unit : [m] size of the file's unit, instead of what the file says or omits.
+    up_axis : "Y" or "Z", instead of what the file says or omits.
     time_code : where the pose is read; None: the file's startTimeCode, or 1.
     bind_pose : meshes that a skeleton poses are read in its bind pose.
 

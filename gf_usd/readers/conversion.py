@@ -43,7 +43,7 @@ def convert_mesh(
         one that makes a body of a plausible size.
     up_axis : "Y" or "Z"; None: what the file says, or what is usual for its format.
     rigged : with its skeletons and their animation, meshes in the bind pose.
-    fps : frames a second of the animation; None: those that its keys lie on.
+    fps : frames per second of the animation; None: those that its keys lie on.
 
     Raises
     ------

@@ -28,7 +28,7 @@ class Format:
     kind: str
     read: str
     says_axis: bool = True  # splats: the up axis is part of the format
-    # mesh: "module:function" that takes a path and frames a second, and returns a MeshFile with
+    # mesh: "module:function" that takes a path and frames per second, and returns a MeshFile with
     # skeletons; "": the format has none that are read
     rigged: str = ""
 

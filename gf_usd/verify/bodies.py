@@ -239,7 +239,7 @@ def elastic(
 
 
 def settings(device: str, **changes: Any) -> Settings:
-    """Free flight without gravity and without any filter or damping, at 24 frames a second."""
+    """Free flight without gravity and without any filter or damping, at 24 frames per second."""
     said: dict[str, Any] = {
         "frames": 10,
         "fps": FPS,

@@ -33,7 +33,7 @@ MP4 = (
     # the index in front, so that a browser starts before it has all
     "-movflags", "+faststart",
 )  # fmt: skip
-FASTEST = 50.0  # frames a second: browsers slow down what is shown for less than 2/100 s
+FASTEST = 50.0  # frames per second: browsers slow down what is shown for less than 2/100 s
 # The first {0} frames of the stream make the palette, the others are shown.  The dither pattern
 # stands still, so that of each frame only the rectangle that changes is stored.
 PALETTE = (
@@ -77,7 +77,7 @@ def write_gif(path: Path, frames: Iterable[Pixels], fps: float, samples: Sequenc
 
     Raises
     ------
-    UsageError : more than 50 frames a second, or a folder that does not exist.
+    UsageError : more than 50 frames per second, or a folder that does not exist.
     GfUsdError : imageio[ffmpeg] is not installed.
     BakeError : ffmpeg fails; only the partial file remains.
     """

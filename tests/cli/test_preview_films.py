@@ -13,7 +13,7 @@ import gf_usd.system.usd_schema  # noqa: F401  (before any test here opens a sta
 from gf_usd.api.drawing.options import Span, parse_limits, parse_span, time_codes
 from gf_usd.core.errors import InputError, UsageError
 
-# 24 frames a second, from time code 1 to 3: three frames
+# 24 frames per second, from time code 1 to 3: three frames
 BOX = FALLING_BOX.replace("endTimeCode = 3", "endTimeCode = 3\n timeCodesPerSecond = 24")
 
 
@@ -74,7 +74,7 @@ def test_a_gif_shows_what_the_pictures_show(stage, tmp_path):
 
 def test_a_gif_is_thinned_to_what_browsers_play(stage, tmp_path):
     done = run(stage, "-o", tmp_path / "a.gif", "--size", "60x40", "--time-codes", "1:3:0.25")
-    # a quarter of a time code at 24 a second are 96 frames a second: every second one is kept
+    # a quarter of a time code at 24 a second are 96 frames per second: every second one is kept
     assert "at most 50 frames per second: 48 are kept" in done.output
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 5

@@ -28,7 +28,7 @@ def test_no_open3d_is_said_before_the_file_is_read(gf_usd, here, monkeypatch):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only X has displays to miss")
 @pytest.mark.parametrize("display", [None, ":9731"])
 def test_no_display_ends_in_words_and_no_crash(here, display):
-    # a module in place of open3d: it must not come so far as to use it
+    # a module instead of open3d: it must not come so far as to use it
     (here / "open3d.py").write_text("", encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(here)}
     environment.pop("DISPLAY", None)

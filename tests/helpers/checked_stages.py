@@ -441,7 +441,7 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
         for path, name in ((MESH, "velocities"), (GAUSSIANS, OURS + "velocities"))
         for factor, text in (
             (1.0 / RATE, "is 0.0333 times the motion"),  # per time code
-            (24.0 / RATE, "is 0.8 times the motion"),  # the default rate in place of the stage's
+            (24.0 / RATE, "is 0.8 times the motion"),  # the default rate instead of the stage's
             (100.0, "is 100 times the motion"),  # centimeters in a stage of meters
             (-1.0, "is -1 times the motion"),
             (0.0, "is 0 times the motion"),

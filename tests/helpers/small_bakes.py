@@ -43,7 +43,7 @@ FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_
 }  # fmt: skip
 ESTIMATE = {"substeps_per_frame", "estimated_seconds", "estimated_bytes", "first_contact_frame"}
 
-# A block of 20 x 20 x 30 cm, two meters above the floor; centimeters, Z up, 48 frames a second.
+# A block of 20 x 20 x 30 cm, two meters above the floor; centimeters, Z up, 48 frames per second.
 BLOCK = """#usda 1.0
 (
     defaultPrim = "World"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-# Commands of a worker in place of those of gf-usd, which take a second to load.
+# Commands of a worker instead of those of gf-usd, which take a second to load.
 SCRIPT = """
 import json, os, signal, sys, time
 from gf_usd.cli.worker import follow

@@ -36,7 +36,7 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
     assert plan.choices.flowing == tuple(s.path for s in plan.asset.surfaces)
     assert not any(plan.choices.drawn(s.path) for s in plan.asset.surfaces)
     assert plan.points == {}, "no vertex is carried along"
-    assert any("in place of the mesh" in note for note in plan.notes)
+    assert any("instead of the mesh" in note for note in plan.notes)
     without = gf_usd.inspect(SPHERE, **SAND).plan
     assert without.choices.flows == without.choices.flowing == ()
     assert plan.frame_bytes > without.frame_bytes

@@ -269,6 +269,6 @@ def test_mass_scaling_leaves_the_same_shape_in_fewer_substeps(tmp_path: Path) ->
         first = report["bakes"][0]["per_frame"][0]
         assert first["mass"] == pytest.approx(7800.0 * report["volume_m3"], rel=1e-6)
     assert heights[0] < 1.6  # of 2: it is dented
-    # 6 % of elastic strain at yield in place of 1.4 %: a part of it comes back
+    # 6 % of elastic strain at yield instead of 1.4 %: a part of it comes back
     assert heights[1] == pytest.approx(heights[0], rel=0.02)
     assert substeps[1] < 0.65 * substeps[0]

@@ -174,7 +174,7 @@ def test_the_paper_s_set_up_scales_with_the_body(radius: float) -> None:
     assert (s.frames, s.substeps, s.sampling) == (PAPER_FRAMES, 10, "rejection")
     assert (s.skin, s.followers, s.filter_rate) == ("paper", False, math.inf)
     assert s.cell == pytest.approx(radius / 4.0)
-    # 60 frames a second, drag 0.5 /s and k/m = 2000 /s^2 are those of r = 1 m, T = 0.3193 s.
+    # 60 frames per second, drag 0.5 /s and k/m = 2000 /s^2 are those of r = 1 m, T = 0.3193 s.
     assert s.fps * T == pytest.approx(60.0 * 0.31928, rel=1e-4)
     assert s.drag * T == pytest.approx(0.5 * 0.31928, rel=1e-4)
     assert s.contact_rate == pytest.approx(2000.0 * 0.31928**2 / T**2, rel=1e-4)

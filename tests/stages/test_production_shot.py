@@ -242,7 +242,7 @@ def test_animation_before_the_start_gives_the_velocity_at_the_start(baked: Baked
     moving = {body.path: body.moving for body in physics.bodies}
     for path in (CRATE, TALL, BALL, TYRE):
         now, before = (world_points(baked.source, path, code) for code in (START, START - 1.0))
-        # float32 points of up to 70 stage units, times 24 frames a second
+        # float32 points of up to 70 stage units, times 24 frames per second
         given = moving[path]
         assert given is not None
         np.testing.assert_allclose(given, (now - before) * 0.24, rtol=0, atol=5e-5)

@@ -176,7 +176,7 @@ def main() -> int:
     parser.add_argument("--particles", type=int, default=600)
     parser.add_argument("--frames", type=int, default=3)
     parser.add_argument("--plain", action="store_true", help="neither of the two")
-    parser.add_argument("--material", help="a preset in place of what the files say")
+    parser.add_argument("--material", help="a preset instead of what the files say")
     parser.add_argument("--only", action="append", default=[], help="files with this in their path")
     parser.add_argument(
         "--patience", type=float, default=PATIENCE, metavar="SECONDS", help="for one asset"

@@ -79,7 +79,7 @@ def pile() -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--pairs", type=int, default=3)
-    parser.add_argument("--pile", action="store_true", help="the pile, in place of the ratio")
+    parser.add_argument("--pile", action="store_true", help="the pile, instead of the ratio")
     asked = parser.parse_args()
     if asked.pile:
         pile()

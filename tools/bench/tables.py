@@ -41,7 +41,7 @@ def marks(section: str) -> tuple[str, str]:
 
 
 def put(page: str, section: str, text: str) -> str:
-    """The page with the section's text in place of what stood there.
+    """The page with the section's text instead of what stood there.
 
     Raises ValueError where the page has no such section.
     """

@@ -30,7 +30,7 @@ DUCK_AT, DUCK_SPEED = (1.0, 5.0, 22.0), (0.0, 20.0, 360.0)  # [cm], [cm/s] in it
 BALL, BALL_AT, BALL_SPEED = 1.1, (4.2, 4.6, 0.0), (0.0, -8.0, 0.0)  # [m], [m/s] of the snowball
 BRUSH, PASTE_STEP = 1.5, 0.06  # [cm] height of its bristles' tips, lattice of the paste
 TUFT, TUFTS_ACROSS, TUFTS_ALONG = 0.4, (-0.5, 0.0, 0.5), np.linspace(-1.5, 1.5, 7)  # [cm]
-GRAINS, DABS = 6000, 2000  # particles: minutes in place of an hour
+GRAINS, DABS = 6000, 2000  # particles: minutes instead of an hour
 SAND = Look(color=(0.62, 0.45, 0.24), roughness=0.95, clearcoat=0.0)
 SNOW = Look(color=(0.86, 0.90, 0.95), roughness=0.8, clearcoat=0.0)
 PASTE = Look(color=(0.25, 0.72, 0.66), roughness=0.35, clearcoat=0.4)

@@ -181,7 +181,7 @@ def draw(
 ) -> Preview:
     """Draw what was asked for; see `preview`.
 
-    variant : of a bake, in place of the one that the file selects.
+    variant : of a bake, instead of the one that the file selects.
     write : write the file of the options; False: a picture or a sheet is only returned.
     """
     from gf_usd.api.drawing import pictures as drawing

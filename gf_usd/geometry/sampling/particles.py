@@ -47,7 +47,7 @@ def sample_solid(
 ) -> Particles:
     """Particles at a spacing [m], or about `particles` of them.
 
-    uniform : drawn one by one anywhere in the solid, as the paper does, in place of quadrature
+    uniform : drawn one by one anywhere in the solid, as the paper does, instead of quadrature
     points; seed : of these draws.
     bodies : (S,) the body of each surface; None: all are one.
 

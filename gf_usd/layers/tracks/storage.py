@@ -1,4 +1,4 @@
-"""What a cache stores in place of every sample in single precision, and what that saves.
+"""What a cache stores instead of every sample in single precision, and what that saves.
 
 The tolerance of a mesh is that of the smallest body that fills it; particles have each their own.
 """

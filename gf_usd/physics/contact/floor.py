@@ -30,7 +30,7 @@ from gf_usd.physics.time_step import StableStep
 # Of E* / (rho s^2).  A rigid sample on a grid of quadratic splines sinks in by less than on a half
 # space: with stiffer springs an impact is too short, by 7 % at an approach of .05 R and 13 % at .01
 # R with 8,000 particles, with softer ones too long.  With 1.3 both are Hertz's to 2 and 4 %, for nu
-# of 0, .3 and .45 alike (measured); scaled by c^2 in place of E* they would not be.
+# of 0, .3 and .45 alike (measured); scaled by c^2 instead of E* they would not be.
 HALF_SPACE = 1.3
 STOPPING_DISTANCE = 0.25  # of s
 # Of the second and third term where two bodies meet, or a body and an obstacle, which may come
@@ -153,7 +153,7 @@ def build_contact(
 ) -> FloorContact:
     """Contact samples with their rows; material values are per sample (n,).
 
-    rate : [1/s^2] stiffness per mass in place of the formula.  Then the floor does not harden and
+    rate : [1/s^2] stiffness per mass instead of the formula.  Then the floor does not harden and
     friction has no springs, as the paper's: it only slows down.
     mass : of the free nodes; None: lumped.
     """

@@ -16,7 +16,7 @@ cells.  All k are positive and K is the Laplacian of these edges.  The solver's 
 the first two terms of the Neumann series of (M - K)^-1.  It is symmetric and positive definite;
 M~ 1 = M 1, so linear momentum is sum_i M_i v_i; and angular momentum sum_i x_i x (M~ v)_i is kept,
 as for any symmetric mass.  The error of a wave falls to the order (k h)^4: on a line,
-1 + (1 - cos kh) / 2 in place of 1 / (1 - (kh)^2 / 4 ...).
+1 + (1 - cos kh) / 2 instead of 1 / (1 - (kh)^2 / 4 ...).
 
 Dependent nodes enter as E^T K E.  Next to the surface that ties nodes to some eighty others by
 springs that are nearly all far below the rest; those are left out (`WEAK`).  What the third term of

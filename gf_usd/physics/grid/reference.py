@@ -71,7 +71,7 @@ class Rows:
 
     @cached_property
     def slopes(self) -> sparse.csr_matrix:
-        """The three of G one under the other, (3 n, M): for few points, in place of three calls."""
+        """The three of G one under the other, (3 n, M): for few points, instead of three calls."""
         return sparse.csr_matrix(sparse.vstack(self.G, format="csr"))
 
     def nodes(self, u: Floats) -> Floats:

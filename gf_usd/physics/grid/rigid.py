@@ -1,4 +1,4 @@
-"""Regions of a body that move as rigid bodies: six unknowns each in place of those of their nodes.
+"""Regions of a body that move as rigid bodies: six unknowns each instead of those of their nodes.
 
 A node belongs to a region if enough of its mass is that of the region's particles.  It is where the
 region's motion has it,

@@ -32,7 +32,7 @@ CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
 class Options:
     """What is compiled into the kernels."""
 
-    anchored: bool = False  # F = F0 + G u with an F0 of each particle, in place of I
+    anchored: bool = False  # F = F0 + G u with an F0 of each particle, instead of I
     clamped: bool = False
     capped: bool = False
     meets: bool = False  # bodies meet each other, themselves or obstacles

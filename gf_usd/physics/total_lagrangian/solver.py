@@ -75,7 +75,7 @@ class TotalLagrangian(Solver):
         `particles.copies` has several.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
-    plain : one thread a particle in place of eight cells side by side; None: on a GPU.
+    plain : one thread a particle instead of eight cells side by side; None: on a GPU.
 
     Raises InputError for pins that hold nothing, or everything.
     """

@@ -27,7 +27,7 @@ GRAIN = 256
 GROUP_GRAIN = 4
 
 
-# Parts that do the same: over ways of their own, or with the filter's momenta in place of forces.
+# Parts that do the same: over ways of their own, or with the filter's momenta instead of forces.
 SAME = {
     "open followers": "follow", "filtered followers": "follow", "loss": "share",
     "filter lumped": "move lumped", "filter": "move",

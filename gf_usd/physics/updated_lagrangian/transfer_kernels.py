@@ -18,7 +18,7 @@ stress is meant.
 
 L is the gradient that the stress is the adjoint of, so that what the stress takes from the motion
 is what the strain gains; C stands in for it in Hu et al. 2018, where the force has 4/h^2 w (x_i -
-x_p) in place of grad w.  A cell writes to a block of its own, 27 nodes x 4, so cells never race.
+x_p) instead of grad w.  A cell writes to a block of its own, 27 nodes x 4, so cells never race.
 
 Eight particles of one cell at once: who they are, what they hold, where their nodes are.
 

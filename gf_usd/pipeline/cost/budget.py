@@ -315,7 +315,7 @@ def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
         found.append(
             f"--mass-scaling {factor:g} would bake {material.name}, in which waves run at"
             f" {material.wave_speed:.3g} m/s, in about {duration(row['seconds'] / factor**0.5)} and"
-            f" dent it alike: it springs back by up to {100.0 * factor * strain:.2g} % in place of"
+            f" dent it alike: it springs back by up to {100.0 * factor * strain:.2g} % instead of"
             f" {100.0 * strain:.2g} %"
         )
     return tuple(found)

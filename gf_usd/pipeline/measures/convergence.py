@@ -12,7 +12,7 @@ are the observed order and the value that the sequence tends to (Richardson, Phi
 with p kept between 1 and 2, the orders that contact and smooth motion have here: three runs are not
 enough to believe a higher one, and a lower one is that of runs which are still too coarse (Eca and
 Hoekstra, J. Comput. Phys. 262, 2014, do alike, with larger S where p is out of its range).  Vectors
-have norms in place of magnitudes.  S, C and the limits were chosen by the coverage that
+have norms instead of magnitudes.  S, C and the limits were chosen by the coverage that
 tools/acceptance/certify.py measures.
 """
 

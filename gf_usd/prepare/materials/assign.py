@@ -53,7 +53,7 @@ def assign_materials(
 
     path : of the asset, for messages.
     presets : as of `table`, each makes a variant.
-    law, stated : what the options say in place of a material's own; law None: nothing.
+    law, stated : what the options say instead of a material's own; law None: nothing.
     unit : [m] of the stage's; blend_width : [m]; mass_scaling : see `mass_scaled`.
 
     Raises InputError for a law without its parameters and a region without particles, and

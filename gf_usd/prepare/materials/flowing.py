@@ -54,7 +54,7 @@ def dispatch(
 ) -> Dispatch:
     """Which surfaces flow, by the material of each; of subsets of its faces the first part counts.
 
-    presets : as of `table`, each makes a variant; law : of the options, in place of all others.
+    presets : as of `table`, each makes a variant; law : of the options, instead of all others.
     regions : of which boxes count that hold a surface whole; unit : [m] of the stage's.
 
     Raises UsageError where that differs between variants.

@@ -43,9 +43,9 @@ def mass_scaled(
         own = {**own, "mu": own["mu"] * share, "lam": own["lam"] * share}
     notes = [
         f"--mass-scaling {factor:g}: {m.name} has a Young's modulus of"
-        f" {m.youngs_modulus / factor:.3g} Pa in place of {m.youngs_modulus:.3g} Pa"
+        f" {m.youngs_modulus / factor:.3g} Pa instead of {m.youngs_modulus:.3g} Pa"
         + (
-            f", and yields at an elastic strain of {100.0 * factor * strain:.2g} % in place of"
+            f", and yields at an elastic strain of {100.0 * factor * strain:.2g} % instead of"
             f" {100.0 * strain:.2g} %"
             if (strain := m.yield_strain) is not None else ""
         )

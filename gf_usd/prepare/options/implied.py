@@ -107,7 +107,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
         request = replace(request, only="gaussians,points")
     note = f"{names}: flows without end (Updated Lagrangian solver, with contact at every particle)"
     if request.surface:
-        note += "; a surface around the particles is shown in place of the mesh"
+        note += "; a surface around the particles is shown instead of the mesh"
     elif "mesh" in (request.parsed["only"] or ()):
         note += "; the mesh tears where particles separate: --surface writes a surface around them"
     else:
@@ -122,7 +122,7 @@ def listed(paths: Sequence[str]) -> str:
 
 
 def stated_values(request: Request) -> dict[str, float]:
-    """What the request says in place of a material's own values."""
+    """What the request says instead of a material's own values."""
     own = {
         name: value
         for name in ("damping_time", "friction", "restitution")

@@ -37,7 +37,7 @@ class Option:
     short: str = ""  # "-m"
     low: float | None = None  # smallest value, included
     high: float = math.inf  # largest value, included
-    above_zero: bool = False  # in place of low and high
+    above_zero: bool = False  # instead of low and high
     noun: str = "number"  # what the value is, for the hint
     choices: tuple[str, ...] = ()
     bare: str = ""  # what the flag alone says; "": it needs a value

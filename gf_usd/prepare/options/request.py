@@ -116,7 +116,7 @@ class Request(RequestOptions):
             )
         if self.surface and "mesh" not in (self.parsed["only"] or ("mesh",)):
             raise UsageError(
-                f"--surface is shown in place of meshes, which --only {self.only} leaves out",
+                f"--surface is shown instead of meshes, which --only {self.only} leaves out",
                 "add mesh to --only, or leave one of the two out",
             )
         self._check_precision()

@@ -321,7 +321,7 @@ class RequestOptions:
     )] = None
     surface: Annotated[bool, Option(
         WRITE, "Write a surface around the particles of flowing materials (sand, snow, pastes,"
-        " liquids) in place of their mesh; its topology changes from frame to frame.",
+        " liquids) instead of their mesh; its topology changes from frame to frame.",
     )] = False
     tets: Annotated[bool, Option(
         WRITE, "Write a TetMesh of each body, at rest and in motion, for other simulators (AOUSD"

@@ -115,7 +115,7 @@ def test_the_animation_before_the_start_moves_the_body_on(plan) -> None:
     layer = head(extra="timeCodesPerSecond = 24\nstartTimeCode = 10")
     one, two = plan(mesh("One", fall), mesh("Two", at(3.0)), layer=layer).velocity
     X = np.random.default_rng(0).random((5, 3))
-    # Half a meter a frame, 24 frames a second.
+    # Half a meter a frame, 24 frames per second.
     np.testing.assert_allclose(one(X), np.tile([0.0, -12.0, 0.0], (5, 1)), atol=1e-6)
     assert two == (0.0, 0.0, 0.0)
     # Played at half the speed, the same motion takes twice as long on the clock of the simulation.

@@ -156,8 +156,8 @@ def test_mass_scaling_divides_the_moduli_of_what_flows_alone(plan) -> None:
     assert made.settings.mass_scaling == 16.0
     (note,) = (note for note in made.notes if "--mass-scaling" in note)
     assert note == (
-        "--mass-scaling 16: lead has a Young's modulus of 1e+09 Pa in place of 1.6e+10 Pa, and"
-        " yields at an elastic strain of 1.2 % in place of 0.075 %; mass, weight and yield stress"
+        "--mass-scaling 16: lead has a Young's modulus of 1e+09 Pa instead of 1.6e+10 Pa, and"
+        " yields at an elastic strain of 1.2 % instead of 0.075 %; mass, weight and yield stress"
         " do not change"
     )
 

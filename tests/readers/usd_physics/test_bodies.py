@@ -196,7 +196,7 @@ def test_the_animation_before_the_start_gives_the_first_velocity(said) -> None:
     found = said(mesh("Duck", FALL), layer=layer)
     moving = only(found).moving
     assert moving is not None
-    # half a unit of a tenth of a meter down each frame, 30 frames a second
+    # half a unit of a tenth of a meter down each frame, 30 frames per second
     np.testing.assert_allclose(moving, np.tile([0, -1.5, 0], (8, 1)), atol=1e-6)
     assert found.notes == ("/Duck: starts with the velocity of its animation",)
     # two time codes a frame: the same

@@ -338,7 +338,7 @@ def evaluate(a, b, c, s, h):
 
 @unrolled
 def differences(q):
-    """a, b, c along each axis in place of the 27 values q, for each of three components."""
+    """a, b, c along each axis instead of the 27 values q, for each of three components."""
     for lines in LINES:
         for i, j, k in lines:
             b = let(q[k] - q[i])

@@ -37,7 +37,7 @@ def read_gltf(path: Path) -> MeshFile:
 def read_rigged_gltf(path: Path, fps: float | None = None) -> MeshFile:
     """The same with skeletons, whose bind pose its skinned meshes have, and the first animation.
 
-    fps : frames a second of the animation; None: those that its keys lie on, else 24.
+    fps : frames per second of the animation; None: those that its keys lie on, else 24.
 
     Raises InputError as `read_gltf`, and for skins and animations that are damaged.
     """

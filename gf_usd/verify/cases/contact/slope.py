@@ -41,7 +41,7 @@ def plane() -> Collider:
 def speeds(degrees: float, cells: int, obstacle: bool, device: str, rolling: float = 0.0) -> Floats:
     """Speed [m/s] down the slope at each frame of a block that is put on it.
 
-    The slope is level and gravity leans.  obstacle : it is a collider in place of the floor.
+    The slope is level and gravity leans.  obstacle : it is a collider instead of the floor.
     rolling : coefficient of rolling resistance; above 0 the block settles too, as in bakes.
     """
     lean = np.radians(degrees)

@@ -55,7 +55,7 @@ def bar(*cells: int) -> Callable[[str], Iterator[Measure]]:
             name="frequency", value=float(w[-1]), target=EXACT, bound=1.5 * places, kind=RELATIVE,
             unit="rad/s",
             why="particles in the middle of their strata take the mean square of what is linear in"
-            " a cell of length h for x^2 / 16 in place of / 12, which lowers the frequency by"
+            " a cell of length h for x^2 / 16 instead of / 12, which lowers the frequency by"
             f" (k h)^2 / 96 = {places:.1e}, k = pi / 2L, with {cells[-1]} cells along the bar; half"
             " as much again for the pin",
         )  # fmt: skip

@@ -30,7 +30,7 @@ BEADS = float(np.tan(np.radians(22.0)))
 ROUGH = 2.0  # friction of the negative control
 EDGE = 0.99  # of the grains are within the heap: a few roll on alone
 SPREAD = 0.2
-FPS, LONG = 50, 7.0  # frames a second, and how long it takes to rest [sqrt(a r / g)]
+FPS, LONG = 50, 7.0  # frames per second, and how long it takes to rest [sqrt(a r / g)]
 
 
 def published(a: float) -> tuple[float, float]:

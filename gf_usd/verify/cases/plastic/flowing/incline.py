@@ -26,7 +26,7 @@ from gf_usd.verify.case import ABSOLUTE, RELATIVE, Case, Measure
 FRICTION, INSIDE, COHESION = 0.5, 0.8, 2e3  # [Pa]
 DENSITY, STIFF, NU = 1600.0, 1e6, 0.3  # [kg/m^3], [Pa]
 CELL, CELLS = 0.05, (4, 2, 4)  # [m]
-FPS, SECONDS = 50, 0.4  # frames a second, and what is watched; the later half is measured
+FPS, SECONDS = 50, 0.4  # frames per second, and what is watched; the later half is measured
 BELOW, ABOVE = 0.8, 1.6  # tan(theta) in mu
 BURST = 40.0  # [1/s] of widening, at which no sand holds together
 
