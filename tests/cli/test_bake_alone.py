@@ -93,9 +93,9 @@ def test_two_mesh_files_of_one_name_do_not_share_a_layer(
     run(one)
     layer = here / "cube.source.usdc"
     before = layer.read_bytes()
-    with pytest.raises(UsageError, match=r"made cube\.source\.usdc of another file") as refused:
+    with pytest.raises(UsageError, match=r"wrote cube\.source\.usdc from another file") as refused:
         run(other)
-    assert "another folder" in refused.value.hint
+    assert "its own folder" in refused.value.hint
     assert layer.read_bytes() == before
     assert [name for name in names(here) if "other" in name or "lock" in name] == []
     # of the same file it may be, and is used again

@@ -84,7 +84,7 @@ def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> 
     with pytest.raises(BakeError) as caught:
         gf_usd.bake(SAMPLE, output=f"{disk}/", **asked, progress=others)
     assert f"{disk} has " in caught.value.message
-    assert "the same command with resume=True goes on" in caught.value.hint
+    assert "the same command with resume=True to continue" in caught.value.hint
     there = names(disk)
     assert not {"sphere.rubber.usda", "sphere.rubber.cache.usdc"} & set(there)
     assert {"sphere.rubber.checkpoint.npz", "sphere.rubber.report.json"} <= set(there)

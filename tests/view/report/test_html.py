@@ -92,7 +92,7 @@ def test_a_page_is_thinned_to_its_size_and_says_so():
     assert int(of) == 20_000
     # a fifth is for 20 kB of 900 kB, and for the room that is kept for larger pictures
     assert 10_000 < int(kept) < 20_000
-    assert "Left out to keep the page small" in page
+    assert "left out to keep the page small" in page
     assert "all 8 mesh vertices" in page
     assert "times as large to fill the gaps" in page
 
