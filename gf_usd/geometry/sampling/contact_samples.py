@@ -208,15 +208,18 @@ def _nearest(X: Floats, normal: Floats, rows: Ints, of: Ints) -> tuple[Floats, I
     Of FEW that are nearest; where all of these are opposite, it is inf, and the number is that of
     the nearest.
     """
-    distance, at = kd_tree(X[of]).query(X[rows], k=min(FEW, len(of)))
-    distance, at = distance.reshape(len(rows), -1), at.reshape(len(rows), -1)
-    facing = np.einsum("na,nka->nk", normal[rows], normal[of[at]])
-    distance = np.where(facing < -OPPOSED, np.inf, distance)
-    best = distance.argmin(1)[:, None]
-    return (
-        np.take_along_axis(distance, best, 1)[:, 0],
-        np.take_along_axis(at, best, 1)[:, 0],
-    )
+    tree = kd_tree(X[of])
+    distance, at = tree.query(X[rows])
+    facing = np.einsum("na,na->n", normal[rows], normal[of[at]])
+    if len(behind := np.flatnonzero(facing < -OPPOSED)):
+        far, others = tree.query(X[rows[behind]], k=min(FEW, len(of)))
+        far, others = far.reshape(len(behind), -1), others.reshape(len(behind), -1)
+        facing = np.einsum("na,nka->nk", normal[rows[behind]], normal[of[others]])
+        far = np.where(facing < -OPPOSED, np.inf, far)
+        best = far.argmin(1)[:, None]
+        distance[behind] = np.take_along_axis(far, best, 1)[:, 0]
+        at[behind] = np.take_along_axis(others, best, 1)[:, 0]
+    return distance, at
 
 
 def _thin_once(points: Floats, radius: float) -> Ints:
