@@ -20,9 +20,9 @@ from gf_usd.geometry.sampling.particles import TURNS
 from gf_usd.geometry.sampling.pieces import cut_along
 from gf_usd.geometry.solid import Solid
 
-EXCLUDED = 0.7  # [spacings] no two samples of one side are as near to each other
-OPPOSED = 0.5  # cosine from where two places are on opposite sides: of a gap, or of a thin part
-FEW = 16  # samples in a ball of EXCLUDED around a place of two sides, at most
+EXCLUDED = 0.7  # [spacings] no two samples are as near to each other but across a gap
+OPPOSED = 0.5  # cosine from where two places that look at each other are the walls of a gap
+FEW = 16  # samples in a ball of EXCLUDED around a place of a wall, at most
 DENSITY = 12.0  # candidates in a square of a spacing
 LEAST_DRAWS = 64  # candidates on a surface
 ALIKE = 0.1  # [spacings] by which mirror images may differ where polygons are cut otherwise
@@ -44,9 +44,8 @@ def sample_surface(
     """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
     Candidates are the vertices, then points by area; kept are some that are no nearer to each other
-    than 0.7 spacings and leave no other candidate farther than that.  Both sides of a narrow gap,
-    and of a thin part, have samples of their own.  The area a sample stands for is that of the
-    candidates nearest to it.
+    than 0.7 spacings and leave no other candidate farther than that.  Both walls of a narrow gap have
+    samples of their own.  The area a sample stands for is that of the candidates nearest to it.
     bodies : (S,) the body of each surface, each sampled by itself; None: all are one.
     """
     body = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
@@ -186,7 +185,7 @@ def thin(points: Floats, radius: float, normal: Floats | None = None) -> Ints:
     """Indices of a subset, no two within radius [m] of each other and no point farther from it.
 
     Of points that exclude each other the first one tends to stay.
-    normal : (n, 3) unit or 0; given, points on opposite sides do not exclude each other.
+    normal : (n, 3) unit or 0; given, points on the two walls of a gap do not exclude each other.
     """
     kept = np.zeros(0, np.int64)
     left = np.arange(len(points))
@@ -202,24 +201,30 @@ def thin(points: Floats, radius: float, normal: Floats | None = None) -> Ints:
 
 
 def _nearest(X: Floats, normal: Floats, rows: Ints, of: Ints) -> tuple[Floats, Ints]:
-    """How far [m] points `rows` (k,) are from the nearest of points `of` (m,) that is not on an
-    opposite side, and its number among these.
+    """How far [m] points `rows` (k,) are from the nearest of points `of` (m,) that is not on the
+    other wall of a gap, and its number among these.
 
-    Of FEW that are nearest; where all of these are opposite, it is inf, and the number is that of
-    the nearest.
+    Of FEW that are nearest; where all of these are, it is inf, and the number is that of the
+    nearest.
     """
     tree = kd_tree(X[of])
     distance, at = tree.query(X[rows])
-    facing = np.einsum("na,na->n", normal[rows], normal[of[at]])
-    if len(behind := np.flatnonzero(facing < -OPPOSED)):
-        far, others = tree.query(X[rows[behind]], k=min(FEW, len(of)))
-        far, others = far.reshape(len(behind), -1), others.reshape(len(behind), -1)
-        facing = np.einsum("na,nka->nk", normal[rows[behind]], normal[of[others]])
-        far = np.where(facing < -OPPOSED, np.inf, far)
+    across = np.flatnonzero(_across(X, normal, rows, of[at]))
+    if len(across):
+        far, others = tree.query(X[rows[across]], k=min(FEW, len(of)))
+        far, others = far.reshape(len(across), -1), others.reshape(len(across), -1)
+        far = np.where(_across(X, normal, rows[across, None], of[others]), np.inf, far)
         best = far.argmin(1)[:, None]
-        distance[behind] = np.take_along_axis(far, best, 1)[:, 0]
-        at[behind] = np.take_along_axis(others, best, 1)[:, 0]
+        distance[across] = np.take_along_axis(far, best, 1)[:, 0]
+        at[across] = np.take_along_axis(others, best, 1)[:, 0]
     return distance, at
+
+
+def _across(X: Floats, normal: Floats, a: Ints, b: Ints) -> NDArray[np.bool_]:
+    """Whether points a and b are on the two walls of a gap: opposite, each ahead of the other."""
+    away = X[b] - X[a]
+    opposed = (normal[a] * normal[b]).sum(-1) < -OPPOSED
+    return opposed & ((away * normal[a]).sum(-1) > 0.0) & ((away * normal[b]).sum(-1) < 0.0)
 
 
 def _thin_once(points: Floats, radius: float) -> Ints:

@@ -236,7 +236,7 @@ def test_thinning_spaces_the_kept_and_covers_the_rest(radius):
 
 
 @pytest.mark.parametrize("gap", [0.1, 0.4])
-def test_both_sides_of_a_narrow_gap_have_samples_of_their_own(gap):
+def test_both_walls_of_a_narrow_gap_have_samples_of_their_own(gap):
     """Two boxes, one above the other, with less than the distance of two samples between them."""
     spacing = 0.2
     low, high = cube(path="/A"), cube(low=(0.1, 1.0 + gap * spacing, 0.2), edge=1.2, path="/B")
@@ -252,9 +252,11 @@ def test_both_sides_of_a_narrow_gap_have_samples_of_their_own(gap):
         assert samples.area[side].sum() == pytest.approx(6.0 * edge**2, abs=4.0 * 0.35 * spacing)
 
 
-def test_thinning_keeps_both_sides_of_a_sheet():
-    points = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.3, 0, 0]])
-    normal = np.array([[0.0, 0, 1], [0, 0, -1], [0, 0.6, 0.8], [0, 0, 0]])
+def test_thinning_keeps_both_walls_of_a_gap_and_not_both_sides_of_a_sheet():
+    points = np.array([[0.0, 0, 0], [0.2, 0, 0.1], [0.1, 0, 0.1], [0.3, 0, -0.1], [0.4, 0, 0.1]])
+    normal = np.array([[0.0, 0, 1], [0, 0, -1], [0, 0.6, -0.8], [0, 0, -1], [0, 0, 0]])
+    # The second is ahead of the first, which it looks at; the fourth is behind it, the third beside
+    # the second, and the last has no side.
     assert thin(points, 1.0, normal).tolist() == [0, 1]
     assert thin(points, 1.0).tolist() == [0]
 
