@@ -44,8 +44,9 @@ def sample_surface(
     """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
     Candidates are the vertices, then points by area; kept are some that are no nearer to each other
-    than 0.7 spacings and leave no other candidate farther than that.  Both walls of a narrow gap have
-    samples of their own.  The area a sample stands for is that of the candidates nearest to it.
+    than 0.7 spacings and leave no other candidate farther than that.  Both walls of a narrow gap
+    have samples of their own.  The area a sample stands for is that of the candidates nearest to
+    it.
     bodies : (S,) the body of each surface, each sampled by itself; None: all are one.
     """
     body = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
