@@ -6,6 +6,8 @@ outside; lengths are in whatever unit the points have.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -138,6 +140,41 @@ def signed_volume(points: Floats, triangles: Ints) -> float:
     corners = np.asarray(points, dtype=np.float64)[triangles]
     a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
     return float(np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pieces:
+    """P parts of equal area of each of some triangles."""
+
+    of: Ints  # (P,) the triangle of each
+    weights: Floats  # (P, 3) barycentric coordinates of its middle
+    share: Floats  # (P,) of the triangle's area
+
+
+def divided(points: Floats, triangles: Ints, area: float) -> Pieces:
+    """Triangles in n^2 congruent pieces each, the fewest of which none is larger than an area.
+
+    The pieces are in the order of their triangles.
+    """
+    a, b, c = np.moveaxis(np.asarray(points, float)[triangles], 1, 0)
+    size = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    parts = np.maximum(1, np.ceil(np.sqrt(size / area))).astype(np.int64)
+    of, weights = [], []
+    for n in np.unique(parts):
+        i, j = np.meshgrid(np.arange(n), np.arange(n))
+        like, turned = i + j < n, i + j < n - 1
+        middles = np.concatenate(
+            [np.stack([i[like], j[like]], 1) + 1 / 3, np.stack([i[turned], j[turned]], 1) + 2 / 3]
+        )
+        rows = np.flatnonzero(parts == n)
+        of.append(np.repeat(rows, n * n))
+        weights.append(np.tile(middles / n, (len(rows), 1)))
+    which = np.concatenate([np.zeros(0, np.int64), *of])
+    order = np.argsort(which, kind="stable")
+    which, two = which[order], np.concatenate([np.zeros((0, 2)), *weights])[order]
+    return Pieces(
+        of=which, weights=np.column_stack([1.0 - two.sum(1), two]), share=1.0 / parts[which] ** 2
+    )
 
 
 def triangulate(

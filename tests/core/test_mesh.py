@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume, triangulate, weld
+from gf_usd.core.mesh import (
+    boundary_edges,
+    divided,
+    proper,
+    shells,
+    signed_volume,
+    triangulate,
+    weld,
+)
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 CUBE_FACES = np.array(
@@ -147,3 +155,25 @@ def test_shells_are_joined_by_edges_not_by_corners():
     assert len(np.unique(shells(touching))) == 2
     assert len(np.unique(shells(one))) == 1
     assert len(shells(np.zeros((0, 3), dtype=int))) == 0
+
+
+def test_triangles_are_divided_into_pieces_of_at_most_an_area():
+    points = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.1]])
+    triangles = np.array([[0, 2, 3], [0, 1, 2], [0, 1, 3]])
+    pieces = divided(points, triangles, 0.2)
+    size = np.linalg.norm(area(points, triangles), axis=1)
+    # 0.1 is not more than 0.2; 3 / 4^2 < 0.2 < 3 / 3^2; 0.15 is not more.
+    assert np.bincount(pieces.of).tolist() == [1, 16, 1]
+    assert (np.diff(pieces.of) >= 0).all()
+    assert np.bincount(pieces.of, pieces.share).tolist() == [1.0, 1.0, 1.0]
+    middle = np.einsum("nk,nka->na", pieces.weights, points[triangles[pieces.of]])
+    # Middles of congruent pieces: their mean is that of the triangle, their moments about it are
+    # 1 - 1 / n^2 of its own, area / 18 times the squares of its sides here.
+    mean = np.stack([middle[pieces.of == k].mean(0) for k in range(3)])
+    np.testing.assert_allclose(mean, points[triangles].mean(1), atol=1e-15)
+    large = middle[pieces.of == 1] - mean[1]
+    np.testing.assert_allclose(
+        size[1] * (large[:, :2] ** 2).mean(0), size[1] / 18.0 * np.array([9.0, 4.0]) * (1 - 1 / 16)
+    )
+    assert len(divided(points, np.zeros((0, 3), int), 0.2).of) == 0
+    assert divided(points, triangles, np.inf).of.tolist() == [0, 1, 2]

@@ -42,13 +42,28 @@ def test_what_is_pressed_into_a_neighbor_counts_from_half_a_spacing(by, share):
     """Two boxes with as much of the upper one in the lower as contact leaves, and with more."""
     lower, upper = cube((0.0, 0.0, 0.0), path="/Lower"), cube((0.2, 2.0, 0.2), path="/Upper")
     lower = surface(lower.points * [1.4, 1.0, 1.4], lower.triangles, path="/Lower")
-    measure = InsideMeasure([lower, upper], 0.1, 10)
-    sunk = upper.points - [0.0, 1.0 + 0.1 * by, 0.0]
+    spacing = 0.1
+    measure = InsideMeasure([lower, upper], spacing, 10)
+    sunk = upper.points - [0.0, 1.0 + spacing * by, 0.0]
     found = measure.measure(9, {"/Lower": pose(lower.points), "/Upper": pose(sunk)})
-    # Of the upper box its underside; of the lower one the middles of both triangles of its top.
+    # Of the upper box its underside; of the top of the lower one, two triangles, what lies under
+    # it.  Pieces count whole: those at the rim are a spacing wide.  So do those of the sides of the
+    # upper one that reach down below the top by less than a spacing.
     area = 6.0 + 2.0 * 1.4**2 + 4.0 * 1.4
-    assert found.share == pytest.approx(share * (1.0 + 1.4**2) / area, rel=1e-12)
-    assert found.depth >= 0.1 * by - 1e-9, "the depth is told even if it does not count"
+    assert found.share == pytest.approx(share * 2.0 / area, abs=2.0 * 4.0 * spacing / area)
+    assert (found.share == 0.0) == (share == 0.0)
+    assert found.depth >= spacing * by - 1e-9, "the depth is told even if it does not count"
+
+
+@pytest.mark.parametrize("gap", [1e-4, 1e-2])
+def test_what_touches_is_not_inside(gap):
+    """Two boxes of one mesh that are 1e-3 and 0.1 spacings apart."""
+    lower, upper = cube((0.0, 0.0, 0.0)), cube((0.0, 3.0, 0.0))
+    points = np.concatenate([lower.points, upper.points])
+    both = surface(points, np.concatenate([lower.triangles, upper.triangles + 8]), path="/Both")
+    down = np.repeat([[0.0, 0.0, 0.0], [0.0, 2.0 - gap, 0.0]], 8, axis=0)
+    found = InsideMeasure([both], 0.1, 10).measure(9, {"/Both": pose(points - down)})
+    assert (found.share, found.depth) == (0.0, 0.0)
 
 
 def test_a_thin_plate_in_a_ball_is_inside():

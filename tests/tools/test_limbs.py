@@ -11,7 +11,7 @@ from limbed import LIMBED, write_limbed
 from pxr import Usd, UsdGeom
 from solids import CUBE_POINTS, CUBE_TRIANGLES
 
-from gf_usd.core.mesh import boundary_edges, signed_volume, weld
+from gf_usd.core.mesh import boundary_edges, divided, signed_volume, weld
 from tools.acceptance.limbs import (
     RESULT,
     Ran,
@@ -38,28 +38,48 @@ def test_a_written_one_is_a_stage_in_meters(tmp_path) -> None:
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
 
 
+def found(points, triangles, mesh, area=np.inf):
+    """Of `which_inside`, with pieces of at most an area."""
+    pieces = divided(points, triangles, area)
+    return pieces, *which_inside(points, triangles, mesh, pieces)
+
+
 def test_of_a_cube_in_a_cube_all_of_the_inner_one_is_inside() -> None:
     inner = 0.25 + 0.5 * CUBE_POINTS
     points = np.concatenate([CUBE_POINTS, inner])
     triangles = np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES + 8])
     mesh = np.repeat([0, 1], 12)
-    inside, area = which_inside(points, triangles, mesh)
+    _, inside, area = found(points, triangles, mesh)
     assert inside.tolist() == [False] * 12 + [True] * 12
     np.testing.assert_allclose(area, np.repeat([0.5, 0.125], 12))
-    assert not which_inside(CUBE_POINTS, CUBE_TRIANGLES, mesh[:12])[0].any()
-    both, _ = which_inside(points, triangles, np.zeros(24, int))
+    assert not found(CUBE_POINTS, CUBE_TRIANGLES, mesh[:12])[1].any()
+    _, both, _ = found(points, triangles, np.zeros(24, int))
     assert both.tolist() == inside.tolist(), "the same of one mesh"
 
 
+@pytest.mark.parametrize("mesh", [(0, 1), (0, 0)], ids=["two meshes", "one mesh"])
 @pytest.mark.parametrize(("gap", "inside"), [(1e-4, False), (-1e-4, True)])
-def test_what_touches_is_not_inside(gap, inside) -> None:
-    """Two cubes next to each other, with a gap and an overlap of a tenth of BESIDE and less."""
+def test_what_touches_is_not_inside(gap, inside, mesh) -> None:
+    """Two cubes next to each other, with a gap and an overlap of 5e-5 of the box around them."""
     points = np.concatenate([CUBE_POINTS, CUBE_POINTS + [1.0 + gap, 0.0, 0.0]])
     triangles = np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES + 8])
-    found, area = which_inside(points, triangles, np.repeat([0, 1], 12))
+    _, seen, area = found(points, triangles, np.repeat(mesh, 12))
     faces = np.isclose(points[triangles][:, :, 0], 1.0, atol=2e-4).all(1)
-    assert found.tolist() == (faces & inside).tolist()
+    assert seen.tolist() == (faces & inside).tolist()
     assert area[faces].sum() == pytest.approx(2.0)
+
+
+def test_of_a_large_triangle_only_what_is_inside_counts() -> None:
+    """A cube that stands in the corner of one of twice its size, whose faces have two triangles."""
+    points = np.concatenate([2.0 * CUBE_POINTS, [1.5, 1.5, 1.5] + CUBE_POINTS])
+    triangles = np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES + 8])
+    pieces, inside, area = found(points, triangles, np.repeat([0, 1], 12), 0.5 * 0.05**2)
+    assert area.sum() == pytest.approx(30.0)
+    # A square of 0.5 x 0.5 on three faces of each.  A piece counts whole: those at the rim of a
+    # square, of two sides 0.5 long, are 0.05 wide.
+    for cube in (0, 1):
+        mine = inside & (pieces.of // 12 == cube)
+        assert area[mine].sum() == pytest.approx(3 * 0.5**2, abs=3 * 2 * 0.5 * 0.05)
 
 
 def test_what_is_inside_at_rest_is_told_apart_from_what_comes_there() -> None:

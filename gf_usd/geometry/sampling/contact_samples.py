@@ -20,7 +20,9 @@ from gf_usd.geometry.sampling.particles import TURNS
 from gf_usd.geometry.sampling.pieces import cut_along
 from gf_usd.geometry.solid import Solid
 
-EXCLUDED = 0.7  # [spacings] no two samples are as near to each other
+EXCLUDED = 0.7  # [spacings] no two samples are as near to each other but across a gap
+OPPOSED = 0.5  # cosine from where two places that look at each other are the walls of a gap
+FEW = 16  # samples in a ball of EXCLUDED around a place of a wall, at most
 DENSITY = 12.0  # candidates in a square of a spacing
 LEAST_DRAWS = 64  # candidates on a surface
 ALIKE = 0.1  # [spacings] by which mirror images may differ where polygons are cut otherwise
@@ -42,8 +44,9 @@ def sample_surface(
     """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
     Candidates are the vertices, then points by area; kept are some that are no nearer to each other
-    than 0.7 spacings and leave no other candidate farther than that.  The area a sample stands for
-    is that of the candidates nearest to it.
+    than 0.7 spacings and leave no other candidate farther than that.  Both walls of a narrow gap
+    have samples of their own.  The area a sample stands for is that of the candidates nearest to
+    it.
     bodies : (S,) the body of each surface, each sampled by itself; None: all are one.
     """
     body = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
@@ -90,16 +93,18 @@ def _sample_body(
         on_plane = np.abs(X[:, axis]) <= SAME * size
         X[on_plane, axis] = 0.0
         normal[on_plane, axis] = 0.0
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.where(length > 0.0, length, 1.0)
     sides = X[:, mirrored]
     free = ((sides == 0.0) | (sides > 0.5 * radius)).all(1)
     chosen = np.flatnonzero(free)
-    chosen = chosen[thin(X[chosen], radius)]
+    chosen = chosen[thin(X[chosen], radius, normal[chosen])]
     near = np.flatnonzero(~free & (sides >= 0.0).all(1))
     if len(chosen) and len(near):
-        near = near[kd_tree(X[chosen]).query(X[near])[0] > radius]
-    chosen = np.concatenate([chosen, near[thin(X[near], radius)]])
+        near = near[_nearest(X, normal, near, chosen)[0] > radius]
+    chosen = np.concatenate([chosen, near[thin(X[near], radius, normal[near])]])
     drawn = np.flatnonzero(area > 0.0)
-    share = np.bincount(kd_tree(X[chosen]).query(X[drawn])[1], area[drawn], len(chosen))
+    share = np.bincount(_nearest(X, normal, drawn, chosen)[1], area[drawn], len(chosen))
     chosen, area = chosen[share > 0.0], share[share > 0.0]
     X, normal = X[chosen], normal[chosen]
     for axis in mirrored:
@@ -108,8 +113,7 @@ def _sample_body(
         area = np.concatenate([np.where(off, 1.0, 2.0) * area, area[off]])
         normal = np.concatenate([normal, normal[off] * flip])
         X = np.concatenate([X, X[off] * flip])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return middle + X, area, normal / np.where(length > 0.0, length, 1.0)
+    return middle + X, area, normal
 
 
 def _one_side(corners: Floats, mirrored: Ints, size: float) -> NDArray[np.float64]:
@@ -178,17 +182,50 @@ def _rim(corners: Floats, axis: int, spacing: float) -> _Candidates:
     return _Candidates(X=places, normal=np.concatenate(normals), area=np.zeros(len(places)))
 
 
-def thin(points: Floats, radius: float) -> Ints:
+def thin(points: Floats, radius: float, normal: Floats | None = None) -> Ints:
     """Indices of a subset, no two within radius [m] of each other and no point farther from it.
 
     Of points that exclude each other the first one tends to stay.
+    normal : (n, 3) unit or 0; given, points on the two walls of a gap do not exclude each other.
     """
     kept = np.zeros(0, np.int64)
     left = np.arange(len(points))
     while len(left):
         kept = np.concatenate([kept, left[_thin_once(points[left], radius)]])
         left = left[kd_tree(points[kept]).query(points[left])[0] > radius]
+    if normal is None or len(kept) == 0:
+        return kept
+    left = np.arange(len(points))
+    while len(left := left[_nearest(points, normal, left, kept)[0] > radius]):
+        kept = np.concatenate([kept, left[_thin_once(points[left], radius)]])
     return kept
+
+
+def _nearest(X: Floats, normal: Floats, rows: Ints, of: Ints) -> tuple[Floats, Ints]:
+    """How far [m] points `rows` (k,) are from the nearest of points `of` (m,) that is not on the
+    other wall of a gap, and its number among these.
+
+    Of FEW that are nearest; where all of these are, it is inf, and the number is that of the
+    nearest.
+    """
+    tree = kd_tree(X[of])
+    distance, at = tree.query(X[rows])
+    across = np.flatnonzero(_across(X, normal, rows, of[at]))
+    if len(across):
+        far, others = tree.query(X[rows[across]], k=min(FEW, len(of)))
+        far, others = far.reshape(len(across), -1), others.reshape(len(across), -1)
+        far = np.where(_across(X, normal, rows[across, None], of[others]), np.inf, far)
+        best = far.argmin(1)[:, None]
+        distance[across] = np.take_along_axis(far, best, 1)[:, 0]
+        at[across] = np.take_along_axis(others, best, 1)[:, 0]
+    return distance, at
+
+
+def _across(X: Floats, normal: Floats, a: Ints, b: Ints) -> NDArray[np.bool_]:
+    """Whether points a and b are on the two walls of a gap: opposite, each ahead of the other."""
+    away = X[b] - X[a]
+    opposed = (normal[a] * normal[b]).sum(-1) < -OPPOSED
+    return opposed & ((away * normal[a]).sum(-1) > 0.0) & ((away * normal[b]).sum(-1) < 0.0)
 
 
 def _thin_once(points: Floats, radius: float) -> Ints:

@@ -1,9 +1,11 @@
 """How much of the surface of the bodies lies inside a body: what contact did not keep apart.
 
-A triangle is inside where the surface of all bodies winds around both points a little off its
-middle, on either side (generalized winding number; Jacobson, Kavan and Sorkine-Hornung 2013, summed
-fast as Barill et al. 2018, by libigl): one of the two is within the body it bounds anyway.  What is
-inside at rest, as where shells overlap in the source, is the asset's own and does not count.
+Triangles are looked at in pieces no larger than half a square with edges of a spacing: of a coarse
+mesh a single one is a percent of the surface.  A piece is inside where the surface of all bodies
+winds around both points a little off its middle, on either side (generalized winding number;
+Jacobson, Kavan and Sorkine-Hornung 2013, summed fast as Barill et al. 2018, by libigl): one of the
+two is within the body it bounds anyway.  What is inside at rest, as where shells overlap in the
+source, is the asset's own and does not count.
 
 Nor does what is less than DEEP under the surface of what it is in.  Contact acts on samples a
 spacing apart: places of the surface are up to half of that from the nearest of them, and its
@@ -22,17 +24,19 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh import divided, signed_volume
 
-OFF = 2e-3  # of the longest edge of the box around all: a point off the surface
+# Of the longest edge of the box around all: a point off the surface, by ten times the rounding of
+# points in single precision.  What is as near to another place of the surface seems to be inside.
+OFF = 1e-6
 WITHIN = 0.5  # winding numbers are whole but for the error of the fast sum
 LOOKS = 8  # times that a bake is looked at before its end
-GLANCE = 1500  # triangles of such a look
-MOST = 20_000  # triangles of the last look
+GLANCE = 1500  # pieces of such a look
+MOST = 20_000  # pieces of the last look
 WAYS = 16  # directions in which the depth is looked for
-DEEP = 0.5  # [spacings] from where a triangle inside counts
+DEEP = 0.5  # [spacings] from where a piece inside counts
 STEEP = 0.5  # cosine with the normal of a way back that leaves its own curved surface
-DEEPEST = 64  # triangles whose depth is looked for, at most
+DEEPEST = 64  # pieces whose depth is looked for, at most
 STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0])  # [spacings]
 
 
@@ -62,10 +66,11 @@ class InsideMeasure:
         self._points = np.concatenate([np.asarray(one.points, float) for one in surfaces])
         counts = [len(one.triangles) for one in surfaces]
         self._ends = np.cumsum([0, *counts])
-        self._surface = np.repeat(np.arange(len(surfaces)), counts)
+        self._pieces = divided(self._points, self._triangles, 0.5 * spacing**2)
+        self._surface = np.repeat(np.arange(len(surfaces)), counts)[self._pieces.of]
         self._spacing, self._last = spacing, frames - 1
         self._stride, self._open_end = max(1, -(-frames // LOOKS)), open_end
-        self._rest: dict[int, Ints] = {}  # which of a look's triangles are inside at rest
+        self._rest: dict[int, Ints] = {}  # which of a look's pieces are inside at rest
 
     def asked(self, index: int) -> bool:
         """Whether a frame is looked at: LOOKS times evenly, or where the end is open after 8, 16,
@@ -81,8 +86,8 @@ class InsideMeasure:
         ends : the motion ends there, whatever frames there might have been.
         """
         most = MOST if ends or index == self._last else GLANCE
-        step = max(1, -(-len(self._triangles) // most))
-        looked = np.arange(0, len(self._triangles), step)
+        step = max(1, -(-len(self._pieces.of) // most))
+        looked = np.arange(0, len(self._pieces.of), step)
         rest = self._wound(self._points)
         if step not in self._rest:
             self._rest[step] = self._inside(rest, looked)[0]
@@ -101,7 +106,7 @@ class InsideMeasure:
     def _shallow(
         self, rest: WoundSurfaces, now: WoundSurfaces, which: Ints, center: Floats, normal: Floats
     ) -> Ints:
-        """Whether triangles `which` (n,) that are inside come out within DEEP.
+        """Whether pieces `which` (n,) that are inside come out within DEEP.
 
         Ahead a place is out where nothing winds around it.  Behind it is still in the body that the
         triangle bounds, and out of what else that is in, where all wind once and a half at most and
@@ -132,12 +137,14 @@ class InsideMeasure:
         return inside, area, center, normal
 
     def _geometry(self, points: Floats, which: Ints) -> tuple[Ints, Floats, Floats, Floats]:
-        """Whether triangles (n,) have an area, and it; their middles and unit normals (n, 3)."""
-        a, b, c = np.moveaxis(points[self._triangles[which]], 1, 0)
+        """Whether pieces (n,) have an area, and it; their middles and unit normals (n, 3)."""
+        corners = points[self._triangles[self._pieces.of[which]]]
+        a, b, c = np.moveaxis(corners, 1, 0)
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal, axis=1)
         normal /= np.where(length > 0.0, length, 1.0)[:, None]
-        return length > 0.0, 0.5 * length, (a + b + c) / 3.0, normal
+        middle = np.einsum("nk,nka->na", self._pieces.weights[which], corners)
+        return length > 0.0, 0.5 * length * self._pieces.share[which], middle, normal
 
     def _depth(self, now: WoundSurfaces, center: Floats, normal: Floats) -> float:
         if len(center) == 0:

@@ -235,6 +235,32 @@ def test_thinning_spaces_the_kept_and_covers_the_rest(radius):
     assert tree.query(points)[0].max() <= radius
 
 
+@pytest.mark.parametrize("gap", [0.1, 0.4])
+def test_both_walls_of_a_narrow_gap_have_samples_of_their_own(gap):
+    """Two boxes, one above the other, with less than the distance of two samples between them."""
+    spacing = 0.2
+    low, high = cube(path="/A"), cube(low=(0.1, 1.0 + gap * spacing, 0.2), edge=1.2, path="/B")
+    samples = sample_surface(solid(low, high), spacing)
+    of = samples.X[:, 1] > 1.0 + 0.5 * gap * spacing
+    flat = [0.1, 0.2] + [0.9, 0.8] * np.random.default_rng(3).random((2000, 2))
+    for side, y, edge in ((~of, 1.0, 1.0), (of, 1.0 + gap * spacing, 1.2)):
+        tree = cKDTree(samples.X[side])
+        assert tree.query(samples.X[side], k=2)[0][:, 1].min() >= 0.7 * spacing * (1.0 - 1e-12)
+        # 0.7 from a candidate to a sample, a third of a spacing from a place to a candidate.
+        assert tree.query(np.insert(flat, 1, y, axis=1))[0].max() < (0.7 + 1 / 3) * spacing
+        # Of walls across the edges of the gap, 4 m, a sample may have what is nearest to it.
+        assert samples.area[side].sum() == pytest.approx(6.0 * edge**2, abs=4.0 * 0.35 * spacing)
+
+
+def test_thinning_keeps_both_walls_of_a_gap_and_not_both_sides_of_a_sheet():
+    points = np.array([[0.0, 0, 0], [0.2, 0, 0.1], [0.1, 0, 0.1], [0.3, 0, -0.1], [0.4, 0, 0.1]])
+    normal = np.array([[0.0, 0, 1], [0, 0, -1], [0, 0.6, -0.8], [0, 0, -1], [0, 0, 0]])
+    # The second is ahead of the first, which it looks at; the fourth is behind it, the third beside
+    # the second, and the last has no side.
+    assert thin(points, 1.0, normal).tolist() == [0, 1]
+    assert thin(points, 1.0).tolist() == [0]
+
+
 def test_thinning_nothing_and_a_crowd_in_one_place():
     assert thin(np.zeros((0, 3)), 1.0).tolist() == []
     assert thin(np.ones((50, 3)), 1.0).tolist() == [0]
