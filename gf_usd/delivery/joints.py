@@ -95,6 +95,31 @@ def simplex_weights(G: Floats, most: int = INFLUENCES) -> Floats:
     return weights
 
 
+def left_alone(p: Floats, x: Floats, u: Floats, R: Floats, d: Floats) -> Floats:
+    """(n, J) sum_t u_vt |R_jt p_v + d_jt - x_vt|^2: what each joint alone would leave.
+
+    Multiplied out it is a sum of products of what is known of the points with what is known of the
+    joints, two matrix products; rounding is that of |x|^2, so that it serves for choosing only.
+    p (n, 3), x (n, T, 3), u (n, T), R (J, T, 3, 3), d (J, T, 3).
+    """
+    n, J = len(u), len(R)
+    pulled = u[:, :, None] * x
+    cross = (
+        np.concatenate(
+            [(pulled[..., None] * p[:, None, None, :]).reshape(n, -1), pulled.reshape(n, -1)],
+            axis=1,
+        )
+        @ np.concatenate([R.reshape(J, -1), d.reshape(J, -1)], axis=1).T
+    )
+    back = np.matmul(d[:, :, None, :], R)[:, :, 0]  # R' d
+    square = (
+        np.concatenate([(u[:, :, None] * p[:, None, :]).reshape(n, -1), u], axis=1)
+        @ np.concatenate([2.0 * back.reshape(J, -1), (d * d).sum(axis=2)], axis=1).T
+    )
+    still = u.sum(axis=1) * (p * p).sum(axis=1) + np.einsum("nt,ntk,ntk->n", u, x, x)
+    return still[:, None] + square - 2.0 * cross
+
+
 def quantized(weights: Floats) -> Ints:
     """(n, k) whole multiples of 1/255 nearest to weights (n, k), each row with the sum 255."""
     scaled = weights * STEPS
@@ -241,18 +266,16 @@ class _Fit:
         """The best four joints of each point, and their weights."""
         J, T = self.d.shape[:2]
         K = min(CANDIDATES, J)
-        rows = max(1, CHUNK // (J * T * 3))
-        turn = self.R.reshape(J * T * 3, 3)
-        root = np.sqrt(self.u)
+        rows = max(1, CHUNK // (T * max(12, 3 * K)))
+        turn, shift = self.R.reshape(J, T * 3, 3), self.d.reshape(J, T * 3)
+        root = np.repeat(np.sqrt(self.u), 3, axis=1)
         for start in range(0, len(self.p), rows):
             part = slice(start, start + rows)
-            moved = (turn @ self.p[part].T).T.reshape(-1, J, T, 3) + self.d
-            moved -= self.x[part, None]
-            moved *= root[part, None, :, None]
-            residual = moved.reshape(-1, J, T * 3)
-            alone = np.einsum("njk,njk->nj", residual, residual)
-            near = np.argpartition(alone, K - 1, axis=1)[:, :K]
-            chosen = np.take_along_axis(residual, near[:, :, None], axis=1)
+            p, x, u = self.p[part], self.x[part], self.u[part]
+            near = np.argpartition(left_alone(p, x, u, self.R, self.d), K - 1, axis=1)[:, :K]
+            chosen = np.matmul(turn[near], p[:, None, :, None])[..., 0] + shift[near]
+            chosen -= x.reshape(-1, 1, T * 3)
+            chosen *= root[part, None]
             w = simplex_weights(np.matmul(chosen, chosen.transpose(0, 2, 1)))
             order = np.argsort(-w, axis=1, kind="stable")[:, :INFLUENCES]
             count = order.shape[1]

@@ -12,6 +12,7 @@ from gf_usd.delivery.joints import (
     STEPS,
     decompositions,
     kabsch,
+    left_alone,
     quantized,
     simplex_weights,
 )
@@ -58,6 +59,16 @@ def test_weights_keep_their_bounds() -> None:
     whole = quantized(w)
     assert (whole.sum(axis=1) == STEPS).all()
     assert np.abs(whole / STEPS - w).max() <= 1.0 / STEPS
+
+
+def test_what_a_joint_alone_leaves_is_its_weighted_squared_error() -> None:
+    random = np.random.default_rng(3)
+    p, x = random.normal(size=(40, 3)), random.normal(size=(40, 7, 3))
+    u, d = random.uniform(size=(40, 7)), random.normal(size=(5, 7, 3))
+    R = turns(35, 2).reshape(5, 7, 3, 3)
+    moved = np.einsum("jtab,nb->njta", R, p) + d
+    expected = (u[:, None] * ((moved - x[:, None]) ** 2).sum(3)).sum(2)
+    assert left_alone(p, x, u, R, d) == pytest.approx(expected, rel=1e-12)
 
 
 def bent(points: int = 300) -> tuple[np.ndarray, np.ndarray]:

@@ -103,6 +103,7 @@ class GlbFile:
                 output = animation["samplers"][channel["sampler"]]["output"]
                 self._keys[where["node"], where["path"]] = self.array(output)
         self.array = cache(self.array)
+        self._worlds = cache(self._worlds)
 
     def array(self, number: int) -> Floats:
         """(n, width) of an accessor."""
@@ -168,20 +169,22 @@ class GlbFile:
 
     def _world(self, node: int, frame: int) -> Floats:
         """(4, 4) for row vectors."""
-        matrix = np.eye(4)
-        at: int | None = node
-        while at is not None:
-            matrix = matrix @ self._local(at, frame)
-            at = self._parents.get(at)
-        return matrix
+        every = self._worlds(node)
+        return every[min(frame, len(every) - 1)]
 
-    def _local(self, node: int, frame: int) -> Floats:
+    def _worlds(self, node: int) -> Floats:
+        """(T, 4, 4) in each frame, or (1, 4, 4) where nothing moves it."""
+        own, parent = self._locals(node), self._parents.get(node)
+        return own if parent is None else own @ self._worlds(parent)
+
+    def _locals(self, node: int) -> Floats:
         row = self.tree["nodes"][node]
-        matrix = np.eye(4)
         turn = self._keys.get((node, "rotation"))
-        q = row.get("rotation", (0.0, 0.0, 0.0, 1.0)) if turn is None else turn[frame]
-        q = np.asarray(q) / np.linalg.norm(q)
-        matrix[:3, :3] = matrix_from_quaternion(q[[3, 0, 1, 2]]).T
+        q = np.array([row.get("rotation", (0.0, 0.0, 0.0, 1.0))]) if turn is None else turn
+        q = q / np.linalg.norm(q, axis=1, keepdims=True)
         move = self._keys.get((node, "translation"))
-        matrix[3, :3] = row.get("translation", (0.0, 0.0, 0.0)) if move is None else move[frame]
+        d = np.array([row.get("translation", (0.0, 0.0, 0.0))]) if move is None else move
+        matrix = np.tile(np.eye(4), (max(len(q), len(d)), 1, 1))
+        matrix[:, :3, :3] = matrix_from_quaternion(q[:, [3, 0, 1, 2]]).swapaxes(1, 2)
+        matrix[:, 3, :3] = d
         return matrix
