@@ -84,8 +84,8 @@ ALONE = 1500  # particles for each thread: fewer threads share a substep of fewe
 # MOST; fitted to the pairs of `tools.bench.estimates`.
 STRAINED, MOST = 1.3, 5.0
 CROWD = 2.0  # more substeps where bodies fall on each other
-START_SECONDS = 1.5  # imports
-LAW_SECONDS = 1.5  # load the compiled kernels of a law; the very first bake compiles them
+START_SECONDS = 1.1  # imports: between those of a quiet machine and of a busy one
+LAW_SECONDS = 0.9  # load the compiled kernels of a law; the very first bake compiles them
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files
