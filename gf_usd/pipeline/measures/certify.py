@@ -20,7 +20,7 @@ COARSER = (2.0, 4.0)  # spacings of the coarser runs over that of the bake
 # A run of fewer is no picture of the body: a cube of 4 x 4 x 4.
 FEWEST = 64
 MOST_DIGITS = 5  # after the point, in words
-NOISE = 0.02  # of the lattice edge: what is known no better (tools/acceptance/certify.py)
+NOISE = 0.015  # of the lattice edge: what is known no better (tools/acceptance/certify.py)
 VOLUME = 1e-3  # by which the volumes of the runs may differ
 WORDS = {2.0: "half of the resolution", 4.0: "a quarter of the resolution"}
 

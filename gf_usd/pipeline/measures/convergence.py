@@ -28,7 +28,7 @@ from gf_usd.core.arrays import Floats
 
 LOWEST, HIGHEST = 1.0, 2.0  # orders that are believed
 SAFETY = 1.0  # half width over the distance from f1 to the limit
-COARSE = 0.1  # half width over |f2 - f3|, at least: f1 - f2 may be small by luck
+COARSE = 0.08  # half width over |f2 - f3|, at least: f1 - f2 may be small by luck
 SWINGING = 0.6  # half width over the larger of |f1 - f2| and |f2 - f3| / 2, where signs alternate
 SMALL = 0.02  # of the scale: differences that do not shrink, yet hardly matter
 UNORDERED = 1.25  # half width over the largest of them
