@@ -114,8 +114,8 @@ def fit(
         unknowns=[name.strip() for name in unknowns.split(",")] if unknowns else [],
         bounds=bounds or [],
         output=layer,
-        picture=beside(layer, picture, ".png"),
-        evaluations=beside(layer, evaluations, ".runs"),
+        picture=sibling(layer, picture, ".png"),
+        evaluations=sibling(layer, evaluations, ".runs"),
         max_minutes=max_minutes,
         jobs=jobs,
         overwrite=overwrite,
@@ -133,7 +133,7 @@ def fit(
         show_result(result)
 
 
-def beside(layer: Path, asked: str | None, suffix: str) -> Path | None:
+def sibling(layer: Path, asked: str | None, suffix: str) -> Path | None:
     """The path that was asked for, None for "none", or that of the layer with another suffix."""
     if asked is None:
         return layer.with_suffix(suffix)

@@ -142,6 +142,12 @@ def signed_volume(points: Floats, triangles: Ints) -> float:
     return float(np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0)
 
 
+def areas(points: Floats, triangles: Ints) -> NDArray[np.float64]:
+    """(T,) of the triangles."""
+    a, b, c = np.moveaxis(np.asarray(points, float)[triangles], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Pieces:
     """P parts of equal area of each of some triangles."""
@@ -156,9 +162,7 @@ def divided(points: Floats, triangles: Ints, area: float) -> Pieces:
 
     The pieces are in the order of their triangles.
     """
-    a, b, c = np.moveaxis(np.asarray(points, float)[triangles], 1, 0)
-    size = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    parts = np.maximum(1, np.ceil(np.sqrt(size / area))).astype(np.int64)
+    parts = np.maximum(1, np.ceil(np.sqrt(areas(points, triangles) / area))).astype(np.int64)
     of, weights = [], []
     for n in np.unique(parts):
         i, j = np.meshgrid(np.arange(n), np.arange(n))

@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.mesh import WELD_FRACTION, proper, shells, weld
+from gf_usd.core.mesh import WELD_FRACTION, areas, proper, shells, weld
 from gf_usd.core.neighbors import components
 from gf_usd.geometry import winding
 from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
@@ -141,7 +141,7 @@ def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell,
     label = shells(triangles)
     patch = winding.patches(points, triangles, edges)
     agreed = winding.turned(triangles, patch.against)
-    area = np.bincount(label, winding.areas(points, triangles))
+    area = np.bincount(label, areas(points, triangles))
     low, high = winding.boxes(points, triangles, label)
     volume = np.abs(winding.volumes(points, agreed, label))
     facing = winding.facing(points, agreed, label)

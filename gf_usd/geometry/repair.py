@@ -15,7 +15,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
-from gf_usd.core.mesh import proper, shells, triangulate, weld
+from gf_usd.core.mesh import areas, proper, shells, triangulate, weld
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import (
     DUPLICATE,
@@ -200,7 +200,7 @@ def _close(points: Floats, vertex: Ints, material_parts: Ints) -> tuple[Ints, di
     """Caps (C, 3) of slots over the small holes, and what was counted."""
     triangles = vertex[material_parts]
     label = shells(triangles)
-    area = np.bincount(label, winding.areas(points, triangles))
+    area = np.bincount(label, areas(points, triangles))
     loops, loose = boundary_loops(Edges.of(triangles))
     fans = [fan_area(points[triangles.reshape(-1)[loop]]) for loop in loops]
     homes = [int(label[loop[0] // 3]) for loop in loops]

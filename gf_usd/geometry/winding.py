@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.mesh import areas
 from gf_usd.core.neighbors import components
 
 Flags = NDArray[np.bool_]
@@ -33,12 +34,6 @@ class Patches:
     label: Ints  # (T,) 0, 1, ...
     against: Flags  # (T,) faces against the greater part, by area, of its patch
     one_sided: Flags  # (T,) of a patch that no choice of directions makes agree (a Moebius strip)
-
-
-def areas(points: Floats, triangles: Ints) -> Floats:
-    """(T,) [m^2]."""
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def patches(points: Floats, triangles: Ints, edges: Edges) -> Patches:

@@ -115,11 +115,10 @@ def genesis_target(python: str, motion: str, count: int, folder: Path) -> Path:
     stage = Usd.Stage.Open(Usd.Stage.Open(str(SPHERE)).Flatten())
     mesh = UsdGeom.Mesh.Get(stage, "/Sphere/Geom/Body")
     rest = np.asarray(mesh.GetPointsAttr().Get(), float)
+    place = (0.0, drop.RADIUS + drop.GAP, 0.0)  # where genesis_mpm.py has the ball
+    X = x[0] - place
     if motion == "squeeze":
-        x -= (0.0, drop.RADIUS + drop.GAP, 0.0)  # where genesis_mpm.py has the ball
-        X = x[0]
-    else:
-        X = x[0] - (0.0, drop.RADIUS + drop.GAP, 0.0)
+        x -= place  # the fit has it about the origin
     stage.SetTimeCodesPerSecond(drop.FPS)
     stage.SetStartTimeCode(1.0)
     stage.SetEndTimeCode(1.0 + drop.FPS * times[-1])

@@ -50,7 +50,7 @@ RESULT = "limbs.json"  # next to a bake: what came of it
 # Of the box: how far from the surface a point is asked for, on both sides.  What is as near to
 # another place of the same mesh counts as inside although it only touches: at 2e-3 that were half
 # of the share of a figure of jelly.  1e-6 are ten times the rounding of points in single precision.
-BESIDE = 1e-6
+OFF = 1e-6
 FIGURES = ("inverted_max", "rollbacks", "min_J", "substeps", "deepest_penetration_spacings",
            "deepest_overlap_spacings", "energy_gain_max_share", "inside_at_end_share",
            "inside_at_end_m")  # fmt: skip
@@ -113,12 +113,12 @@ def which_inside(points: Any, triangles: Any, mesh: Any, pieces: Pieces) -> tupl
     twice = np.linalg.norm(cross, axis=1)
     used = np.flatnonzero((twice > 1e-12 * twice.max())[pieces.of])
     of = pieces.of[used]
-    beside = BESIDE * np.ptp(points, axis=0).max() * cross[of] / twice[of, None]
+    off = OFF * np.ptp(points, axis=0).max() * cross[of] / twice[of, None]
     middle = np.einsum("pk,pka->pa", pieces.weights[used], points[triangles[of]])
     around, whose = np.zeros((2, len(middle))), mesh[of]
     for k in np.unique(mesh):
         own = whose == k
-        at = np.concatenate([middle[~own], (middle + beside)[own], (middle - beside)[own]])
+        at = np.concatenate([middle[~own], (middle + off)[own], (middle - off)[own]])
         turns = igl.fast_winding_number(points, triangles[mesh == k], at)
         others, sides = np.split(turns, [(~own).sum()])
         around[:, ~own] += others

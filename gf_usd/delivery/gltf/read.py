@@ -170,7 +170,7 @@ class GlbFile:
     def _world(self, node: int, frame: int) -> Floats:
         """(4, 4) for row vectors."""
         every = self._worlds(node)
-        return every[min(frame, len(every) - 1)]
+        return every[frame if len(every) > 1 else 0]
 
     def _worlds(self, node: int) -> Floats:
         """(T, 4, 4) in each frame, or (1, 4, 4) where nothing moves it."""

@@ -15,7 +15,7 @@ from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Particles, SurfaceSamples
-from gf_usd.core.mesh import shells
+from gf_usd.core.mesh import areas, shells
 from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
 from gf_usd.geometry.solid import Solid
@@ -88,7 +88,7 @@ def _poor_shells(
 ) -> tuple[list[Part], list[int]]:
     """Shells of one surface with few particles, and those that are cavities."""
     points, triangles = solid.surfaces[number].points, solid.triangles[number]
-    area = np.bincount(label, winding.areas(points, triangles))
+    area = np.bincount(label, areas(points, triangles))
     volume = np.abs(winding.volumes(points, triangles, label))
     low, high = winding.boxes(points, triangles, label)
     reach = 0.5 * np.linalg.norm(high - low, axis=1)

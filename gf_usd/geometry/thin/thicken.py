@@ -12,7 +12,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
-from gf_usd.core.mesh import proper, shells, signed_volume, weld
+from gf_usd.core.mesh import areas, proper, shells, signed_volume, weld
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.sampling.particles import LEAST_PARTICLES
@@ -217,7 +217,7 @@ def look_at(surface: Surface) -> Shells:
     triangles = np.ascontiguousarray(welded[source], np.int64)
     label = shells(triangles)
     count = int(label.max(initial=-1)) + 1
-    area = np.bincount(label, winding.areas(points, triangles), count)
+    area = np.bincount(label, areas(points, triangles), count)
     volume = winding.volumes(points, triangles, label) if count else np.zeros(0)
     sheet = (np.abs(volume) <= FLAT_FRACTION * area**1.5).astype(int)
     rows = winding.rows_of(label) if count else []

@@ -451,8 +451,8 @@ class BodyContact:
         rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
         point = (f.interpolated(search.x) + f.point)[rows]
         away = search.x[rows] - point
-        beside = away + depth[rows, None] * f.normal[rows]
-        near = np.linalg.norm(beside, axis=1) < STAY * self._spacing
+        aside = away + depth[rows, None] * f.normal[rows]
+        near = np.linalg.norm(aside, axis=1) < STAY * self._spacing
         rows, point = rows[near], point[near]
         gap = offset[rows] - depth[rows]
         self._own_gap[rows] = gap
