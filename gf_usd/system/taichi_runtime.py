@@ -234,6 +234,18 @@ def ensure_running() -> None:
         init_taichi()
 
 
+def resident_blocks() -> int:
+    """Blocks of a kernel's threads that the GPU holds at once, two for each of its multiprocessors;
+    0 on a CPU.
+
+    Taichi compiles kernels so that two fit, and starts no more than 32 for each.
+    """
+    if _started.get("device") != "cuda":
+        return 0
+    config = importlib.import_module("taichi.lang.impl").get_runtime().prog.config()
+    return 2 * config.saturating_grid_dim // 32
+
+
 def threads() -> int:
     """Threads that Taichi was started with; those of `cores` where it does not run."""
     return _started.get("threads") or cores()

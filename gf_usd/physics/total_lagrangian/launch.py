@@ -1,8 +1,9 @@
 """Substeps as launches of kernels.
 
-On the CPU a launch has the substeps of `LAUNCH_SECONDS`, shared among threads inside it; on a GPU
-it is one substep, over all threads.  Both take the same sums in the same order: how substeps are
-cut into launches, and among threads, changes no bit.
+A launch has the substeps of `LAUNCH_SECONDS`.  On the CPU threads take pieces of its stages from a
+queue; on a GPU every thread has its items of each stage, and waits for the others between stages.
+Both take the same sums in the same order: how substeps are cut into launches, and among threads,
+changes no bit.
 
 How many threads share a launch, and how many substeps it takes.
 
@@ -21,9 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from gf_usd.core.errors import GfUsdError
 from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.total_lagrangian.setup import Body
-from gf_usd.physics.total_lagrangian.stages import CLOSES, OPENS
+from gf_usd.physics.total_lagrangian.stages import CLOSES, OPENS, STUCK
 from gf_usd.physics.total_lagrangian.state import State
 from gf_usd.system.background import at_work
 from gf_usd.system.taichi_runtime import cores
@@ -34,10 +36,11 @@ FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 class Launches:
     """The launches of a body's substeps.
 
-    over_all : each substep is a launch over all threads; None: on a GPU.
+    kernel : "queued", as on the CPU; "resident", as on a GPU; "parallel", a substep a launch, whose
+        loops Taichi shares among its threads.  None: what the device asks for.
     """
 
-    def __init__(self, body: Body, state: State, over_all: bool | None = None) -> None:
+    def __init__(self, body: Body, state: State, kernel: str | None = None) -> None:
         import taichi as ti
 
         s = body.settings
@@ -45,11 +48,11 @@ class Launches:
         self._vectors = tuple(
             vector([float(v) for v in values]) for values in (s.gravity, s.normal)
         )
+        self._way = kernel or ("queued" if s.device == "cpu" else "resident")
         self._body, self.thread_count = body, None
-        if s.device != "cpu" if over_all is None else over_all:
-            self._kernel = Launcher(body.kernels.parallel, state.pack)
-        else:
-            self._kernel = Launcher(body.kernels.queued, state.pack)
+        self._kernel = Launcher(getattr(body.kernels, self._way), state.pack)
+        self._pace = GUESS * len(body.particles)
+        if self._way == "queued":
             self.thread_count = ThreadCount(s.threads or cores(), len(body.particles))
 
     def run(
@@ -70,18 +73,40 @@ class Launches:
         numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))
         done = 0
         while done < substeps:
-            many = self.thread_count.fitting(substeps - done) if self.thread_count else 1
+            many = self._fitting(substeps - done)
             ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
             when = (every, (state.done + done) % every if every else 0)
             if self.thread_count:
                 tail = (many, ends, *when, *numbers)
                 self.thread_count.launch(partial(self._draw, counts, tail), many)
+            elif self._way == "resident":
+                self._stay(state, (*counts, many, ends, *when, *numbers), many)
             else:
                 self._kernel(*counts, ends, *when, *numbers)
             done += many
             if on_launch:
                 on_launch()
         state.done += substeps
+
+    def _fitting(self, substeps: int) -> int:
+        """How many of so many substeps the next launch takes."""
+        if self.thread_count:
+            return self.thread_count.fitting(substeps)
+        if self._way == "resident":
+            return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
+        return 1
+
+    def _stay(self, state: State, values: tuple[Any, ...], substeps: int) -> None:
+        """A launch of threads that stay.  Raises GfUsdError where they did not all start."""
+        began = time.perf_counter()
+        self._kernel(*values)
+        if state.get("queue")[STUCK]:  # read when the launch is done
+            raise GfUsdError(
+                f"a launch of {self._body.kernels.blocks} blocks of threads was not held by the GPU"
+                " at once",
+                "close what else runs on the GPU, or use --device cpu",
+            )
+        self._pace = (time.perf_counter() - began) / substeps
 
     def _draw(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
         self._kernel(*counts, threads, *tail)

@@ -37,7 +37,8 @@ class Options:
     capped: bool = False
     meets: bool = False  # bodies meet each other, themselves or obstacles
     coupled: bool = True  # the mass of a node is coupled to its neighbors' (`grid.mass`)
-    plain: bool = False  # one thread a particle (`kernels.scalar`), as on GPUs
+    plain: bool = False  # one thread a particle (`kernels.scalar`): the reference
+    cells: bool = False  # one thread a cell (`kernels.cell`): on GPUs
     slides: bool = False  # a pin holds some axes and lets the others slide
     goals: int = NO_GOALS  # whether springs draw the nodes to a given pose
     driven: bool = False  # pins move contact samples
@@ -51,6 +52,7 @@ def options_of(
     settings: Settings,
     meets: bool = False,
     plain: bool = False,
+    cells: bool = False,
     slides: bool = False,
     goals: int = NO_GOALS,
     driven: bool = False,
@@ -64,6 +66,7 @@ def options_of(
         meets=meets,
         coupled=settings.mass != LUMPED,
         plain=plain,
+        cells=cells,
         slides=slides,
         goals=goals,
         driven=driven,

@@ -135,7 +135,8 @@ def build_body(
     embedded_copy: Mapping[str, Ints] | None,
     h: float | None,
     real: type,
-    plain: bool | None,
+    plain: bool,
+    cells: bool | None,
 ) -> Body:
     """The body of these; parameters as of `TotalLagrangian`.  Taichi must run.
 
@@ -144,7 +145,7 @@ def build_body(
     import taichi as ti
 
     from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
-    from gf_usd.system.taichi_runtime import epoch
+    from gf_usd.system.taichi_runtime import epoch, resident_blocks
 
     particles = as_flesh(particles, materials, [pin for pin in pins if pin.rigid])
     pin_constraint = PinConstraint(pins, particles.X) if pins else None
@@ -191,10 +192,10 @@ def build_body(
     )  # fmt: skip
     if not (meets and contact):
         contact_setup = None
-    plain = settings.device != "cpu" if plain is None else plain
+    cells = not plain and (settings.device != "cpu" if cells is None else cells)
     springs = limits.LIMITED if goals and goals.limits else limits.SPRINGS
     options = limits.options_of(
-        settings, contact_setup is not None, plain, stencil.factors is not None,
+        settings, contact_setup is not None, plain, cells, stencil.factors is not None,
         springs if goals else limits.NO_GOALS,
         driven=contact is not None and pin_constraint is not None and pin_constraint.moving,
         rigid=regions.count if regions else 0,
@@ -241,7 +242,7 @@ def build_body(
         ),
         options=options,
         law=law,
-        kernels=build(law.set, damped, kind, epoch(), options),
+        kernels=build(law.set, damped, kind, epoch(), options, resident_blocks()),
         pack_type=pack_type(kind, epoch()),
     )
 

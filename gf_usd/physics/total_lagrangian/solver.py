@@ -75,7 +75,8 @@ class TotalLagrangian(Solver):
         `particles.copies` has several.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
-    plain : one thread a particle instead of eight cells side by side; None: on a GPU.
+    plain : one thread a particle, instead of eight cells side by side: the reference of tests.
+    cells : one thread a cell; None: on a GPU.
 
     Raises InputError for pins that hold nothing, or everything.
     """
@@ -100,7 +101,8 @@ class TotalLagrangian(Solver):
         acceleration: Any = None,
         h: float | None = None,
         real: type = np.float32,
-        plain: bool | None = None,
+        plain: bool = False,
+        cells: bool | None = None,
     ) -> None:
         from gf_usd.system.taichi_runtime import init_taichi
 
@@ -110,6 +112,7 @@ class TotalLagrangian(Solver):
             particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
             pins=pins, contact_setup=contact_setup, goals=goals, embedded_body=embedded_body,
             embedded_copy=embedded_copy, h=h, real=real, plain=plain,
+            cells=cells,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
         extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))

@@ -18,7 +18,8 @@ PAIRED = "paired"  # samples of contact pairs, with a body or an obstacle
 ALWAYS, OPENING, FILTERING, TOUCHING = "always", "opening", "filtering", "touching"
 
 APART = 32  # numbers between the two counters of a launch: they share no cache line
-QUEUE = 2 * APART  # numbers of the array that they stand in
+STUCK = 2 * APART  # where threads of a GPU note that others never came
+QUEUE = 3 * APART  # numbers of the array that they stand in
 
 OPENS, CLOSES = 1, 2  # bits: a launch begins a frame, ends one
 

@@ -21,6 +21,13 @@ import taichi as ti
 
 from gf_usd.physics.contact.kernels import pair_contact, pair_total, sample_contact, sample_motion
 from gf_usd.physics.laws.simd3x3 import LANES
+from gf_usd.physics.total_lagrangian.kernels.cell import (
+    cell_energy,
+    cell_von_mises,
+    filter_cell,
+    stress_cell,
+)
+from gf_usd.physics.total_lagrangian.kernels.grid_barrier import BLOCK, item_of, wait_for_all
 from gf_usd.physics.total_lagrangian.kernels.nodes import (
     drift_goal,
     drift_node,
@@ -116,11 +123,15 @@ def pack_type(real, epoch: int):
 
 
 @cache
-def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> SimpleNamespace:
+def build(
+    laws, damped: bool, real, epoch: int, options: Options = DEFAULT, blocks: int = 0
+) -> SimpleNamespace:
     """The kernels for a set of laws, with or without viscosity and the paper's options.
 
-    laws : `registry.LawSet`; real : f32 or f64.
+    laws : `registry.LawSet`; real : f32 or f64; blocks : of threads that a GPU holds at once, 0 on
+    a CPU, where `resident` has one thread.
     """
+    width = max(1, blocks * BLOCK)
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
     table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
@@ -136,6 +147,8 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             count = followers
         elif ti.static(part.items == NODES):
             count = free + followers
+        elif ti.static(part.items == GROUPS and options.cells):
+            count = groups * LANES
         elif ti.static(part.items == GROUPS):
             count = groups
         elif ti.static(part.items == PAIRED):
@@ -184,12 +197,16 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             follow(body, n, free, way, options.slides)
         elif ti.static(part.name == "momentum" and options.plain):
             particle_velocity(body, n, nodes)
+        elif ti.static(part.name == "momentum" and options.cells):
+            filter_cell(body, n)
         elif ti.static(part.name == "momentum"):
             filter_group(body, n)
         elif ti.static(part.name == "node momentum"):
             node_momentum(body, n, nodes)
         elif ti.static(part.name == "stress" and options.plain):
             particle_stress(body, n, nodes, laws, damped, dt, ih, converged, options)
+        elif ti.static(part.name == "stress" and options.cells):
+            stress_cell(body, n, laws, damped, dt, ih, converged, options)
         elif ti.static(part.name == "stress"):
             stress_group(body, n, laws, damped, dt, ih, converged, options)
         elif ti.static(part.name == "node force"):
@@ -277,12 +294,57 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
                         before += pieces
 
     @ti.kernel
+    def resident(
+        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec,
+        lift: real, dt: real, keep: real,
+    ):  # fmt: skip
+        """So many substeps in one launch, whose threads stay: for GPUs; see `kernels.grid_barrier`.
+
+        every, phase : see `queued`.
+        """
+        clear(body.queue)
+        ti.loop_config(block_dim=BLOCK)
+        for z in range(ti.static(width)):
+            paired = body.sample_active[0]
+            barriers = 0
+            for s in range(substeps):
+                drift = dt
+                if s == substeps - 1 and ends & CLOSES > 0:
+                    drift = 0.5 * dt
+                for step in range(ti.static(len(table))):
+                    some = 0
+                    way = drift
+                    filtering = 0
+                    for number, stage in ti.static(numbered):
+                        if step == number:
+                            for part in ti.static(stage.parts):
+                                some += size(part, groups, free, followers, active, paired)
+                            some *= due(stage, s, ends, every, phase, paired)
+                            way = way_of(stage, dt, drift)
+                            if ti.static(stage.when == FILTERING):
+                                filtering = 1
+                    if some > 0:
+                        for part, steps in ti.static(work):
+                            if is_in(step, steps):
+                                n = item_of(z, blocks) if ti.static(blocks > 0) else z
+                                while n < size(part, groups, free, followers, active, paired):
+                                    act(
+                                        part, body, n, free, free + followers, active, alpha, g,
+                                        up, lift, dt, drift, way, keep, filtering,
+                                    )  # fmt: skip
+                                    n += width
+                        if ti.static(blocks > 0):
+                            barriers += 1
+                            wait_for_all(body.queue, z, barriers * blocks)
+
+    @ti.kernel
     def parallel(
         body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32, ends: ti.i32,
         every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec, lift: real, dt: real,
         keep: real,
     ):  # fmt: skip
-        """One substep, a thread an item: for GPUs."""
+        """One substep, a thread an item."""
         closing = (ends & CLOSES) // CLOSES
         paired = body.sample_active[0]
         for stage in ti.static(table):
@@ -306,6 +368,9 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         if ti.static(options.plain):
             for p in range(groups):
                 out[p] = particle_energy(body, p, laws, ih, converged, options)
+        elif ti.static(options.cells):
+            for z in range(groups * LANES):
+                out[z] = cell_energy(body, z, laws, ih, converged, options)
         else:
             for z in range(groups * STRIDE):
                 if z % STRIDE == 0:
@@ -319,9 +384,15 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         if ti.static(options.plain):
             for p in range(groups):
                 out[p] = particle_von_mises(body, p, laws, ih, converged, options)
+        elif ti.static(options.cells):
+            for z in range(groups * LANES):
+                cell_von_mises(body, z, out, laws, ih, converged, options)
         else:
             for z in range(groups * STRIDE):
                 if z % STRIDE == 0:
                     group_von_mises(body, z // STRIDE, out, laws, ih, converged, options)
 
-    return SimpleNamespace(queued=queued, parallel=parallel, energy=energy, stress=stress)
+    return SimpleNamespace(
+        queued=queued, resident=resident, parallel=parallel, energy=energy, stress=stress,
+        blocks=blocks,
+    )

@@ -15,7 +15,7 @@ not depend on which thread takes which item.
 
 import taichi as ti
 
-from gf_usd.physics.total_lagrangian.stages import APART, GRAIN, GROUP_GRAIN, GROUPS
+from gf_usd.physics.total_lagrangian.stages import APART, GRAIN, GROUP_GRAIN, GROUPS, STUCK
 
 SPAN = 512  # Taichi gives a CPU thread at least so many iterations: one of them does all
 PIECES = 4  # of a stage for each thread: small enough that the last one is soon done
@@ -26,6 +26,7 @@ def clear(queue: ti.template()):
     """Reset the queue before a launch."""
     queue[0] = 0
     queue[APART] = 0
+    queue[STUCK] = 0
 
 
 @ti.func
