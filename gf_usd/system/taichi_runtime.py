@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import importlib
 import io
@@ -17,6 +18,7 @@ from gf_usd.core.errors import GfUsdError, UsageError
 from gf_usd.system.taichi_fast_start import quick_import, quicken, restore
 
 DEVICES = ("cpu", "cuda")
+MULTIPROCESSOR_COUNT = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT of the CUDA driver's interface
 THREADS = 8  # that kernels are compiled for, at least
 # [bytes] Taichi's own limit of 100 MB holds 175 kernels: a few laws, mass matrices and precisions
 # in turn remove each other's, and each bake compiles them again.
@@ -131,8 +133,9 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     """Start Taichi, or leave it alone where it already runs with the same arguments.
 
     Another set of arguments starts it anew, which invalidates every field and ndarray made
-    before.  ``real_matrix_scalarize`` is off because the solver's SIMD kernels need it off;
-    with it off a kernel must build vectors by hand and never load one from a ``Vector.field``.
+    before.  On the CPU ``real_matrix_scalarize`` is off because the solver's SIMD kernels need it
+    off; with it off a kernel must build vectors by hand and never load one from a ``Vector.field``.
+    For CUDA Taichi has no square root of a vector: there it is on.
     ``fast_math`` is off so that a result does not depend on how a loop was vectorised.
 
     Parameters
@@ -171,7 +174,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             cpu_max_num_threads=wanted["threads"],
             offline_cache=True,
             offline_cache_max_size_of_files=KERNEL_CACHE,
-            real_matrix_scalarize=False,
+            real_matrix_scalarize=device == "cuda",
             fast_math=False,
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
             log_level=ti.ERROR,
@@ -238,12 +241,27 @@ def resident_blocks() -> int:
     """Blocks of a kernel's threads that the GPU holds at once, two for each of its multiprocessors;
     0 on a CPU.
 
-    Taichi compiles kernels so that two fit, and starts no more than 32 for each.
+    Taichi compiles each kernel so that two of its blocks fit (`minctasm` in its code generator).
     """
-    if _started.get("device") != "cuda":
-        return 0
-    config = importlib.import_module("taichi.lang.impl").get_runtime().prog.config()
-    return 2 * config.saturating_grid_dim // 32
+    return 2 * _multiprocessors() if _started.get("device") == "cuda" else 0
+
+
+@cache
+def _multiprocessors() -> int:
+    """Of the first device that the driver shows, which is the one that Taichi takes."""
+    driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    device, count = ctypes.c_int(), ctypes.c_int()
+    failed = (
+        driver.cuInit(0)
+        or driver.cuDeviceGet(ctypes.byref(device), 0)
+        or driver.cuDeviceGetAttribute(ctypes.byref(count), MULTIPROCESSOR_COUNT, device)
+    )
+    if failed:
+        raise GfUsdError(
+            f"The CUDA driver did not say how many multiprocessors the GPU has: error {failed}",
+            "use --device cpu, or check with nvidia-smi that the driver sees the card",
+        )
+    return count.value
 
 
 def threads() -> int:

@@ -24,8 +24,9 @@ import numpy as np
 
 from gf_usd.core.errors import GfUsdError
 from gf_usd.physics.taichi_arrays import Launcher
+from gf_usd.physics.total_lagrangian.layout import LANES
 from gf_usd.physics.total_lagrangian.setup import Body
-from gf_usd.physics.total_lagrangian.stages import CLOSES, OPENS, STUCK
+from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS, STUCK
 from gf_usd.physics.total_lagrangian.state import State
 from gf_usd.system.background import at_work
 from gf_usd.system.taichi_runtime import cores
@@ -80,7 +81,7 @@ class Launches:
                 tail = (many, ends, *when, *numbers)
                 self.thread_count.launch(partial(self._draw, counts, tail), many)
             elif self._way == "resident":
-                self._stay(state, (*counts, many, ends, *when, *numbers), many)
+                self._stay(state, (*counts, self._blocks(counts)), (many, ends, *when, *numbers))
             else:
                 self._kernel(*counts, ends, *when, *numbers)
             done += many
@@ -96,17 +97,22 @@ class Launches:
             return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
         return 1
 
-    def _stay(self, state: State, values: tuple[Any, ...], substeps: int) -> None:
+    def _blocks(self, counts: tuple[int, ...]) -> int:
+        """Blocks of threads for so many items: the fewer there are, the sooner all have arrived."""
+        groups, free, followers, active = counts
+        most = max(LANES * groups, free + followers, active)
+        return min(self._body.kernels.held, -(-most // BLOCK))
+
+    def _stay(self, state: State, counts: tuple[int, ...], tail: tuple[Any, ...]) -> None:
         """A launch of threads that stay.  Raises GfUsdError where they did not all start."""
         began = time.perf_counter()
-        self._kernel(*values)
+        self._kernel(*counts, *tail)
         if state.get("queue")[STUCK]:  # read when the launch is done
             raise GfUsdError(
-                f"a launch of {self._body.kernels.blocks} blocks of threads was not held by the GPU"
-                " at once",
+                f"the GPU did not run {counts[-1]} blocks of {BLOCK} threads at once",
                 "close what else runs on the GPU, or use --device cpu",
             )
-        self._pace = (time.perf_counter() - began) / substeps
+        self._pace = (time.perf_counter() - began) / tail[0]
 
     def _draw(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
         self._kernel(*counts, threads, *tail)

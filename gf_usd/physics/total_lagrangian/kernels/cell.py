@@ -23,7 +23,6 @@ from gf_usd.physics.laws.simd3x3 import (
     unrolled,
     von_mises,
 )
-from gf_usd.physics.total_lagrangian.kernels.limits import touch
 from gf_usd.physics.total_lagrangian.kernels.scalar import clip_matrix, cut_matrix, listed, matrix
 from gf_usd.physics.total_lagrangian.kernels.simd import (
     add_pressure,
@@ -185,9 +184,7 @@ def filter_cell(body: ti.template(), z):
 
 
 @ti.func
-def cell_energy(
-    body: ti.template(), z, laws: ti.template(), ih, converged, options: ti.template()
-):
+def cell_energy(body: ti.template(), z, laws: ti.template(), ih, converged, options: ti.template()):
     """sum_p V0 psi(F_p) of cell z, before what is due to flow has flowed."""
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)

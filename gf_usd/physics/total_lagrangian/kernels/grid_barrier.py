@@ -8,17 +8,17 @@ counter and waits until all have:
     block barrier;  fence;  arrived++;  wait until arrived = blocks k, at the k-th barrier;  fence
 
 Taichi compiles each kernel so that a multiprocessor holds two of its blocks (`minctasm` in its code
-generator), which is how many are started.  Where blocks were missing all the same, the others give
-up after TRIES, the counter behind STUCK says so, and the launch is an error.
+generator), and no more are started.  Where blocks are missing all the same, the others give up
+after TRIES and open all barriers; STUCK says so, and the launch is an error.
 """
 
 import taichi as ti
 
-from gf_usd.physics.total_lagrangian.stages import APART, STUCK
+from gf_usd.physics.total_lagrangian.stages import APART, BLOCK, STUCK
 
-BLOCK = 256  # threads; a multiprocessor holds two blocks, with 128 registers a thread
 WARP = 32
-TRIES = 1 << 23  # some seconds
+TRIES = 1 << 21  # a second or two
+OPEN = 1 << 29  # more than blocks ever arrive in a launch
 
 
 @ti.func
@@ -41,5 +41,6 @@ def wait_for_all(queue: ti.template(), z, target):
             tries += 1
         if arrived < target:
             queue[STUCK] = 1
+            ti.atomic_max(queue[APART], OPEN)
         ti.simt.grid.memfence()
     ti.simt.block.sync()

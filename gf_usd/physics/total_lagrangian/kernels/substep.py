@@ -27,7 +27,7 @@ from gf_usd.physics.total_lagrangian.kernels.cell import (
     filter_cell,
     stress_cell,
 )
-from gf_usd.physics.total_lagrangian.kernels.grid_barrier import BLOCK, item_of, wait_for_all
+from gf_usd.physics.total_lagrangian.kernels.grid_barrier import item_of, wait_for_all
 from gf_usd.physics.total_lagrangian.kernels.nodes import (
     drift_goal,
     drift_node,
@@ -74,6 +74,7 @@ from gf_usd.physics.total_lagrangian.limits import (
     Options,
 )
 from gf_usd.physics.total_lagrangian.stages import (
+    BLOCK,
     CLOSES,
     FILTERING,
     FOLLOWERS,
@@ -124,14 +125,13 @@ def pack_type(real, epoch: int):
 
 @cache
 def build(
-    laws, damped: bool, real, epoch: int, options: Options = DEFAULT, blocks: int = 0
+    laws, damped: bool, real, epoch: int, options: Options = DEFAULT, held: int = 0
 ) -> SimpleNamespace:
     """The kernels for a set of laws, with or without viscosity and the paper's options.
 
-    laws : `registry.LawSet`; real : f32 or f64; blocks : of threads that a GPU holds at once, 0 on
-    a CPU, where `resident` has one thread.
+    laws : `registry.LawSet`; real : f32 or f64; held : blocks of threads that a GPU holds at once,
+    0 on a CPU, where `resident` has one thread.
     """
-    width = max(1, blocks * BLOCK)
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
     table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
@@ -296,47 +296,48 @@ def build(
     @ti.kernel
     def resident(
         body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
-        substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec,
-        lift: real, dt: real, keep: real,
+        blocks: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
+        g: vec, up: vec, lift: real, dt: real, keep: real,
     ):  # fmt: skip
         """So many substeps in one launch, whose threads stay: for GPUs; see `kernels.grid_barrier`.
 
-        every, phase : see `queued`.
+        blocks : that take part, 0 on a CPU; every, phase : see `queued`.
         """
         clear(body.queue)
         ti.loop_config(block_dim=BLOCK)
-        for z in range(ti.static(width)):
-            paired = body.sample_active[0]
-            barriers = 0
-            for s in range(substeps):
-                drift = dt
-                if s == substeps - 1 and ends & CLOSES > 0:
-                    drift = 0.5 * dt
-                for step in range(ti.static(len(table))):
-                    some = 0
-                    way = drift
-                    filtering = 0
-                    for number, stage in ti.static(numbered):
-                        if step == number:
-                            for part in ti.static(stage.parts):
-                                some += size(part, groups, free, followers, active, paired)
-                            some *= due(stage, s, ends, every, phase, paired)
-                            way = way_of(stage, dt, drift)
-                            if ti.static(stage.when == FILTERING):
-                                filtering = 1
-                    if some > 0:
-                        for part, steps in ti.static(work):
-                            if is_in(step, steps):
-                                n = item_of(z, blocks) if ti.static(blocks > 0) else z
-                                while n < size(part, groups, free, followers, active, paired):
-                                    act(
-                                        part, body, n, free, free + followers, active, alpha, g,
-                                        up, lift, dt, drift, way, keep, filtering,
-                                    )  # fmt: skip
-                                    n += width
-                        if ti.static(blocks > 0):
-                            barriers += 1
-                            wait_for_all(body.queue, z, barriers * blocks)
+        for z in range(ti.static(max(1, held * BLOCK))):
+            if z < ti.max(1, blocks * BLOCK):
+                paired = body.sample_active[0]
+                barriers = 0
+                for s in range(substeps):
+                    drift = dt
+                    if s == substeps - 1 and ends & CLOSES > 0:
+                        drift = 0.5 * dt
+                    for step in range(ti.static(len(table))):
+                        some = 0
+                        way = drift
+                        filtering = 0
+                        for number, stage in ti.static(numbered):
+                            if step == number:
+                                for part in ti.static(stage.parts):
+                                    some += size(part, groups, free, followers, active, paired)
+                                some *= due(stage, s, ends, every, phase, paired)
+                                way = way_of(stage, dt, drift)
+                                if ti.static(stage.when == FILTERING):
+                                    filtering = 1
+                        if some > 0:
+                            for part, steps in ti.static(work):
+                                if is_in(step, steps):
+                                    n = item_of(z, blocks)
+                                    while n < size(part, groups, free, followers, active, paired):
+                                        act(
+                                            part, body, n, free, free + followers, active, alpha,
+                                            g, up, lift, dt, drift, way, keep, filtering,
+                                        )  # fmt: skip
+                                        n += ti.max(1, blocks * BLOCK)
+                            if ti.static(held > 0):
+                                barriers += 1
+                                wait_for_all(body.queue, z, barriers * blocks)
 
     @ti.kernel
     def parallel(
@@ -393,6 +394,10 @@ def build(
                     group_von_mises(body, z // STRIDE, out, laws, ih, converged, options)
 
     return SimpleNamespace(
-        queued=queued, resident=resident, parallel=parallel, energy=energy, stress=stress,
-        blocks=blocks,
+        queued=queued,
+        resident=resident,
+        parallel=parallel,
+        energy=energy,
+        stress=stress,
+        held=held,
     )
