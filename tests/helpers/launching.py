@@ -8,19 +8,18 @@ from gf_usd.physics.total_lagrangian import launch
 from gf_usd.physics.total_lagrangian.launch import Launches
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
-WAYS = ("alone", "shared", "one by one", "over all", "resident")
+WAYS = ("alone", "shared", "one by one", "resident")
 
 
 def launched(solver: TotalLagrangian, way: str, monkeypatch: pytest.MonkeyPatch) -> TotalLagrangian:
     """The solver, made to launch its substeps in a way.
 
     alone : one thread, a frame a launch; shared : four threads, whatever the machine has, draw
-    pieces of a few items; one by one : the same, a substep a launch; over all : a substep a launch,
-    by Taichi's threads; resident : as on a GPU, which one thread stands for.
+    pieces of a few items; one by one : the same, a substep a launch; resident : as on a GPU, which
+    one thread stands for.
     """
-    if way in ("over all", "resident"):
-        kernel = "parallel" if way == "over all" else way
-        solver.launches = Launches(solver.body, solver.state, kernel)
+    if way == "resident":
+        solver.launches = Launches(solver.body, solver.state, way)
         return solver
     monkeypatch.setattr(launch, "BUSY", 0.0)  # keeps its threads on a busy machine, too
     monkeypatch.setattr(launch, "LAUNCH_SECONDS", 1e-9 if way == "one by one" else 1e9)

@@ -18,6 +18,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.geometry.skinning import KEPT_BYTES
 from gf_usd.pipeline.cost import budget
 from gf_usd.pipeline.cost.budget import (
+    GPU_SUBSTEP_SECONDS,
     PAIR_SECONDS,
     Solvers,
     duration,
@@ -103,6 +104,20 @@ def test_what_more_work_costs(plan: Plan) -> None:
     assert one < two < 2.0 * one, "imports and kernels are paid for once"
     assert seconds(replace(plan, settings=replace(plan.settings, frames=310))) > one
     assert seconds(replace(plan, settings=replace(plan.settings, solver="ul"))) > 0.0
+
+
+def test_a_gpu_pays_for_each_substep_and_hardly_for_each_particle(plan: Plan) -> None:
+    def substeps(device: str, times: int) -> float:
+        """[s] that frames of so many substeps add."""
+        made = replace(plan.settings, device=device, substeps=times * 1000, threads=1)
+        few = replace(made, substeps=1000)
+        one, other = (cost(replace(plan, settings=s))["estimated_seconds"] for s in (made, few))
+        return one - other
+
+    n = len(plan.particles)
+    fixed, each = GPU_SUBSTEP_SECONDS
+    assert substeps("cuda", 2) == pytest.approx(1.4 * 30 * 1000 * (fixed + each * n), rel=1e-6)
+    assert substeps("cuda", 2) != substeps("cpu", 2)
 
 
 @pytest.mark.slow

@@ -37,8 +37,7 @@ FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 class Launches:
     """The launches of a body's substeps.
 
-    kernel : "queued", as on the CPU; "resident", as on a GPU; "parallel", a substep a launch, whose
-        loops Taichi shares among its threads.  None: what the device asks for.
+    kernel : "queued", as on the CPU, or "resident", as on a GPU; None: what the device asks for.
     """
 
     def __init__(self, body: Body, state: State, kernel: str | None = None) -> None:
@@ -49,11 +48,11 @@ class Launches:
         self._vectors = tuple(
             vector([float(v) for v in values]) for values in (s.gravity, s.normal)
         )
-        self._way = kernel or ("queued" if s.device == "cpu" else "resident")
+        kernel = kernel or ("queued" if s.device == "cpu" else "resident")
         self._body, self.thread_count = body, None
-        self._kernel = Launcher(getattr(body.kernels, self._way), state.pack)
+        self._kernel = Launcher(getattr(body.kernels, kernel), state.pack)
         self._pace = GUESS * len(body.particles)
-        if self._way == "queued":
+        if kernel == "queued":
             self.thread_count = ThreadCount(s.threads or cores(), len(body.particles))
 
     def run(
@@ -80,10 +79,8 @@ class Launches:
             if self.thread_count:
                 tail = (many, ends, *when, *numbers)
                 self.thread_count.launch(partial(self._draw, counts, tail), many)
-            elif self._way == "resident":
-                self._stay(state, (*counts, self._blocks(counts)), (many, ends, *when, *numbers))
             else:
-                self._kernel(*counts, ends, *when, *numbers)
+                self._stay(state, (*counts, self._blocks(counts)), (many, ends, *when, *numbers))
             done += many
             if on_launch:
                 on_launch()
@@ -93,9 +90,7 @@ class Launches:
         """How many of so many substeps the next launch takes."""
         if self.thread_count:
             return self.thread_count.fitting(substeps)
-        if self._way == "resident":
-            return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
-        return 1
+        return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
 
     def _blocks(self, counts: tuple[int, ...]) -> int:
         """Blocks of threads for so many items: the fewer there are, the sooner all have arrived."""

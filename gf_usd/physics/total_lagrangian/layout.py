@@ -7,7 +7,7 @@ each other.
 
 Arrays of a body for the plain kernels: particles in the order of their cells, one after another.
 
-Where the fast kernels keep groups of eight cells, these keep cells and particles: `plain_kernel`.
+Where the fast kernels keep groups of eight cells, these keep cells and particles: `kernels.scalar`.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ ALWAYS, OPENING, FILTERING, TOUCHING = "always", "opening", "filtering", "touchi
 APART = 32  # numbers between the two counters of a launch: they share no cache line
 STUCK = 2 * APART  # where threads of a GPU note that others never came
 QUEUE = 3 * APART  # numbers of the array that they stand in
-# Threads of a block on a GPU.  With 256 there are 128 registers a thread, and a body with viscosity
-# takes 1.3 times as long (H200, a million particles).
+# Threads of a block on a GPU.  With 256 a thread has 128 registers, and a body with viscosity takes
+# 1.28 times as long (H200, a million particles).
 BLOCK = 128
 
 OPENS, CLOSES = 1, 2  # bits: a launch begins a frame, ends one

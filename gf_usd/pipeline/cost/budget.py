@@ -77,6 +77,7 @@ class Solvers:
 
 # [s] of a substep, and of each particle in it, by solver, on one thread; measured
 SUBSTEP_SECONDS = {"tl": (1.0e-5, 6.6e-8), "ul": (2e-6, 1.5e-7), MIXED: (3e-4, 1.8e-7)}
+GPU_SUBSTEP_SECONDS = (7e-5, 1.7e-10)  # the same on a GPU with 4.8 TB/s (tools/bench/gpu.py)
 CONTACT = 1.4  # longer with the contact of a shot, in the mean
 FLOW = 1.3  # longer where the law flows
 ALONE = 1500  # particles for each thread: fewer threads share a substep of fewer particles
@@ -147,7 +148,8 @@ def estimate(
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are dear to build
     memory = PROCESS_MEMORY + PARTICLE_MEMORY * n * waiting + VERTEX_MEMORY * vertices
-    fixed, each = SUBSTEP_SECONDS[settings.solver]
+    on_gpu = settings.solver == "tl" and settings.device == "cuda"
+    fixed, each = GPU_SUBSTEP_SECONDS if on_gpu else SUBSTEP_SECONDS[settings.solver]
     substep = CONTACT * (fixed + each * n)
     if paired:
         memory += CONTACT_PAIR_MEMORY * paired

@@ -48,7 +48,7 @@ from gf_usd.physics.total_lagrangian.limits import NO_GOALS, SPRINGS
 
 @ti.func
 def block_sum(body: ti.template(), node, plain: ti.template()):
-    """Sum of what the node's cells hold for it, in a fixed order; `plain_kernel` has summed it."""
+    """Sum of what the node's cells hold for it, in a fixed order; `node_force` has summed it."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     if ti.static(plain):
         for a in ti.static(range(3)):

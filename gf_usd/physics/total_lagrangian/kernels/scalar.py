@@ -3,9 +3,9 @@
     F_p = I + sum_i u_i (x) G_ip,   T_p = V0_p P(F_p)           a thread a particle
     f_i = -sum_p T_p G_ip                                        a thread a node
 
-This is the path for GPUs, and the reference that the tests hold the fast kernels (`cell_kernel`)
-to.  A node's thread walks the particles of its cells in a fixed order: nothing is added atomically,
-and nothing depends on the number of threads.
+This is the reference that the tests compare `kernels.simd` and `kernels.cell` with.  A node's
+thread walks the particles of its cells in a fixed order: nothing is added atomically, and nothing
+depends on the number of threads.
 
 What a node has received stands in lane n % 8 of block 3 (n // 8) + d; behind the nodes stand nine
 numbers of each particle, T, or twelve, m v_p and 4 m C_p.  Laws are those of the fast kernels, on

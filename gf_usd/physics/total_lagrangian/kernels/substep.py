@@ -340,28 +340,6 @@ def build(
                                 wait_for_all(body.queue, z, barriers * blocks)
 
     @ti.kernel
-    def parallel(
-        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32, ends: ti.i32,
-        every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec, lift: real, dt: real,
-        keep: real,
-    ):  # fmt: skip
-        """One substep, a thread an item."""
-        closing = (ends & CLOSES) // CLOSES
-        paired = body.sample_active[0]
-        for stage in ti.static(table):
-            for part in ti.static(stage.parts):
-                for n in range(
-                    size(part, groups, free, followers, active, paired)
-                    * due(stage, 0, ends, every, phase, paired)
-                ):
-                    drift = dt - 0.5 * dt * closing
-                    act(
-                        part, body, n, free, free + followers, active, alpha, g, up, lift, dt,
-                        drift, way_of(stage, dt, drift), keep,
-                        ti.static(1 if stage.when == FILTERING else 0),
-                    )  # fmt: skip
-
-    @ti.kernel
     def energy(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
         """out[cell] = sum_p V0 psi(F_p); of each particle where they are plain."""
         ih = body.numbers[PER_H]
@@ -396,7 +374,6 @@ def build(
     return SimpleNamespace(
         queued=queued,
         resident=resident,
-        parallel=parallel,
         energy=energy,
         stress=stress,
         held=held,
