@@ -97,6 +97,7 @@ OPPOSED = 0.5  # cosine from where two walls, or two patches, look at each other
 FOLD = 0.25  # cosine by which neighboring patches turn to each other before they are looked at
 CREASE = 0.75  # cosine by which they turn at most before it is looked whether they do
 CHANGE = 0.5  # of a relative speed: by as much a velocity may change until the next detection
+MOST = 16_000  # pairs of parts of patches that are looked at
 STIR = 1e-3  # [spacings] that a patch is moved by to see how fast it turns
 
 
@@ -174,6 +175,7 @@ class Patches:
         first = (bb[self._of] * a - ab[self._of] * b) * scale[self._of]
         second = (aa[self._of] * b - ab[self._of] * a) * scale[self._of]
         self._mean = mean
+        self._parts = _Parts(X, self._of, 0.5 * edge)
         self._first = csr_matrix((first[columns], (rows, columns)))
         self._second = csr_matrix((second[columns], (rows, columns)))
         self._a, self._b = np.triu_indices(len(self._count), 1)
@@ -217,13 +219,35 @@ class Patches:
             fold = float((left / turn).min()) / (1.0 + CHANGE)
         return Judged(near=near, gap=gap, until=until, rate=rate, fold=fold)
 
-    def few(self, judged: Judged, span: float, most: int) -> Ints:
-        """The pairs of patches that may meet first and within a span [s].
+    def unseen(self, judged: Judged, x: Floats, v: Floats, span: float, clear: float) -> Floats:
+        """(P,) [s] before what samples of a pair do not see comes as near as it must be seen.
+
+        Pairs that are near are seen, so that what is farther off may come as near as `clear` [m];
+        others may come to half of what is seen.  What is sooner than span [s] by the patches, and
+        of that the first, is asked of parts of them: samples that are close move alike.
+        """
+        until = judged.until.copy()
+        left = np.where(judged.near, clear, 0.5 * self._see)
+        near = np.flatnonzero(judged.near)
+        until[near] = (self._see - clear) / np.maximum(judged.rate[near], 1e-30)
+        some = np.flatnonzero(until < span)
+        some = some[np.argsort(until[some], kind="stable")]
+        some = some[: self._parts.fitting(self._a[some], self._b[some])]
+        if len(some):
+            gap, rate, start = self._parts.pairs(self._a[some], self._b[some], x, v)
+            far = np.repeat(left[some], np.diff(np.append(start, len(gap))))
+            later = np.maximum(gap, self._see) - far
+            least = np.minimum.reduceat(later / np.maximum(rate, 1e-30), start)
+            until[some] = np.maximum(until[some], least)
+        return until
+
+    def few(self, until: Floats, span: float, most: int) -> Ints:
+        """The pairs of patches that may meet first, by until (P,) [s], and within a span [s].
 
         most : pairs of samples that they have at most.
         """
-        pairs = np.flatnonzero(judged.until < span)
-        pairs = pairs[np.argsort(judged.until[pairs], kind="stable")]
+        pairs = np.flatnonzero(until < span)
+        pairs = pairs[np.argsort(until[pairs], kind="stable")]
         size = np.cumsum(self._count[self._a[pairs]] * self._count[self._b[pairs]])
         return pairs[size <= most]
 
@@ -277,3 +301,46 @@ class Patches:
         one = dot(along, tuple(q.take(a) for q in columns))
         other = dot(along, tuple(q.take(b) for q in columns))
         return np.minimum(one, -other) / np.maximum(np.sqrt(dot(along, along)), 1e-30)
+
+
+class _Parts:
+    """Patches `of` (n,) of samples X (n, 3) [m] at rest, divided by cells of an edge [m]."""
+
+    def __init__(self, X: Floats, of: Ints, edge: float) -> None:
+        from scipy.sparse import csr_matrix
+
+        cell = np.floor((X - X.min(0)) / edge).astype(np.int64)
+        found, part = np.unique(np.column_stack([of, cell]), axis=0, return_inverse=True)
+        self._of = part.reshape(-1)
+        self._order = np.argsort(self._of, kind="stable")
+        count = np.bincount(self._of)
+        self._start = np.cumsum(count) - count
+        rows = self._of[self._order]
+        self._mean = csr_matrix((1.0 / count[rows], (rows, self._order)))
+        self._count = np.bincount(found[:, 0])  # parts of each patch
+        self._first = np.cumsum(self._count) - self._count
+
+    def fitting(self, a: Ints, b: Ints) -> int:
+        """How many of the first pairs (k,) of patches have no more than MOST pairs of parts."""
+        return int(np.searchsorted(np.cumsum(self._count[a] * self._count[b]), MOST, "right"))
+
+    def pairs(self, a: Ints, b: Ints, x: Floats, v: Floats) -> tuple[Floats, Floats, Ints]:
+        """[m] between the balls around every part of a patch a (k,) and of its partner in b (k,),
+        [m/s] at which they may come together, and where those of each pair (k,) begin.
+        """
+        size = self._count[a] * self._count[b]
+        start = np.cumsum(size) - size
+        of = np.repeat(np.arange(len(a)), size)
+        i, j = np.divmod(np.arange(len(of)) - start[of], self._count[b][of])
+        i, j = self._first[a][of] + i, self._first[b][of] + j
+        c, mean = self._mean @ x, self._mean @ v
+        r, spread = self._farthest(x - c[self._of]), self._farthest(v - mean[self._of])
+        away = differences(c, i, j)
+        distance = np.sqrt(dot(away, away))
+        rate = closing(away, distance, differences(mean, i, j))
+        rate += (1.0 + CHANGE) * (spread.take(i) + spread.take(j))
+        return distance - r.take(i) - r.take(j), rate, start
+
+    def _farthest(self, away: Floats) -> Floats:
+        squared = np.einsum("na,na->n", away, away)
+        return np.sqrt(np.maximum.reduceat(squared[self._order], self._start))

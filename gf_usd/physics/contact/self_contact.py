@@ -100,13 +100,11 @@ class SelfContact:
         """
         patches = self._patches
         judged = patches.judge(x, v)
-        until = judged.until.copy()
-        # Of what is not looked at one by one the bound is that of how far samples see.
-        unseen = (2.0 * SEE - CLEAR) * self._spacing
-        until[judged.near] = unseen / np.maximum(judged.rate[judged.near], 1e-30)
         # What ends later than this, or than the pairs that are not few, is no concern.
         span = min(span, judged.fold)
-        few = patches.few(judged, span, FEW)
+        # Of what is not looked at one by one the bound is that of how far samples see.
+        until = patches.unseen(judged, x, v, span, CLEAR * self._spacing)
+        few = patches.few(until, span, FEW)
         if len(few):
             others = np.delete(until, few)
             least = min(span, float(others.min(initial=np.inf)))
@@ -174,10 +172,11 @@ class SelfContact:
         if len(rows) == 0:
             return _nothing()
         s = self._spacing
-        distance = np.linalg.norm(x[rows] - x[seeds[:, 0]], axis=1)
-        speed = np.linalg.norm(v[rows] - v[seeds[:, 0]], axis=1)
+        away = differences(x, rows, seeds[:, 0])
+        distance = np.sqrt(dot(away, away))
+        speed = closing(away, distance, differences(v, rows, seeds[:, 0]))
         close = distance < reach + s
-        until = (distance[~close] - CLEAR * s) / np.maximum(AHEAD * speed[~close], 1e-30)
+        until = (distance[~close] - CLEAR * s) / np.maximum(speed[~close], 1e-30)
         hold = float(until.min(initial=np.inf))
         if not close.any():
             return replace(_nothing(), hold=hold)

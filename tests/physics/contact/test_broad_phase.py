@@ -54,12 +54,35 @@ def test_patches_that_are_apart_wait_until_they_may_meet():
     assert not judged.near.any()
     assert 0.0 < judged.until.min() < GAP, "the legs meet after 1.5 s"
     # The bound holds for each pair: no sample of it is nearer by then, at twice that speed even.
-    pairs = patches.few(judged, np.inf, 10**9)
+    pairs = patches.few(judged.until, np.inf, 10**9)
     i, j, start = patches.samples(pairs)
     t = np.repeat(judged.until[pairs], np.diff(np.append(start, len(i))))
     later = x[j] - x[i] + t[:, None] * (v[j] - v[i])
     assert (np.linalg.norm(later, axis=1) >= 2.0 * SPACING - 1e-9).all()
-    assert len(patches.few(judged, 0.5 * float(judged.until.min()), 10**9)) == 0
+    assert len(patches.few(judged.until, 0.5 * float(judged.until.min()), 10**9)) == 0
+
+
+def test_parts_of_patches_wait_longer_and_no_sample_comes_too_near_in_that_time():
+    """One leg closes and turns, fast: the patches' velocities spread, those of their parts less."""
+    patches, samples = made()
+    x, clear, see = samples.X, 0.75 * SPACING, 4.0 * SPACING
+    right = x[:, 0] > 0.4 + 0.5 * GAP
+    spin = np.cross([0.0, 6.0, 0.0], x - x[right].mean(0)) + [-1.0, 0.0, 0.0]
+    v = np.where(right[:, None], spin, 0.0)
+    judged = patches.judge(x, v)
+    coarse = patches.unseen(judged, x, v, 0.0, clear)  # nothing is sooner than 0 s
+    until = patches.unseen(judged, x, v, np.inf, clear)
+    assert (until >= coarse).all()
+    assert until.min() > 1.2 * coarse.min()
+    pairs = np.flatnonzero(np.isfinite(until))
+    i, j, start = patches.samples(pairs)
+    size = np.diff(np.append(start, len(i)))
+    t, near = np.repeat(until[pairs], size), np.repeat(judged.near[pairs], size)
+    left = np.where(near, clear, 0.5 * see)
+    unseen = np.linalg.norm(x[j] - x[i], axis=1) >= see
+    later = x[j] - x[i] + t[:, None] * (v[j] - v[i])
+    assert unseen.sum() > 1000
+    assert (np.linalg.norm(later, axis=1) >= left - 1e-9)[unseen].all()
 
 
 def test_what_moves_as_one_never_meets():
