@@ -35,7 +35,7 @@ class SimulationFrame:
     positions: Array  # (N, 3) [m] of the particles
     velocities: Array  # (N, 3) [m/s] of the particles
     F: Array  # (N, 3, 3) deformation gradients of the particles
-    meshes: Mapping[str, Array]  # (V, 3) [m] points of each body's surface, by its name
+    meshes: Mapping[str, Array]  # (V, 3) [m] points of the surfaces of solid bodies, by name
     health: Health  # energies, momentum, strains and contact
     stress: Array | None  # (N,) [Pa] von Mises; None unless requested
 
@@ -136,8 +136,11 @@ class Simulation(Iterator[SimulationFrame]):
         )
 
     def push(self, forces: ArrayLike) -> None:
-        """Apply forces (N, 3) [N] to the particles during the following frames; 0 ends them."""
-        solver = self._running()
+        """Apply forces (N, 3) [N] to the particles during the following frames; 0 ends them.
+
+        Raises UsageError if a body of the scene flows.
+        """
+        solver = self._pushed()
         wanted = self._rows("forces", forces)
         with guest():
             solver.push(solver.body.mass.acceleration(solver.body.rows.W.T @ wanted))
@@ -147,8 +150,10 @@ class Simulation(Iterator[SimulationFrame]):
         """Add an acceleration to gravity during the following frames; 0 ends it.
 
         acceleration : (3,) [m/s^2], or a function of rest positions (n, 3) [m] to (n, 3).
+
+        Raises UsageError if a body of the scene flows.
         """
-        solver = self._running()
+        solver = self._pushed()
         field = _field("acceleration", acceleration, solver.body.stencil.free_X)
         with guest():
             solver.push(field)
@@ -161,7 +166,7 @@ class Simulation(Iterator[SimulationFrame]):
         """
         solver = self._running()
         with guest():
-            solver.throw(_field("velocities", velocities, solver.state.view().x))
+            solver.throw(_field("velocities", velocities, solver.places()))
         self._disturbed = True
 
     def save(self) -> dict[str, Any]:
@@ -213,6 +218,16 @@ class Simulation(Iterator[SimulationFrame]):
                 "give all simulations and bakes of a process the same device and threads",
             )
         return self._solver
+
+    def _pushed(self) -> Any:
+        """The solver, if it has forces on particles."""
+        solver = self._running()
+        if not solver.takes_forces:
+            raise UsageError(
+                "forces and accelerations do not act on a scene in which a body flows",
+                "set velocities, give the scene another gravity, or move an obstacle",
+            )
+        return solver
 
     def _rows(self, name: str, given: ArrayLike) -> Array:
         rows = np.asarray(given, float)

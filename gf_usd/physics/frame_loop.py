@@ -80,6 +80,7 @@ class Solver(ABC):
     strained: int = 1
     state: Saved
     on_launch: Callable[[], None] | None = None
+    takes_forces = False  # whether it has `push`
 
     @abstractmethod
     def advance(self, index: int, substeps: int) -> FrameStats:
@@ -92,6 +93,14 @@ class Solver(ABC):
     @abstractmethod
     def read(self, index: int) -> Frame:
         """The frame of the present state; its health lacks what only `FrameStats` knows."""
+
+    @abstractmethod
+    def places(self) -> Floats:
+        """(n, 3) [m] where `throw` sets velocities: of free nodes and of particles that flow."""
+
+    @abstractmethod
+    def throw(self, velocities: Floats) -> None:
+        """Replace the velocities (n, 3) [m/s] at `places`."""
 
     @property
     def frame_time(self) -> float:

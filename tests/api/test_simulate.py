@@ -97,6 +97,31 @@ def test_velocities_can_be_set_between_frames() -> None:
     assert np.allclose(frame.health.momentum, 0.0, atol=1e-3 * frame.health.mass)
 
 
+@pytest.mark.parametrize(
+    "materials",
+    [("dry-sand",), pytest.param(("jelly", "dry-sand"), marks=pytest.mark.slow)],
+    ids=["flows", "solid and flows"],
+)
+def test_what_flows_takes_velocities_and_refuses_forces(materials: tuple[str, ...]) -> None:
+    scene = gf_usd.Scene(gravity=0.0)
+    for k, material in enumerate(materials):
+        scene.add_body(UNIT + [0.0, 2.0 * k, 0.0], FACES, material=material)
+    simulation = gf_usd.simulate(scene, frames=4, particles=200)
+    first = next(simulation)
+    assert set(first.meshes) == {f"body{k}" for k, m in enumerate(materials) if m == "jelly"}
+    simulation.set_velocities((1.0, 0.0, -0.5))
+    for frame in simulation:
+        way = np.array([1.0, 0.0, -0.5]) * frame.index / FPS
+        assert np.allclose(frame.positions, first.positions + way, atol=2.0 * ROUNDING)
+    for call in (
+        lambda: simulation.push(np.zeros((len(simulation.particles), 3))),
+        lambda: simulation.accelerate((0.0, 1.0, 0.0)),
+    ):
+        with pytest.raises(gf_usd.UsageError, match="in which a body flows") as raised:
+            call()
+        assert "gravity" in str(raised.value.hint)
+
+
 def test_a_saved_state_goes_on_to_the_bit() -> None:
     scene = gf_usd.Scene(floor=0.9)
     scene.add_body(UNIT, FACES, material="jelly", velocity=(0.0, -1.0, 0.0))

@@ -101,6 +101,16 @@ class Coupled(Solver):
         """See `Solver`."""
         return max(self.solid.pressed(depth), self.flow.pressed(depth))
 
+    def places(self) -> Floats:
+        """See `Solver`: of the solid bodies, then of the others."""
+        return np.concatenate([self.solid.places(), self.flow.places()])
+
+    def throw(self, velocities: Floats) -> None:
+        """See `Solver`."""
+        solid = len(self.solid.places())
+        self.solid.throw(velocities[:solid])
+        self.flow.throw(velocities[solid:])
+
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
         for one, part in ((self.solid, self._solid), (self.flow, self._flow)):

@@ -83,6 +83,7 @@ class TotalLagrangian(Solver):
 
     body: Body
     state: State
+    takes_forces = True
 
     def __init__(
         self,
@@ -279,8 +280,12 @@ class TotalLagrangian(Solver):
         self.shortcuts.wake(self.state)
         self.settling.wake()
 
+    def places(self) -> Floats:
+        """See `Solver`; of the nodes that nothing holds."""
+        return self.state.view().x
+
     def throw(self, velocities: Floats) -> None:
-        """Replace the velocities (free, 3) [m/s] of the nodes that nothing holds."""
+        """See `Solver`."""
         v = self.state.rows("v")
         v[: len(velocities)] = velocities
         self.state.put("v", v)

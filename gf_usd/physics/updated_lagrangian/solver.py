@@ -106,6 +106,15 @@ class UpdatedLagrangian(Solver):
         )  # fmt: skip
         self.state.parts.append(self.planes)
 
+    def places(self) -> Floats:
+        """See `Solver`; of the particles."""
+        return self.state.rows("x") + self.state.offset
+
+    def throw(self, velocities: Floats) -> None:
+        """See `Solver`; the affine part C of each particle's velocity becomes 0."""
+        self.state.put("v", velocities)
+        self.state.clear("C")
+
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
         return self.state.not_finite()
