@@ -68,6 +68,22 @@ def test_a_bounce_is_read_between_the_frames(floor):
     assert found["settled_height"] is None
 
 
+def test_a_body_that_turns_upright_is_not_said_to_be_squashed():
+    """A plate that lands flat and stands on its edge for the rest of the contact."""
+    flat = CUBE * [1.0, 0.2, 1.0]
+    rows = []
+    for t in np.arange(0.0, 0.5, DT):
+        landed = t >= FLIGHT
+        y = 0.1 + (0.0 if landed else 0.5 * 9.81 * (FLIGHT**2 - t * t))
+        v = np.zeros(3) if landed else -9.81 * t * UP
+        r = flat[:, [1, 0, 2]] + 0.4 * UP if landed else flat
+        rows.append((t, y * UP + r, np.broadcast_to(v, r.shape), y * UP, v, landed))
+    found = figures(record(rows))
+    assert found["least_height"] is not None
+    assert found["least_height"][0] > np.ptp(flat[:, 1])
+    assert found["squash"] is None
+
+
 def test_a_body_that_spins_lands_on_the_corner_that_comes_first():
     spin = 2.0
     rows = list(bounce(np.arange(0.0, FLIGHT, DT), spin=spin))

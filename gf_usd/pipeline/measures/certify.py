@@ -21,7 +21,7 @@ COARSER = (2.0, 4.0)  # spacings of the coarser runs over that of the bake
 FEWEST = 64
 MOST_DIGITS = 5  # after the point, in words
 NOISE = 0.015  # of the lattice edge: what is known no better (tools/acceptance/certify.py)
-VOLUME = 1e-3  # by which the volumes of the runs may differ
+VOLUME = 0.02  # of the volume: by as much the body of a coarser run may differ, where it has a hole
 WORDS = {2.0: "half of the resolution", 4.0: "a quarter of the resolution"}
 
 
@@ -131,8 +131,9 @@ def coarser(
             )
         if abs(filled - volume) > VOLUME * volume:
             return (), (
-                f"{what} has a different body, of {filled:.4g} m^3 instead of {volume:.4g}: "
-                f"--repair makes sheets as thick as the spacing"
+                f"{what} has a different body, of {filled:.4g} m^3 instead of {volume:.4g}: each"
+                " resolution closes a hole in its own way, and --repair makes sheets as thick as"
+                " the spacing"
             )
         found.append(made)
     return tuple(found), ""

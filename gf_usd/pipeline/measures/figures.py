@@ -238,7 +238,8 @@ def figures(
     top, rate = _top(series)
     squash = least(series.times[part], top[part], rate[part])[1]
     found["least_height"] = np.array([squash])
-    found["squash"] = np.array([1.0 - squash / series.height])
+    if squash < series.height:  # what is always higher than at the start has turned
+        found["squash"] = np.array([1.0 - squash / series.height])
     rise = rebound(series)
     found["rebound"] = None if rise is None else np.array([rise])
     return found
