@@ -117,6 +117,20 @@ def test_the_page_of_the_cases_and_its_plots(tmp_path: Path) -> None:
     assert y[1] - y[0] == pytest.approx(y[2] - y[1], rel=0.05)
 
 
+def test_a_curve_of_one_point_is_no_plot(tmp_path: Path) -> None:
+    from tools.acceptance.record import newest
+    from tools.acceptance.verify_page import pages
+
+    made(False, tmp_path)
+    record = newest(tmp_path)[0]
+    for row in record["outcome"]["data"]["cases"]:
+        if "curve" in row:
+            row["curve"]["x"], row["curve"]["y"] = row["curve"]["x"][:1], row["curve"]["y"][:1]
+    files = {path.name: text for path, text in pages(record).items()}
+    assert set(files) == {"verification.md"}
+    assert ".svg" not in files["verification.md"]
+
+
 def test_only_known_sections_run() -> None:
     done = subprocess.run(
         [sys.executable, str(TOOLS / "acceptance.py"), "--only", "nothing"],

@@ -60,7 +60,11 @@ def case_lines(rows: list[dict[str, Any]], plots: dict[str, str]) -> list[str]:
     for why, group in groupby(rows, key=lambda row: row["why"]):
         names = ", ".join(row["name"].partition(".")[2] for row in group)
         lines.append(f"- {names}: {why}.")
-    curves = {row["curve"]["title"]: row["curve"] for row in rows if "curve" in row}
+    curves = {
+        row["curve"]["title"]: row["curve"]
+        for row in rows
+        if "curve" in row and len(row["curve"]["x"]) > 1
+    }
     if curves:
         lines.append("")
     for title, curve in curves.items():
