@@ -158,7 +158,8 @@ def build_contact(
     mass : of the free nodes; None: lumped.
     """
     # The floor acts along what a pin lets slide: a sample has one row for all axes.
-    rows, constants = stencil.across.rows(samples.X, samples.body, samples.cell_copy), None
+    rows = stencil.across.rows(samples.X, samples.body, samples.cell_copy, gradients=False)
+    constants = None
     driven, nodes = None, rows.W
     if stencil.held.any:
         free = stencil.free_count

@@ -66,7 +66,7 @@ class Rows:
 
     X: Floats  # (n, 3) [m]
     W: sparse.csr_matrix  # (n, M)
-    G: tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]  # (n, M) [1/m] each
+    G: tuple[sparse.csr_matrix, ...]  # three, (n, M) [1/m] each; (): nobody asks for gradients
     spread: sparse.csr_matrix | None = None  # from u to what W and G are of: see `embedded_rows`
 
     @cached_property
@@ -150,11 +150,19 @@ class Stencil:
         at = np.minimum(np.searchsorted(self.sorted_keys, keys), len(self.sorted_keys) - 1)
         return np.where(inside & (self.sorted_keys[at] == keys), self.sorted_node[at], -1)
 
-    def rows(self, X: Floats, body: Ints | None = None, cell_copy: Ints | None = None) -> Rows:
+    def rows(
+        self,
+        X: Floats,
+        body: Ints | None = None,
+        cell_copy: Ints | None = None,
+        *,
+        gradients: bool = True,
+    ) -> Rows:
         """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c.
 
         body : (n,) the body of each; None: the first.
         cell_copy : (n,) the copy of a cell that each is in, see `Particles.copies`; None: any.
+        gradients : make G, three times as much memory as W.
         """
         body = np.zeros(len(X), int) if body is None else body
         parts = [
@@ -162,15 +170,16 @@ class Stencil:
                 X[k : k + CHUNK],
                 body[k : k + CHUNK],
                 None if cell_copy is None else cell_copy[k : k + CHUNK],
+                gradients=gradients,
             )
             for k in range(0, max(len(X), 1), CHUNK)
         ]
-        W, *G = (stacked([part.pop(0) for part in parts]) for _ in range(4))
+        W, *G = (stacked([part.pop(0) for part in parts]) for _ in range(len(parts[0])))
         for one in G:
             # Which nodes count is the same for all four, and as much memory as the weights.
             if np.array_equal(one.indices, W.indices):
                 one.indices, one.indptr = W.indices, W.indptr
-        return Rows(X=X, W=W, G=(G[0], G[1], G[2]))
+        return Rows(X=X, W=W, G=tuple(G))
 
     def extension(self, beyond: Ints) -> sparse.csr_matrix:
         """From what `Rows` stack to all nodes, and to those (n, 3 or 4) that none reaches.
@@ -217,8 +226,10 @@ class Stencil:
         home[near] = cell_copy[near, None, None]
         return at, fx, np.concatenate([ijk, home], -1)
 
-    def _operators(self, X: Floats, body: Ints, cell_copy: Ints | None) -> list[sparse.csr_matrix]:
-        """W and the three of G of some points, which the four take turns to leave."""
+    def _operators(
+        self, X: Floats, body: Ints, cell_copy: Ints | None, *, gradients: bool
+    ) -> list[sparse.csr_matrix]:
+        """W and, if asked for, the three of G of some points, which take turns to leave."""
         at, fx, ijk = self.reach(X, body, cell_copy)
         missing = at < 0
         keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
@@ -233,7 +244,7 @@ class Stencil:
             out.sort_indices()
             return out
 
-        return [operator(w), *(operator(g[..., axis]) for axis in range(3))]
+        return [operator(w), *(operator(g[..., axis]) for axis in range(3 if gradients else 0))]
 
     def base(self, X: Floats) -> tuple[Ints, Floats]:
         """Base node (n, 3) and distance from it in cells (n, 3), in [0.5, 1.5)."""

@@ -52,7 +52,7 @@ class EmbeddedPoints:
     def rows(self, particles: Rows) -> sparse.csr_matrix:
         """B (n, M): velocity of the points by that of the nodes, at rest.
 
-        particles : W and G of the particles.
+        particles : W and G of the particles; W alone for points that are each at a particle.
         """
         shape = (len(self.X), len(particles.X))
         start = np.arange(len(self.X) + 1) * self.weight.shape[1]

@@ -15,7 +15,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact, largest_eigenvalue
 from gf_usd.physics.grid.bodies import fastest
-from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.grid.reference import CHUNK, Stencil, build_stencil
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.setup import (
@@ -90,16 +90,15 @@ def build_body(
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     at_rest = build_stencil(particles.X, m, h, particles.corner, free_mass=0.0)
-    rows = at_rest.rows(particles.X)
     law = particle_laws(materials, particles.material, per)
     ride = attach if law.unbounded.any() else embed
-    start = start_motion(velocity, rows, at_rest, particles.body)
+    start = start_motion(velocity, particles.X, at_rest, particles.body)
     # all that flows is one body, whatever it started as
     particles = replace(particles, body=None)
     samples = None if samples is None else replace(samples, body=None)
     setup = contact_setup
     contact, embedding = floor_contact(
-        samples, particles, at_rest, rows, settings, per, ride,
+        samples, particles, at_rest, settings, per, ride,
         meets=setup is not None and (setup.flows or bool(setup.colliders)),
         datum=setup.lowest(settings.normal) if setup is not None else np.inf,
         speed=fastest(start["v"]),
@@ -148,36 +147,44 @@ def refuse(settings: Settings, pins: Sequence[Pin]) -> None:
 
 
 def start_motion(
-    velocity: Any, rows: Rows, stencil: Stencil, body: Ints | None = None
+    velocity: Any, X: Floats, stencil: Stencil, body: Ints | None = None
 ) -> dict[str, Floats]:
-    """v (N, 3), C and L (N, 3, 3) of the particles: what the nodes of the grid at rest hand back.
+    """v (N, 3), C and L (N, 3, 3) of particles at X: what the nodes of the grid at rest hand back.
 
     velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3), or a list of these, one for each body;
     body : (N,) of the particles.
     """
-    if isinstance(velocity, list):
-        each = [start_motion(one, rows, stencil) for one in velocity]
-        mine = np.zeros(len(rows.X), np.int64) if body is None else np.asarray(body)
-        at = np.arange(len(mine))
-        return {name: np.stack([one[name] for one in each])[mine, at] for name in each[0]}
-    X = stencil.node_X
-    nodes = velocity(X) if callable(velocity) else velocity
-    nodes = np.broadcast_to(np.asarray(nodes, float), X.shape)
+    out = {"v": np.zeros((len(X), 3)), "C": np.zeros((len(X), 3, 3)), "L": np.zeros((len(X), 3, 3))}
+    of = np.zeros(len(X), np.int64) if body is None else np.asarray(body)
+    several = isinstance(velocity, list)
+    for number, one in enumerate(velocity if several else [velocity]):
+        mine = np.flatnonzero(of == number) if several else np.arange(len(X))
+        if not callable(one):
+            out["v"][mine] = one
+            continue
+        nodes = np.broadcast_to(np.asarray(one(stencil.node_X), float), stencil.node_X.shape)
+        for k in range(0, len(mine), CHUNK):
+            _hand_back(out, mine[k : k + CHUNK], X, nodes, stencil)
+    return out
+
+
+def _hand_back(
+    out: dict[str, Floats], some: Ints, X: Floats, nodes: Floats, stencil: Stencil
+) -> None:
+    """Set v, C and L of some particles from velocities (M, 3) of the nodes."""
+    rows = stencil.rows(X[some])
     v = np.asarray(rows.W @ nodes)
     # sum_i w v_i (x) (X_i - X_p), taken about each particle's own place.
-    first = np.stack([rows.W @ (nodes * X[:, b : b + 1]) for b in range(3)], -1)
-    return {
-        "v": v,
-        "C": 4.0 / stencil.h**2 * (first - v[:, :, None] * rows.X[:, None, :]),
-        "L": np.stack([G @ nodes for G in rows.G], -1),
-    }
+    first = np.stack([rows.W @ (nodes * stencil.node_X[:, b : b + 1]) for b in range(3)], -1)
+    out["v"][some] = v
+    out["C"][some] = 4.0 / stencil.h**2 * (first - v[:, :, None] * X[some][:, None, :])
+    out["L"][some] = np.stack([G @ nodes for G in rows.G], -1)
 
 
 def floor_contact(
     samples: SurfaceSamples | None,
     particles: Particles,
     stencil: Stencil,
-    rows: Rows,
     settings: Settings,
     per: dict[str, Floats],
     ride: Callable[[Floats, Floats], EmbeddedPoints] = embed,
@@ -198,7 +205,10 @@ def floor_contact(
     if contact is None or samples is None:
         return None, None
     embedding = ride(samples.X, particles.X)
-    B = embedding.rows(rows)
+    used, within = np.unique(embedding.particle, return_inverse=True)
+    some = replace(embedding, particle=within.reshape(embedding.particle.shape))
+    # points that are at their particle ask for no gradients
+    B = some.rows(stencil.rows(particles.X[used], gradients=not embedding.single))
     return replace(
         contact,
         omega2=largest_eigenvalue(B, contact.stiffness, stencil.mass),
