@@ -116,7 +116,8 @@ def memory_of(options: Mapping[str, Any]) -> float:
     """[bytes] that a bake with these options may take; shape and vertices are not known yet."""
     paper = options.get("preset") == "paper"
     default = PAPER_PARTICLES if paper else FINEST * DEFAULT_PARTICLES
-    return MARGIN * (PROCESS_MEMORY + PARTICLE_MEMORY * (options.get("particles") or default))
+    each = max(PARTICLE_MEMORY.values())
+    return MARGIN * (PROCESS_MEMORY + each * (options.get("particles") or default))
 
 
 def processes(jobs: Sequence[Job], *, memory: float | None = None) -> int:

@@ -103,7 +103,8 @@ PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's sk
 CONTACT_PAIR_SECONDS = 1e-6
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
-PARTICLE_MEMORY = 4400.0  # [bytes] a particle, mostly the rows of W and G
+# [bytes] a particle, by solver: mostly the rows of W and G, which what flows has none of
+PARTICLE_MEMORY = {"tl": 4400.0, "ul": 3000.0, MIXED: 4400.0}
 VERTEX_MEMORY = 2200.0  # [bytes] a vertex: the surface, its rows, a frame
 CONTACT_PAIR_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
 
@@ -147,7 +148,9 @@ def estimate(
     n, frames, samples = particles, settings.frames, settings.samples_per_frame
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are dear to build
-    memory = PROCESS_MEMORY + PARTICLE_MEMORY * n * waiting + VERTEX_MEMORY * vertices
+    memory = (
+        PROCESS_MEMORY + PARTICLE_MEMORY[settings.solver] * n * waiting + VERTEX_MEMORY * vertices
+    )
     on_gpu = settings.solver == "tl" and settings.device == "cuda"
     fixed, each = GPU_SUBSTEP_SECONDS if on_gpu else SUBSTEP_SECONDS[settings.solver]
     substep = CONTACT * (fixed + each * n)
