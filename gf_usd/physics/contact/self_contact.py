@@ -172,11 +172,10 @@ class SelfContact:
         if len(rows) == 0:
             return _nothing()
         s = self._spacing
-        away = differences(x, rows, seeds[:, 0])
-        distance = np.sqrt(dot(away, away))
-        speed = closing(away, distance, differences(v, rows, seeds[:, 0]))
+        distance = np.linalg.norm(x[rows] - x[seeds[:, 0]], axis=1)
+        speed = np.linalg.norm(v[rows] - v[seeds[:, 0]], axis=1)
         close = distance < reach + s
-        until = (distance[~close] - CLEAR * s) / np.maximum(speed[~close], 1e-30)
+        until = (distance[~close] - CLEAR * s) / np.maximum(AHEAD * speed[~close], 1e-30)
         hold = float(until.min(initial=np.inf))
         if not close.any():
             return replace(_nothing(), hold=hold)
