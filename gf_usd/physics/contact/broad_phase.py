@@ -113,6 +113,36 @@ def closing(away: Columns, distance: Floats, relative: Columns) -> Floats:
     return np.maximum(-along, 0.0) + CHANGE * np.sqrt(dot(relative, relative))
 
 
+def spread_closing(
+    away: Columns, distance: Floats, mean: Floats, spread: Floats, a: Ints, b: Ints
+) -> Floats:
+    """(n,) [m/s] the same of sets a and b (n,) of samples, whose velocities are mean (p, 3) [m/s]
+    and up to spread (p,) [m/s] from it.
+    """
+    rate = closing(away, distance, differences(mean, a, b))
+    rate += (1.0 + CHANGE) * (spread.take(a) + spread.take(b))
+    return rate
+
+
+def farthest(away: Floats, order: Ints, start: Ints) -> Floats:
+    """(p,) the longest of vectors (n, 3) of each set: those of `order` from its start (p,) on."""
+    squared = np.einsum("na,na->n", away, away)
+    return np.sqrt(np.maximum.reduceat(squared[order], start))
+
+
+def each_with_each(first: Ints, count: Ints, a: Ints, b: Ints) -> tuple[Ints, Ints, Ints]:
+    """Every pair (m,), (m,) of a member of a set and one of its partner, sets a and b (k,).
+
+    Third come where those of each of the k begin.  first, count : (p,) the members of a set are so
+    many numbers from its first on.
+    """
+    size = count[a] * count[b]
+    start = np.cumsum(size) - size
+    of = np.repeat(np.arange(len(a)), size)
+    i, j = np.divmod(np.arange(len(of)) - start[of], count[b][of])
+    return first[a][of] + i, first[b][of] + j, start
+
+
 def dot(p: Columns, q: Columns) -> Floats:
     """(n,) of vectors in columns."""
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
@@ -197,8 +227,7 @@ class Patches:
         gap = distance - r.take(a) - r.take(b)
         mean = self._mean @ v
         spread = self._farthest(v - mean[self._of])
-        rate = closing(away, distance, differences(mean, a, b))
-        rate += (1.0 + CHANGE) * (spread.take(a) + spread.take(b))
+        rate = spread_closing(away, distance, mean, spread, a, b)
         look = self._look(c, n, self._folds)
         open_ = look <= self._look0 + FOLD
         waits = np.zeros(len(a), bool)  # for a fold
@@ -266,12 +295,8 @@ class Patches:
 
     def samples(self, pairs: Ints) -> tuple[Ints, Ints, Ints]:
         """Every pair (m,), (m,) of samples of pairs (k,) of patches, and where each (k,) begins."""
-        a, b = self._a[pairs], self._b[pairs]
-        size = self._count[a] * self._count[b]
-        start = np.cumsum(size) - size
-        of = np.repeat(np.arange(len(pairs)), size)
-        i, j = np.divmod(np.arange(len(of)) - start[of], self._count[b][of])
-        return self._order[self._start[a][of] + i], self._order[self._start[b][of] + j], start
+        i, j, start = each_with_each(self._start, self._count, self._a[pairs], self._b[pairs])
+        return self._order[i], self._order[j], start
 
     def _shape(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Center (p, 3) [m], normal (p, 3) and radius (p,) [m] of each patch."""
@@ -285,8 +310,7 @@ class Patches:
         return n / np.where(length > 0.0, length, 1.0)
 
     def _farthest(self, away: Floats) -> Floats:
-        squared = np.einsum("na,na->n", away, away)
-        return np.sqrt(np.maximum.reduceat(squared[self._order], self._start))
+        return farthest(away, self._order, self._start)
 
     def _gap(self, away: Columns, r: Floats) -> Floats:
         """(P,) [m] between the balls around the two of each pair, whose middles are away."""
@@ -328,19 +352,13 @@ class _Parts:
         """[m] between the balls around every part of a patch a (k,) and of its partner in b (k,),
         [m/s] at which they may come together, and where those of each pair (k,) begin.
         """
-        size = self._count[a] * self._count[b]
-        start = np.cumsum(size) - size
-        of = np.repeat(np.arange(len(a)), size)
-        i, j = np.divmod(np.arange(len(of)) - start[of], self._count[b][of])
-        i, j = self._first[a][of] + i, self._first[b][of] + j
+        i, j, start = each_with_each(self._first, self._count, a, b)
         c, mean = self._mean @ x, self._mean @ v
-        r, spread = self._farthest(x - c[self._of]), self._farthest(v - mean[self._of])
+        r, spread = (
+            farthest(q - middle[self._of], self._order, self._start)
+            for q, middle in ((x, c), (v, mean))
+        )
         away = differences(c, i, j)
         distance = np.sqrt(dot(away, away))
-        rate = closing(away, distance, differences(mean, i, j))
-        rate += (1.0 + CHANGE) * (spread.take(i) + spread.take(j))
+        rate = spread_closing(away, distance, mean, spread, i, j)
         return distance - r.take(i) - r.take(j), rate, start
-
-    def _farthest(self, away: Floats) -> Floats:
-        squared = np.einsum("na,na->n", away, away)
-        return np.sqrt(np.maximum.reduceat(squared[self._order], self._start))

@@ -112,8 +112,7 @@ class TotalLagrangian(Solver):
         self.body = body = build_body(
             particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
             pins=pins, contact_setup=contact_setup, goals=goals, embedded_body=embedded_body,
-            embedded_copy=embedded_copy, h=h, real=real, plain=plain,
-            cells=cells,
+            embedded_copy=embedded_copy, h=h, real=real, plain=plain, cells=cells,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
         extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
