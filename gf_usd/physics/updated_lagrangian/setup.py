@@ -83,7 +83,7 @@ def build_body(
     """The body of these; parameters as of `UpdatedLagrangian`.  Taichi must run."""
     import taichi as ti
 
-    from gf_usd.physics.updated_lagrangian.kernels import build, pack_type
+    from gf_usd.physics.updated_lagrangian.kernels.substep import build, pack_type
     from gf_usd.system.taichi_runtime import epoch
 
     per = per_particle(particles, materials)
@@ -234,7 +234,7 @@ def arrays(body: Body) -> dict[str, Floats]:
         "viscosity": viscosities(per, body.h).ravel(),
         "push": np.zeros(12 * n),
         "wall_impulse": np.zeros(3),
-        "grid": np.zeros(6, int),  # see `sort_kernels`
+        "grid": np.zeros(6, int),  # see `kernels.sorting`
         **whole,
         **_contact_arrays(body.contact, body.embedding, n, body.meets),
     }

@@ -1,9 +1,9 @@
 """Updated Lagrangian MLS-MPM: the usual way, to compare with (GaussianFlesh section 4.4).
 
 The state is x, v, C, F and L = grad v on the particles.  The grid is built anew in every substep
-around where they are now, fixed in the world, and forgotten: `kernels`.  Contact samples and mesh
-vertices are embedded in the particles: `embedded_points`.  APIC acts in every substep, so there is
-no filter rate.
+around where they are now, fixed in the world, and forgotten: `kernels.substep`.  Contact samples
+and mesh vertices are embedded in the particles: `embedded_points`.  APIC acts in every substep, so
+there is no filter rate.
 
 Positions are kept relative to `offset`, which moves with the body by whole cells, so that a long
 fall costs them no digits and the grid stays where it is.

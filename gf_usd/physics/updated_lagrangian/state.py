@@ -19,7 +19,7 @@ from gf_usd.physics.updated_lagrangian.walls import NOWHERE, Planes
 
 LARGEST_GRID = 1 << 25  # nodes: 5 GB
 PARTICLES = ("x", "v", "C", "F", "L")
-FAULT = 4  # of `grid`: see `sort_kernels`
+FAULT = 4  # of `grid`: see `kernels.sorting`
 OVERFLOW = 2
 FEW = 64  # empty cells that are kept in addition to half the number of filled ones
 SPARE = 1.75  # times the cells and nodes there are that arrays have room for

@@ -2,8 +2,8 @@
 
 import taichi as ti
 
-from gf_usd.physics.updated_lagrangian.particle_kernels import node_sum, vector
-from gf_usd.physics.updated_lagrangian.sort_kernels import find_node
+from gf_usd.physics.updated_lagrangian.kernels.particles import node_sum, vector
+from gf_usd.physics.updated_lagrangian.kernels.sorting import find_node
 
 REACH = 4  # [half cells] before a plane, of nodes whose images particles may touch
 

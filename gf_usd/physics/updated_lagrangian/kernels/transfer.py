@@ -6,7 +6,7 @@ To the grid, with the Kirchhoff stress tau = P F^T and world gradients (Gaussian
     p_i = sum_p w_ip m_p (v_p + C_p (x_i - x_p)) - dt sum_p V0_p tau_p grad w_ip
         + dt sum_p (w_ip f_p + M_p grad w_ip)
 
-f_p and M_p are what the floor does to a particle and about it (`ul_particle_kernel`).  Back:
+f_p and M_p are what the floor does to a particle and about it (`kernels.particles`).  Back:
 
     v_p = sum_i w_ip v_i,   C_p = 4/h^2 sum_i w_ip v_i (x) (x_i - x_p)
     L_p = sum_i v_i (x) grad w_ip
@@ -32,7 +32,7 @@ from gf_usd.physics.laws import stress
 from gf_usd.physics.laws.registry import GRADIENT
 from gf_usd.physics.laws.simd3x3 import LANES, double_dot, product
 from gf_usd.physics.total_lagrangian.kernels.simd import lane_sum
-from gf_usd.physics.updated_lagrangian.particle_kernels import vector
+from gf_usd.physics.updated_lagrangian.kernels.particles import vector
 
 
 @ti.func

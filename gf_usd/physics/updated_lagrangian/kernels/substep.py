@@ -1,15 +1,16 @@
 """The substeps of the Updated Lagrangian solver, put together for its laws and a precision.
 
-Per substep of length dt (GaussianFlesh section 4.4; Hu et al. 2018), with `ul_transfer_kernel`:
+Per substep of length dt (GaussianFlesh section 4.4; Hu et al. 2018), with `kernels.transfer`:
 
-    sort the particles by the cells they are in now      `ul_sort_kernel`
-    forces of the floor on the samples embedded in them  `ul_particle_kernel`
-    mass and momentum to the nodes, with the stress      `ul_transfer_kernel`
+    sort the particles by the cells they are in now      `kernels.sorting`
+    forces of the floor on the samples embedded in them  `kernels.particles`
+    mass and momentum to the nodes, with the stress      `kernels.transfer`
     v_i <- (p_i / m_i + dt g) exp(-drag dt)
     v, C, L back to the particles;  x, F move by dt
 
 Half of the first move comes before the first substep of a frame and half of the last is left out,
-which makes a frame position Verlet as in `kernels`: second order, and exact under gravity alone.
+which makes a frame position Verlet, as in the Total Lagrangian solver: second order, and exact
+under gravity alone.
 """
 
 from functools import cache
@@ -19,14 +20,14 @@ import taichi as ti
 
 from gf_usd.physics.laws.simd3x3 import LANES, von_mises
 from gf_usd.physics.laws.stress import energy as energy_density
-from gf_usd.physics.updated_lagrangian.particle_kernels import (
+from gf_usd.physics.updated_lagrangian.kernels.particles import (
     clamp_particle,
     drift_particle,
     move_node,
     push_particle,
     sample_force,
 )
-from gf_usd.physics.updated_lagrangian.sort_kernels import (
+from gf_usd.physics.updated_lagrangian.kernels.sorting import (
     CELLS,
     CLEARED,
     MISSING,
@@ -37,7 +38,7 @@ from gf_usd.physics.updated_lagrangian.sort_kernels import (
     place_particle,
     sort_cell,
 )
-from gf_usd.physics.updated_lagrangian.transfer_kernels import (
+from gf_usd.physics.updated_lagrangian.kernels.transfer import (
     admissible,
     current,
     gather_cell,
@@ -47,7 +48,7 @@ from gf_usd.physics.updated_lagrangian.transfer_kernels import (
     scatter_cell,
     trial,
 )
-from gf_usd.physics.updated_lagrangian.wall_kernels import add_given, move_walled_node
+from gf_usd.physics.updated_lagrangian.kernels.walls import add_given, move_walled_node
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 

@@ -1,0 +1,1 @@
+"""Taichi kernels of an Updated Lagrangian substep."""
