@@ -19,7 +19,7 @@ EXPERT = "Expert"
 GROUPS: dict[str, tuple[str, ...]] = {
     "Input": ("asset", "prims", "meters_per_unit", "up_axis", "start", "repair", "combine"),
     "Material": (
-        *("material", "material_boxes", "material_labels", "blend_width"),
+        *("material", "material_boxes", "material_labels", "blend_width", "conversions"),
         *("friction", "restitution", "damping_time"),
     ),
     "Motion": (
@@ -65,7 +65,7 @@ METAVARS = {
     "material": "PRESET|FILE|auto", "output": "PATH", "prims": "PRIM", "up_axis": "Y|Z",
     "law": "LAW", "time_scale": "FACTOR|auto", "drop": "HEIGHT|3r", "gravity": "G|X,Y,Z",
     "floor": "HEIGHT|none|X,Y,Z", "pins": "REGION", "velocity": "X,Y,Z", "spin": "X,Y,Z",
-    "colliders": "FILE", "material_boxes": "PRESET:BOX",
+    "colliders": "FILE", "conversions": "[WHERE=]PRESET@LIMIT", "material_boxes": "PRESET:BOX",
     "material_labels": "NAME=VALUE:PRESET", "range": "FIRST:LAST", "only": "SHAPES",
     "loop": "[N|auto]", "frames": "N|rest|rest:N", "fields": "FIELD", "rigid": "REGION",
     "material_sweep": "NAME=LOW:HIGH:N", "precision": "SHARE|LENGTH", "until": "[NAMES:]SHARE",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.materials.conversion import Conversion
 from gf_usd.core.materials.keys import ValueKeys
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import Precision
@@ -59,6 +60,7 @@ class Particles:
     own: Mapping[str, Floats] | None = None  # (N,) instead of the material's, see own_values
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
     keys: ValueKeys | None = None  # None: no value of a material changes with time
+    conversions: tuple[Conversion, ...] = ()  # of no two of them is the same particle
 
     def __len__(self) -> int:
         return len(self.X)
@@ -256,6 +258,10 @@ class Health:
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
     planes: float = 0.0  # [J] of `injected`, from new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
+    # Particles that were converted so far, and [J] of `plastic_dissipation` that those of the frame
+    # lost in it; None: none can be
+    converted: int | None = None
+    conversion_dissipation: float | None = None
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
     # Bodies below every obstacle where there is no floor, and [J] of their motion and of that of
@@ -291,6 +297,7 @@ class Frame:
     stress: Floats | None = None  # (N,) [Pa] von Mises of the particles, where asked for
     # (N,) of each internal variable of the laws, where asked for; NaN where a law has none such
     internal: Mapping[str, Floats] = field(default_factory=dict)
+    converted: NDArray[np.bool_] | None = None  # (N,) which particles were; None: none can be
     health: Health = field(default_factory=Health)
 
 
@@ -339,6 +346,7 @@ class BakedFrame:
     splats: Mapping[str, SplatPose] = field(default_factory=dict)  # by Surface.path
     tets: Mapping[str, MeshPose] = field(default_factory=dict)  # by TetLattice.key
     flows: Mapping[int, SurfacePose] = field(default_factory=dict)  # by body, as in Particles
+    converted: frozenset[int] = frozenset()  # bodies of `Choices.converting` that begin to flow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,6 +388,8 @@ class Choices:
     certify: bool = False  # the figures are to have intervals
     flows: tuple[int, ...] = ()  # bodies of which the surface of what flows is written
     flowing: tuple[str, ...] = ()  # meshes that surfaces or particles of what flows stand for
+    # the same, and the body of each: once the first particle of that is converted
+    converting: tuple[tuple[str, int], ...] = ()
 
     @property
     def mesh(self) -> bool:
@@ -391,11 +401,16 @@ class Choices:
         return self.mesh and path not in self.flowing
 
     @property
+    def replaced(self) -> tuple[str, ...]:
+        """Meshes that surfaces or particles of what flows stand for, from the start or later."""
+        return (*self.flowing, *(path for path, _ in self.converting))
+
+    @property
     def particles(self) -> bool:
         """Whether any form of the particles is written, or what stands with them: tetrahedra, and
         flowing particles in addition to meshes."""
         both = bool({"gaussians", "points"} & set(self.shapes))
-        return both or self.tets or bool(self.flowing or self.flows)
+        return both or self.tets or bool(self.flowing or self.converting or self.flows)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

@@ -207,6 +207,7 @@ class Recording:
     meshes: tuple[RenderMesh, ...]  # as at the first frame
     baked: tuple[bool, ...]  # one a mesh: it is part of the soft body
     flows: tuple[str, ...] = ()  # prim paths of meshes whose faces change from frame to frame
+    vanishing: tuple[str, ...] = ()  # of `meshes`, those that are hidden in some frames
     gaussians: GaussianSet | None = None
     about: Mapping[str, Any] = field(default_factory=dict)  # what the bake left in the root layer
     notes: tuple[str, ...] = ()  # what was assumed or left out, in words

@@ -54,8 +54,16 @@ def read_variants(
         recording = source.recording()
         clouds, said = _clouds(bake, source.variant, recording, splats)
         baked = [i for i, mine in enumerate(recording.baked) if mine or whole]
+        gone = [i for i in baked if recording.meshes[i].name in recording.vanishing]
+        baked = [i for i in baked if i not in gone]
         if splats == ONLY:
-            baked = []
+            baked, gone = [], []
+        if gone and not baked and not clouds:
+            raise InputError(
+                f"{bake}: <{recording.meshes[gone[0]].name}> is converted: particles stand for it"
+                f" from some frame on, which joints and blend shapes cannot represent.",
+                "use the bake itself, or deliver the particles as Gaussians: --splats only",
+            )
         if recording.flows and not baked and not clouds:
             raise InputError(
                 f"{bake}: the faces of <{recording.flows[0]}> change from frame to frame, which "
@@ -72,6 +80,8 @@ def read_variants(
         bodies = bodies_of(recording, list(source.frames()), baked) if baked else ()
         for path in recording.flows:
             notes[f"{path}: left out because its faces change from frame to frame"] = None
+        for i in gone:
+            notes[f"{recording.meshes[i].name}: left out because particles stand for it"] = None
         names = tuple(mesh.name for mesh in recording.meshes)
         joined = with_splats(bodies, names, clouds)
         variants.append(

@@ -42,6 +42,7 @@ from gf_usd.layers.stage import (
     require,
     roots_of,
     save,
+    show,
 )
 from gf_usd.layers.tracks.bounds import block_hints, skel_bounds
 from gf_usd.layers.tracks.captured import SplatTrack
@@ -293,7 +294,13 @@ class CacheWriter:
         for path, pose in frame.splats.items():
             self._splats[path].write(pose, time_code)
         if self._particles:
-            self._particles.write(frame.gaussians, time_code, frame.tets, frame.flows)
+            self._particles.write(
+                frame.gaussians, time_code, frame.tets, frame.flows, frame.converted
+            )
+        for path, body in self._choices.converting:
+            if path in self._meshes or path in self._splats:
+                prim = self._stage.GetPrimAtPath(path)
+                show(prim, body not in frame.converted, time_code)
         for bound in self._bounds:
             bound.write(time_code)
         self._health.write(frame.health, time_code)

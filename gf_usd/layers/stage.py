@@ -313,3 +313,10 @@ def author_bind_pose(prim: Usd.Prim, points: np.ndarray) -> None:
 def box(low: Floats, high: Floats) -> Vt.Vec3fArray:
     """The extent with these corners (3,)."""
     return Vt.Vec3fArray.FromNumpy(f32(np.stack([low, high])))
+
+
+def show(prim: Usd.Prim, shown: bool, time_code: float) -> None:
+    """Author the visibility of a prim at a time code."""
+    attribute = prim.CreateAttribute("visibility", Sdf.ValueTypeNames.Token, False)
+    tokens = UsdGeom.Tokens
+    attribute.Set(tokens.inherited if shown else tokens.invisible, time_code)

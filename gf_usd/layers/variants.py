@@ -128,7 +128,7 @@ def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices
         Sdf.Path(one.path) for one in asset.surfaces if not drawn or one.path in choices.flowing
     ]
     stand_ins = [home.scope.AppendChild(flow_name(body)) for body in choices.flows]
-    if choices.mesh and choices.flowing and not stand_ins:
+    if choices.mesh and choices.replaced and not stand_ins:
         stand_ins = [home.scope.AppendChild(FLOW)]
     if drawn and choices.particles and not stand_ins:
         paths.append(home.scope)

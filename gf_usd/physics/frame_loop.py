@@ -44,6 +44,7 @@ class FrameStats:
     flying: int = 0  # bodies that flew by the closed form: there were no substeps
     sleeping: int = 0  # bodies that slept: there were no substeps
     plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
+    conversion_dissipation: float | None = None  # [J] of it, by conversion; None: there is none
     settling_dissipation: float | None = None  # [J] of `settling`; None: it does not act
     substeps: int | None = None  # that there were; None: as many as were asked for
 

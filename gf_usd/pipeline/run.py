@@ -439,5 +439,6 @@ def frame_builder(
         flows = FlowSurfaces(plan.particles, variant.table, variant.settings.time_scale)
     return FrameBuilder(
         solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer, flows,
+        dict(plan.choices.converting),
         open_end=plan.choices.until_rest or plan.choices.settled,
     )  # fmt: skip

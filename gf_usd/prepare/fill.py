@@ -41,7 +41,8 @@ from gf_usd.prepare.bodies.plan import plan_bodies
 from gf_usd.prepare.bodies.velocities import start_velocities
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
 from gf_usd.prepare.materials.checks import require_standing
-from gf_usd.prepare.materials.flowing import dispatch, require_outside, require_whole
+from gf_usd.prepare.materials.conversion import with_conversions
+from gf_usd.prepare.materials.flowing import dispatch, require_dispatched, require_outside
 from gf_usd.prepare.materials.over_time import with_value_keys
 from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.choices import chosen, require_stored
@@ -120,7 +121,7 @@ def fill(
         mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
     keys = spec.physics.gravity_keys if request.gravity is None else ()
     unit = asset.facts.units.length
-    flow = dispatch(solid, spec, presets, law, request.regions, unit)
+    flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)
     request, flowing = with_flow(request, flow)
     request, stated = with_stage(request, spec, asset)
     mixed = request.solver == MIXED
@@ -229,17 +230,18 @@ def fill(
             blend_width=(request.blend_width or 0.0) * unit, mass_scaling=settings.mass_scaling,
         )  # fmt: skip
 
-    materials = assigned(spec)
+    materials = with_conversions(
+        asset.facts.path, assigned(spec), request.converted, solid, bodies, spec, unit
+    )
     if changes is not None and file is not None:
         materials = with_value_keys(
             materials, changes, asset, file, spec, settings, assigned, repeats=bool(cycle)
         )
     particles, made = materials.particles, materials.main
     if mixed:
-        require_whole(asset.facts.path, particles, materials.tables, solid)
-        require_outside(
-            asset.facts.path, particles, bodies.flows(flow.flows), skins(solid, bodies.of_surface)
-        )
+        flows = bodies.flows(flow.flows)
+        require_dispatched(asset.facts.path, particles, materials.tables, solid, flows)
+        require_outside(asset.facts.path, particles, flows, skins(solid, bodies.of_surface))
     held = any(not pin.rigid for pin in pins)
     each = tuple(
         paper_options.of_material(
@@ -258,7 +260,7 @@ def fill(
     drawn = flow_of(solid, bodies, particles, materials.tables[0])
     choices, split = chosen(request, files, settings, asset, len(particles), open_end, drawn)
     if mixed and not choices.flowing:
-        choices = replace(choices, flowing=flow.paths)
+        choices = replace(choices, flowing=drawn.meshes)
     require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is not baked: {why}" for p, why in asset.skipped]

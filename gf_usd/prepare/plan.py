@@ -223,7 +223,7 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
         size += (POINT_BYTES - rates) * particles
     if choices.flows:
         size += int((FLOW_BYTES - 12 * (not choices.velocities)) * FLOW_AREA * particles ** (2 / 3))
-    if choices.mesh and choices.flowing and not choices.flows:
+    if choices.mesh and choices.replaced and not choices.flows:
         size += (POINT_BYTES - rates) * particles  # at most: solid ones are not among them
     if choices.tets:
         size += TET_BYTES * particles

@@ -38,7 +38,7 @@ HEALTH = {
 }  # fmt: skip
 # no law flows, few frames are looked at for what is inside; "centre" until 1.0
 FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_gain"} - {
-    "plastic_dissipation", "inside_share", "inside_depth",
+    "plastic_dissipation", "conversion_dissipation", "converted", "inside_share", "inside_depth",
     "fallen", "fallen_kinetic", "lost", "flow_volume",
 }  # fmt: skip
 ESTIMATE = {"substeps_per_frame", "estimated_seconds", "estimated_bytes", "first_contact_frame"}

@@ -315,7 +315,8 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     assert [row["time_code"] for row in rows] == [101.0, 103.0, 105.0, 107.0, 109.0]
     # no law flows, nothing settles, and no frame is looked at for what is inside
     told = set(Health.__dataclass_fields__) - {
-        "plastic_dissipation", "settling_dissipation", "inside_share", "inside_depth",
+        "plastic_dissipation", "conversion_dissipation", "converted", "settling_dissipation",
+        "inside_share", "inside_depth",
         "fallen", "fallen_kinetic", "lost", "flow_volume",
     }  # fmt: skip
     assert set(rows[0]) == {"time_code", *told, "centre", "energy", "energy_gain"}

@@ -121,6 +121,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(lost=0), Health(lost=3, flow_volume=1.0)),
         "are below the floor or every obstacle in the last frame, the first from frame 2 on",
     ),
+    "unconverted": (
+        summary(Health(converted=0), Health(converted=1)),
+        summary(Health(converted=0), Health(converted=0)),
+        "no particle passed the limit of a --conversion",
+    ),
     "flow-volume": (
         summary(Health(lost=0, flow_volume=0.951)),
         summary(Health(lost=0, flow_volume=0.94), Health(lost=0, flow_volume=1.01)),

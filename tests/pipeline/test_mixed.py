@@ -80,9 +80,25 @@ def test_what_a_mixed_scene_does_not_go_with_is_refused_in_words(
         gf_usd.inspect(castle, **(SMALL | more))
 
 
-def test_a_body_of_which_a_part_flows_is_refused_by_name(castle: Path) -> None:
-    with pytest.raises(InputError, match=r"</World/Block>: .*particles are dry-sand"):
-        gf_usd.bake(castle, material_boxes=["dry-sand:-1,0.3,-1,1,1,1"], **SMALL)
+def test_a_body_of_which_a_part_flows_is_moved_as_a_whole_by_the_solver_of_what_flows(
+    tmp_path: Path,
+) -> None:
+    """The upper half of a block of rubber is water: the lower half stays a block."""
+    path = scene(tmp_path, body("Block", "rubber", "0, 0.1, 0"), body("Far", "rubber", "3, 0.1, 0"))
+    asked = {"material": "rubber", "material_boxes": ["water:-1,0.1,-1,1,1,1"], "drop": 0}
+    seen = gf_usd.inspect(path, particles=2000, **asked).plan
+    assert seen.settings.solver == "mixed"
+    assert seen.choices.flowing == ("/World/Block",), "particles stand for it"
+    done = gf_usd.bake(path, frames=24, particles=2000, output=tmp_path / "out.usda", **asked)
+    assert not done.findings
+    stage = Usd.Stage.Open(str(done.root))
+    flow = UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Flow"))
+    first, last = (np.asarray(flow.GetPointsAttr().Get(code)) for code in (1.0, 24.0))
+    water = first[:, 1] > 0.1
+    assert water.sum() == 500, "both halves are shown"
+    spacing = seen.particles.spacing
+    assert np.linalg.norm(last[~water] - first[~water], axis=1).max() < spacing
+    assert (last[water, 1] < 0.1).mean() > 0.2, "it runs over the edges"
 
 
 def test_what_flows_must_not_start_inside_a_solid_body(tmp_path: Path) -> None:

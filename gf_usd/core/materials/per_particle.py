@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,13 +41,50 @@ def columns(materials: Sequence[Material]) -> dict[str, Floats]:
 
 
 def unbounded(particles: Particles, materials: Sequence[Material]) -> Ints:
-    """(N,) whether particles flow without end, by the laws of their materials."""
+    """(N,) whether particles flow without end from the start, by the laws of their materials."""
     return np.array([LAWS[m.law].unbounded for m in materials])[np.asarray(particles.material)]
 
 
+def convertible(particles: Particles) -> Ints:
+    """(N,) whether particles can be converted."""
+    out = np.zeros(len(particles), bool)
+    for one in particles.conversions:
+        out[one.particles] = True
+    return out
+
+
+def after_conversion(particles: Particles) -> Particles:
+    """The particles as they are when all that can be converted are."""
+    material = np.array(particles.material)
+    for one in particles.conversions:
+        material[one.particles] = one.material
+    return replace(particles, material=material, own=None)
+
+
+def stiffest_by_conversion(
+    per: dict[str, Floats], particles: Particles, materials: Sequence[Material]
+) -> dict[str, Floats]:
+    """Values (N,) of the particles with moduli and damping as high as they get by conversion."""
+    if not particles.conversions:
+        return per
+    after = of_materials(after_conversion(particles), materials)
+    names = ("mu", "lam", "damping_time")
+    return with_derived({**per, **{name: np.maximum(per[name], after[name]) for name in names}})
+
+
+def moved_as_flow(particles: Particles, materials: Sequence[Material]) -> Ints:
+    """(N,) particles of surfaces of which some flow without end, from the start or converted.
+
+    They belong to the Updated Lagrangian solver, and stand for the mesh of their surface.
+    """
+    flows = unbounded(particles, materials) | convertible(particles)
+    surface = np.asarray(particles.surface)
+    return np.isin(surface, np.unique(surface[flows]))
+
+
 def flowing(particles: Particles, materials: Sequence[Material]) -> dict[int, Ints]:
-    """Indices of the particles that flow without end, by body; bodies without any are left out."""
-    flows = unbounded(particles, materials)
+    """Indices of the particles of `moved_as_flow`, by body; bodies without any are left out."""
+    flows = moved_as_flow(particles, materials)
     body = particles.body_of
     return {int(b): np.flatnonzero(flows & (body == b)) for b in np.unique(body[flows])}
 

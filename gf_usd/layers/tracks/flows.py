@@ -68,6 +68,7 @@ class FlowTrack:
         mesh = UsdGeom.Mesh.Define(cache, path)
         self.path, self.prim = path, mesh.GetPrim()
         self.low = self.high = np.zeros(3)
+        self.empty = False
         self.saved = Saved()
         self._unit, self._origin = meters_per_unit, np.asarray(origin, np.float64)
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -101,7 +102,9 @@ class FlowTrack:
             self._padded = int(count == self._last)
         self._last, self._faces = count + self._padded, faces
         points = f32(np.asarray(pose.points, np.float64) / self._unit - self._origin)
-        self.low, self.high = corners(points)
+        self.empty = count == 0
+        if not self.empty:
+            self.low, self.high = corners(points)
         self._points.Set(self._vectors(points), time_code)
         self._counts.Set(Vt.IntArray(len(indices), 3), time_code)
         self._indices.Set(Vt.IntArray.FromNumpy(indices.reshape(-1)), time_code)

@@ -8,7 +8,7 @@ their transform, which is in double precision.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -28,10 +28,10 @@ from gf_usd.core.frames import (
     TetLattice,
 )
 from gf_usd.core.materials.laws import law_parameters
-from gf_usd.core.materials.per_particle import spread, unbounded
+from gf_usd.core.materials.per_particle import moved_as_flow, spread
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
-from gf_usd.layers.stage import Clock, Home, f32, quaternions
+from gf_usd.layers.stage import Clock, Home, f32, quaternions, show
 from gf_usd.layers.tracks.flows import FlowTrack, flow_name, flow_shading
 from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
@@ -97,13 +97,14 @@ class ParticleTrack:
                 cache, where, particles, self._unit, velocities=choices.velocities
             )
         self._grains, self._flow = shown_with_meshes(particles, info, choices), None
+        self._body, self._waiting = particles.body_of, {body for _, body in choices.converting}
         if self._grains is not None:
             self._flow = PointsTrack(
                 cache, home.scope.AppendChild(FLOW), some(particles, self._grains), self._unit,
-                velocities=choices.velocities,
+                velocities=choices.velocities, some=bool(choices.converting),
             )  # fmt: skip
             inside = home.scope.GetPrefixes()[0]
-            paths = [p for p in map(Sdf.Path, choices.flowing) if p.HasPrefix(inside)]
+            paths = [p for p in map(Sdf.Path, choices.replaced) if p.HasPrefix(inside)]
             self._flow.prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(
                 paths
             )
@@ -111,7 +112,7 @@ class ParticleTrack:
         self._flows = {
             body: FlowTrack(
                 cache, home.scope.AppendChild(flow_name(body)), self._unit, self._origin,
-                shading=flow_shading(asset, choices.flowing, home.scope.GetPrefixes()[0]),
+                shading=flow_shading(asset, choices.replaced, home.scope.GetPrefixes()[0]),
                 velocities=choices.velocities,
             )
             for body in choices.flows
@@ -163,9 +164,12 @@ class ParticleTrack:
         time_code: float,
         tets: Mapping[str, MeshPose] | None = None,
         flows: Mapping[int, SurfacePose] | None = None,
+        converted: Collection[int] = (),
     ) -> None:
         """Author the pose at a time code, that of the tetrahedra by `TetLattice.key`, and the
         surfaces of what flows by body.
+
+        converted : of the bodies that are converted, those that particles stand for now.
 
         Raises BakeError where an array has another length than the particles or is not finite.
         """
@@ -182,17 +186,21 @@ class ParticleTrack:
         if self._twin:
             self._twin.write(positions, velocities, time_code)
         if self._flow:
-            rates = Vt.Vec3fArray.FromNumpy(np.asarray(velocities)[self._grains])
-            self._flow.write(positions[self._grains], rates, time_code)
+            waiting = list(self._waiting.difference(converted))
+            shown = np.flatnonzero(~np.isin(self._body[self._grains], waiting))
+            rows = self._grains[shown]
+            rates = Vt.Vec3fArray.FromNumpy(np.asarray(velocities)[rows])
+            self._flow.write(positions[rows], rates, time_code, shown)
+            self._show(self._flow.prim, not self._flow.empty, time_code)
         for key, track in self._tets.items():
             track.write((tets or {})[key], time_code)
         if self._attachments:
             self._attachments.write(tets or {}, time_code)
         for body, track in self._flows.items():
             track.write((flows or {})[body], time_code)
-        every = [
-            self._splats, self._twin, self._flow, *self._tets.values(), *self._flows.values()
-        ]  # fmt: skip
+            self._show(track.prim, not track.empty, time_code)
+        full = [track for track in (self._flow, *self._flows.values()) if track and not track.empty]
+        every = [self._splats, self._twin, *self._tets.values(), *full]
         boxes = [(track.low, track.high) for track in every if track]
         self.low = np.min([low for low, _ in boxes], axis=0)
         self.high = np.max([high for _, high in boxes], axis=0)
@@ -200,6 +208,11 @@ class ParticleTrack:
             matrix = Gf.Matrix4d(self.to_world(time_code) @ self.space.from_world(time_code))
             for transform in self._transforms:
                 transform.Set(matrix, time_code)
+
+    def _show(self, prim: Usd.Prim, shown: bool, time_code: float) -> None:
+        """Author whether a prim that begins with nothing in it is visible."""
+        if self._waiting:
+            show(prim, shown, time_code)
 
     def state(self) -> dict[str, Any]:
         """What another track of the same bake goes on from."""
@@ -271,9 +284,9 @@ class ParticleTrack:
 
 def shown_with_meshes(particles: Particles, info: BakeInfo, choices: Choices) -> Ints | None:
     """(k,) the particles shown with meshes of others; None: none are, or their surface is."""
-    if choices.flows or not (choices.mesh and choices.flowing):
+    if choices.flows or not (choices.mesh and choices.replaced):
         return None
-    return np.flatnonzero(unbounded(particles, info.materials))
+    return np.flatnonzero(moved_as_flow(particles, info.materials))
 
 
 def some(particles: Particles, rows: Ints) -> Particles:

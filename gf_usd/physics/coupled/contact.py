@@ -102,10 +102,10 @@ class Exchange:
         self._half: tuple[Floats, Floats, Ints, Floats] | None = None
         self.full = False  # whether the grid of the flow was too small
 
-    def begin_frame(self, dt: float) -> None:
-        """Begin a frame of substeps of dt [s]."""
+    def begin_frame(self, index: int, dt: float) -> None:
+        """Begin the way to frame `index`, in substeps of dt [s]."""
         self._dt, self.full = dt, False
-        self._flow.begin()
+        self._flow.begin(index)
 
     def detect(self, index: int, dt: float, done: int, left: int) -> tuple[int, float]:
         """See `Partner`."""

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import InputError
 from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples
+from gf_usd.core.materials.conversion import Conversion
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.per_particle import unbounded
+from gf_usd.core.materials.per_particle import convertible, unbounded
 from gf_usd.core.stage import ContactSetup
 
 
@@ -38,21 +38,10 @@ class Part:
 
 
 def flowing_bodies(particles: Particles, materials: Sequence[Material]) -> Ints:
-    """(B,) which bodies flow without end, by the laws of their particles.
-
-    Raises InputError for a body of which only a part does.
-    """
-    flows = unbounded(particles, materials)
-    body = particles.body_of
-    share = np.bincount(body, flows) / np.maximum(np.bincount(body), 1)
-    if (halves := np.flatnonzero((share > 0.0) & (share < 1.0))).size:
-        k = int(halves[0])
-        raise InputError(
-            f"{int(flows[body == k].sum())} of the {int((body == k).sum())} particles of body "
-            f"{k} flow without end and the others do not, but a body must do one or the other",
-            "split it into two meshes, one for each material",
-        )
-    return share > 0.0
+    """(B,) which bodies are for the Updated Lagrangian solver: a part of them flows without end, or
+    can be converted."""
+    flows = unbounded(particles, materials) | convertible(particles)
+    return np.bincount(particles.body_of, flows) > 0.0
 
 
 def part_of(
@@ -99,6 +88,7 @@ def part_of(
         body=number[body[at]] if several else None,
         own=None if particles.own is None else {k: rows(v) for k, v in particles.own.items()},
         copies=copies,
+        conversions=_conversions(particles.conversions, len(body), at),
     )
     if particles.corners is not None and not several:
         taken = replace(taken, corner=particles.corners[which][0], corners=None)
@@ -115,6 +105,15 @@ def part_of(
         },
         copies=new,
     )  # fmt: skip
+
+
+def _conversions(given: Sequence[Conversion], count: int, at: Ints) -> tuple[Conversion, ...]:
+    """Those of the particles `at` of `count`, which have new numbers."""
+    number = np.full(count, -1)
+    number[at] = np.arange(len(at))
+    found = [replace(one, particles=number[one.particles]) for one in given]
+    found = [replace(one, particles=one.particles[one.particles >= 0]) for one in found]
+    return tuple(one for one in found if len(one.particles))
 
 
 PER_PARTICLE = ("X", "V0", "material", "orientation", "scale", "color", "opacity", "surface")

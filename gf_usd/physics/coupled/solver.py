@@ -28,8 +28,7 @@ from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 class Coupled(Solver):
     """Some bodies that hold together and some that flow; parameters as for `TotalLagrangian`.
 
-    Raises UsageError for what only one of the two can do, and InputError for a body of which only a
-    part flows.
+    Raises UsageError for what only one of the two can do.
     """
 
     def __init__(
@@ -130,7 +129,7 @@ class Coupled(Solver):
         return merged_stats(solid, self.flow.finish(substeps))
 
     def _frame(self, index: int, substeps: int) -> FrameStats:
-        self.exchange.begin_frame(self.frame_time / substeps)
+        self.exchange.begin_frame(index, self.frame_time / substeps)
         return self.solid.advance(index, substeps)
 
     def read(self, index: int) -> Frame:
@@ -166,8 +165,17 @@ class Coupled(Solver):
                 ])
                 for name in names
             },
+            converted=self._converted(flow.converted),
             health=merged_health(solid.health, flow.health),
         )  # fmt: skip
+
+    def _converted(self, of_flow: Ints | None) -> Ints | None:
+        """(N,) of all particles, of what is known of those of the flow."""
+        if of_flow is None:
+            return None
+        out = np.zeros(len(self.particles), bool)
+        out[self._flow.at] = of_flow
+        return out
 
 
 def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None:
@@ -221,6 +229,7 @@ def merged_stats(solid: FrameStats, flow: FrameStats) -> FrameStats:
         penetration=max(solid.penetration, flow.penetration),
         overlap=max(solid.overlap, flow.overlap),
         plastic_dissipation=_sum(solid.plastic_dissipation, flow.plastic_dissipation),
+        conversion_dissipation=flow.conversion_dissipation,
     )
 
 

@@ -153,6 +153,11 @@ class FlowPlanes:
         self.detected = float(saved["plane_detected"])
         self._remember()
 
+    def set_contact(self, contact: FloorContact) -> None:
+        """Go on with other values of the samples: friction, restitution."""
+        self._contact = contact
+        self._remember()
+
     @property
     def of_solids(self) -> Ints:
         """(k,) places in `rows` of samples that face a solid body."""

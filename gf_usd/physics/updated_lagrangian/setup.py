@@ -12,6 +12,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import stiffest_by_conversion
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact, largest_eigenvalue
 from gf_usd.physics.grid.bodies import fastest
@@ -91,21 +92,22 @@ def build_body(
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     at_rest = build_stencil(particles.X, m, h, particles.corner, free_mass=0.0)
     law = particle_laws(materials, particles.material, per)
-    ride = attach if law.unbounded.any() else embed
+    ride = attach if law.unbounded.any() or particles.conversions else embed
+    stiffest = stiffest_by_conversion(per, particles, materials)
     start = start_motion(velocity, particles.X, at_rest, particles.body)
     # all that flows is one body, whatever it started as
     particles = replace(particles, body=None)
     samples = None if samples is None else replace(samples, body=None)
     setup = contact_setup
     contact, embedding = floor_contact(
-        samples, particles, at_rest, settings, per, ride,
+        samples, particles, at_rest, settings, stiffest, ride,
         meets=setup is not None and (setup.flows or bool(setup.colliders)),
         datum=setup.lowest(settings.normal) if setup is not None else np.inf,
         speed=fastest(start["v"]),
     )  # fmt: skip
     meets = contact is not None and setup is not None and (setup.flows or bool(setup.colliders))
     center = m @ particles.X / m.sum()
-    damped = bool((per["damping_time"] > 0).any())
+    damped = bool((stiffest["damping_time"] > 0).any())
     clamp, cap = settings.clamp is not None, settings.stress_cap is not None
     kind = ti.f64 if real is np.float64 else ti.f32
     lift = np.asarray(settings.lift, float)
@@ -122,7 +124,7 @@ def build_body(
         embedded={name: embed(X, particles.X) for name, X in (embedded or {}).items()},
         contact=contact,
         embedding=embedding,
-        step=largest_step(particles, h, contact, settings, per),
+        step=largest_step(particles, h, contact, settings, stiffest),
         law=law,
         walls=planes(walls, particles.X + lift, at_rest.origin + lift, h) if walls else None,
         meets=meets,

@@ -21,13 +21,15 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Frame, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import convertible
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics import taichi_arrays
-from gf_usd.physics.contact.floor import pressed_step
+from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.time_step import per_cell, strained_step
 from gf_usd.physics.total_lagrangian.setup import floor_height
+from gf_usd.physics.updated_lagrangian.conversion import Conversions
 from gf_usd.physics.updated_lagrangian.energies import (
     Losses,
     measure,
@@ -35,7 +37,7 @@ from gf_usd.physics.updated_lagrangian.energies import (
     world_stiffness,
 )
 from gf_usd.physics.updated_lagrangian.planes import FlowPlanes, Solids
-from gf_usd.physics.updated_lagrangian.setup import build_body, refuse
+from gf_usd.physics.updated_lagrangian.setup import Body, build_body, refuse
 from gf_usd.physics.updated_lagrangian.state import State
 from gf_usd.physics.updated_lagrangian.walls import Wall
 
@@ -49,6 +51,7 @@ class UpdatedLagrangian(Solver):
     Raises UsageError for what only the other solver can do: pins, WLS and the shape correction.
     """
 
+    body: Body
     state: State
 
     def __init__(
@@ -77,10 +80,11 @@ class UpdatedLagrangian(Solver):
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
         # What flows without end may go as far as it likes.
-        flows = bool(body.law.unbounded.all())
+        flows = bool((body.law.unbounded | convertible(particles)).all())
         extent = np.inf if flows else float(np.linalg.norm(np.ptp(particles.X, axis=0)))
         self.guard = Guard(float(body.m.sum()) * G0 * particles.radius, extent)
         self.state = State(body)
+        self._setup = contact_setup
         self.losses = Losses(settings, contact_setup, body.h, body.law.unbounded)
         self.planes: FlowPlanes | None = None
         self._softer = 1.0  # springs of planes over those of the floor, at most
@@ -91,6 +95,10 @@ class UpdatedLagrangian(Solver):
             passing = {c for _, c in contact_setup.through_colliders}
             count = len(body.contact.mass) if body.contact else 0
             self.face(contact_setup, through={c: np.full(count, True) for c in passing})
+        self.conversions: Conversions | None = None
+        if particles.conversions:
+            self.conversions = Conversions(self, materials)
+            self.state.parts.append(self.conversions)
 
     def face(
         self,
@@ -105,6 +113,13 @@ class UpdatedLagrangian(Solver):
             self.particles.radius, self.frame_time, solids, through,
         )  # fmt: skip
         self.state.parts.append(self.planes)
+
+    def follow(self, contact: FloorContact | None) -> None:
+        """Go on with the laws and the contact samples that conversion gave the body."""
+        body = self.body
+        self.losses = Losses(self.settings, self._setup, body.h, body.law.unbounded)
+        if self.planes is not None and contact is not None:
+            self.planes.set_contact(contact)
 
     def places(self) -> Floats:
         """See `Solver`; of the particles."""
@@ -130,7 +145,7 @@ class UpdatedLagrangian(Solver):
     def _frame(self, index: int, substeps: int) -> bool:
         """Move by a frame; False where the grid was too small."""
         dt, planes = self.frame_time / substeps, self.planes
-        self.begin()
+        self.begin(index)
         if planes is None:
             self.march(self.frame_time, dt)
             return not self.state.lacks_room
@@ -143,9 +158,11 @@ class UpdatedLagrangian(Solver):
             done += chunk
         return not self.state.lacks_room
 
-    def begin(self) -> None:
-        """Begin a frame."""
+    def begin(self, index: int) -> None:
+        """Begin the way to frame `index`."""
         state, s = self.state, self.settings
+        if self.conversions:
+            self.conversions.frame(index)
         state.clear("grid", "clamped", "stress_capped", "wall_impulse")
         self._lift = float(state.offset @ s.normal) - floor_height(s)
         self._near = state.near_floor(self._lift)
@@ -199,7 +216,8 @@ class UpdatedLagrangian(Solver):
         stats = FrameStats(
             clamped=int(state.get("clamped").sum()),
             stress_capped=int(state.get("stress_capped").sum()),
-            plastic_dissipation=state.take_dissipated(),
+            plastic_dissipation=self._dissipated(),
+            conversion_dissipation=self.conversions.dissipated if self.conversions else None,
             work=planes.work if planes else 0.0,
             injected=planes.injected if planes else 0.0,
             planes=planes.injected if planes else 0.0,
@@ -213,6 +231,13 @@ class UpdatedLagrangian(Solver):
             friction_capped=int(state.get("sample_capped").sum()),
             penetration=float(state.get("sample_depth").max()),
         )
+
+    def _dissipated(self) -> float | None:
+        """[J] by flow and by conversion in the frame; None where no law flows."""
+        flow = self.state.take_dissipated()
+        return flow if self.conversions is None or flow is None else (
+            flow + self.conversions.dissipated
+        )  # fmt: skip
 
     def _launch(self, substeps: int, dt: float) -> None:
         """Run the kernels for so many substeps of dt [s]."""
@@ -272,12 +297,14 @@ class UpdatedLagrangian(Solver):
             )
             if s.internal and flows
             else {},
+            converted=self.conversions.done.copy() if self.conversions else None,
             health=replace(
                 measure(
                     pose, (stretch, J), C, body.m, body.h, s, elastic=elastic, flows=flows,
                     contact=state.contact_energy() + self._plane_energy(),
                 ),
                 **self.losses.measured(pose, body.m, self.particles.V0, elastic_strains[1]),
+                converted=int(self.conversions.done.sum()) if self.conversions else None,
             ),
         )  # fmt: skip
 

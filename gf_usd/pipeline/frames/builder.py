@@ -43,6 +43,8 @@ class FrameBuilder:
     tets : keys of the tetrahedra among the embedded points.
     observer : is shown every frame.
     flows : the surfaces of what flows; None: none are written.
+    waiting : meshes that particles stand for once the first of their body, which is named, is
+        converted.
     open_end : the motion may end before its last frame: see `at_end`.
     """
 
@@ -57,13 +59,20 @@ class FrameBuilder:
         tets: Sequence[str] = (),
         observer: Observer | None = None,
         flows: FlowSurfaces | None = None,
+        waiting: Mapping[str, int] | None = None,
         *,
         open_end: bool = False,
     ) -> None:
         self._tets, self._observer, self._flows = tets, observer, flows
+        waiting = waiting or {}
+        self._waiting = frozenset(waiting.values())
         self.solver, self._track, self._skin = solver, track, skin
         self._surfaces, self._settings, self._splats = surfaces, settings, splats
-        meshes = [one for one in surfaces if one.splats is None and len(one.triangles)]
+        meshes = [
+            one
+            for one in surfaces
+            if one.splats is None and len(one.triangles) and one.path not in waiting
+        ]
         self._inside = None
         if meshes:
             self._inside = InsideMeasure(
@@ -127,6 +136,7 @@ class FrameBuilder:
             )
         self._poses = poses
         health = frame.health
+        converted = self._converted(frame)
         if self._inside and self._inside.asked(frame.index):
             health = _looked(health, self._inside.measure(frame.index, poses))
         return BakedFrame(
@@ -142,12 +152,22 @@ class FrameBuilder:
             ),
             health=health,
             splats=splats if self._surfaces else {},
-            flows=self._flows.poses(frame.particles) if self._flows else {},
+            flows=self._flows.poses(frame.particles, self._waiting - converted)
+            if self._flows
+            else {},
+            converted=converted,
             tets={
                 key: MeshPose(points=poses[key].x, velocities=poses[key].v * s.time_scale)
                 for key in self._tets
             },
         )
+
+    def _converted(self, frame: Frame) -> frozenset[int]:
+        """Of the bodies that wait, those that flow at a frame."""
+        if frame.converted is None:
+            return frozenset()
+        body = self.solver.particles.body_of
+        return self._waiting & {int(k) for k in np.unique(body[frame.converted])}
 
     def at_end(self, sample: BakedFrame) -> BakedFrame:
         """The sample made last, as the one that the motion ends with: its surfaces are looked at

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -10,9 +10,15 @@ from gf_usd.core.frames import Particles, Pose, SurfacePose
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import flowing
 
+NO_VECTORS = np.zeros((0, 3))
+NOTHING = SurfacePose(
+    points=NO_VECTORS, velocities=NO_VECTORS, normals=NO_VECTORS, colors=NO_VECTORS,
+    triangles=np.zeros((0, 3), np.int64),
+)  # fmt: skip
+
 
 class FlowSurfaces:
-    """Makes a surface of the flowing particles of each body.
+    """Makes a surface of the particles of each body that flows.
 
     particles : of the bake, whose colors the surfaces carry; materials : what they index.
     time_scale : simulated seconds per second of playback.
@@ -26,9 +32,12 @@ class FlowSurfaces:
         self._colors = np.asarray(particles.color, np.float64)
         self._rate = time_scale
 
-    def poses(self, pose: Pose) -> dict[int, SurfacePose]:
-        """By body, of particles at a pose."""
-        return {body: self._of(pose, mine) for body, mine in self._bodies.items()}
+    def poses(self, pose: Pose, without: Collection[int] = ()) -> dict[int, SurfacePose]:
+        """By body, of particles at a pose; those of bodies `without` have nothing in them."""
+        return {
+            body: NOTHING if body in without else self._of(pose, mine)
+            for body, mine in self._bodies.items()
+        }
 
     def _of(self, pose: Pose, mine: np.ndarray) -> SurfacePose:
         from gf_usd.physics.output.surface import surface

@@ -95,6 +95,7 @@ class HealthLog:
             **self._resting(),
             **self._fallen(),
             **self._flow(),
+            **self._conversion(),
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
             "released_max": max(f.let_go for f in h),
@@ -192,6 +193,21 @@ class HealthLog:
             "first_lost_frame": next((i for i, f in enumerate(self.frames) if f.lost), None),
             "flow_volume_min": min(volumes, default=None),
             "flow_volume_max": max(volumes, default=None),
+        }
+
+    def _conversion(self) -> dict[str, Any]:
+        """Of particles that were converted, where any can be."""
+        last = self.frames[-1].converted
+        if last is None:
+            return {}
+        lost = [f.conversion_dissipation or 0.0 for f in self.frames]
+        return {
+            "converted_particles": last,
+            "converted_share": last / self._particles,
+            "first_converted_frame": next(
+                (i for i, f in enumerate(self.frames) if f.converted), None
+            ),
+            "conversion_dissipation_J": sum(lost),
         }
 
     def _resting(self) -> dict[str, float | None]:
@@ -329,6 +345,7 @@ def _dot(a: Sequence[float], b: Sequence[float]) -> float:
 SUMS = (
     *("substeps", "friction_capped", "rollbacks", "work", "injected", "planes"),
     "plastic_dissipation",
+    "conversion_dissipation",
     "settling_dissipation",
 )
 MOSTS = (

@@ -261,6 +261,15 @@ def _lost(h: HealthSummary) -> Said:
     )
 
 
+def _unconverted(h: HealthSummary) -> Said:
+    if h.get("converted_particles") != 0:
+        return None
+    return (
+        "no particle passed the limit of a --conversion, so that everything stayed solid",
+        "lower the limit, or simulate more --frames; --stress writes the stress of every particle",
+    )
+
+
 def _flow_volume(h: HealthSummary) -> Said:
     low, high = h.get("flow_volume_min"), h.get("flow_volume_max")
     if low is None or high is None or max(1.0 - low, high - 1.0) <= FLOW_VOLUME:
@@ -290,6 +299,7 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "still": _still,
     "fallen": _fallen,
     "lost": _lost,
+    "unconverted": _unconverted,
     "flow-volume": _flow_volume,
     "energy": _energy,
     "inside-out": _inverted,

@@ -10,7 +10,7 @@ import numpy as np
 
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.per_particle import unbounded
+from gf_usd.core.materials.per_particle import convertible, flowing, unbounded
 from gf_usd.prepare.bodies.plan import BodyPlan
 
 if TYPE_CHECKING:
@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """What flows without end."""
+    """What flows without end, from the start or once it is converted."""
 
     bodies: tuple[int, ...] = ()  # as in Particles: some of their particles flow, or all
-    meshes: tuple[str, ...] = ()  # prim paths of those that move with nothing solid
+    meshes: tuple[str, ...] = ()  # prim paths of those that particles stand for from the start
+    converting: tuple[tuple[str, int], ...] = ()  # of those they stand for later, and their bodies
 
 
 def flow_of(
@@ -30,19 +31,23 @@ def flow_of(
 ) -> Flow:
     """What flows of the bodies of a solid.
 
-    A mesh that is filled moves with nothing solid where all of its particles flow, any other one
-    where all of its body do.
+    A mesh that is filled is replaced by its particles where some of them flow, any other one where
+    all of its body do.  Where nothing flows at first all meshes of a body are, once the first of
+    its particles is converted.
     """
     flows = unbounded(particles, materials)
-    if not flows.any():
-        return Flow()
-    surface = np.asarray(particles.surface)
     body = particles.body_of
-    meshes = [s.path for k, s in enumerate(solid.surfaces) if flows[surface == k].all()]
+    later = np.setdiff1d(np.unique(body[convertible(particles)]), np.unique(body[flows]))
+    surface = np.asarray(particles.surface)
+    meshes = [s.path for k, s in enumerate(solid.surfaces) if flows[surface == k].any()]
     filled = {s.path for s in solid.surfaces}
     meshes += [
         path
         for path, of in bodies.embedded.items()
         if path not in filled and flows[body == of].all()
     ]
-    return Flow(bodies=tuple(np.unique(body[flows]).tolist()), meshes=tuple(meshes))
+    return Flow(
+        bodies=tuple(flowing(particles, materials)),
+        meshes=tuple(meshes),
+        converting=tuple((path, of) for path, of in bodies.embedded.items() if of in later),
+    )

@@ -18,20 +18,22 @@ from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import Skin, StageSpec
 from gf_usd.prepare.materials.parts import material_parts
-from gf_usd.prepare.materials.regions import MaterialBox, Region
+from gf_usd.prepare.materials.regions import MaterialBox, Region, inside_some
 from gf_usd.prepare.materials.table import Authored, authored
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
+    from gf_usd.prepare.materials.conversion import ConversionRule
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dispatch:
-    """Which surfaces flow."""
+    """Which surfaces flow, in part at least."""
 
     flows: Ints  # (S,) of each filled surface, in the order of `Solid.surfaces`
     paths: tuple[str, ...]  # of those that do
     names: tuple[str, ...]  # of their materials
+    later: bool = False  # none of them from the start: they are converted
 
     @property
     def all(self) -> bool:
@@ -50,17 +52,19 @@ def dispatch(
     presets: Sequence[Any],
     law: str | None,
     regions: Sequence[Region],
+    rules: Sequence[ConversionRule],
     unit: float,
 ) -> Dispatch:
-    """Which surfaces flow, by the material of each; of subsets of its faces the first part counts.
+    """Which surfaces the Updated Lagrangian solver is for: a part of them flows without end from
+    the start, or can be converted.
 
     presets : as of `table`, each makes a variant; law : of the options, instead of all others.
-    regions : of which boxes count that hold a surface whole; unit : [m] of the stage's.
+    regions : of which boxes count; rules : of conversions; unit : [m] of the stage's.
 
-    Raises UsageError where that differs between variants.
+    Raises UsageError where it differs between variants.
     """
-    found = [_materials(solid, spec, preset, law, regions, unit) for preset in presets]
-    flows = np.array([[LAWS[m].unbounded for _, m in one] for one in found])
+    found = [_flowing_materials(solid, spec, preset, law, regions, unit) for preset in presets]
+    flows = np.array([[bool(names) for names in one] for one in found])
     if (flows != flows[0]).any():
         names = ", ".join(preset.name for preset in presets)
         raise UsageError(
@@ -68,68 +72,84 @@ def dispatch(
             f" from the others",
             "bake them separately",
         )
-    mine = np.flatnonzero(flows[0])
+    names = [name for one in found for each in one for name in each]
+    later = np.zeros(len(solid.surfaces), bool)
+    for rule in rules:
+        mine = np.array([rule.may_hold(surface, spec, unit) for surface in solid.surfaces])
+        names += [rule.material] * bool(mine.any())
+        later |= mine
+    every = flows[0] | later
     return Dispatch(
-        flows=flows[0],
-        paths=tuple(solid.surfaces[k].path for k in mine),
-        names=tuple(dict.fromkeys(one[k][0] for one in found for k in mine)),
+        flows=every,
+        paths=tuple(solid.surfaces[k].path for k in np.flatnonzero(every)),
+        names=tuple(dict.fromkeys(names)),
+        later=bool(later.any()) and not flows[0].any(),
     )
 
 
-def _materials(
+def _flowing_materials(
     solid: Solid,
     spec: StageSpec,
     preset: Any,
     law: str | None,
     regions: Sequence[Region],
     unit: float,
-) -> list[tuple[str, str]]:
-    """The name and the law of the material of each surface; no law depends on a body's size."""
+) -> list[list[str]]:
+    """Of each surface the names of its materials that flow without end; no law depends on a body's
+    size."""
 
     def finish(one: Any, radius: float) -> Material:
         return one.material(radius, law)
 
     parts = material_parts(solid, spec)
+    boxes = [region for region in regions if isinstance(region, MaterialBox)]
     out = []
     for k, surface in enumerate(solid.surfaces):
         mine = [part for part in parts if part.surface == k]
         subsets = [part for part in mine if part.subset is not None]
         faces = sum(len(part.subset.faces) for part in subsets if part.subset is not None)
-        part = subsets[0] if subsets and faces >= len(surface.face_counts) else mine[0]
-        made = (
+        if subsets and faces >= len(surface.face_counts):
+            mine = subsets
+        made = [
             authored(surface.path, part, 1.0, spec, finish)
             if isinstance(preset, Authored)
             else finish(preset, 1.0)
-        )
-        for region in regions:
-            if isinstance(region, MaterialBox) and region.holds(surface.points, unit).all():
-                made = finish(find_preset(region.material), 1.0)
-        out.append((made.name, law or made.law))
+            for part in mine
+        ]
+        for box in boxes:
+            if not inside_some(box, surface, unit):
+                continue
+            held = finish(find_preset(box.material), 1.0)
+            made = [held] if box.holds(surface.points, unit).all() else [*made, held]
+        out.append([one.name for one in made if LAWS[law or one.law].unbounded])
     return out
 
 
-def require_whole(
-    path: Path, particles: Particles, tables: Sequence[Sequence[Material]], solid: Solid
+def require_dispatched(
+    path: Path,
+    particles: Particles,
+    tables: Sequence[Sequence[Material]],
+    solid: Solid,
+    flows: Ints,
 ) -> None:
-    """Raise InputError for a body of which only a part flows without end.
+    """Raise InputError for particles that flow without end in a body that was taken for solid, as
+    those of labels.
 
-    path : of the asset, for messages; tables : the materials of each variant.
+    path : of the asset, for messages; tables : the materials of each variant; flows : (B,) of
+    bodies.
     """
     body = particles.body_of
     for table in tables:
-        flows = unbounded(particles, table)
-        for k in range(int(body.max()) + 1):
-            mine = np.flatnonzero(body == k)
-            count = int(flows[mine].sum())
-            if 0 < count < len(mine):
-                surface = solid.surfaces[int(particles.surface[mine[0]])]
-                names = [m.name for m in table if LAWS[m.law].unbounded]
-                raise InputError(
-                    f"{path}: <{surface.path}>: {count} of its {len(mine)} particles are"
-                    f" {' or '.join(names)}, which flows without limit, and the others are not:"
-                    f" a body must flow as a whole or not at all",
-                    "split it into two meshes, one for each material",
-                )
+        stray = np.flatnonzero(unbounded(particles, table) & ~flows[body])
+        if len(stray):
+            surface = solid.surfaces[int(particles.surface[stray[0]])]
+            names = [m.name for m in table if LAWS[m.law].unbounded]
+            count = int((body == body[stray[0]]).sum())
+            raise InputError(
+                f"{path}: <{surface.path}>: {len(stray)} of its {count} particles are"
+                f" {' or '.join(names)}, which flows without limit, and the others are not",
+                "split it into two meshes, one for each material",
+            )
 
 
 MOST_INSIDE = 0.02  # of the particles: fewer are a touch, which contact resolves

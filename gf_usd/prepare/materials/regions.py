@@ -104,23 +104,57 @@ def parse_boxes(texts: Sequence[str]) -> tuple[MaterialBox, ...]:
 
 def _parse_box(text: str) -> MaterialBox:
     name, _, corners = text.partition(":")
+    low, high = parse_corners(BOX_OPTION, text, corners)
+    preset = find_preset(name.strip())
+    return MaterialBox(text=text, material=preset.name, low=low, high=high)
+
+
+def parse_corners(option: str, text: str, corners: str) -> tuple[Floats, Floats]:
+    """The corners (3,) of least and of greatest coordinates of "x0,y0,z0,x1,y1,z1".
+
+    Raises UsageError, as for the text of an option, for anything else and for no volume.
+    """
     try:
         numbers = np.array([float(word) for word in corners.split(",")])
     except ValueError:
         numbers = np.full(6, np.nan)
     if len(numbers) != 6 or not np.isfinite(numbers).all():
         raise UsageError(
-            f"{BOX_OPTION} {text} is no preset and box",
-            f"give a preset and two corners in stage units: {BOX_OPTION} metal:-1,0,-1,1,0.2,1",
+            f"{option} {text} is no preset and box",
+            "give two opposite corners in stage units: "
+            + (
+                f"{BOX_OPTION} metal:-1,0,-1,1,0.2,1"
+                if option == BOX_OPTION
+                else f"{option} -1,0,-1,1,0.2,1=honey@time:48"
+            ),
         )
     low, high = np.minimum(numbers[:3], numbers[3:]), np.maximum(numbers[:3], numbers[3:])
     if (high - low).min() <= 0.0:
         raise UsageError(
-            f"{BOX_OPTION} {text} has no volume: its sides are {(high - low).tolist()}",
+            f"{option} {text} has no volume: its sides are {(high - low).tolist()}",
             "give two opposite corners that differ along every axis",
         )
-    preset = find_preset(name.strip())
-    return MaterialBox(text=text, material=preset.name, low=low, high=high)
+    return low, high
+
+
+LATTICE = 9  # points along each edge of a box, where it is asked whether a surface is in it
+
+
+def inside_some(box: MaterialBox, surface: Surface, unit: float) -> bool:
+    """Whether a box holds a part of a closed surface or of its inside; unit : [m]."""
+    from gf_usd.geometry.winding import winding_inside
+
+    low, high = box.low * unit, box.high * unit
+    points = np.asarray(surface.points)
+    if (points.max(0) <= low).any() or (points.min(0) >= high).any():
+        return False
+    rim = 1e-6 * (high - low)  # what only touches the box is not in it
+    if ((points > low + rim) & (points < high - rim)).all(1).any():
+        return True
+    low, high = np.maximum(low, points.min(0)), np.minimum(high, points.max(0))
+    steps = (np.arange(LATTICE) + 0.5) / LATTICE
+    at = low + (high - low) * np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
+    return bool(winding_inside(points, surface.triangles, at).any())
 
 
 def boxed(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> Ints:

@@ -65,6 +65,7 @@ def chosen(
         certify=request.certify,
         flows=flow.bodies if request.surface else (),
         flowing=flow.meshes if request.surface else (),
+        converting=flow.converting,
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = (

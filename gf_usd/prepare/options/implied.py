@@ -93,6 +93,8 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
                     f" {paths} ({names})",
                     f"leave {option} out, or bake the bodies separately with --prim",
                 )
+        if flow.later:
+            return replace(request, solver=MIXED), ()
         note = (
             f"{paths}: flows without end ({names}; Updated Lagrangian solver, with contact at"
             f" every particle); the other bodies are solid (Total Lagrangian solver); the"
@@ -101,6 +103,8 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
             + " shown with the other meshes"
         )
         return replace(request, solver=MIXED), (note,)
+    if flow.later:
+        return replace(request, solver="ul"), ()
     if flow.some:
         return request, (f"{paths}: flows without end ({names}); all is one body (--solver ul)",)
     if request.only is None and not request.surface:

@@ -10,6 +10,7 @@ from typing import Any
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import MIXED
+from gf_usd.prepare.materials.conversion import ConversionRule, parse_conversions
 from gf_usd.prepare.materials.regions import Region, parse_regions
 from gf_usd.prepare.options.fields import GravityKeys, parse_field
 from gf_usd.prepare.options.table import PLANNED, RequestOptions
@@ -66,6 +67,11 @@ class Request(RequestOptions):
         """What has a preset of its own, labels first.  Raises UsageError as `parse_regions`."""
         return parse_regions(self.listed("material_boxes"), self.listed("material_labels"))
 
+    @cached_property
+    def converted(self) -> tuple[ConversionRule, ...]:
+        """What becomes something else.  Raises UsageError as `parse_conversions`."""
+        return parse_conversions(self.listed("conversions"))
+
     def listed(self, name: str) -> tuple[str, ...]:
         """The texts of an option that may be given several times."""
         return getattr(self, name)
@@ -119,6 +125,7 @@ class Request(RequestOptions):
                 f"--surface is shown instead of meshes, which --only {self.only} leaves out",
                 "add mesh to --only, or leave one of the two out",
             )
+        self._check_conversion()
         self._check_precision()
         self._check_settling()
         self._check_certify()
@@ -135,6 +142,30 @@ class Request(RequestOptions):
                 "leave one of the two out: rigid regions feel constant gravity only",
             )
         _ = self.parsed  # raises for a text that says nothing
+
+    def _check_conversion(self) -> None:
+        """Raise UsageError for options that do not go with --conversion."""
+        if not self.converted:
+            return
+        for option, given in (
+            ("--solver tl", self.solver == "tl"),
+            ("--combine", self.combine),
+            ("--flesh", self.flesh),
+            ("--rigid", self.rigid),
+            ("--preset paper", self.preset),
+            ("--field", self.fields),
+            ("--settle-only", self.settle_only),
+            ("--frames rest", self.until_rest),
+            ("--certify", self.certify),
+            ("--tets", self.tets),
+            ("--rolling-resistance", self.rolling_resistance),
+            ("--mass-scaling", self.mass_scaling),
+            (f"--skin {self.skin}", self.skin not in (None, "embed")),
+        ):
+            if given:
+                raise UsageError(
+                    f"--conversion does not go with {option}", "leave one of the two out"
+                )
 
     def _check_precision(self) -> None:
         """Raise UsageError for two precisions at once, and for samples left out without one."""

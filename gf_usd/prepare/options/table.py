@@ -257,6 +257,13 @@ class RequestOptions:
         MATERIAL, "Preset for captured Gaussians with a label, NAME=VALUE:PRESET; repeatable.",
         shown="nothing", commands=INSPECT, write=values.labels,
     )] = ()
+    conversions: Annotated[str | Sequence[str], Option(
+        MATERIAL, "Turn solid particles that pass a limit into a flowing preset,"
+        " [WHERE=]PRESET@LIMIT: time:CODE, strain:VALUE (largest logarithmic stretch) or"
+        " stress:VALUE (von Mises) [Pa]. WHERE is a prim or a box x0,y0,z0,x1,y1,z1 [stage units];"
+        " repeatable, later ones override earlier ones.",
+        shown="nothing", write=values.conversions,
+    )] = ()
     blend_width: Annotated[float | None, Option(
         MATERIAL, "Width of the transition between materials of one body [stage units].",
         shown="0", low=0.0, high=1e6,

@@ -289,6 +289,11 @@ def fields(name: str, value: Any) -> tuple[str, ...]:
     return (value,) if isinstance(value, str) else _texts(name, value, wanted)
 
 
+def conversions(name: str, value: Any) -> tuple[str, ...]:
+    """Texts; one stands for itself."""
+    return _texts(name, value, "a material and limit such as 'honey@time:48', or a list of them")
+
+
 def labels(name: str, value: Any) -> tuple[str, ...]:
     """Presets of labels: {property: {value: preset}}; or texts."""
     wanted = "presets of labels: {'label': {3: 'metal'}}"

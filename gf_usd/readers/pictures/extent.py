@@ -68,6 +68,31 @@ def _skeleton_times(root: Usd.Prim) -> set[float]:
     return times
 
 
+def comes_and_goes(prim: Usd.Prim) -> bool:
+    """Whether the visibility of a prim changes over time."""
+    above = prim
+    while above and not above.IsPseudoRoot():
+        visibility = UsdGeom.Imageable(above).GetVisibilityAttr()
+        if visibility and visibility.ValueMightBeTimeVarying():
+            return True
+        above = above.GetParent()
+    return False
+
+
+def is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether a prim is visible at a time."""
+    return UsdGeom.Imageable(prim).ComputeVisibility(time) != UsdGeom.Tokens.invisible
+
+
+def sometimes_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether a prim is visible at a time, or at a later one of its own visibility."""
+    if is_visible(prim, time):
+        return True
+    visibility = UsdGeom.Imageable(prim).GetVisibilityAttr()
+    samples = visibility.GetTimeSamples() if visibility and comes_and_goes(prim) else []
+    return any(is_visible(prim, Usd.TimeCode(code)) for code in samples)
+
+
 def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
     """The box [m] of the prims' points over up to 48 of the times; None where there are none.
 
@@ -79,6 +104,7 @@ def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float
     if times:
         spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
         chosen = [times[i] for i in np.unique(np.round(spread).astype(int))]
+    changing = {number for number, prim in enumerate(prims) if comes_and_goes(prim)}
     boxes: list[dict[int, Floats]] = []  # of each prim, at each time
     for code in chosen:
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
@@ -86,6 +112,8 @@ def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float
         skins = Skins(time, xforms, Notes())
         now: dict[int, Floats] = {}
         for number, prim in enumerate(prims):
+            if number in changing and not is_visible(prim, time):
+                continue
             points = _world_points(prim, time, xforms, skins)
             points = points[np.isfinite(points).all(axis=1)] * unit
             if len(points):

@@ -17,7 +17,12 @@ from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.extent import sample_times
+from gf_usd.readers.pictures.extent import (
+    comes_and_goes,
+    is_visible,
+    sample_times,
+    sometimes_visible,
+)
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, read_splats, to_render_mesh
 from gf_usd.readers.pictures.values import MEASURES, written
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
@@ -88,6 +93,7 @@ class BakedMotion:
             meshes=tuple(self._shapes),
             baked=tuple(str(prim.GetPath()) in self._bodies for prim in self._meshes),
             flows=tuple(str(prim.GetPath()) for prim in self._flows),
+            vanishing=tuple(str(prim.GetPath()) for prim in self._vanishing),
             gaussians=self._gaussians,
             about=self.about,
             notes=self._notes.lines(without=FOR_BAKES),
@@ -122,6 +128,8 @@ class BakedMotion:
                     f"{code:g} but {len(shape.points)} at the first one, or some are not finite.",
                     "run gf-usd check for details, then bake the asset again",
                 )
+            if prim in self._vanishing and not is_visible(prim, time):
+                points = np.broadcast_to(points.mean(0), points.shape)  # of no area
             meshes.append(points)
         flows = self._changing(self._context(time, xforms, skins, Notes()))
         if self._gaussians is None:
@@ -140,6 +148,8 @@ class BakedMotion:
         """The meshes whose faces change, as they are at one time."""
         found = []
         for prim in self._flows:
+            if comes_and_goes(prim) and not is_visible(prim, context.time):
+                continue
             try:
                 surface = read_surface(prim, context)
             except LeftAlone:  # nothing is there at this time, or not yet
@@ -219,8 +229,7 @@ class BakedMotion:
         self._shapes: list[RenderMesh] = []
         for prim in candidates:
             image = UsdGeom.Imageable(prim)
-            visible = image.ComputeVisibility(time) != UsdGeom.Tokens.invisible
-            if not visible or image.ComputePurpose() not in PURPOSES:
+            if not sometimes_visible(prim, time) or image.ComputePurpose() not in PURPOSES:
                 continue
             if _faces_change(prim):
                 self._flows.append(prim)
@@ -232,6 +241,7 @@ class BakedMotion:
                 continue
             self._meshes.append(prim)
             self._shapes.append(to_render_mesh(surface, self._stage, time))
+        self._vanishing = [prim for prim in self._meshes if comes_and_goes(prim)]
         self._gaussians = self._read_gaussians(context) if self._cloud else None
         self._bodies = self._body_paths()
 

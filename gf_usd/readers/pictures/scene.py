@@ -24,7 +24,14 @@ from gf_usd.core.scene import (
 )
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.camera import find_camera, read_camera
-from gf_usd.readers.pictures.extent import HEALTH, motion_bounds, sample_times
+from gf_usd.readers.pictures.extent import (
+    HEALTH,
+    comes_and_goes,
+    is_visible,
+    motion_bounds,
+    sample_times,
+    sometimes_visible,
+)
 from gf_usd.readers.pictures.prims import (
     SPLAT_TYPE,
     as_ellipsoids,
@@ -234,7 +241,9 @@ class PictureStage:
     def _read(
         self, kind: str, prim: Usd.Prim, context: Reading
     ) -> RenderMesh | RenderSplats | RenderEllipsoids | None:
-        """One prim; None, and a note, for one that holds nothing."""
+        """One prim; None, and a note, for one that holds nothing; None where it is hidden then."""
+        if comes_and_goes(prim) and not is_visible(prim, context.time):
+            return None
         try:
             if kind == "mesh":
                 mesh = to_render_mesh(read_surface(prim, context), self._stage, context.time)
@@ -296,12 +305,12 @@ class PictureStage:
             for kind, prim in self._all()
             if kind in kinds
             and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
-            and (_is_visible(prim, time) or is_ours(prim))
+            and (sometimes_visible(prim, time) or is_ours(prim))
         ]
 
     def _visible_kinds(self) -> set[str]:
         time = self._time(None)
-        return {kind for kind, prim in self._all() if _is_visible(prim, time)}
+        return {kind for kind, prim in self._all() if sometimes_visible(prim, time)}
 
     def _select_display(self, display: str) -> None:
         """Select a bake's display variant, in the session only."""
@@ -338,10 +347,6 @@ def _select(stage: Usd.Stage, path: Path, variant: str) -> None:
     for one in sets:
         if variant in one.GetVariantNames():
             one.SetVariantSelection(variant)
-
-
-def _is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    return UsdGeom.Imageable(prim).ComputeVisibility(time) != UsdGeom.Tokens.invisible
 
 
 def _ground(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -> float | None:

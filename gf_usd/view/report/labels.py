@@ -72,6 +72,9 @@ ROWS: tuple[Row, ...] = (
     Row("lost_particles", "Flowing particles lost", "", "below the floor or every obstacle"),
     Row("lost_share", "Flowing particles lost", "", "share of all particles"),
     Row("first_lost_frame", "First flowing particle lost", "", "frame, counted from 0"),
+    Row("converted_particles", "Particles converted", "", "from solid to flowing"),
+    Row("converted_share", "Particles converted", "", "share of all particles"),
+    Row("first_converted_frame", "First particle converted", "", "frame, counted from 0"),
     Row(
         "flow_volume_min",
         "Smallest volume of flowing material",
@@ -209,6 +212,7 @@ ROWS: tuple[Row, ...] = (
         "summed over frames, divided by the reference energy",
     ),
     Row("plastic_dissipation_J", "Plastic dissipation", "J", "energy of permanent deformation"),
+    Row("conversion_dissipation_J", "Lost by conversion", "J", "part of the plastic dissipation"),
     Row(
         "settling_dissipation_J",
         "Settling dissipation",
@@ -246,6 +250,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "let-go": ("released_max",),
     "fallen": ("fallen_bodies", "first_fallen_frame"),
     "lost": ("lost_particles", "lost_share", "first_lost_frame"),
+    "unconverted": ("converted_particles", "converted_share"),
     "flow-volume": ("flow_volume_min", "flow_volume_max"),
     "inside": ("inside_at_end_share", "inside_at_end_m"),
     "resting-depth": ("resting_penetration_m", "resting_penetration_spacings"),

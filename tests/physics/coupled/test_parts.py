@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from solids import cube, solid
 
-from gf_usd.core.errors import InputError
 from gf_usd.core.frames import CellCopies, SurfaceSamples
+from gf_usd.core.materials.conversion import TIME, Conversion, Limit
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import ContactSetup
 from gf_usd.geometry.sampling.particles import sample_solid
@@ -68,13 +68,23 @@ def test_copies_of_cells_go_with_their_bodies() -> None:
     assert flow.particles.copies is None
 
 
-def test_bodies_flow_by_the_law_of_all_their_particles() -> None:
+def test_a_body_flows_where_a_part_of_it_does_or_can_be_converted() -> None:
     particles = four()
     assert np.array_equal(flowing_bodies(particles, TABLE), FLOWS)
     mixed = np.array(particles.material)
-    mixed[0] = 1 - mixed[0]
-    with pytest.raises(InputError, match="flow without end and the others do not"):
-        flowing_bodies(replace(particles, material=mixed), TABLE)
+    mixed[np.flatnonzero(particles.body == 1)[0]] = 1
+    assert flowing_bodies(replace(particles, material=mixed), TABLE).tolist() == [1, 1, 1, 0]
+    last = np.flatnonzero(particles.body == 3)[:2]
+    becomes = Conversion(particles=last, material=1, limit=Limit(kind=TIME, value=3.0))
+    ready = replace(particles, conversions=(becomes,))
+    which = flowing_bodies(ready, TABLE)
+    assert which.tolist() == [1, 0, 1, 1]
+    samples = SurfaceSamples(X=ready.X, area=ready.V0, body=ready.body)
+    flow = part_of(which, ready, samples, {}, {}, {}, copied=False)
+    (mine,) = flow.particles.conversions
+    assert np.array_equal(flow.at[mine.particles], last)
+    hold = part_of(~which, ready, samples, {}, {}, {}, copied=False)
+    assert hold.particles.conversions == ()
 
 
 def test_what_passes_through_what_is_told_of_the_parts() -> None:

@@ -80,12 +80,12 @@ def test_a_rising_obstacle_carries_what_lies_on_it_and_its_work_is_counted() -> 
 def test_no_sample_faces_what_it_passes_through() -> None:
     tray = cube((-1.0, -1.0, -1.0), (2.0, 1.0, 2.0))
     run = flow(obstacle(tray.points, tray.triangles), through=True)
-    run.begin()
+    run.begin(1)
     run.detect(0.0, run.frame_time)
     assert run.planes is not None
     assert not len(run.planes.rows)
     other = flow(obstacle(tray.points, tray.triangles))
-    other.begin()
+    other.begin(1)
     other.detect(0.0, other.frame_time)
     assert other.planes is not None
     assert len(other.planes.rows) == 32, "the two lower layers are nearer than two spacings"

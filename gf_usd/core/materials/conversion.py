@@ -1,0 +1,42 @@
+"""Conversion: particles of a solid that become a flowing material once they pass a limit.
+
+    time     the time code of a frame
+    strain   max_i |ln s_i|, the largest logarithmic principal stretch of F_e
+    stress   von Mises' sqrt(3/2 s:s) [Pa], s the deviator of the Cauchy stress
+
+Each particle is tested once per frame.  A particle that was converted keeps its mass and velocity
+and never turns back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gf_usd.core.arrays import Ints
+
+TIME, STRAIN, STRESS = "time", "strain", "stress"
+KINDS = {TIME: "", STRAIN: "", STRESS: " Pa"}  # with their units
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """What a particle has to pass."""
+
+    kind: str  # of KINDS
+    value: float
+
+    @property
+    def said(self) -> str:
+        """In words."""
+        if self.kind == TIME:
+            return f"from time code {self.value:g} on"
+        return f"beyond a {self.kind} of {self.value:g}{KINDS[self.kind]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conversion:
+    """Some particles, and what they become."""
+
+    particles: Ints  # (k,)
+    material: int  # into the materials of the bake
+    limit: Limit

@@ -1,0 +1,148 @@
+"""Particles of an elastic body that become a flowing material (`core.materials.conversion`).
+
+At the start of a frame a particle that has passed its limit takes over the law and the values of
+another material.  Its mass, position, velocity and affine motion stay, so that both momenta are
+kept to the bit.  It begins to flow without shear, and with the pressure that it had where the new
+material is the stiffer one,
+
+    F_e = J_e^(1/3) I,    J_e = 1 + (J - 1) min(1, K / K')
+
+with K and K' = lam + 2/3 mu of the old and the new material: to first order in J - 1 the energy
+of the volume is then K / K' times, or as much as, what it was, and never more.  What the particle
+loses,
+
+    V0 (psi(F) - psi'(F_e)),
+
+is counted with what plastic flow dissipates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.materials.conversion import STRAIN, STRESS, TIME, Conversion
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import after_conversion, of_materials, with_derived
+from gf_usd.physics.contact.floor import FloorContact
+from gf_usd.physics.laws.registry import GRADIENT, particle_laws
+from gf_usd.physics.total_lagrangian.setup import viscosities
+from gf_usd.physics.updated_lagrangian.setup import Body
+from gf_usd.physics.updated_lagrangian.state import State
+
+LEAST_J = 0.1  # of F_e at first: a particle that is inside out, or nearly, has no pressure to keep
+
+
+class Convertible(Protocol):
+    """A solver whose particles can be converted."""
+
+    particles: Particles
+    settings: Settings
+    body: Body
+    state: State
+
+    def von_mises(self) -> Floats:
+        """(N,) [Pa] of each particle."""
+        ...
+
+    def follow(self, contact: FloorContact | None) -> None:
+        """Go on with the laws and the contact samples that conversion gave the body."""
+        ...
+
+
+class Conversions:
+    """Which particles were converted so far: a part of the state.
+
+    solver : whose body, state and planes follow; materials : of the bake.
+    """
+
+    def __init__(self, solver: Convertible, materials: Sequence[Material]) -> None:
+        self._solver, self._materials = solver, materials
+        self._particles, self._start = solver.particles, solver.body
+        self.done: NDArray[np.bool_] = np.zeros(len(solver.particles), bool)
+        self.dissipated = 0.0  # [J] in the last frame
+
+    def save(self) -> dict[str, Any]:
+        """See `Saved`."""
+        return {"converted": self.done.copy()}
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """See `Saved`."""
+        done = np.asarray(saved["converted"], bool)
+        if (done != self.done).any():
+            self._set(done)
+
+    def frame(self, index: int) -> None:
+        """Convert what has passed its limit before the way to frame `index`."""
+        self.dissipated = 0.0
+        passed = self.done.copy()
+        for one in self._particles.conversions:
+            rows = one.particles[~self.done[one.particles]]
+            if len(rows):
+                passed[rows[self._passes(one, rows, index - 1)]] = True
+        if (new := np.flatnonzero(passed & ~self.done)).size:
+            self._convert(passed, new)
+
+    def _passes(self, one: Conversion, rows: Ints, index: int) -> NDArray[np.bool_]:
+        """(k,) which of the particles `rows` are past their limit at a frame."""
+        from gf_usd.physics.per_particle import strains
+
+        solver, limit = self._solver, one.limit
+        if limit.kind == TIME:
+            return np.full(len(rows), solver.settings.time_code(index) >= limit.value)
+        if limit.kind == STRESS:
+            return solver.von_mises()[rows] > limit.value
+        assert limit.kind == STRAIN
+        stretch = strains(solver.state.elastic[rows])[0]
+        return np.abs(np.log(np.maximum(stretch, 1e-30))).max(1) > limit.value
+
+    def _convert(self, passed: NDArray[np.bool_], new: Ints) -> None:
+        """Convert the particles `new`, after which `passed` (N,) are."""
+        from gf_usd.physics.per_particle import strains
+
+        solver = self._solver
+        state, before = solver.state, solver.body.law
+        stretch, J = strains(state.elastic)
+        bulk = before.q[1] + 2.0 / 3.0 * before.q[0]
+        lost = before.stored(stretch, J)[new]
+        self._set(passed)
+        law = solver.body.law
+        ratio = np.minimum(1.0, bulk / np.maximum(law.q[1] + 2.0 / 3.0 * law.q[0], 1e-300))
+        J = np.maximum(1.0 + (J - 1.0) * ratio, LEAST_J)
+        stretch[new] = np.cbrt(J[new])[:, None]
+        history = state.rows("history", law.set.history)
+        history[new] = law.history[new]
+        history[new, :GRADIENT] = (np.cbrt(J[new])[:, None, None] * np.eye(3)).reshape(-1, GRADIENT)
+        state.put("history", history)
+        lost = lost - law.stored(stretch, J)[new]
+        self.dissipated = float(solver.body.per["V0"][new] @ lost)
+
+    def _set(self, done: NDArray[np.bool_]) -> None:
+        """Let the particles `done` (N,) have the values of what they become, and no others."""
+        solver, start = self._solver, self._start
+        after = after_conversion(self._particles)
+        per = {**start.per}
+        for name, values in of_materials(after, self._materials).items():
+            if name != "density":  # mass is conserved
+                per[name] = np.where(done, values, per[name])
+        per = with_derived(per)
+        material = np.where(done, after.material, self._particles.material)
+        law = particle_laws(self._materials, material, per)
+        contact = start.contact
+        if contact is not None and start.embedding is not None:
+            of = start.embedding.particle[:, 0]
+            contact = replace(
+                contact, friction=per["friction"][of], restitution=per["restitution"][of]
+            )
+            solver.state.put("sample_constants", contact.law.ravel())
+        solver.body = replace(start, per=per, law=law, contact=contact)
+        solver.state.put("constants", law.constants.ravel())
+        solver.state.put("viscosity", viscosities(per, start.h).ravel())
+        self.done = done.copy()
+        solver.follow(contact)

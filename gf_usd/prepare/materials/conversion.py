@@ -1,0 +1,180 @@
+"""Which particles can be converted: `--conversion [WHERE=]PRESET@LIMIT`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.asset import Surface
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.materials.conversion import KINDS, TIME, Conversion, Limit
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import unbounded
+from gf_usd.core.materials.presets import find_preset
+from gf_usd.core.stage import StageSpec
+from gf_usd.prepare.bodies.plan import BodyPlan
+from gf_usd.prepare.materials.assign import Assigned
+from gf_usd.prepare.materials.parts import material_parts, part_of_particles
+from gf_usd.prepare.materials.regions import MaterialBox, inside_some, parse_corners
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
+
+OPTION = "--conversion"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConversionRule:
+    """One text of the option."""
+
+    text: str  # as asked for
+    path: str  # of a prim, all below it included; "": everything, or what is in the box
+    box: MaterialBox | None
+    material: str  # name of a preset that flows without end
+    limit: Limit
+
+    def becomes(self) -> Material:
+        """What particles become.  It does not depend on the size of a body."""
+        return find_preset(self.material).material(1.0, None)
+
+    def may_hold(self, surface: Surface, spec: StageSpec, unit: float) -> bool:
+        """Whether some of the particles of a filled surface may be meant; unit : [m]."""
+        if self.box is not None:
+            return inside_some(self.box, surface, unit)
+        body = spec.bodies.get(surface.path)
+        paths = (surface.path, *(one.path for one in (body.subsets if body else ())))
+        return any(_below(path, self.path) for path in paths)
+
+
+def parse_conversions(texts: Sequence[str]) -> tuple[ConversionRule, ...]:
+    """The rules of "[WHERE=]PRESET@LIMIT".
+
+    WHERE is the path of a prim or GeomSubset, or a box x0,y0,z0,x1,y1,z1 in stage units, and LIMIT
+    is time:CODE, strain:VALUE or stress:PASCAL.  Raises UsageError for anything else, for an
+    unknown preset, and for one that does not flow without end.
+    """
+    return tuple(_parse(text) for text in texts)
+
+
+def _parse(text: str) -> ConversionRule:
+    where, _, what = text.rpartition("=")
+    name, _, beyond = what.rpartition("@")
+    kind, _, number = beyond.partition(":")
+    try:
+        value = float(number)
+    except ValueError:
+        value = np.nan
+    sound = np.isfinite(value) and (kind == TIME or value > 0.0)
+    if not name or kind not in KINDS or not sound:
+        raise UsageError(
+            f"{OPTION} {text} is no material and limit",
+            f"give a preset that flows and a limit above zero: {OPTION} honey@time:48,"
+            f" powder-snow@strain:0.1 or wet-sand@stress:2000, and before it, if not all bodies are"
+            f" meant, the path of a prim or a box: {OPTION} /World/Bar=honey@time:48",
+        )
+    preset = find_preset(name.strip())
+    made = preset.material(1.0, None)
+    if not LAWS[made.law].unbounded:
+        raise UsageError(
+            f"{OPTION} {text}: {preset.name} does not flow without end, so that nothing can become"
+            " it",
+            "name one of the flowing presets: gf-usd materials",
+        )
+    where, box = where.strip(), None
+    if where and not where.startswith("/"):
+        low, high = parse_corners(OPTION, text, where)
+        box = MaterialBox(text=text, material=preset.name, low=low, high=high)
+        where = ""
+    return ConversionRule(
+        text=text, path=where, box=box, material=preset.name, limit=Limit(kind=kind, value=value)
+    )
+
+
+def with_conversions(
+    path: Path,
+    assigned: Assigned,
+    rules: Sequence[ConversionRule],
+    solid: Solid,
+    bodies: BodyPlan,
+    spec: StageSpec,
+    unit: float,
+) -> Assigned:
+    """The particles with their conversions, and the tables with what they become at the end.
+
+    path : of the asset, for messages; unit : [m] of the stage's.  Later rules hold before earlier
+    ones.  Raises InputError for a rule that means no particle, or only such as flow from the start.
+    """
+    if not rules:
+        return assigned
+    particles = assigned.particles
+    count = len(assigned.tables[0])
+    flows = unbounded(particles, assigned.tables[0])
+    of = np.full(len(particles), -1)
+    meant = [_meant(rule, particles.X, assigned, solid, spec, unit) for rule in rules]
+    for k, (rule, mine) in enumerate(zip(rules, meant)):
+        if not mine.any():
+            raise InputError(
+                f"{path}: {OPTION} {rule.text} means none of the {len(particles)} particles",
+                "name a baked prim or a box that holds particles; gf-usd inspect lists the prims",
+            )
+        if (mine & ~flows).sum() == 0:
+            raise InputError(
+                f"{path}: {OPTION} {rule.text}: all of its {int(mine.sum())} particles flow from"
+                " the start",
+                "leave it out, or give the body a solid --material",
+            )
+        of[mine & ~flows] = k
+    made, notes = [], []
+    for k, rule in enumerate(rules):
+        rows = np.flatnonzero(of == k)
+        if not len(rows):
+            raise InputError(
+                f"{path}: {OPTION} {rule.text}: later ones hold for all of its particles",
+                "leave it out, or name it after them",
+            )
+        made.append(Conversion(particles=rows, material=count + k, limit=rule.limit))
+        touched = sorted({int(b) for b in particles.body_of[rows]})
+        names = ", ".join(f"<{p}>" for b in touched for p in bodies.surfaces[b][:4])
+        notes.append(
+            f"{len(rows)} of {len(particles)} particles, of {names}, become {rule.material}"
+            f" {rule.limit.said}; the Updated Lagrangian solver moves these bodies from the start"
+        )
+    targets = tuple(rule.becomes() for rule in rules)
+    return replace(
+        assigned,
+        particles=replace(particles, conversions=tuple(made)),
+        tables=tuple((*table, *targets) for table in assigned.tables),
+        notes=(*assigned.notes, *notes),
+    )
+
+
+def _meant(
+    rule: ConversionRule,
+    X: NDArray[np.float64],
+    assigned: Assigned,
+    solid: Solid,
+    spec: StageSpec,
+    unit: float,
+) -> NDArray[np.bool_]:
+    """(N,) which particles at rest at X (N, 3) [m] a rule means."""
+    if rule.box is not None:
+        return np.asarray(rule.box.holds(X, unit), bool)
+    parts = material_parts(solid, spec)
+    slot = part_of_particles(solid, assigned.particles, parts)
+    named = [
+        _below(solid.surfaces[part.surface].path, rule.path)
+        or (part.subset is not None and _below(part.subset.path, rule.path))
+        for part in parts
+    ]
+    return np.array(named, bool)[slot]
+
+
+def _below(path: str, root: str) -> bool:
+    """Whether a prim is another one or below it; everything is below ""."""
+    return not root or path == root or path.startswith(root.rstrip("/") + "/")
