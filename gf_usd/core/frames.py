@@ -116,6 +116,27 @@ class SurfaceSamples:
     body: Ints | None = None  # (n,) as in Particles
     cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
+    def with_grains(self, particles: Particles, flows: Ints) -> SurfaceSamples:
+        """Those of solid bodies, and every particle of the bodies (B,) that flow.
+
+        Each particle stands for an area such that rho * area * spacing is its own mass.
+        """
+        of = np.zeros(len(self.X), np.int64) if self.body is None else np.asarray(self.body)
+        shell, body = ~flows[of], particles.body_of
+        grains = flows[body]
+        count = int(grains.sum())
+        normal = np.zeros_like(self.X) if self.normal is None else np.asarray(self.normal)
+        copy = None if self.cell_copy is None else np.asarray(self.cell_copy)
+        return SurfaceSamples(
+            X=np.concatenate([self.X[shell], particles.X[grains]]),
+            area=np.concatenate([self.area[shell], particles.V0[grains] / particles.spacing]),
+            normal=np.concatenate([normal[shell], np.zeros((count, 3))]),
+            body=np.concatenate([of[shell], body[grains]]),
+            cell_copy=None
+            if copy is None
+            else np.concatenate([copy[shell], np.zeros(count, np.int64)]),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Field:

@@ -28,6 +28,12 @@ def _coupled() -> type[Solver]:
     return Coupled
 
 
+def _converting() -> type[Solver]:
+    from gf_usd.physics.coupled.handover import Converting
+
+    return Converting
+
+
 # One row makes a solver; its file is imported when it is asked for.
 SOLVERS: dict[str, Callable[[], type[Solver]]] = {
     "tl": _total_lagrangian,
@@ -43,7 +49,7 @@ def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any)
     Raises UsageError for a name that is not in SOLVERS, or what the solver named does not know.
     """
     if settings.solver == MIXED:
-        both: Any = _coupled()
+        both: Any = _converting() if particles.conversions else _coupled()
         return both(particles, materials, settings, **more)
     if settings.solver not in SOLVERS:
         raise UsageError(f"unknown solver {settings.solver!r}", f"choose {' or '.join(SOLVERS)}")

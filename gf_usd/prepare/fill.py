@@ -34,7 +34,6 @@ from gf_usd.prepare.bodies.contact import (
     keep_limbs_apart,
     require_clear_start,
     skins,
-    with_grains,
 )
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.plan import plan_bodies
@@ -152,7 +151,7 @@ def fill(
         kinds=flow.flows if mixed else None,
     )  # fmt: skip
     _require_one_body(request, bodies.count)
-    if paper or (flowing and not mixed):
+    if paper or (flow.flows.any() and not mixed):
         # There every particle feels the floor; a mass of rho * area * spacing is its own.
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
     else:
@@ -163,7 +162,7 @@ def fill(
             asset.facts.up_axis,
         )
     if mixed:
-        samples = with_grains(samples, particles, bodies.flows(flow.flows))
+        samples = samples.with_grains(particles, bodies.flows(flow.first))
     floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, unit)
     # a sheet that was thickened reaches below what is drawn
     every_surface = (*asset.surfaces, *solid.surfaces)
@@ -239,7 +238,7 @@ def fill(
         )
     particles, made = materials.particles, materials.main
     if mixed:
-        flows = bodies.flows(flow.flows)
+        flows = bodies.flows(flow.first)
         require_dispatched(asset.facts.path, particles, materials.tables, solid, flows)
         require_outside(asset.facts.path, particles, flows, skins(solid, bodies.of_surface))
     held = any(not pin.rigid for pin in pins)

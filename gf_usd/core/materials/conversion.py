@@ -1,7 +1,7 @@
 """Conversion: particles of a solid that become a flowing material once they pass a limit.
 
     time     the time code of a frame
-    strain   max_i |ln s_i|, the largest logarithmic principal stretch of F_e
+    strain   max_i |ln s_i|, the largest logarithmic principal stretch of F
     stress   von Mises' sqrt(3/2 s:s) [Pa], s the deviator of the Cauchy stress
 
 Each particle is tested once per frame.  A particle that was converted keeps its mass and velocity

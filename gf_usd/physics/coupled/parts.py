@@ -116,6 +116,25 @@ def _conversions(given: Sequence[Conversion], count: int, at: Ints) -> tuple[Con
     return tuple(one for one in found if len(one.particles))
 
 
+def in_use(
+    particles: Particles, materials: Sequence[Material]
+) -> tuple[Particles, tuple[Material, ...]]:
+    """The particles with those of the materials that they have or can be converted to, numbered
+    anew: kernels know no law that nothing has."""
+    becomes = [one.material for one in particles.conversions]
+    used = np.unique([*np.unique(particles.material), *becomes]).astype(np.int64)
+    number = np.full(len(materials), -1)
+    number[used] = np.arange(len(used))
+    made = replace(
+        particles,
+        material=number[np.asarray(particles.material)],
+        conversions=tuple(
+            replace(one, material=int(number[one.material])) for one in particles.conversions
+        ),
+    )
+    return made, tuple(materials[k] for k in used)
+
+
 PER_PARTICLE = ("X", "V0", "material", "orientation", "scale", "color", "opacity", "surface")
 
 

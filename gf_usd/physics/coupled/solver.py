@@ -19,7 +19,14 @@ from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.coupled.contact import Exchange, SolidBodies
-from gf_usd.physics.coupled.parts import Part, flowing_bodies, part_of, passes, solid_setup
+from gf_usd.physics.coupled.parts import (
+    Part,
+    flowing_bodies,
+    in_use,
+    part_of,
+    passes,
+    solid_setup,
+)
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
@@ -27,6 +34,8 @@ from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 class Coupled(Solver):
     """Some bodies that hold together and some that flow; parameters as for `TotalLagrangian`.
+
+    flows : (B,) which bodies flow; None: those of which a part does, or can be converted.
 
     Raises UsageError for what only one of the two can do.
     """
@@ -47,12 +56,13 @@ class Coupled(Solver):
         embedded_copy: Mapping[str, Ints] | None = None,
         h: float | None = None,
         real: type = np.float32,
+        flows: Ints | None = None,
     ) -> None:
         refuse(settings, pins, goals)
         if samples is None or contact_setup is None:
             raise ValueError("bodies that meet need contact samples and a contact setup")
         self.particles, self.settings = particles, settings
-        flows = flowing_bodies(particles, materials)
+        flows = flowing_bodies(particles, materials) if flows is None else flows
         if flows.all() or not flows.any():
             raise UsageError(
                 "either all bodies flow or none does, so there is nothing to couple",
@@ -66,17 +76,20 @@ class Coupled(Solver):
             )  # fmt: skip
 
         self._solid, self._flow = part(~flows, copied=True), part(flows, copied=False)
+        self.flowing_at = self._flow.at  # (n,) particles, among all
         own = replace(settings, shortcuts=False, settling=False, rolling=0.0)
+        made, of_solid = in_use(self._solid.particles, materials)
         self.solid = TotalLagrangian(
-            self._solid.particles, materials, own, samples=self._solid.samples,
+            made, of_solid, own, samples=self._solid.samples,
             embedded=self._solid.embedded, velocity=self._solid.velocity(velocity), pins=pins,
             contact_setup=solid_setup(contact_setup, self._solid, self._solid.copies),
             embedded_body=self._solid.embedded_body, embedded_copy=self._solid.embedded_copy,
             h=h, real=real,
         )  # fmt: skip
         walls = ContactSetup(skins=(), colliders=contact_setup.colliders, flows=True)
+        made, of_flow = in_use(self._flow.particles, materials)
         self.flow = UpdatedLagrangian(
-            self._flow.particles, materials, own, samples=self._flow.samples,
+            made, of_flow, own, samples=self._flow.samples,
             embedded=self._flow.embedded, velocity=self._flow.velocity(velocity),
             contact_setup=walls, h=h, real=real,
         )  # fmt: skip

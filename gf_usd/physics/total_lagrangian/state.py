@@ -278,17 +278,17 @@ class StateView:
         """(N,) by name at stretches (N, 3) of F_e: see `ParticleLaws.written`."""
         if not self._body.law.set.flows:
             return {}
-        return self._body.law.written(self._history, stretch)
+        return self._body.law.written(self.history, stretch)
 
     @cached_property
-    def _history(self) -> Floats:
+    def history(self) -> Floats:
         """(N, k) of the particles, as `LawSet.history` counts them."""
         return layout.from_lanes(self._body.layout, self._given[-2]).astype(float)
 
     @cached_property
     def _plastic(self) -> Floats:
         """F_p^-1 (N, 3, 3)."""
-        return self._history[:, :GRADIENT].reshape(-1, 3, 3)
+        return self.history[:, :GRADIENT].reshape(-1, 3, 3)
 
     @property
     def plastic_factor(self) -> Floats | float:

@@ -39,6 +39,37 @@ from gf_usd.physics.updated_lagrangian.state import State
 LEAST_J = 0.1  # of F_e at first: a particle that is inside out, or nearly, has no pressure to keep
 
 
+def past_limits(
+    conversions: Sequence[Conversion],
+    done: NDArray[np.bool_],
+    code: float,
+    F: Floats,
+    stress: Floats | None,
+) -> NDArray[np.bool_]:
+    """(N,) which particles are past their limit, those that are `done` (N,) left out.
+
+    code : time code; F : (N, 3, 3) of the particles; stress : (N,) [Pa] of von Mises, where a limit
+    is one of stress.
+    """
+    from gf_usd.physics.per_particle import strains
+
+    out = np.zeros(len(done), bool)
+    for one in conversions:
+        rows, limit = one.particles[~done[one.particles]], one.limit
+        if not len(rows):
+            continue
+        if limit.kind == TIME:
+            out[rows] = code >= limit.value
+        elif limit.kind == STRESS:
+            assert stress is not None
+            out[rows] = stress[rows] > limit.value
+        else:
+            assert limit.kind == STRAIN
+            stretch = np.maximum(strains(F[rows])[0], 1e-30)
+            out[rows] = np.abs(np.log(stretch)).max(1) > limit.value
+    return out
+
+
 class Convertible(Protocol):
     """A solver whose particles can be converted."""
 
@@ -81,26 +112,14 @@ class Conversions:
     def frame(self, index: int) -> None:
         """Convert what has passed its limit before the way to frame `index`."""
         self.dissipated = 0.0
-        passed = self.done.copy()
-        for one in self._particles.conversions:
-            rows = one.particles[~self.done[one.particles]]
-            if len(rows):
-                passed[rows[self._passes(one, rows, index - 1)]] = True
+        solver, kinds = self._solver, {one.limit.kind for one in self._particles.conversions}
+        passed = self.done | past_limits(
+            self._particles.conversions, self.done, solver.settings.time_code(index - 1),
+            solver.state.rows("F", 9).reshape(-1, 3, 3),
+            solver.von_mises() if STRESS in kinds and not self.done.all() else None,
+        )  # fmt: skip
         if (new := np.flatnonzero(passed & ~self.done)).size:
             self._convert(passed, new)
-
-    def _passes(self, one: Conversion, rows: Ints, index: int) -> NDArray[np.bool_]:
-        """(k,) which of the particles `rows` are past their limit at a frame."""
-        from gf_usd.physics.per_particle import strains
-
-        solver, limit = self._solver, one.limit
-        if limit.kind == TIME:
-            return np.full(len(rows), solver.settings.time_code(index) >= limit.value)
-        if limit.kind == STRESS:
-            return solver.von_mises()[rows] > limit.value
-        assert limit.kind == STRAIN
-        stretch = strains(solver.state.elastic[rows])[0]
-        return np.abs(np.log(np.maximum(stretch, 1e-30))).max(1) > limit.value
 
     def _convert(self, passed: NDArray[np.bool_], new: Ints) -> None:
         """Convert the particles `new`, after which `passed` (N,) are."""

@@ -71,23 +71,6 @@ def keep_limbs_apart(
     )
 
 
-def with_grains(samples: SurfaceSamples, particles: Particles, flows: Ints) -> SurfaceSamples:
-    """Samples of the surfaces of solid bodies, and every particle of those (B,) that flow.
-
-    Each particle stands for an area such that rho * area * spacing is its own mass.
-    """
-    assert samples.body is not None
-    assert samples.normal is not None
-    assert particles.body is not None
-    shell, grains = ~flows[samples.body], flows[particles.body]
-    return SurfaceSamples(
-        X=np.concatenate([samples.X[shell], particles.X[grains]]),
-        area=np.concatenate([samples.area[shell], particles.V0[grains] / particles.spacing]),
-        normal=np.concatenate([samples.normal[shell], np.zeros((int(grains.sum()), 3))]),
-        body=np.concatenate([samples.body[shell], particles.body[grains]]),
-    )
-
-
 def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
     """The surface of each body, seen from outside."""
     out = []

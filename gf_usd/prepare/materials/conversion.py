@@ -143,7 +143,7 @@ def with_conversions(
         names = ", ".join(f"<{p}>" for b in touched for p in bodies.surfaces[b][:4])
         notes.append(
             f"{len(rows)} of {len(particles)} particles, of {names}, become {rule.material}"
-            f" {rule.limit.said}; the Updated Lagrangian solver moves these bodies from the start"
+            f" {rule.limit.said}; from the first of them on particles are shown, not the mesh"
         )
     targets = tuple(rule.becomes() for rule in rules)
     return replace(

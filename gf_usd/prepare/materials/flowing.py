@@ -31,14 +31,19 @@ class Dispatch:
     """Which surfaces flow, in part at least."""
 
     flows: Ints  # (S,) of each filled surface, in the order of `Solid.surfaces`
-    paths: tuple[str, ...]  # of those that do
+    first: Ints  # (S,) which of them do so from the start; the others can be converted
+    paths: tuple[str, ...]  # of those that flow from the start
     names: tuple[str, ...]  # of their materials
-    later: bool = False  # none of them from the start: they are converted
 
     @property
     def all(self) -> bool:
         """Whether everything flows."""
         return bool(self.flows.all())
+
+    @property
+    def later(self) -> bool:
+        """Whether some surfaces can be converted."""
+        return bool((self.flows & ~self.first).any())
 
     @property
     def some(self) -> bool:
@@ -55,8 +60,7 @@ def dispatch(
     rules: Sequence[ConversionRule],
     unit: float,
 ) -> Dispatch:
-    """Which surfaces the Updated Lagrangian solver is for: a part of them flows without end from
-    the start, or can be converted.
+    """Which surfaces flow without end in part, from the start or once they are converted.
 
     presets : as of `table`, each makes a variant; law : of the options, instead of all others.
     regions : of which boxes count; rules : of conversions; unit : [m] of the stage's.
@@ -75,15 +79,12 @@ def dispatch(
     names = [name for one in found for each in one for name in each]
     later = np.zeros(len(solid.surfaces), bool)
     for rule in rules:
-        mine = np.array([rule.may_hold(surface, spec, unit) for surface in solid.surfaces])
-        names += [rule.material] * bool(mine.any())
-        later |= mine
-    every = flows[0] | later
+        later |= np.array([rule.may_hold(surface, spec, unit) for surface in solid.surfaces])
     return Dispatch(
-        flows=every,
-        paths=tuple(solid.surfaces[k].path for k in np.flatnonzero(every)),
+        flows=flows[0] | later,
+        first=flows[0],
+        paths=tuple(solid.surfaces[k].path for k in np.flatnonzero(flows[0])),
         names=tuple(dict.fromkeys(names)),
-        later=bool(later.any()) and not flows[0].any(),
     )
 
 

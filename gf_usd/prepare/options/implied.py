@@ -65,9 +65,18 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
 
     Raises UsageError where the options do not let it flow.
     """
+    names, paths = ", ".join(flow.names), listed(flow.paths)
+    beside = (
+        f"{paths}: flows without end ({names}; Updated Lagrangian solver, with contact at every"
+        f" particle); the other bodies are solid (Total Lagrangian solver); the flowing meshes are"
+        f" hidden, and "
+        + ("a surface around its particles is" if request.surface else "its particles are")
+        + " shown with the other meshes"
+    )
+    if flow.later and request.solver is None:
+        return replace(request, solver=MIXED), (beside,) if flow.paths else ()
     if not flow.paths:
         return request, ()
-    names, paths = ", ".join(flow.names), listed(flow.paths)
     if request.solver == "tl":
         raise UsageError(
             f"--solver tl cannot be combined with {names}, which flows without limit",
@@ -93,18 +102,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
                     f" {paths} ({names})",
                     f"leave {option} out, or bake the bodies separately with --prim",
                 )
-        if flow.later:
-            return replace(request, solver=MIXED), ()
-        note = (
-            f"{paths}: flows without end ({names}; Updated Lagrangian solver, with contact at"
-            f" every particle); the other bodies are solid (Total Lagrangian solver); the"
-            f" flowing meshes are hidden, and "
-            + ("a surface around its particles is" if request.surface else "its particles are")
-            + " shown with the other meshes"
-        )
-        return replace(request, solver=MIXED), (note,)
-    if flow.later:
-        return replace(request, solver="ul"), ()
+        return replace(request, solver=MIXED), (beside,)
     if flow.some:
         return request, (f"{paths}: flows without end ({names}); all is one body (--solver ul)",)
     if request.only is None and not request.surface:

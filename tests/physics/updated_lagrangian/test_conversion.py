@@ -108,6 +108,9 @@ def test_only_what_passes_its_limit_is_converted() -> None:
         history = run.state.rows("history", run.body.law.set.history)
         history[10:15, :9] = stretched.ravel()
         run.state.put("history", history)
+        F = run.state.rows("F", 9)
+        F[10:15] = stretched.ravel()
+        run.state.put("F", F)
         run.conversions.frame(1)
         assert np.flatnonzero(run.conversions.done).tolist() == list(range(10, 10 + many))
         assert run.body.law.of[10:15].tolist() == [int(many > 0)] * 5

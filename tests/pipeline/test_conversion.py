@@ -1,0 +1,166 @@
+"""--conversion, from the command to the layers: what is shown when, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mixed_stages import body, scene
+from pxr import Usd, UsdGeom
+from resumed import require_same
+
+import gf_usd
+from gf_usd.core.errors import InputError, Unfinished, UsageError
+
+SMALL: dict[str, Any] = {"particles": 300, "drop": 0, "gravity": 9.81}
+FLOW, MESH = "/World/GaussianFlesh/Flow", "/World/Block"
+
+
+@pytest.fixture
+def blocks(tmp_path: Path) -> Path:
+    """Two blocks of rubber, a meter apart."""
+    return scene(
+        tmp_path, body("Block", "rubber", "0, 0.1, 0"), body("Other", "rubber", "1, 0.1, 0")
+    )
+
+
+def shown(stage: Usd.Stage, path: str, code: float) -> bool:
+    image = UsdGeom.Imageable(stage.GetPrimAtPath(path))
+    return image.ComputeVisibility(code) != "invisible"
+
+
+def count(stage: Usd.Stage, path: str, code: float) -> int:
+    return len(UsdGeom.Points(stage.GetPrimAtPath(path)).GetPointsAttr().Get(code))
+
+
+def test_particles_are_shown_instead_of_the_mesh_from_the_first_converted_on(
+    blocks: Path, tmp_path: Path
+) -> None:
+    done = gf_usd.bake(
+        blocks, frames=8, output=tmp_path / "out.usda",
+        conversions=["/World/Block=dry-sand@time:3", "/World/Other=honey@time:6"], **SMALL,
+    )  # fmt: skip
+    assert not done.findings
+    stage = Usd.Stage.Open(str(done.root))
+    half = done.particles // 2
+    for code, block, other in ((1, 0, 0), (3, 0, 0), (4, 1, 0), (6, 1, 0), (7, 1, 1), (8, 1, 1)):
+        assert shown(stage, MESH, code) == (not block)
+        assert shown(stage, "/World/Other", code) == (not other)
+        assert shown(stage, FLOW, code) == bool(block)
+        assert count(stage, FLOW, code) == half * (block + other)
+    points = UsdGeom.Points(stage.GetPrimAtPath(FLOW))
+    for code in (4.0, 8.0):
+        n = count(stage, FLOW, code)
+        assert len(points.GetWidthsAttr().Get(code)) == len(points.GetIdsAttr().Get(code)) == n
+    (bake,) = done.bakes
+    assert bake.health["converted_particles"] == done.particles
+    assert bake.health["first_converted_frame"] == 3
+    assert bake.health["conversion_dissipation_J"] >= 0.0
+
+
+def test_a_surface_is_drawn_around_what_was_converted(blocks: Path, tmp_path: Path) -> None:
+    done = gf_usd.bake(
+        blocks, frames=6, output=tmp_path / "out.usda", surface=True,
+        conversions="/World/Block=dry-sand@time:3", **SMALL,
+    )  # fmt: skip
+    assert not done.findings
+    stage = Usd.Stage.Open(str(done.root))
+    surface = UsdGeom.Mesh(stage.GetPrimAtPath("/World/GaussianFlesh/Surface"))
+    counts = [len(surface.GetPointsAttr().Get(code)) for code in (1.0, 3.0, 4.0, 6.0)]
+    assert counts[:2] == [0, 0]
+    assert min(counts[2:]) > 100
+    assert [shown(stage, str(surface.GetPath()), code) for code in (3, 4)] == [False, True]
+    assert shown(stage, "/World/Other", 6.0)
+    box = UsdGeom.BBoxCache(1.0, ["default", "render"]).ComputeWorldBound(
+        stage.GetPrimAtPath("/World")
+    )
+    assert box.ComputeAlignedRange().GetMin()[1] == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_box_means_the_particles_in_it(tmp_path: Path) -> None:
+    path = scene(tmp_path, body("Block", "rubber", "0, 0.1, 0"))
+    done = gf_usd.bake(
+        path, frames=4, output=tmp_path / "out.usda",
+        conversions="-1,0.1,-1,1,1,1=water@time:2", **SMALL,
+    )  # fmt: skip
+    (bake,) = done.bakes
+    assert bake.health["converted_share"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_limit_that_nothing_passes_is_warned_of(blocks: Path, tmp_path: Path) -> None:
+    done = gf_usd.bake(
+        blocks, frames=4, output=tmp_path / "out.usda", conversions="honey@stress:1e9", **SMALL
+    )
+    assert [w.about for _, w in done.warnings] == ["unconverted"]
+    stage = Usd.Stage.Open(str(done.root))
+    assert shown(stage, MESH, 4.0)
+    assert not shown(stage, FLOW, 4.0)
+
+
+def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path) -> None:
+    asked = {"conversions": "/World/Block=powder-snow@time:4", "frames": 8, "clip_frames": 3}
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole.mkdir()
+    parts.mkdir()
+    gf_usd.bake(blocks, output=whole / "out.usda", **asked, **SMALL)
+    for more in ({}, {"resume": True}, {"resume": True}):
+        try:
+            gf_usd.bake(blocks, output=parts / "out.usda", slice=1, **asked, **SMALL, **more)
+        except Unfinished:
+            continue
+        break
+    require_same(whole, parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("honey", "is no material and limit"),
+        ("honey@melt:3", "is no material and limit"),
+        ("honey@strain:-1", "is no material and limit"),
+        ("rubber@time:3", "does not flow without end"),
+        ("1,2=honey@time:3", "is no preset and box"),
+        ("marmalade@time:3", "no material 'marmalade'"),
+    ],
+)
+def test_what_says_nothing_is_refused(blocks: Path, text: str, words: str) -> None:
+    with pytest.raises(UsageError, match=f"(?i){words}"):
+        gf_usd.inspect(blocks, conversions=text, **SMALL)
+
+
+def test_what_means_nothing_is_refused_by_name(blocks: Path, tmp_path: Path) -> None:
+    for texts, error, words in (
+        ("/World/Nobody=honey@time:3", InputError, "means none of the"),
+        (["honey@time:3", "water@time:4"], InputError, "later ones hold for all"),
+    ):
+        with pytest.raises(error, match=words):
+            gf_usd.bake(blocks, output=tmp_path / "out.usda", conversions=texts, **SMALL)
+    with pytest.raises(UsageError, match="does not go with certify"):
+        gf_usd.bake(blocks, conversions="honey@time:3", certify=True, **SMALL)
+    sand = scene(tmp_path, body("Sand", "dry-sand", "0, 0.1, 0"))
+    with pytest.raises(InputError, match="flow from the start"):
+        gf_usd.bake(sand, output=tmp_path / "out.usda", conversions="honey@time:3", **SMALL)
+
+
+def test_a_picture_shows_what_is_visible_then(blocks: Path, tmp_path: Path) -> None:
+    from gf_usd.readers.pictures.recording import BakedMotion
+    from gf_usd.readers.pictures.scene import read_scene
+
+    done = gf_usd.bake(
+        blocks, frames=6, output=tmp_path / "out.usda",
+        conversions="/World/Block=honey@time:3", **SMALL,
+    )  # fmt: skip
+    before, after = (read_scene(done.root, code) for code in (3.0, 5.0))
+    assert {mesh.name for mesh in before.meshes} == {MESH, "/World/Other"}
+    assert not before.ellipsoids
+    assert {mesh.name for mesh in after.meshes} == {"/World/Other"}
+    assert len(after.ellipsoids[0].positions) == done.particles // 2
+    motion = BakedMotion(done.root)
+    assert motion.recording().vanishing == (MESH,)
+    names = [mesh.name for mesh in motion.recording().meshes]
+    frames = list(motion.frames())
+    for code, extent in ((0, 0.2), (5, 0.0)):
+        points = frames[code].meshes[names.index(MESH)]
+        assert np.ptp(points, axis=0).max() == pytest.approx(extent, abs=0.02)
