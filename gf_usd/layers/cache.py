@@ -43,6 +43,7 @@ from gf_usd.layers.stage import (
     roots_of,
     save,
     show,
+    visibility,
 )
 from gf_usd.layers.tracks.bounds import block_hints, skel_bounds
 from gf_usd.layers.tracks.captured import SplatTrack
@@ -165,6 +166,13 @@ class CacheWriter:
             for surface, prim in zip(asset.surfaces, prims)
             if choices.drawn(surface.path) and surface.splats is not None
         }
+        self._converting = [
+            (self._stage.GetPrimAtPath(path), body)
+            for path, body in choices.converting
+            if path in self._meshes or path in self._splats
+        ]
+        for prim, _ in self._converting:
+            visibility(prim)
         # every root prim that a display hides something of has its payload
         self._roots = roots_of(asset, home)
         for path in self._roots:
@@ -297,10 +305,8 @@ class CacheWriter:
             self._particles.write(
                 frame.gaussians, time_code, frame.tets, frame.flows, frame.converted
             )
-        for path, body in self._choices.converting:
-            if path in self._meshes or path in self._splats:
-                prim = self._stage.GetPrimAtPath(path)
-                show(prim, body not in frame.converted, time_code)
+        for prim, body in self._converting:
+            show(prim, body not in frame.converted, time_code)
         for bound in self._bounds:
             bound.write(time_code)
         self._health.write(frame.health, time_code)
@@ -404,7 +410,7 @@ class CacheWriter:
     def _release(self) -> None:
         del self._meshes, self._splats, self._bounds, self._particles, self._health
         del self._stage, self._source, self._layer, self._known, self._clips, self._moving
-        del self._adaptive
+        del self._adaptive, self._converting
 
 
 def _samples_in(size: float, asset: Asset, particles: Particles) -> int:

@@ -315,8 +315,12 @@ def box(low: Floats, high: Floats) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(f32(np.stack([low, high])))
 
 
+def visibility(prim: Usd.Prim) -> Usd.Attribute:
+    """The attribute that says whether a prim is visible, with a spec in the edit target's layer."""
+    return prim.CreateAttribute("visibility", Sdf.ValueTypeNames.Token, False)
+
+
 def show(prim: Usd.Prim, shown: bool, time_code: float) -> None:
     """Author the visibility of a prim at a time code."""
-    attribute = prim.CreateAttribute("visibility", Sdf.ValueTypeNames.Token, False)
     tokens = UsdGeom.Tokens
-    attribute.Set(tokens.inherited if shown else tokens.invisible, time_code)
+    visibility(prim).Set(tokens.inherited if shown else tokens.invisible, time_code)

@@ -115,6 +115,34 @@ def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
+    "options",
+    [
+        {"precision": 0.005, "adaptive_samples": True, "no_velocities": True},
+        {"precision": 0.005, "adaptive_samples": True, "clip_frames": 3, "surface": True},
+        {"samples_per_frame": 2, "flatten": True},
+        {"internal": True, "stress": True, "deformation_gradients": True},
+        {"only": "gaussians"},
+        {"solver": "ul"},
+    ],
+    ids="-".join,
+)
+def test_it_goes_with_what_else_is_asked_of_the_output(
+    blocks: Path, tmp_path: Path, options: dict[str, Any]
+) -> None:
+    name = "out.usdc" if options.get("flatten") else "out.usda"
+    done = gf_usd.bake(
+        blocks, frames=12, output=tmp_path / name,
+        conversions="/World/Block=dry-sand@time:3", **SMALL, **options,
+    )  # fmt: skip
+    assert not done.findings
+    assert done.bakes[0].health["converted_particles"] == done.particles // 2
+    if "only" in options:
+        return
+    stage = Usd.Stage.Open(str(done.root))
+    assert [shown(stage, MESH, code) for code in (2, 3, 5, 6)] == [True, True, False, False]
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("honey", "is no material and limit"),

@@ -107,6 +107,25 @@ def test_what_flows_must_not_start_inside_a_solid_body(tmp_path: Path) -> None:
         gf_usd.bake(scene(tmp_path, body(*water), body(*ball)), **SMALL)
 
 
+def test_samples_are_left_out_of_what_flows_beside_solid_bodies(
+    castle: Path, tmp_path: Path
+) -> None:
+    """It ended with a ValueError: the tolerances were those of all particles."""
+    done = gf_usd.bake(
+        castle, output=tmp_path / "out.usda", frames=8, precision=0.01, adaptive_samples=True,
+        **SMALL,
+    )  # fmt: skip
+    assert not done.findings
+    stage = Usd.Stage.Open(str(done.root))
+    flow = UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Flow"))
+    twin = UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Points"))
+    radius = gf_usd.inspect(castle, **SMALL).plan.particles.radii[0]
+    for code in np.arange(1.0, 9.0):
+        grains, every = (np.asarray(one.GetPointsAttr().Get(code)) for one in (flow, twin))
+        way = np.linalg.norm(grains - every[: len(grains)], axis=1).max()
+        assert way < 2.0 * 0.01 * radius, "both are within the precision"
+
+
 @pytest.mark.slow
 def test_a_tray_moves_sand_and_rubber_and_the_result_is_checked(tmp_path: Path) -> None:
     sand, rubber = ("Sand", "dry-sand", "0, 0.12, 0"), ("Block", "rubber", "0.03, 0.35, 0.02")

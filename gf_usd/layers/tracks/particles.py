@@ -31,7 +31,7 @@ from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.per_particle import moved_as_flow, spread
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
-from gf_usd.layers.stage import Clock, Home, f32, quaternions, show
+from gf_usd.layers.stage import Clock, Home, f32, quaternions, show, visibility
 from gf_usd.layers.tracks.flows import FlowTrack, flow_name, flow_shading
 from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
@@ -155,6 +155,10 @@ class ParticleTrack:
         self.space = Space(root, clock, self._unit) if home.inside else None
         prims += [self._flow.prim] if self._flow else []
         prims += [track.prim for track in (*self._tets.values(), *self._flows.values())]
+        if self._waiting:
+            for track in (self._flow, *self._flows.values()):
+                if track:
+                    visibility(track.prim)
         prims += [self._attachments.prim] if self._attachments else []
         self._transforms = self._place(prims, clock.start)
 
@@ -249,12 +253,19 @@ class ParticleTrack:
         return self._splats is not None and self._splats.rounded
 
     @property
-    def groups(self) -> list[tuple[list[Sdf.Path], int | None]]:
-        """Prims that move as one: those of the particles, and each TetMesh with its body."""
-        every = (self._splats, self._twin, self._flow)
-        ours = [track.prim.GetPath() for track in every if track]
-        tets = [([track.path], track.body) for track in self._tets.values()]
-        return [*([(ours, None)] if ours else []), *tets]
+    def groups(self) -> list[tuple[list[Sdf.Path], int | None, Ints | None]]:
+        """Prims that move as one: those of the particles, those of some of them with their rows,
+        and each TetMesh with its body.
+
+        Those whose number of points changes are not among them.
+        """
+        ours = [track.prim.GetPath() for track in (self._splats, self._twin) if track]
+        found: list[tuple[list[Sdf.Path], int | None, Ints | None]] = []
+        if ours:
+            found.append((ours, None, None))
+        if self._flow and not self._waiting:
+            found.append(([self._flow.prim.GetPath()], None, self._grains))
+        return [*found, *(([track.path], track.body, None) for track in self._tets.values())]
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -117,8 +117,9 @@ def sample_groups(
             may = allowed(tolerance.surface(number), share, settings)
             turn = partial(_linear, track.to_world)
             found.append(Group((track.path,), may, turn, track.rest))
-    for paths, body in particles.groups if particles else ():
+    for paths, body, rows in particles.groups if particles else ():
         each = tolerance.particles if body is None else tolerance.body(body)
+        each = each if rows is None else np.asarray(each)[rows]
         left = 1.0 - ROUNDING * (particles is not None and particles.rounded)
         found.append(Group(tuple(paths), allowed(each, share, settings, shape=left), _in_world))
     return found

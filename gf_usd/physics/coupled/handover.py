@@ -12,7 +12,8 @@ them,
 dv and w are such that momentum and angular momentum are those of the body before, and s in [0, 1]
 such that its kinetic energy is, as far as that goes: an affine motion C holds the energy
 m h^2 |C|^2 / 8 and the angular momentum m h^2 axial(C) / 4 on its own.  What is left of the
-difference of the energies is counted as injected.
+difference of the energies, and what springs of contact held, is counted: as lost by conversion
+where it is less after, as injected where it is more.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Frame, Health, Particles, Settings, SurfaceSamples
 from gf_usd.core.materials.conversion import STRESS
+from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.stage import ContactSetup, Goals, Pin
@@ -198,9 +200,14 @@ class Converting(Solver):
         converted = frame.converted
         if converted is None:
             converted = np.zeros(len(self.particles), bool)
-        health = frame.health
+        health, internal = frame.health, dict(frame.internal)
+        if self.settings.internal:  # of all laws, also those that nothing has yet, or no longer
+            nothing = np.full(len(self.particles), np.nan)
+            for variable in law_internals(one.law for one in self._materials):
+                internal.setdefault(variable.name, nothing)
         return replace(
             frame,
+            internal=internal,
             stress=frame.stress if self.settings.stress else None,
             converted=converted,
             health=replace(
@@ -235,20 +242,22 @@ class Converting(Solver):
         self.now.guard.load(before.guard.save())
         self._carry(before, numbers, mine, frame.time)
         after = self.now.read(index)
-        given = energy(after.health) - energy(frame.health)
         seen = frame.health
+        given = energy(after.health) - energy(seen)
+        lost = max(0.0, -given)
         return replace(
             after,
             embedded=frame.embedded,
             health=replace(
                 after.health,
-                injected=seen.injected + given,
+                injected=seen.injected + max(0.0, given),
+                plastic_dissipation=(seen.plastic_dissipation or 0.0) + lost,
+                conversion_dissipation=(seen.conversion_dissipation or 0.0) + lost,
                 **{
                     name: getattr(seen, name)
                     for name in (
                         "substeps", "rollbacks", "penetration", "overlap", "let_go", "work",
                         "planes", "clamped", "stress_capped", "friction_capped",
-                        "plastic_dissipation", "conversion_dissipation",
                     )
                 },
             ),
