@@ -112,7 +112,7 @@ def test_samples_are_left_out_of_what_flows_beside_solid_bodies(
 ) -> None:
     """It ended with a ValueError: the tolerances were those of all particles."""
     done = gf_usd.bake(
-        castle, output=tmp_path / "out.usda", frames=8, precision=0.01, adaptive_samples=True,
+        castle, output=tmp_path / "out.usda", frames=8, precision="1%", adaptive_samples=True,
         **SMALL,
     )  # fmt: skip
     assert not done.findings
