@@ -45,6 +45,7 @@ from gf_usd.verify.cases.plastic import (
 from gf_usd.verify.cases.plastic.flowing import (
     both,
     column,
+    conversion,
     dam,
     hydrostatic,
     incline,
@@ -81,6 +82,7 @@ CASES: tuple[Case, ...] = (
     *dam.CASES,
     *puddle.CASES,
     *both.CASES,
+    *conversion.CASES,
     *membrane.CASES,
     *taylor.CASES,
     *rim.CASES,
