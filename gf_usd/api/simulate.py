@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -35,7 +35,9 @@ class SimulationFrame:
     positions: Array  # (N, 3) [m] of the particles
     velocities: Array  # (N, 3) [m/s] of the particles
     F: Array  # (N, 3, 3) deformation gradients of the particles
-    meshes: Mapping[str, Array]  # (V, 3) [m] points of the surfaces of solid bodies, by name
+    # (V, 3) [m] points of the surfaces of solid bodies, by name; of none with converted particles
+    meshes: Mapping[str, Array]
+    converted: NDArray[np.bool_] | None  # (N,) which particles were; None: none can be
     health: Health  # energies, momentum, strains and contact
     stress: Array | None  # (N,) [Pa] von Mises; None unless requested
 
@@ -121,6 +123,10 @@ class Simulation(Iterator[SimulationFrame]):
         return self._made(frame)
 
     def _made(self, frame: Frame) -> SimulationFrame:
+        gone: set[str] = set()
+        if frame.converted is not None:
+            flows = set(self._plan.particles.body_of[frame.converted].tolist())
+            gone = {path for path, body in self._plan.choices.converting if body in flows}
         return SimulationFrame(
             index=frame.index,
             time=frame.time,
@@ -130,7 +136,9 @@ class Simulation(Iterator[SimulationFrame]):
             meshes={
                 path.removeprefix("/"): np.asarray(pose.x, float)
                 for path, pose in frame.embedded.items()
+                if path not in gone
             },
+            converted=frame.converted,
             health=frame.health,
             stress=None if frame.stress is None else np.asarray(frame.stress, float),
         )
@@ -261,6 +269,7 @@ def simulate(
     drag: float | None = None,
     self_contact: bool | None = None,
     filter_rate: float | None = None,
+    conversions: str | Sequence[str] = (),
     stress: bool = False,
     shortcuts: bool = True,
     device: str = "cpu",
@@ -286,6 +295,9 @@ def simulate(
     drag : on velocity [1/s].
     self_contact : let bodies collide with themselves; None: those that are not nearly convex.
     filter_rate : of the APIC filter [1/T].
+    conversions : "[WHERE=]PRESET@LIMIT", which particles become a flowing material: WHERE is
+        "/NAME" of a body or a box "x0,y0,z0,x1,y1,z1" [m], LIMIT "time:FRAME", "strain:VALUE" or
+        "stress:VALUE" [Pa].
     stress : compute the von Mises stress of every particle.
     shortcuts : no substeps where all bodies fly freely or sleep.
     device : "cpu" or "cuda"; threads : CPU threads, None: all.
@@ -305,6 +317,8 @@ def simulate(
         "drag": None if drag is None else values.real("drag", drag),
         "self_contact": self_contact,
         "filter_rate": filter_rate,
+        "conversions": values.conversions("conversions", conversions),
+        "start": 0.0,  # time codes of frames are their numbers
         "stress": values.switch("stress", stress),
         "no_shortcuts": not values.switch("shortcuts", shortcuts),
         "device": device,

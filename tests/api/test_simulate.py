@@ -272,3 +272,24 @@ def test_a_motion_that_is_none_is_refused(motion: Any, message: str) -> None:
 def test_a_body_that_begins_below_the_floor_is_refused() -> None:
     with pytest.raises(gf_usd.UsageError, match=r"a body starts 0\.5 m below the floor"):
         gf_usd.simulate(alone(floor=1.5), particles=100)
+
+
+def test_a_body_is_converted_and_another_is_not() -> None:
+    scene = gf_usd.Scene()
+    for name, x in (("one", 0.0), ("other", 3.0)):
+        scene.add_body(UNIT + [x, 0.0, 0.0], FACES, material="rubber", name=name)
+    becomes = "/one=dry-sand@time:3"
+    frames = list(gf_usd.simulate(scene, frames=6, particles=200, conversions=becomes))
+    assert [sorted(f.meshes) for f in frames] == [["one", "other"]] * 4 + [["other"]] * 2
+    assert [int(f.converted.sum()) for f in frames] == [
+        0,
+        0,
+        0,
+        0,
+        *[len(frames[0].positions) // 2] * 2,
+    ]
+    for k, frame in enumerate(frames):
+        fallen = 0.5 * G * (k / FPS) ** 2
+        assert frame.health.center[1] == pytest.approx(1.5 - fallen, abs=ROUNDING)
+    with pytest.raises(gf_usd.UsageError, match="does not flow without end"):
+        gf_usd.simulate(scene, conversions="rubber@time:3")
