@@ -232,7 +232,8 @@ class Simulation(Iterator[SimulationFrame]):
         solver = self._running()
         if not solver.takes_forces:
             raise UsageError(
-                "forces and accelerations do not act on a scene in which a body flows",
+                "forces and accelerations do not act on a scene in which a body flows, or can be"
+                " converted",
                 "set velocities, give the scene another gravity, or move an obstacle",
             )
         return solver

@@ -279,10 +279,8 @@ class Health:
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
     planes: float = 0.0  # [J] of `injected`, from new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
-    # Particles that were converted so far, and [J] of `plastic_dissipation` that those of the frame
-    # lost in it; None: none can be
-    converted: int | None = None
-    conversion_dissipation: float | None = None
+    converted: int | None = None  # particles that were so far; None: none can be
+    conversion_dissipation: float | None = None  # [J] of `plastic_dissipation`, by conversion
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
     # Bodies below every obstacle where there is no floor, and [J] of their motion and of that of

@@ -148,7 +148,7 @@ def fill(
     combine = request.combine or paper or request.flesh or request.solver == "ul"
     bodies, particles = plan_bodies(
         asset, solid, spacing, sample, owners, combine=combine,
-        kinds=flow.flows if mixed else None,
+        kinds=flow.first if mixed else None,
     )  # fmt: skip
     _require_one_body(request, bodies.count)
     if paper or (flow.flows.any() and not mixed):
@@ -230,8 +230,9 @@ def fill(
         )  # fmt: skip
 
     materials = with_conversions(
-        asset.facts.path, assigned(spec), request.converted, solid, bodies, spec, unit
-    )
+        asset.facts.path, assigned(spec), request.converted, solid, bodies, spec, unit,
+        stated_values(request),
+    )  # fmt: skip
     if changes is not None and file is not None:
         materials = with_value_keys(
             materials, changes, asset, file, spec, settings, assigned, repeats=bool(cycle)
@@ -258,7 +259,7 @@ def fill(
     )  # fmt: skip
     drawn = flow_of(solid, bodies, particles, materials.tables[0])
     choices, split = chosen(request, files, settings, asset, len(particles), open_end, drawn)
-    if mixed and not choices.flowing:
+    if (mixed or request.converted) and not choices.flowing:
         choices = replace(choices, flowing=drawn.meshes)
     require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]

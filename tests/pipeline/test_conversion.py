@@ -122,6 +122,8 @@ def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path) -> No
         {"samples_per_frame": 2, "flatten": True},
         {"internal": True, "stress": True, "deformation_gradients": True},
         {"only": "gaussians"},
+        {"only": "mesh"},
+        {"only": "mesh", "surface": True},
         {"solver": "ul"},
     ],
     ids="-".join,
@@ -136,10 +138,89 @@ def test_it_goes_with_what_else_is_asked_of_the_output(
     )  # fmt: skip
     assert not done.findings
     assert done.bakes[0].health["converted_particles"] == done.particles // 2
-    if "only" in options:
+    if options.get("only") == "gaussians":
         return
     stage = Usd.Stage.Open(str(done.root))
     assert [shown(stage, MESH, code) for code in (2, 3, 5, 6)] == [True, True, False, False]
+    if "surface" not in options:
+        # with --solver ul all is one body, so that particles stand for all of it
+        share = 1 if "solver" in options else 2
+        assert count(stage, FLOW, 5.0) == done.particles // share
+        assert shown(stage, "/World/Other", 5.0) == (share == 2)
+
+
+def test_solids_that_overlap_stay_one_body_of_which_a_part_is_converted(tmp_path: Path) -> None:
+    """They were torn apart, since only one of them can be converted."""
+    path = scene(
+        tmp_path, body("Block", "rubber", "0, 0.1, 0"), body("Next", "rubber", "0.15, 0.1, 0"),
+        body("Far", "rubber", "2, 0.1, 0"),
+    )  # fmt: skip
+    asked = {"conversions": "/World/Block=honey@time:3", **SMALL}
+    plan = gf_usd.inspect(path, **asked).plan
+    assert plan.bodies.surfaces == (("/World/Block", "/World/Next"), ("/World/Far",))
+    assert set(plan.choices.converting) == {("/World/Block", 0), ("/World/Next", 0)}
+    done = gf_usd.bake(path, frames=5, output=tmp_path / "out.usda", **asked)
+    assert done.bakes[0].health["max_J"] < 1.2
+    assert done.bakes[0].health["deepest_overlap_spacings"] < 0.1
+
+
+def test_what_flows_does_not_take_in_a_solid_that_it_touches(tmp_path: Path) -> None:
+    path = scene(
+        tmp_path, body("Sand", "dry-sand", "0, 0.1, 0"), body("Block", "rubber", "0, 0.3005, 0")
+    )
+    plan = gf_usd.inspect(path, conversions="/World/Block=honey@time:9", **SMALL).plan
+    assert plan.bodies.count == 2
+    assert plan.choices.flowing == ("/World/Sand",)
+    assert [path for path, _ in plan.choices.converting] == ["/World/Block"]
+    ul = gf_usd.inspect(path, conversions="/World/Block=honey@time:9", solver="ul", **SMALL).plan
+    assert ul.choices.mesh, "the block is solid at first"
+    assert set(ul.choices.flowing) == {"/World/Sand", "/World/Block"}, "of one body, a part flows"
+
+
+def test_a_body_that_passes_through_an_obstacle_does_so_alone(tmp_path: Path) -> None:
+    """All did once the last was converted."""
+    tray = """    def Cube "Tray" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+    {
+        double size = 4
+        double3 xformOp:translate = (0, -2, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+"""
+    ghost = body("Ghost", "rubber", "1, 0.1, 0").replace(
+        '"GaussianFleshBakeAPI"', '"GaussianFleshBakeAPI", "PhysicsFilteredPairsAPI"'
+    )
+    ghost = ghost.replace("{\n", "{\n        rel physics:filteredPairs = </World/Tray>\n", 1)
+    path = scene(tmp_path, tray, body("Block", "rubber", "0, 0.1, 0"), ghost)
+    done = gf_usd.bake(
+        path, frames=12, output=tmp_path / "out.usda", conversions="dry-sand@time:3", **SMALL
+    )
+    stage = Usd.Stage.Open(str(done.root))
+    points = UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Points"))
+    x = np.asarray(points.GetPointsAttr().Get(12.0))
+    block = x[:, 0] < 0.5
+    assert x[block, 1].min() > -0.02
+    assert x[~block, 1].max() < 0.0
+
+
+def test_a_box_without_a_vertex_in_it_converts_what_it_holds(tmp_path: Path) -> None:
+    """The prim was taken for one that stays solid."""
+    corners = np.array([(x, y, z) for x in (0, 2) for y in (0.0, 0.1) for z in (0.0, 0.1)])
+    turn = np.array([[0.8, 0.0, -0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
+    points = ", ".join(f"({x:.4f}, {y:.4f}, {z:.4f})" for x, y, z in corners @ turn.T)
+    beam = f"""    def Mesh "Beam"
+    {{
+        int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
+        int[] faceVertexIndices = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4,
+            1, 5, 7, 3]
+        point3f[] points = [{points}]
+        uniform token subdivisionScheme = "none"
+    }}
+"""
+    done = gf_usd.bake(
+        scene(tmp_path, beam), material="rubber", frames=4, output=tmp_path / "out.usda",
+        conversions="0.70,-1,0.4,0.72,1,1=honey@time:2", **{**SMALL, "particles": 3000},
+    )  # fmt: skip
+    assert done.bakes[0].health["converted_particles"] > 0
 
 
 @pytest.mark.parametrize(

@@ -73,13 +73,13 @@ def stiffest_by_conversion(
 
 
 def moved_as_flow(particles: Particles, materials: Sequence[Material]) -> Ints:
-    """(N,) particles of surfaces of which some flow without end, from the start or converted.
-
-    They belong to the Updated Lagrangian solver, and stand for the mesh of their surface.
+    """(N,) particles that stand for meshes, from the start or later: those of surfaces of which
+    some flow without end, and of bodies of which some can be converted.
     """
-    flows = unbounded(particles, materials) | convertible(particles)
-    surface = np.asarray(particles.surface)
-    return np.isin(surface, np.unique(surface[flows]))
+    surface, body = np.asarray(particles.surface), particles.body_of
+    flows = np.unique(surface[unbounded(particles, materials)])
+    later = np.unique(body[convertible(particles)])
+    return np.isin(surface, flows) | np.isin(body, later)
 
 
 def flowing(particles: Particles, materials: Sequence[Material]) -> dict[int, Ints]:

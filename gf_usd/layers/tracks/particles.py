@@ -206,8 +206,9 @@ class ParticleTrack:
         full = [track for track in (self._flow, *self._flows.values()) if track and not track.empty]
         every = [self._splats, self._twin, *self._tets.values(), *full]
         boxes = [(track.low, track.high) for track in every if track]
-        self.low = np.min([low for low, _ in boxes], axis=0)
-        self.high = np.max([high for _, high in boxes], axis=0)
+        if boxes:  # none where particles stand for meshes later
+            self.low = np.min([low for low, _ in boxes], axis=0)
+            self.high = np.max([high for _, high in boxes], axis=0)
         if self.space is not None and self.space.animated:
             matrix = Gf.Matrix4d(self.to_world(time_code) @ self.space.from_world(time_code))
             for transform in self._transforms:

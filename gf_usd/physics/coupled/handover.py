@@ -104,12 +104,25 @@ class Converting(Solver):
         if flows.all():
             particles, materials = in_use(replace(particles, copies=None), self._materials)
             own = replace(self._own, solver="ul")
-            return UpdatedLagrangian(particles, materials, own, contact_setup=self._setup, **more)
+            walls = ContactSetup(skins=(), colliders=self._setup.colliders, flows=True)
+            made = UpdatedLagrangian(particles, materials, own, contact_setup=walls, **more)
+            if walls.colliders and made.planes is not None:
+                made.face(walls, through=self._passes(samples))
+            return made
         more |= {**self._on, "contact_setup": self._setup}
         if flows.any():
             return Coupled(particles, self._materials, self._own, flows=flows, **more)
         particles, materials = in_use(particles, self._materials)
         return TotalLagrangian(particles, materials, replace(self._own, solver="tl"), **more)
+
+    def _passes(self, samples: SurfaceSamples) -> dict[int, NDArray[np.bool_]]:
+        """By the number of an obstacle, which samples pass through it."""
+        assert samples.body is not None
+        through = self._setup.through_colliders
+        return {
+            c: np.isin(samples.body, [body for body, wall in through if wall == c])
+            for c in {wall for _, wall in through}
+        }
 
     def _shelled(self) -> NDArray[np.bool_]:
         """(B,) which bodies have samples of their surface, and not yet their particles."""
@@ -451,8 +464,9 @@ def carry_solid(before: TotalLagrangian, after: TotalLagrangian, left: Ints) -> 
         old.stencil.free_X[was], new.stencil.free_X[is_], rtol=0.0, atol=PLACED * new.h
     )
     for name in ("u", "v"):
-        values = after.state.rows(name)
+        values, free = after.state.rows(name), new.stencil.free_count
         values[is_] = before.state.rows(name)[was]
+        values[free:] = new.stencil.follow @ values[:free]
         after.state.put(name, values)
     after.state.offset = before.state.offset.copy()
     if old.contact is not None and new.contact is not None:

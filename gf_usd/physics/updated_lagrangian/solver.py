@@ -108,6 +108,7 @@ class UpdatedLagrangian(Solver):
     ) -> None:
         """Let the contact samples face obstacles and solid bodies: see `FlowPlanes`."""
         assert self.body.contact is not None
+        self.state.parts = [one for one in self.state.parts if one is not self.planes]
         self.planes = FlowPlanes(
             self.body.contact, self.particles.spacing, setup, self.settings.gravity,
             self.particles.radius, self.frame_time, solids, through,

@@ -32,19 +32,21 @@ def flow_of(
     """What flows of the bodies of a solid.
 
     A mesh that is filled is replaced by its particles where some of them flow, any other one where
-    all of its body do.  Where nothing flows at first all meshes of a body are, once the first of
-    its particles is converted.
+    all of its body do.  Of a body that can be converted all meshes are: once the first of its
+    particles is converted, from the start where some of it flows then.
     """
     flows = unbounded(particles, materials)
     body = particles.body_of
-    later = np.setdiff1d(np.unique(body[convertible(particles)]), np.unique(body[flows]))
+    ready = np.unique(body[convertible(particles)])
+    later = np.setdiff1d(ready, np.unique(body[flows]))
+    both = np.setdiff1d(ready, later)
     surface = np.asarray(particles.surface)
     meshes = [s.path for k, s in enumerate(solid.surfaces) if flows[surface == k].any()]
     filled = {s.path for s in solid.surfaces}
     meshes += [
         path
         for path, of in bodies.embedded.items()
-        if path not in filled and flows[body == of].all()
+        if path not in meshes and (of in both or (path not in filled and flows[body == of].all()))
     ]
     return Flow(
         bodies=tuple(flowing(particles, materials)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.materials.assign import Assigned
 from gf_usd.prepare.materials.parts import material_parts, part_of_particles
-from gf_usd.prepare.materials.regions import MaterialBox, inside_some, parse_corners
+from gf_usd.prepare.materials.regions import MaterialBox, parse_corners
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -39,14 +39,16 @@ class ConversionRule:
     material: str  # name of a preset that flows without end
     limit: Limit
 
-    def becomes(self) -> Material:
-        """What particles become.  It does not depend on the size of a body."""
-        return find_preset(self.material).material(1.0, None)
+    def becomes(self, stated: Mapping[str, float]) -> Material:
+        """What particles become, with what the options state.  No size of a body counts."""
+        return replace(find_preset(self.material).material(1.0, None), **stated)
 
     def may_hold(self, surface: Surface, spec: StageSpec, unit: float) -> bool:
         """Whether some of the particles of a filled surface may be meant; unit : [m]."""
         if self.box is not None:
-            return inside_some(self.box, surface, unit)
+            low, high = self.box.low * unit, self.box.high * unit
+            points = np.asarray(surface.points)
+            return bool((points.max(0) >= low).all() and (points.min(0) <= high).all())
         body = spec.bodies.get(surface.path)
         paths = (surface.path, *(one.path for one in (body.subsets if body else ())))
         return any(_below(path, self.path) for path in paths)
@@ -104,10 +106,12 @@ def with_conversions(
     bodies: BodyPlan,
     spec: StageSpec,
     unit: float,
+    stated: Mapping[str, float],
 ) -> Assigned:
     """The particles with their conversions, and the tables with what they become at the end.
 
-    path : of the asset, for messages; unit : [m] of the stage's.  Later rules hold before earlier
+    path : of the asset, for messages; unit : [m] of the stage's; stated : what the options say
+    instead of a material's own values.  Later rules hold before earlier
     ones.  Raises InputError for a rule that means no particle, or only such as flow from the start.
     """
     if not rules:
@@ -121,7 +125,8 @@ def with_conversions(
         if not mine.any():
             raise InputError(
                 f"{path}: {OPTION} {rule.text} means none of the {len(particles)} particles",
-                "name a baked prim or a box that holds particles; gf-usd inspect lists the prims",
+                "name a baked prim (gf-usd inspect lists them), a GeomSubset whose material is used"
+                " (without --material), or a box that holds particles",
             )
         if (mine & ~flows).sum() == 0:
             raise InputError(
@@ -145,7 +150,7 @@ def with_conversions(
             f"{len(rows)} of {len(particles)} particles, of {names}, become {rule.material}"
             f" {rule.limit.said}; from the first of them on particles are shown, not the mesh"
         )
-    targets = tuple(rule.becomes() for rule in rules)
+    targets = tuple(rule.becomes(stated) for rule in rules)
     return replace(
         assigned,
         particles=replace(particles, conversions=tuple(made)),

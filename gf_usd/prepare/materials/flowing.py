@@ -37,8 +37,8 @@ class Dispatch:
 
     @property
     def all(self) -> bool:
-        """Whether everything flows."""
-        return bool(self.flows.all())
+        """Whether everything flows from the start."""
+        return bool(self.first.all())
 
     @property
     def later(self) -> bool:
@@ -47,8 +47,8 @@ class Dispatch:
 
     @property
     def some(self) -> bool:
-        """Whether some surfaces flow and others do not."""
-        return bool(self.flows.any()) and not self.all
+        """Whether some surfaces flow from the start and others do not."""
+        return bool(self.first.any()) and not self.all
 
 
 def dispatch(

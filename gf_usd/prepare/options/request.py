@@ -160,6 +160,9 @@ class Request(RequestOptions):
             ("--tets", self.tets),
             ("--rolling-resistance", self.rolling_resistance),
             ("--mass-scaling", self.mass_scaling),
+            ("--wls", self.wls),
+            ("--procrustes", self.procrustes),
+            ("--gravity FILE", isinstance(self.parsed["gravity"], GravityKeys)),
             (f"--skin {self.skin}", self.skin not in (None, "embed")),
         ):
             if given:

@@ -85,12 +85,16 @@ def is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 
 
 def sometimes_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    """Whether a prim is visible at a time, or at a later one of its own visibility."""
+    """Whether a prim is visible at a time, or at one at which its visibility changes."""
     if is_visible(prim, time):
         return True
-    visibility = UsdGeom.Imageable(prim).GetVisibilityAttr()
-    samples = visibility.GetTimeSamples() if visibility and comes_and_goes(prim) else []
-    return any(is_visible(prim, Usd.TimeCode(code)) for code in samples)
+    samples: set[float] = set()
+    above = prim
+    while above and not above.IsPseudoRoot():
+        if visibility := UsdGeom.Imageable(above).GetVisibilityAttr():
+            samples.update(visibility.GetTimeSamples())
+        above = above.GetParent()
+    return any(is_visible(prim, Usd.TimeCode(code)) for code in sorted(samples))
 
 
 def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
