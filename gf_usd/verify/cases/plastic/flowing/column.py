@@ -90,7 +90,7 @@ def column(ratios: Sequence[float], particles: Sequence[int]) -> Callable[[str],
                 " too early (by 20 % with 4,000 particles at a = 1, measured), and in a fast flow"
                 " beads bear more than at rest, which a constant friction leaves out",
                 curve=Curve(
-                    title="runout of a column of beads", x_label="particles^(-1/3)",
+                    title=f"runout of a column of beads, {a:g} r high", x_label="particles^(-1/3)",
                     y_label="(r_end - r) / r", x=tuple(float(n) ** (-1.0 / 3.0) for n in particles),
                     y=tuple(r for r, _ in seen), logarithmic=False, target=middle,
                 ) if len(seen) > 1 else None,
