@@ -273,3 +273,23 @@ def test_a_picture_shows_what_is_visible_then(blocks: Path, tmp_path: Path) -> N
     for code, extent in ((0, 0.2), (5, 0.0)):
         points = frames[code].meshes[names.index(MESH)]
         assert np.ptp(points, axis=0).max() == pytest.approx(extent, abs=0.02)
+
+
+def test_the_curves_of_a_report_are_those_of_the_particles(blocks: Path, tmp_path: Path) -> None:
+    """The hidden mesh has no extent, and counted as the highest and the lowest of the body."""
+    from gf_usd.readers.pictures.recording import BakedMotion
+    from gf_usd.view.report.motion import collect
+
+    done = gf_usd.bake(
+        blocks, frames=6, output=tmp_path / "out.usda",
+        conversions="/World/Block=dry-sand@time:3", **SMALL,
+    )  # fmt: skip
+    source = BakedMotion(done.root)
+    curves = collect(source.recording(), source.frames(), 500, 500).curves
+    stage = Usd.Stage.Open(str(done.root))
+    points = UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Points"))
+    for k in range(6):
+        y = np.asarray(points.GetPointsAttr().Get(k + 1.0))[:, 1]
+        assert curves["highest"][k] == pytest.approx(y.max(), abs=1e-6)
+        assert curves["lowest"][k] == pytest.approx(y.min(), abs=1e-6)
+    assert "surface_max" not in curves

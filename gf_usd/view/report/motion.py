@@ -78,7 +78,7 @@ def collect(
         if recording.gaussians is not None and frame.axes is not None:
             ratio = volume_ratio(frame.axes, recording.gaussians.rest_scales)
         kept.add(frame, joined[skin.kept], np.concatenate([[], *felt])[skin.kept], chosen, ratio)
-        curves.add(frame, [faces[i] for i in bodies], ratio)
+        curves.add(frame, faces, ratio)
         flow.add(frame)
     motion = kept.finish(recording, skin, chosen, curves.values)
     return replace(motion, flow=flow.finish()) if recording.flows else motion
@@ -187,19 +187,26 @@ class _Kept:
 
 
 class _Curves:
-    """What the geometry alone says of each frame; over all vertices and Gaussians of the body."""
+    """What the geometry alone says of each frame; over all vertices and Gaussians of the body.
+
+    Where particles stand for a mesh from some frame on, it is what they say, in all frames.
+    """
 
     def __init__(self, recording: Recording, bodies: list[int]) -> None:
-        self._recording, self._bodies = recording, bodies
+        self._recording = recording
+        vanish = any(recording.meshes[i].name in recording.vanishing for i in bodies)
+        self._bodies = [] if vanish else bodies
         self.values: dict[str, list[float]] = {}
 
     def add(self, frame: MotionFrame, faces: list[Floats], ratio: Floats | None) -> None:
+        """Add a frame; faces : (T, 2) stretches of every mesh."""
         up = np.array(self._recording.up)
         body = [frame.meshes[i] for i in self._bodies]
         if not body and frame.positions is not None:
             body = [frame.positions]
-        elif not body:
-            body = [mesh.points for mesh in frame.flows]
+        elif not body:  # nothing but surfaces of what flows, and meshes that are there
+            left = [points for points in frame.meshes if np.ptp(points, axis=0).any()]
+            body = [mesh.points for mesh in frame.flows] + left * bool(self._recording.vanishing)
         points = np.concatenate([np.zeros((0, 3)), *body])
         row = {}
         if len(points):
@@ -209,7 +216,7 @@ class _Curves:
         masses = self._recording.gaussians.masses if self._recording.gaussians else None
         if masses is not None and frame.positions is not None and masses.sum() > 0.0:
             row["center"] = masses @ (frame.positions @ up) / masses.sum()
-        stretches = np.concatenate([np.zeros((0, 2)), *faces])
+        stretches = np.concatenate([np.zeros((0, 2)), *(faces[i] for i in self._bodies)])
         if len(stretches):
             row |= {"surface_min": stretches[:, 0].min(), "surface_max": stretches[:, 1].max()}
         if ratio is not None and len(ratio):
