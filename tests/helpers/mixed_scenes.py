@@ -10,7 +10,7 @@ import numpy as np
 from solids import settings, solid
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import MIXED, SurfaceSamples
+from gf_usd.core.frames import MIXED
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import Collider, ContactSetup
@@ -44,15 +44,7 @@ def mixed_solver(
     ]
     on = sample_surface(made, filled.spacing, of)
     flows = np.array([LAWS[m.law].unbounded for m in table])
-    assert on.body is not None
-    assert on.normal is not None
-    shell, grains = ~flows[on.body], flows[body]
-    samples = SurfaceSamples(
-        X=np.concatenate([on.X[shell], filled.X[grains]]),
-        area=np.concatenate([on.area[shell], filled.V0[grains] / filled.spacing]),
-        normal=np.concatenate([on.normal[shell], np.zeros((int(grains.sum()), 3))]),
-        body=np.concatenate([on.body[shell], body[grains]]),
-    )
+    samples = on.with_grains(filled, flows)
     solver = make_solver(
         settings(**{"solver": MIXED, **said}), filled, table, samples=samples,
         embedded={s.path: s.points for s in surfaces},

@@ -31,9 +31,8 @@ from gf_usd.core.frames import Frame, Health, Particles, Settings, SurfaceSample
 from gf_usd.core.materials.conversion import STRESS
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.stage import ContactSetup, Goals, Pin
-from gf_usd.physics.coupled.parts import in_use
+from gf_usd.physics.coupled.parts import flowing_bodies, in_use, passing_obstacles
 from gf_usd.physics.coupled.solver import Coupled, refuse
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver, energy
 from gf_usd.physics.grid.embedding import gradient, placed
@@ -41,6 +40,7 @@ from gf_usd.physics.laws.registry import GRADIENT, ParticleLaws
 from gf_usd.physics.taichi_arrays import Saved
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.conversion import past_limits
+from gf_usd.physics.updated_lagrangian.energies import axial
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 PLACED = 1e-6  # [cells] that nodes of the same place in two grids may be apart
@@ -84,9 +84,8 @@ class Converting(Solver):
             settings, shortcuts=False, settling=False, rolling=0.0,
             stress=settings.stress or stressed,
         )  # fmt: skip
-        body = particles.body_of
-        flows = unbounded(particles, materials)
-        self.flows: NDArray[np.bool_] = np.bincount(body, flows) > 0.0
+        first = replace(particles, conversions=())
+        self.flows: NDArray[np.bool_] = flowing_bodies(first, materials)
         self.now = self._solver()
 
     def _solver(self) -> Solver:
@@ -107,22 +106,14 @@ class Converting(Solver):
             walls = ContactSetup(skins=(), colliders=self._setup.colliders, flows=True)
             made = UpdatedLagrangian(particles, materials, own, contact_setup=walls, **more)
             if walls.colliders and made.planes is not None:
-                made.face(walls, through=self._passes(samples))
+                assert samples.body is not None
+                made.face(walls, through=passing_obstacles(self._setup, samples.body))
             return made
         more |= {**self._on, "contact_setup": self._setup}
         if flows.any():
             return Coupled(particles, self._materials, self._own, flows=flows, **more)
         particles, materials = in_use(particles, self._materials)
         return TotalLagrangian(particles, materials, replace(self._own, solver="tl"), **more)
-
-    def _passes(self, samples: SurfaceSamples) -> dict[int, NDArray[np.bool_]]:
-        """By the number of an obstacle, which samples pass through it."""
-        assert samples.body is not None
-        through = self._setup.through_colliders
-        return {
-            c: np.isin(samples.body, [body for body, wall in through if wall == c])
-            for c in {wall for _, wall in through}
-        }
 
     def _shelled(self) -> NDArray[np.bool_]:
         """(B,) which bodies have samples of their surface, and not yet their particles."""
@@ -399,11 +390,8 @@ def matched(one: Taken, m: Floats, h: float) -> tuple[Floats, Floats]:
     center = m @ one.x / m.sum()
     r = one.x - center
     dv = (one.momentum - m @ one.v) / m.sum()
-    axial = np.stack(
-        [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], -1
-    )
     v = one.v + dv
-    left = one.spin - m @ (np.cross(one.x, v) + spread * axial)
+    left = one.spin - m @ (np.cross(one.x, v) + spread * axial(C))
     inertia = np.eye(3) * float(m @ (r**2).sum(1)) - np.einsum("n,na,nb->ab", m, r, r)
     w = np.linalg.lstsq(inertia, left, rcond=None)[0]
     return v + np.cross(w, r), C
@@ -471,16 +459,15 @@ def carry_solid(before: TotalLagrangian, after: TotalLagrangian, left: Ints) -> 
     after.state.offset = before.state.offset.copy()
     if old.contact is not None and new.contact is not None:
         body = old.contact.samples.body
-        mine = np.arange(len(old.contact.samples.X)) if body is None else (
-            np.flatnonzero(number[np.asarray(body)] >= 0)
-        )  # fmt: skip
+        assert body is not None  # several bodies were solid: some leave, some stay
+        mine = np.flatnonzero(number[np.asarray(body)] >= 0)
         after.state.put("sample_spring", before.state.rows("sample_spring")[mine])
     if new.law.set.flows and old.law.set.flows:
         body = number[old.particles.body_of]
-        known, history = before.state.view().history[body >= 0], after.state.view().history.copy()
-        history[:, :GRADIENT] = known[:, :GRADIENT]
+        known, history = before.state.view().history, after.state.view().history.copy()
+        history[:, :GRADIENT] = known[body >= 0, :GRADIENT]
         rows = np.arange(len(history))
-        every = old.law.internal(before.state.view().history)
+        every = old.law.internal(known)
         internal = {name: values[body >= 0] for name, values in every.items()}
         set_internal(history, rows, new.law, internal)
         after.state.put_particles("history", history)

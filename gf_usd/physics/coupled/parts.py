@@ -178,14 +178,21 @@ def solid_setup(setup: ContactSetup, solid: Part, copied: Ints | None = None) ->
     )
 
 
+def passing_obstacles(setup: ContactSetup, body: Ints) -> dict[int, Ints]:
+    """By the number of each obstacle, which samples pass through it; body : (n,) of each sample."""
+    through = setup.through_colliders
+    return {
+        c: np.isin(body, [a for a, b in through if b == c]) for c in range(len(setup.colliders))
+    }
+
+
 def passes(setup: ContactSetup, solid: Part, flow: Part) -> dict[int, Ints]:
     """(n,) samples of the flow that pass through an obstacle, or a solid body after these, by its
     number: what the stage lets pass."""
     assert flow.samples is not None
     of = np.zeros(len(flow.samples.X), int) if flow.samples.body is None else flow.samples.body
     body, count = flow.bodies[of], len(setup.colliders)
-    out = {c: np.isin(body, [a for a, b in setup.through_colliders if b == c]) for c in
-           range(count)}  # fmt: skip
+    out = passing_obstacles(setup, body)
     for i, k in enumerate(solid.bodies):
         others = [a for a, b in setup.through if b == k] + [b for a, b in setup.through if a == k]
         out[count + i] = np.isin(body, others)

@@ -112,11 +112,15 @@ class Conversions:
     def frame(self, index: int) -> None:
         """Convert what has passed its limit before the way to frame `index`."""
         self.dissipated = 0.0
-        solver, kinds = self._solver, {one.limit.kind for one in self._particles.conversions}
+        given = self._particles.conversions
+        left = [one for one in given if not self.done[one.particles].all()]
+        if not left:
+            return
+        solver, kinds = self._solver, {one.limit.kind for one in left}
         passed = self.done | past_limits(
-            self._particles.conversions, self.done, solver.settings.time_code(index - 1),
+            left, self.done, solver.settings.time_code(index - 1),
             solver.state.rows("F", 9).reshape(-1, 3, 3),
-            solver.von_mises() if STRESS in kinds and not self.done.all() else None,
+            solver.von_mises() if STRESS in kinds else None,
         )  # fmt: skip
         if (new := np.flatnonzero(passed & ~self.done)).size:
             self._convert(passed, new)

@@ -53,9 +53,6 @@ def measure(
     x, v = particles.x, particles.v
     stretch, J = strain
     spread = 0.25 * h * h
-    axial = np.stack(
-        [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], -1
-    )
     datum = settings.floor if settings.floor is not None else 0.0
     height = x - datum * settings.normal
     return Health(
@@ -66,7 +63,7 @@ def measure(
         mass=float(m.sum()),
         center=_triple(m @ x / m.sum()),
         momentum=_triple(m @ v),
-        angular_momentum=_triple(m @ (np.cross(x, v) + spread * axial)),
+        angular_momentum=_triple(m @ (np.cross(x, v) + spread * axial(C))),
         min_J=float(J.min()),
         max_J=float(J.max()),
         min_stretch=float(stretch.min()),
@@ -74,6 +71,11 @@ def measure(
         inverted=int((J <= 0.0).sum()),
         plastic_dissipation=0.0 if flows else None,
     )
+
+
+def axial(C: Floats) -> Floats:
+    """eps_abc C_cb (N, 3) of C (N, 3, 3)."""
+    return np.stack([C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], -1)
 
 
 class Losses:

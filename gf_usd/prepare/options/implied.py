@@ -83,19 +83,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
             "omit it, or use --solver ul",
         )
     if flow.some and request.solver is None:
-        for option, given in (
-            ("--combine", request.combine),
-            ("--flesh", request.flesh),
-            ("--rigid", request.rigid),
-            ("--preset paper", request.preset),
-            ("--field", request.fields),
-            ("--settle-only", request.settle_only),
-            ("--frames rest", request.until_rest),
-            ("--certify", request.certify),
-            ("--tets", request.tets),
-            ("--rolling-resistance", request.rolling_resistance),
-            (f"--skin {request.skin}", request.skin not in (None, "embed")),
-        ):
+        for option, given in request.of_solids:
             if given:
                 raise UsageError(
                     f"{option} cannot be combined with flowing bodies next to solid ones:"

@@ -72,6 +72,23 @@ class Request(RequestOptions):
         """What becomes something else.  Raises UsageError as `parse_conversions`."""
         return parse_conversions(self.listed("conversions"))
 
+    @property
+    def of_solids(self) -> tuple[tuple[str, Any], ...]:
+        """Options that bakes of solid and flowing bodies do not know, and whether each is given."""
+        return (
+            ("--combine", self.combine),
+            ("--flesh", self.flesh),
+            ("--rigid", self.rigid),
+            ("--preset paper", self.preset),
+            ("--field", self.fields),
+            ("--settle-only", self.settle_only),
+            ("--frames rest", self.until_rest),
+            ("--certify", self.certify),
+            ("--tets", self.tets),
+            ("--rolling-resistance", self.rolling_resistance),
+            (f"--skin {self.skin}", self.skin not in (None, "embed")),
+        )
+
     def listed(self, name: str) -> tuple[str, ...]:
         """The texts of an option that may be given several times."""
         return getattr(self, name)
@@ -149,21 +166,11 @@ class Request(RequestOptions):
             return
         for option, given in (
             ("--solver tl", self.solver == "tl"),
-            ("--combine", self.combine),
-            ("--flesh", self.flesh),
-            ("--rigid", self.rigid),
-            ("--preset paper", self.preset),
-            ("--field", self.fields),
-            ("--settle-only", self.settle_only),
-            ("--frames rest", self.until_rest),
-            ("--certify", self.certify),
-            ("--tets", self.tets),
-            ("--rolling-resistance", self.rolling_resistance),
+            *self.of_solids,
             ("--mass-scaling", self.mass_scaling),
             ("--wls", self.wls),
             ("--procrustes", self.procrustes),
             ("--gravity FILE", isinstance(self.parsed["gravity"], GravityKeys)),
-            (f"--skin {self.skin}", self.skin not in (None, "embed")),
         ):
             if given:
                 raise UsageError(

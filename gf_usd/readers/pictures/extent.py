@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,13 +70,15 @@ def _skeleton_times(root: Usd.Prim) -> set[float]:
 
 def comes_and_goes(prim: Usd.Prim) -> bool:
     """Whether the visibility of a prim changes over time."""
-    above = prim
-    while above and not above.IsPseudoRoot():
-        visibility = UsdGeom.Imageable(above).GetVisibilityAttr()
-        if visibility and visibility.ValueMightBeTimeVarying():
-            return True
-        above = above.GetParent()
-    return False
+    return any(one.ValueMightBeTimeVarying() for one in _visibilities(prim))
+
+
+def _visibilities(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
+    """The attributes that say whether a prim is visible: its own and those above."""
+    while prim and not prim.IsPseudoRoot():
+        if visibility := UsdGeom.Imageable(prim).GetVisibilityAttr():
+            yield visibility
+        prim = prim.GetParent()
 
 
 def is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
@@ -88,12 +90,7 @@ def sometimes_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     """Whether a prim is visible at a time, or at one at which its visibility changes."""
     if is_visible(prim, time):
         return True
-    samples: set[float] = set()
-    above = prim
-    while above and not above.IsPseudoRoot():
-        if visibility := UsdGeom.Imageable(above).GetVisibilityAttr():
-            samples.update(visibility.GetTimeSamples())
-        above = above.GetParent()
+    samples = {code for one in _visibilities(prim) for code in one.GetTimeSamples()}
     return any(is_visible(prim, Usd.TimeCode(code)) for code in sorted(samples))
 
 
