@@ -19,16 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Collider, Skin
 from gf_usd.physics.contact.carriers import Triples, cross, spin
-from gf_usd.physics.contact.distance import (
-    Closest,
-    above_plane,
-    closest,
-    outside_where_unwound,
-    shell,
-)
+from gf_usd.physics.contact.distance.closest import Closest, above_plane, closest
+from gf_usd.physics.contact.distance.tree import SurfaceTree
+from gf_usd.physics.contact.distance.winding import outside_where_unwound, shell
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.reference import Rows
 
@@ -213,9 +208,6 @@ def pair_values(
     return {"stiffness": k, "mass": m, "friction": mu, "restitution": e}
 
 
-SLACK = 2.0  # a triangle may have grown by as much since it was at rest
-
-
 class BodySkin:
     """One body's surface.
 
@@ -227,41 +219,30 @@ class BodySkin:
         self.skin, self.samples = skin, samples
         self._W = rows.W
         self._triples = Triples(X)
-        corners = skin.points[skin.triangles]
-        center = corners.mean(1)
-        gap, self._cover = kd_tree(X).query(center)
-        reach = np.linalg.norm(corners - center[:, None], axis=2).max(1)
-        self._reach = SLACK * (gap + reach)
+        self._tree = SurfaceTree(skin.points, skin.triangles)
         self._shell = shell(skin.points, skin.triangles)
 
     def near(
-        self, X: Floats, known: Floats, x: Floats, u: Floats, offset: Floats, reach: float
+        self, X: Floats, known: Floats, u: Floats, offset: Floats, reach: float
     ) -> tuple[Closest, Floats]:
         """The surface as points X (m, 3) [m] see it, and the places seen (k, 3) [m] at rest.
 
         known : (m,) [m] <= 0, from where on a signed distance is believed; what seems deeper is
-        asked of the whole surface.  x : (n, 3) [m] of the body's samples now; u : (nodes, 3) [m]
-        as `Rows` stack them, without offset (3,) [m].
+        asked of the whole surface.  u : (nodes, 3) [m] as `Rows` stack them, without offset (3,)
+        [m].
         """
-        bound = reach + float(self._reach.max())
-        gap = kd_tree(X).query(x, distance_upper_bound=bound)[0]
-        triangles = self.skin.triangles[gap[self._cover] < reach + self._reach]
-        used, local = np.unique(triangles, return_inverse=True)
-        points = self.skin.points[used] + offset + self._W[used] @ u
-        local = local.reshape(-1, 3)
-        if len(local) == 0:
-            local = np.zeros((0, 3), np.int64)
-        seen = closest(X, points, local, reach)
+        skin = self.skin
+        points = skin.points + offset + self._W @ u
+        seen = self._tree.closest(X, points, reach)
         doubtful = np.flatnonzero(seen.gap < known[seen.rows])
         if len(doubtful):
-            whole = self.skin.points + offset + self._W @ u
             if self._shell is None:
-                seen = outside_where_unwound(seen, doubtful, X, whole, self.skin.triangles)
+                seen = outside_where_unwound(seen, doubtful, X, points, skin.triangles)
             else:
-                points, faces = whole[self._shell[0]], self._shell[1]
-                seen = outside_where_unwound(seen, doubtful, X, points, faces, shell=True)
-        rest = np.einsum("nk,nka->na", seen.weights, self.skin.points[used][local[seen.triangle]])
-        return seen, rest
+                kept, faces = self._shell
+                seen = outside_where_unwound(seen, doubtful, X, points[kept], faces, shell=True)
+        rest = skin.points[skin.triangles[seen.triangle]]
+        return seen, np.einsum("nk,nka->na", seen.weights, rest)
 
     def carriers(self, places: Floats) -> tuple[Ints, Floats]:
         """Contact samples (k, 3) and weights (k, 3) that carry places (k, 3) [m] at rest.

@@ -21,7 +21,7 @@ from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.continuity import EASE, Stored, continued
-from gf_usd.physics.contact.distance import Closest, closest
+from gf_usd.physics.contact.distance.closest import Closest, closest
 from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
@@ -37,6 +37,7 @@ from gf_usd.physics.contact.narrow_phase import (
     pair_values,
 )
 from gf_usd.physics.contact.self_contact import AHEAD, FACE, NEARLY, SelfContact
+from gf_usd.physics.contact.stability import coming_depth, levers, stiffest
 from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
@@ -48,10 +49,11 @@ WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not tou
 STAY = 1.0  # [spacings]
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
 COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
-# Springs that a sample may feel, over the one on the floor: its own, those of planes it carries,
-# and each of the two strained by both bodies.
+# Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
+# those of planes it carries, and each of the two strained by both bodies.
 CROWD = 4.0
 SPARE = 1.5  # of CROWD: few samples are deep
+NEAR = 0.1  # [spacings] from where a sample counts as one that touches
 # Of m g r in T: what planes may give to a pair so that its samples come to be as deep as they truly
 # are, which lifts what rests on them.  In a whole bake of ten T it is a thousandth.
 BUDGET = 1e-4
@@ -238,14 +240,13 @@ class BodyContact:
         body: int,
         X: Floats,
         known: Floats,
-        x: Floats,
         u: Floats,
         offset: Floats,
         reach: float,
     ) -> tuple[Closest, Ints, Floats]:
         """What points see of a body: `BodySkin.near`, and the contact samples (k, 3) that carry the
         places seen, with weights (k, 3)."""
-        seen, rest = self._skins[body].near(X, known, x, u, offset, reach)
+        seen, rest = self._skins[body].near(X, known, u, offset, reach)
         return seen, *self._skins[body].carriers(rest)
 
     def motion(self, now: StateView) -> tuple[Floats, Floats]:
@@ -263,14 +264,23 @@ class BodyContact:
         self.contact = contact
 
     def detect(
-        self, state: State, index: int, dt: float, done: int, left: int, *, shorter: float = 1.0
+        self,
+        state: State,
+        index: int,
+        dt: float,
+        done: int,
+        left: int,
+        *,
+        floor: Ints | None = None,
+        shorter: float = 1.0,
     ) -> tuple[int, int]:
         """Set the planes for the next substeps, and say how many they hold for, at most `left`.
 
         And into how many shorter ones these are divided where something touches: the step of the
         body alone is too long for springs between samples.
         index : the frame that is marched to; done : substeps of dt [s] since the frame before it.
-        shorter : as many as each is divided into at least.
+        floor : samples that may reach the floor; None: all.
+        shorter : as many as each is divided into at least, for what else pushes the samples.
         """
         now, elapsed = state.view(), done * dt
         frame = index - 1 + elapsed / self._body.settings.frame_time
@@ -315,12 +325,12 @@ class BodyContact:
         self.released = max(self.released, search.released, int(lost.sum()))
         hold = min(hold, self._sliding(v))
         chunk = int(np.clip(hold / dt, 1, left))
+        by = self._shorter(x, v, chunk * dt, values, floor)
         free = self._untouched(v) / dt
-        if free >= min(chunk, FEWEST):
-            chunk = min(chunk, int(min(free, left)))
-        else:
-            shorter = max(shorter, self._shorter(float(self.planes.depth(x, 0.0).max())))
-        parts = int(np.ceil(chunk * shorter))
+        if free >= min(chunk, FEWEST) and (by - 1.0) * min(chunk, free) >= FEWEST:
+            chunk, by = min(chunk, int(min(free, left))), 1.0
+        # Frequencies of springs on the same samples add up as squares.
+        parts = int(np.ceil(chunk * np.sqrt(max(1.0, shorter**2 + by**2 - 1.0))))
         dt = chunk * dt / parts
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
@@ -338,14 +348,46 @@ class BodyContact:
         comes = faces & (closing > 0.0)
         return float((gap[comes] / (AHEAD * closing[comes])).min(initial=np.inf))
 
-    def _shorter(self, depth: float) -> float:
-        """Substeps where samples are as deep [m] over those where nothing touches; 1: given."""
-        if self._body.settings.substeps:
+    def _shorter(
+        self, x: Floats, v: Floats, span: float, values: Mapping[str, Floats], floor: Ints | None
+    ) -> float:
+        """Substeps with the springs of these planes over those where nothing touches.
+
+        x, v : (n, 3) [m], [m/s] now; span : [s] for which the planes stay; values : of
+        `pair_values`; floor : see `detect`.  1 where the number of substeps is given.
+        """
+        body, f = self._body, self.planes
+        if body.settings.substeps:
             return 1.0
-        # A spring is 1 + 3 (d / a)^2 as stiff against more as against little.
-        stiffer = max(1.0, (1.0 + 3.0 * self._hardening * depth**2) / SPARE)
-        rest = self._body.step
-        return rest.dt / rest.crowded(self._crowd * stiffer).dt
+        faces = np.flatnonzero(f.partner != narrow_phase.NOBODY)
+        away, speed = f.interpolated(x) + f.point - x, f.interpolated(v) + f.velocity - v
+        depth, closing = ((a * f.normal)[faces].sum(1) for a in (away, speed))
+        coming = coming_depth(
+            depth, AHEAD * closing, span, self._k[faces], values["mass"][faces], self._hardening
+        )
+        touches = coming > -NEAR * self._spacing
+        rows, coming = faces[touches], np.maximum(coming[touches], 0.0)
+        # A spring k d (1 + d^2 / a^2) is 1 + 3 (d / a)^2 as stiff against more as against little.
+        harder = 1.0 + 3.0 * self._hardening * coming**2
+        rest = body.step
+        if body.regions:
+            deepest = float(harder.max(initial=1.0))
+            return rest.dt / rest.crowded(self._crowd * max(1.0, deepest / SPARE)).dt
+        k = self._k[rows] * harder
+        near = np.arange(len(x)) if floor is None else floor
+        if body.settings.floor is None:
+            near = near[:0]
+        omega2 = stiffest(
+            self.contact.rows.W, body.mass, f, rows, k * levers(f, rows, x),
+            near, self.contact.stiffness[near],
+        )  # fmt: skip
+        c = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])[rows]
+        rate = max(
+            float((c / k).max(initial=0.0)),
+            float((self.contact.damping / self.contact.stiffness)[near].max(initial=0.0)),
+        )
+        here = replace(rest, contact=float(np.sqrt(omega2)), contact_damping=rate * omega2)
+        return max(1.0, rest.dt / here.dt)
 
     def _sliding(self, v: Floats) -> float:
         """[s] until a sample has slid too far along what it faces; what is off may go farther."""
@@ -398,9 +440,7 @@ class BodyContact:
         gap, faced = self._gap[rows], self.planes.partner[rows]
         was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == other)
         known = np.where(was, gap - EASE * self._spacing, 0.0)
-        found, *carriers = self.surface(
-            other, search.x[rows], known, theirs, nodes, offset, search.reach
-        )
+        found, *carriers = self.surface(other, search.x[rows], known, nodes, offset, search.reach)
         mine = rows[found.rows]
         point = found.point + self._offset_from(mine, other)[:, None] * found.normal
         search.offer(mine, found.gap, found.normal, point, *carriers)

@@ -74,7 +74,7 @@ class SolidBodies:
             was = (gap[rows] < 0.0) & (face[rows] == k)
             known = np.where(was, gap[rows] - EASE * self._spacing, 0.0)
             seen, carriers, weights = self._pairs.surface(
-                k, x[rows], known, theirs, now.nodes[0], now.offset, reach
+                k, x[rows], known, now.nodes[0], now.offset, reach
             )
             out.append(
                 Faced(

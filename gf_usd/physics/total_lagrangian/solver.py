@@ -165,7 +165,7 @@ class TotalLagrangian(Solver):
                 parts = int(np.ceil(chunk * shorter))
             if pairs:
                 chunk, parts = pairs.detect(
-                    state, index, whole, substeps - left, chunk, shorter=shorter
+                    state, index, whole, substeps - left, chunk, floor=near, shorter=shorter
                 )
                 low = self.active.nearer(state, near, chunk * whole)
                 paired = pairs.planes.active

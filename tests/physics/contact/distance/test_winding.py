@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.distance import closest, crossings, outside_where_unwound, shell
+from gf_usd.physics.contact.distance.closest import closest
+from gf_usd.physics.contact.distance.winding import crossings, outside_where_unwound, shell
 
 
 def sphere() -> tuple[Floats, Ints]:

@@ -1,0 +1,191 @@
+"""The closest point of a surface, found in a tree of boxes, by point.
+
+The tree is complete and stands as a heap: node i has the children 2 i and 2 i + 1, and the leaves
+are those of the last level.  A point descends to the nearest leaf and then goes through the tree in
+order, past every box that is farther off than what it found.
+"""
+
+import taichi as ti
+
+ON_EDGE = 1e-9  # a weight below it is rounding
+
+
+@ti.func
+def vector(A: ti.template(), i):
+    """Row i of (n, 3) numbers."""
+    return ti.Vector([A[i, 0], A[i, 1], A[i, 2]])
+
+
+@ti.func
+def box_distance(boxes: ti.template(), i, p):
+    """Square of the distance from p to box i."""
+    out = p[0] * 0.0
+    for a in ti.static(range(3)):
+        off = ti.max(ti.max(boxes[i, a] - p[a], p[a] - boxes[i, a + 3]), 0.0 * p[a])
+        out += off * off
+    return out
+
+
+@ti.func
+def closest_on_edge(p, a, b):
+    """How far along the edge from a to b the point nearest to p is, 0 to 1."""
+    way = b - a
+    square = way.norm_sqr()
+    t = p[0] * 0.0
+    if square > 0.0:
+        t = ti.min(ti.max((p - a).dot(way) / square, 0.0 * square), 1.0 + 0.0 * square)
+    return t
+
+
+@ti.func
+def closest_on_triangle(p, a, b, c):
+    """Barycentric weights of the point of a triangle that is nearest to p.
+
+    That of its plane where it is inside, otherwise the nearest of the three edges.
+    """
+    u, v, w = b - a, c - a, p - a
+    n = u.cross(v)
+    area = n.norm_sqr()
+    weights = ti.Vector([p[0] * 0.0, p[0] * 0.0, p[0] * 0.0])
+    inside = 0
+    if area > 0.0:
+        s, t = w.cross(v).dot(n) / area, u.cross(w).dot(n) / area
+        if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
+            inside = 1
+            weights = ti.Vector([1.0 - s - t, s, t])
+    if inside == 0:
+        least = p[0] * 0.0 + ti.math.inf
+        for k in ti.static(range(3)):
+            first, last = (a, b, c)[k], (b, c, a)[k]
+            along = closest_on_edge(p, first, last)
+            square = (p - first - along * (last - first)).norm_sqr()
+            if square < least:
+                least = square
+                for j in ti.static(range(3)):
+                    weights[j] = 0.0 * along
+                weights[k] = 1.0 - along
+                weights[(k + 1) % 3] = along
+    return weights
+
+
+@ti.func
+def normal_of(points: ti.template(), corners: ti.template(), t):
+    """Unit normal of triangle t; 0 where it has no area."""
+    a = vector(points, corners[t, 0])
+    n = (vector(points, corners[t, 1]) - a).cross(vector(points, corners[t, 2]) - a)
+    size = n.norm()
+    if size > 0.0:
+        n /= size
+    return n
+
+
+@ti.func
+def angle_of(points: ti.template(), corners: ti.template(), t, k):
+    """Angle of triangle t at its corner k."""
+    a = vector(points, corners[t, k])
+    u = vector(points, corners[t, (k + 1) % 3]) - a
+    v = vector(points, corners[t, (k + 2) % 3]) - a
+    return ti.atan2(u.cross(v).norm(), u.dot(v))
+
+
+@ti.func
+def pseudo_normal(points: ti.template(), corners: ti.template(), around: ti.template(), t, w):
+    """The angle-weighted normal of the face, the edge or the vertex where the weights w lie.
+
+    around : of `SurfaceTree`.
+    """
+    faces = corners.shape[0]
+    zeros = 0
+    first = 0  # a corner whose weight is 0
+    most = 0  # the corner with the largest
+    for k in ti.static(range(3)):
+        if w[k] <= ti.static(ON_EDGE):
+            zeros += 1
+            first = k
+        if w[k] > w[most]:
+            most = k
+    n = normal_of(points, corners, t)
+    if zeros == 1:
+        n = 0.0 * n
+        edge = around[3 * t + (first + 1) % 3]
+        start = 6 * faces + edge
+        for e in range(around[start], around[start + 1]):
+            n += normal_of(points, corners, around[e])
+    if zeros == 2:
+        n = 0.0 * n
+        start = around[3 * faces + 3 * t + most]
+        for e in range(around[start], around[start + 1]):
+            n += angle_of(points, corners, around[e] // 3, around[e] % 3) * normal_of(
+                points, corners, around[e] // 3
+            )
+    return n
+
+
+@ti.func
+def nearest_in_leaf(points: ti.template(), corners: ti.template(), first, behind, p, best, at, w):
+    """The nearest of triangles `first` to `behind`, where one is nearer than `best` [m^2]."""
+    for t in range(first, behind):
+        a, b = vector(points, corners[t, 0]), vector(points, corners[t, 1])
+        c = vector(points, corners[t, 2])
+        weights = closest_on_triangle(p, a, b, c)
+        square = (p - weights[0] * a - weights[1] * b - weights[2] * c).norm_sqr()
+        if square < best:
+            best, at, w = square, t, weights
+    return best, at, w
+
+
+@ti.kernel
+def closest_points(
+    X: ti.types.ndarray(dtype=ti.f64, ndim=2),
+    points: ti.types.ndarray(dtype=ti.f64, ndim=2),
+    corners: ti.types.ndarray(dtype=ti.i32, ndim=2),
+    around: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    boxes: ti.types.ndarray(dtype=ti.f64, ndim=2),
+    starts: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    reach: ti.f64,
+    found: ti.types.ndarray(dtype=ti.f64, ndim=2),
+    which: ti.types.ndarray(dtype=ti.i32, ndim=1),
+):
+    """The nearest triangle to each X (n, 3) [m] within a reach [m], -1 where there is none.
+
+    found : (n, 6) weights and pseudo-normal, not of unit length; the rest as `SurfaceTree` has it.
+    """
+    for i in range(X.shape[0]):
+        p = vector(X, i)
+        leaves = starts.shape[0] - 1
+        best, at = reach * reach, -1
+        w = 0.0 * p
+        node = 1
+        while node < leaves:
+            node *= 2
+            if box_distance(boxes, node + 1, p) < box_distance(boxes, node, p):
+                node += 1
+        nearest = node
+        leaf = node - leaves
+        best, at, w = nearest_in_leaf(
+            points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
+        )
+        node = 1
+        while node > 0:
+            down = 0
+            if box_distance(boxes, node, p) < best:
+                if node < leaves:
+                    down = 1
+                elif node != nearest:
+                    leaf = node - leaves
+                    best, at, w = nearest_in_leaf(
+                        points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
+                    )
+            if down == 1:
+                node *= 2
+            else:
+                while node % 2 == 1:
+                    node //= 2
+                if node > 0:
+                    node += 1
+        which[i] = at
+        if at >= 0:
+            n = pseudo_normal(points, corners, around, at, w)
+            for a in ti.static(range(3)):
+                found[i, a] = w[a]
+                found[i, a + 3] = n[a]

@@ -1,0 +1,115 @@
+"""A tree of boxes around the triangles of a surface that moves: made once, then refitted.
+
+To build a tree takes longer than to ask it, and a detection asks each surface a few hundred times.
+Triangles that are near each other stay so, so that the tree of the surface at rest serves, with
+boxes of where its triangles are now (van den Bergen 1997).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.distance.closest import ON_SURFACE, Closest, none_seen
+
+LEAF = 4  # triangles of a leaf, at most
+
+
+class SurfaceTree:
+    """The triangles (T, 3) of a surface with points (V, 3) [m] at rest."""
+
+    def __init__(self, points: Floats, triangles: Ints) -> None:
+        levels = max(0, int(np.ceil(np.log2(max(1, len(triangles)) / LEAF))))
+        bounds = np.round(np.linspace(0, len(triangles), 2**levels + 1)).astype(np.int32)
+        self._order = _sorted(points[triangles].mean(1), bounds, levels)
+        self._corners = np.ascontiguousarray(triangles[self._order], np.int32)
+        self._starts = bounds
+        self._around = _around(self._corners, len(points))
+        self._boxes = np.zeros((2 ** (levels + 1), 6))
+
+    def closest(self, X: Floats, points: Floats, reach: float) -> Closest:
+        """What `closest` says of X (n, 3) [m] no farther than reach [m], of points (V, 3) [m]."""
+        from gf_usd.physics.contact.distance import kernels
+
+        if len(X) == 0 or len(self._order) == 0:
+            return none_seen()
+        self._refit(points)
+        X, points = (np.ascontiguousarray(a, np.float64) for a in (X, points))
+        found, which = np.zeros((len(X), 6)), np.empty(len(X), np.int32)
+        kernels.closest_points(
+            X, points, self._corners, self._around, self._boxes, self._starts, reach, found, which
+        )
+        rows = np.flatnonzero(which >= 0)
+        at, w, pseudo = which[rows], found[rows, :3], found[rows, 3:]
+        point = np.einsum("nk,nka->na", w, points[self._corners[at]])
+        away = X[rows] - point
+        distance = np.sqrt((away * away).sum(1))
+        gap = np.where((away * pseudo).sum(1) < 0.0, -distance, distance)
+        on = distance <= ON_SURFACE * reach
+        # The direction to the closest point is that of the distance's gradient, up to its sign.
+        away *= np.where(gap < 0.0, -1.0, 1.0)[:, None]
+        away[on] = pseudo[on]
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        return Closest(
+            rows=rows,
+            gap=gap,
+            triangle=self._order[at],
+            weights=w,
+            point=point,
+            normal=away / np.where(length > 0.0, length, 1.0),
+        )
+
+    def _refit(self, points: Floats) -> None:
+        corners = [points[self._corners[:, k]] for k in range(3)]
+        leaves = len(self._starts) - 1
+        for side, extreme in ((slice(0, 3), np.minimum), (slice(3, 6), np.maximum)):
+            whole = extreme(extreme(corners[0], corners[1]), corners[2])
+            level, first = extreme.reduceat(whole, self._starts[:-1]), leaves
+            self._boxes[first:, side] = level
+            while first > 1:
+                level, first = extreme(level[::2], level[1::2]), first // 2
+                self._boxes[first : 2 * first, side] = level
+
+
+def _sorted(centers: Floats, bounds: Ints, levels: int) -> Ints:
+    """Triangles with centers (T, 3) in the order of a tree with leaves between `bounds`.
+
+    Every node is cut across its longest side, so that its halves are of the leaves' sizes.
+    """
+    order = np.arange(len(centers))
+    for level in range(levels):
+        starts = bounds[:: 2 ** (levels - level)]
+        own = centers[order]
+        size = np.maximum.reduceat(own, starts[:-1]) - np.minimum.reduceat(own, starts[:-1])
+        node = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+        along = own[np.arange(len(own)), size.argmax(1)[node]]
+        order = order[np.lexsort((along, node))]
+    return order
+
+
+def _around(corners: Ints, points: int) -> Ints:
+    """What meets at the edges and vertices of triangles (T, 3), in one list for the kernels.
+
+    (T, 3) the edge that begins at each corner, (T, 3) where the list of each corner's vertex
+    begins; where the lists of the edges begin, and after the last one end; where those of the
+    vertices do; then the triangles of each edge, and 3 t + k of the corners at each vertex.
+    """
+    faces = len(corners)
+    ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], -1), axis=-1).reshape(-1, 2)
+    edge = np.unique(ends[:, 0].astype(np.int64) * points + ends[:, 1], return_inverse=True)[1]
+    edge, vertex = edge.reshape(-1), corners.ravel()
+    edges = int(edge.max(initial=-1)) + 1
+    begin = 6 * faces + (edges + 1) + (points + 1)
+    edge_start = begin + np.concatenate([[0], np.cumsum(np.bincount(edge, minlength=edges))])
+    begin = begin + len(edge)
+    vertex_start = begin + np.concatenate([[0], np.cumsum(np.bincount(vertex, minlength=points))])
+    return np.concatenate(
+        [
+            edge,
+            6 * faces + edges + 1 + vertex,
+            edge_start,
+            vertex_start,
+            np.argsort(edge, kind="stable") // 3,
+            np.argsort(vertex, kind="stable"),
+        ]
+    ).astype(np.int32)

@@ -1,0 +1,91 @@
+"""How stiff the contact of one detection is: what the stable step has to follow.
+
+With W the rows of the samples, sample s facing a plane that samples c_k carry with weights w_k, and
+springs k_s between them, the springs are stretched by and pull on the nodes with
+
+    (B u)_s = (W u)_s - sum_k w_k (W u)_{c_k},        f = -B^T K B u
+
+and their stiffest vibration is w^2 = max eigenvalue of M~^-1 B^T K B.  Friction has springs as
+stiff along the plane, so that all axes are alike.  Samples near the floor face what does not move:
+B is W there.  A plane that turns with its carriers acts on them by levers, too; their share is
+counted into k_s.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.carriers import cross, turn
+from gf_usd.physics.contact.narrow_phase import ContactPlanes
+from gf_usd.physics.grid import spectrum
+from gf_usd.physics.grid.mass import NodalMass
+
+COLUMN = 4.0  # samples' masses that come to a stop behind one that touches
+
+
+def stiffest(
+    W: sparse.csr_matrix,
+    mass: NodalMass,
+    planes: ContactPlanes,
+    rows: Ints,
+    k: Floats,
+    floor: Ints,
+    floor_k: Floats,
+) -> float:
+    """The largest eigenvalue [1/s^2] of M~^-1 B^T K B.
+
+    W : (n, nodes) of all samples; rows, k : (m,) samples that face a plane, and their springs
+    [N/m]; floor, floor_k : (l,) the same of those near the floor.
+    """
+    stiff = np.concatenate([k, floor_k])
+    if not stiff.any():
+        return 0.0
+    carriers, weights = planes.carriers[rows], planes.weights[rows]
+    carried = np.flatnonzero(planes.partner[rows] >= 0)
+    row = np.concatenate([np.arange(len(stiff)), np.repeat(carried, 3)])
+    column = np.concatenate([rows, floor, carriers[carried].ravel()])
+    value = np.concatenate([np.ones(len(stiff)), -weights[carried].ravel()])
+    used, local = np.unique(column, return_inverse=True)
+    P = sparse.csr_matrix((value, (row, local.reshape(-1))), shape=(len(stiff), len(used)))
+    B = sparse.csr_matrix(P @ W[used])
+    Bt = B.T.tocsr()
+    start = np.random.default_rng(0).normal(size=W.shape[1])
+    return spectrum.largest_eigenvalue(mass.acceleration, lambda a: Bt @ (stiff * (B @ a)), start)
+
+
+def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
+    """(m,) >= 1: |G|^2 of the planes of `rows` over what it is without turning.
+
+    G n = (n, -w_k n + alpha x r_k) is the force on a sample and on its carriers by a unit force
+    along the normal: see `carriers`.  x : (n, 3) [m].
+    """
+    out = np.ones(len(rows))
+    carried = np.flatnonzero(planes.partner[rows] >= 0)
+    s = rows[carried]
+    if len(s) == 0:
+        return out
+    corners, w, n = x[planes.carriers[s]], planes.weights[s], planes.normal[s]
+    r = corners - corners.mean(1, keepdims=True)
+    arm = x[s] - np.einsum("nk,nka->na", w, corners)
+    alpha = turn(r, cross(n, arm))
+    back = np.cross(alpha[:, None], r) - w[:, :, None] * n[:, None]
+    plain = 1.0 + (w * w).sum(1)
+    out[carried] = np.maximum(1.0, (1.0 + (back * back).sum((1, 2))) / plain)
+    return out
+
+
+def coming_depth(
+    depth: Floats, speed: Floats, span: float, k: Floats, mass: Floats, hardening: float
+) -> Floats:
+    """(m,) [m] the deepest that samples may come to be within a span [s].
+
+    depth : (m,) [m] now, below 0 outside; speed : (m,) [m/s] into the plane; k, mass : (m,) of
+    samples; hardening : [1/m^2] 1 / a^2.  A sample goes on for the whole span, or until the
+    spring k d (1 + d^2 / a^2) has taken the energy of `COLUMN` times its mass.
+    """
+    fast = np.maximum(speed, 0.0)
+    energy = 0.5 * COLUMN * mass * fast**2
+    square = (np.sqrt(1.0 + 4.0 * energy * hardening / k) - 1.0) / hardening
+    return np.minimum(depth + span * fast, np.maximum(depth, 0.0) + np.sqrt(square))

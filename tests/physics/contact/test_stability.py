@@ -1,0 +1,110 @@
+"""The stiffest vibration of contact, against the whole matrix of its springs."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from contact_scenes import contact_solver
+from solids import sphere
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.narrow_phase import ContactPlanes, nothing
+from gf_usd.physics.contact.stability import COLUMN, coming_depth, levers, stiffest
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+LEFT = sphere(center=(-1.05, 0.0, 0.0), path="/Left")
+RIGHT = sphere(center=(1.05, 0.2, 0.0), path="/Right")
+HARDENING = 25.0  # [1/m^2]
+
+
+@cache
+def crash() -> tuple[TotalLagrangian, Floats, ContactPlanes, Ints]:
+    """Two balls that are pressed into each other: x (n, 3), their planes and who is deep."""
+    solver = contact_solver(
+        LEFT, RIGHT, particles=300, frames=4, velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]
+    )
+    list(solver.frames())
+    assert solver.pairs is not None
+    x = solver.pairs.motion(solver.state.view())[0]
+    planes = solver.pairs.planes
+    rows = np.flatnonzero(planes.depth(x, 0.0) > 0.0)
+    assert len(rows) > 10
+    return solver, x, planes, rows
+
+
+def whole(x: Floats, planes: ContactPlanes, rows: Ints, k: Floats, W: Floats) -> Floats:
+    """(3 nodes, 3 nodes) [N/m] of springs k in all directions, with planes that turn.
+
+    A unit force f on sample s comes back to carrier j as -w_j f + alpha x r_j, with
+    J alpha = -(x_s - sum w x) x f (module `carriers`).
+    """
+    out = np.zeros((3 * W.shape[1], 3 * W.shape[1]))
+    for s, stiffness in zip(rows, k):
+        who, w = planes.carriers[s], planes.weights[s]
+        r = x[who] - x[who].mean(0)
+        J = sum((d @ d) * np.eye(3) - np.outer(d, d) for d in r)
+        arm = x[s] - w @ x[who]
+        for f in np.eye(3):
+            alpha = np.linalg.solve(J, -np.cross(arm, f))
+            forces = np.zeros((len(W), 3))
+            forces[s] += f
+            np.add.at(forces, who, [-wk * f + np.cross(alpha, d) for wk, d in zip(w, r)])
+            nodal = (W.T @ forces).ravel()
+            out += stiffness * np.outer(nodal, nodal)
+    return out
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_it_is_that_of_the_whole_matrix_or_a_little_more(alike: bool) -> None:
+    solver, x, planes, rows = crash()
+    contact = solver.body.contact
+    assert contact is not None
+    mass = solver.body.mass
+    k = contact.pair_stiffness[rows]
+    if not alike:
+        k = k * np.linspace(0.1, 3.0, len(k))
+    none = rows[:0]
+    found = stiffest(contact.rows.W, mass, planes, rows, k * levers(planes, rows, x), none, k[:0])
+    K = whole(x, planes, rows, k, contact.rows.W.toarray())
+    inverse = mass.acceleration(np.eye(len(mass.lumped)))
+    value = np.linalg.eigvals(np.kron(inverse, np.eye(3)) @ K).real.max()
+    # Lanczos' residual of a hundredth is added; levers act in one direction and count in all.
+    assert value <= 1.001 * found
+    assert found <= 1.35 * value
+
+
+def test_over_the_floor_alone_it_is_the_floors() -> None:
+    solver = crash()[0]
+    contact = solver.body.contact
+    assert contact is not None
+    every = np.arange(len(contact.mass))
+    found = stiffest(
+        contact.rows.W, solver.body.mass, nothing(len(every)), every[:0], contact.stiffness[:0],
+        every, contact.stiffness,
+    )  # fmt: skip
+    assert found == pytest.approx(contact.omega2, rel=0.02)  # Lanczos' accuracy, of both
+
+
+def test_no_springs_no_vibration() -> None:
+    contact, planes = crash()[0].body.contact, crash()[2]
+    assert contact is not None
+    none = np.zeros(0, np.int64)
+    assert stiffest(
+        contact.rows.W, crash()[0].body.mass, planes, none, np.zeros(0), none, np.zeros(0)
+    ) == 0.0  # fmt: skip
+
+
+def test_a_sample_stops_where_its_spring_has_taken_its_energy() -> None:
+    k, mass = np.full(4, 3.0), np.full(4, 0.01)
+    speed, span = np.array([-1.0, 0.1, 0.5, 2.0]), 1e3
+    d = coming_depth(np.zeros(4), speed, span, k, mass, HARDENING)
+    stored = 0.5 * k * d**2 * (1.0 + 0.5 * HARDENING * d**2)
+    assert stored == pytest.approx(0.5 * COLUMN * mass * np.maximum(speed, 0.0) ** 2, abs=1e-15)
+
+
+def test_in_a_short_span_it_comes_no_farther_than_it_moves() -> None:
+    depth = np.array([-0.2, -0.01, 0.3])
+    d = coming_depth(depth, np.full(3, 2.0), 0.01, np.ones(3), np.ones(3), HARDENING)
+    assert d == pytest.approx(depth + 0.02)
