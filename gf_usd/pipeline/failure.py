@@ -74,13 +74,20 @@ def leave(
     """Write the partial root layer and the report of a bake that failed; returns what to raise.
 
     failed : of `place`.
-    variants : the bakes so far, the last of which failed; their caches have partial names.
+    variants : the bakes that have frames, the last of which may be the one that failed; their
+    caches have partial names.  Without any, nothing is written.
     clips : files next to the caches.
 
     No file under a final name is touched but a report of an earlier failure.
     """
     from gf_usd.layers.check.run import review
 
+    where = _where(delivery.asset.facts.path, failed)
+    if not variants:
+        return SolverError(
+            f"{where}: {failed['why']}\nno frame was simulated before", error.hint,
+            frame=failed["frame"], particle=error.particle,
+        )  # fmt: skip
     files = [variant.cache for variant in variants]
     findings: list[dict[str, str]] = []
     opened = ""
@@ -101,7 +108,7 @@ def leave(
     else:
         path.write_text(text + "\n", encoding="utf-8")
     return SolverError(
-        f"{_where(delivery.asset.facts.path, failed)}: {failed['why']}\n"
+        f"{where}: {failed['why']}\n"
         f"the frames before it are kept in {', '.join(str(file) for file in files)}{opened};"
         f" the report is {path}",
         error.hint,

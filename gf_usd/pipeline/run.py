@@ -104,6 +104,7 @@ def run(
         prepared.cost,
         path=path,
         folder=_folder(plan),
+        frames=settings.frames,
         done=[min(1.0, one.index / samples) if one else 0.0 for one in since],
         copies=2 if plan.outputs.flat else 1,
     )
@@ -157,8 +158,9 @@ def _run_locked(
         result, variant, more, error = _run_variant(
             prepared, number, progress, checkpoints, forecast, stages
         )
-        results.append(result)
-        baked.append(variant)
+        if result is not None and variant is not None:
+            results.append(result)
+            baked.append(variant)
         notes += (*more, *forecast.take())
         if error is not None:
             baked = [replace(one, cache=partial_path(one.cache)) for one in baked]
@@ -167,7 +169,7 @@ def _run_locked(
                 finished(files)  # it would fail again
             seconds = time.perf_counter() - began
             failed = place(
-                error, variant.name, asset=plan.asset, embedded=plan.embedded,
+                error, plan.variants[number].name, asset=plan.asset, embedded=plan.embedded,
                 particles=plan.particles, settings=plan.settings,
             )  # fmt: skip
             report = partial(report_json, describe(plan), plan.settings, results, seconds)
@@ -206,10 +208,11 @@ def _run_variant(
     checkpoints: CheckpointWriter,
     forecast: Forecast,
     stages: Stages,
-) -> tuple[VariantResult, BakedVariant, tuple[str, ...], SolverError | None]:
+) -> tuple[VariantResult | None, BakedVariant | None, tuple[str, ...], SolverError | None]:
     """Simulate one variant into its cache, which keeps its partial name.
 
-    A failure of the solver is returned with what was had before it.
+    A failure of the solver is returned with what was had before it: no result and no cache where
+    that is not a single frame.
     """
     from gf_usd.layers.cache import CacheWriter
     from gf_usd.layers.variants import BakedVariant
@@ -322,6 +325,9 @@ def _run_variant(
             raise rest.refusal(variant.name, log.frames[-1], settings.frames, plan.asset.facts.path)
         stages.begin(WRITING, variant.name)
         summary = cache.close()
+    if failure is not None and not log.frames:
+        partial_path(variant.cache).unlink(missing_ok=True)
+        return None, None, (), failure
     if period.skipped:
         log.leave_out(period.skipped // n)
         info = replace(info, settings=shortened(info.settings, period.skipped // n))

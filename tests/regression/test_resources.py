@@ -56,9 +56,52 @@ def fill_up(folder: Path, leave: int) -> Path:
 def test_a_disk_that_is_too_small_is_refused_before_work(disk: Path) -> None:
     with pytest.raises(InputError) as caught:
         gf_usd.bake(SAMPLE, output=f"{disk}/", **FEW, frames=2000)
-    assert f"MB to {disk}, where 16 MB are free" in caught.value.message
+    assert f"MB in {disk}, where 16 MB are free" in caught.value.message
     assert "half=True" in caught.value.hint
     assert names(disk) == []
+
+
+def test_a_small_bake_that_a_nearly_full_disk_cannot_take_is_refused_before_work(
+    disk: Path,
+) -> None:
+    """What is kept free for the root layer and the report counts from the start."""
+    other = fill_up(disk, 1_500_000)
+    with pytest.raises(InputError) as caught:
+        gf_usd.bake(SAMPLE, output=f"{disk}/", **FEW, frames=4)
+    assert f"MB in {disk}, where 1.5 MB are free" in caught.value.message
+    assert names(disk) == [other.name]
+
+
+@pytest.mark.parametrize("materials", [["rubber"], ["rubber", "jelly"]])
+def test_a_disk_that_is_full_before_the_first_frame_is_an_error_without_files(
+    disk: Path, materials: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another program fills it between the start and the first frame of the last material."""
+    asked = {**FEW, "material": materials, "frames": 2}
+    required = budget.ResourceGuard.require
+    guards: list[object] = []
+
+    def require(guard: budget.ResourceGuard, index: int, unsaved: int) -> None:
+        if guard not in guards:
+            guards.append(guard)
+            if len(guards) == len(materials):
+                fill_up(disk, 100_000)
+        required(guard, index, unsaved)
+
+    monkeypatch.setattr(budget.ResourceGuard, "require", require)
+    with pytest.raises(BakeError) as caught:
+        gf_usd.bake(SAMPLE, output=f"{disk}/", **asked)
+    assert f"{materials[-1]} failed at frame 0 (time code 1)" in caught.value.message
+    assert f"{disk} has 0.0" in caught.value.message  # fewer than 100 kB are left
+    assert "free some space" in caught.value.hint
+    if len(materials) == 1:
+        assert "no frame was simulated before" in caught.value.message
+        assert set(names(disk)) <= {"other"}
+    else:  # what the first material has is kept
+        assert "the frames before it are kept in" in caught.value.message
+        there = names(disk)
+        assert any("rubber.cache.partial" in name for name in there)
+        assert not any("jelly.cache" in name for name in there)
 
 
 def test_a_memory_that_is_too_small_is_refused_before_work(

@@ -347,23 +347,24 @@ def reserve(frames: int) -> float:
 
 
 def require_resources(
-    cost: Cost, *, path: Path, folder: Path, done: Sequence[float], copies: int
+    cost: Cost, *, path: Path, folder: Path, frames: int, done: Sequence[float], copies: int
 ) -> None:
     """Raise InputError where a bake is estimated to need more disk or memory than is free.
 
     The estimates hold within some tenths.  What a bake replaces is there until the end, and does
     not count as free.
 
-    folder : of the results.
+    folder : of the results; frames : of each material.
     done : share of each material's samples that is on the disk already.
     copies : 2 where one file is made of the caches at the end, else 1.
     """
     rows = zip(cost["per_material"], done, strict=True)
     disk = sum(row["disk_bytes"] * (1.0 - share) for row, share in rows) * copies
+    disk += reserve(frames)  # as before each frame: what is refused there is refused here
     free = free_disk(folder)
     if disk > free:
         raise InputError(
-            f"{path}: the bake would write about {disk / 1e6:.3g} MB to {folder}, where"
+            f"{path}: the bake needs about {disk / 1e6:.3g} MB in {folder}, where"
             f" {free / 1e6:.3g} MB are free",
             DISK_HINT,
         )
