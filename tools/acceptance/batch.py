@@ -120,7 +120,7 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
     claim("SIGTERM: seconds until no bake was left", figure(left), left is not None)
 
     def kill(now: Session) -> None:
-        if len(now.jobs("done")) >= 2 and "killed" not in done:
+        if len(now.jobs("done")) >= 2 and "killed" not in done and BEGUN.search(now.lines[-1]):
             done["killed"] = kill_a_bake(out)
 
     second = session(bundle, kill)
@@ -197,14 +197,14 @@ def local(folder: Path, seeds: int) -> list[Claim]:
 
 def _full_disk_kill_and_term(found: Run, event: Event, out: Path, enlarge) -> None:
     """Give the disk room once it was full, then kill a bake, then end the batch."""
-    if event["event"] != "finished":
+    if event["event"] not in ("started", "finished"):
         return
     full = [e for e in found.ended("failed", "refused") if "space" in json.dumps(e)]
     if len(full) >= FULL and "room" not in found.done:
         found.done["room"] = len(found.ended("done"))
         enlarge(LARGE)
     since = len(found.ended("done")) - found.done.get("room", len(found.ended("done")))
-    if since >= 5 and "killed" not in found.done:
+    if since >= 5 and "killed" not in found.done and event["event"] == "started":
         found.done["killed"] = kill_a_bake(out)
     if since >= 20 and "ended" not in found.done:
         found.done["ended"] = True

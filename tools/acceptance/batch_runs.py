@@ -111,23 +111,33 @@ def manifest(folder: Path, seeds: int, corrupt: int) -> Path:
 
 
 def bakes_in(folder: Path) -> list[int]:
-    """Processes that bake into a folder now."""
-    found = []
+    """Workers that a batch into a folder started, and those that were left behind by theirs."""
+    words, parents = {}, {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
             continue
         try:
-            words = (entry / "cmdline").read_bytes().split(b"\0")
+            words[int(entry.name)] = (entry / "cmdline").read_bytes().split(b"\0")
+            status = (entry / "status").read_text()
         except OSError:
             continue
-        inside = any(word.startswith(str(folder).encode()) for word in words)
-        if b"bake" in words and inside:
-            found.append(int(entry.name))
+        parents[int(entry.name)] = int(status.partition("PPid:")[2].split()[0])
+    near = str(folder.parent).encode()
+    batches = {pid for pid, said in words.items() if any(w.startswith(near) for w in said)}
+    found = []
+    for pid, said in words.items():
+        if b"gf_usd" not in said or b"worker" not in said:
+            continue
+        above = pid
+        while above > 1 and above not in batches:
+            above = parents.get(above, 1)
+        if above in batches or parents[pid] == 1:
+            found.append(pid)
     return found
 
 
 def kill_a_bake(folder: Path) -> bool:
-    """SIGKILL to one of the bakes into a folder; whether there was one."""
+    """SIGKILL to one of the workers of a batch into a folder; whether there was one."""
     for pid in bakes_in(folder):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)

@@ -21,7 +21,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import Collider, Skin
 from gf_usd.physics.contact.carriers import Triples, cross, spin
-from gf_usd.physics.contact.distance.closest import Closest, above_plane, closest
+from gf_usd.physics.contact.distance.closest import Closest, above_plane
 from gf_usd.physics.contact.distance.tree import SurfaceTree
 from gf_usd.physics.contact.distance.winding import outside_where_unwound, shell
 from gf_usd.physics.contact.floor import FloorContact
@@ -276,6 +276,7 @@ class Obstacle:
         frames = [collider.positions(f) for f in range(collider.frames)]
         self._low = np.min([p.min(0) for p in frames], axis=0)
         self._high = np.max([p.max(0) for p in frames], axis=0)
+        self._tree: SurfaceTree | None = None  # made once something is near
 
     @property
     def box(self) -> tuple[Floats, Floats]:
@@ -308,7 +309,9 @@ class Obstacle:
         if self.endless:
             seen = above_plane(X, now[triangles[0]], reach)
         else:
-            seen = closest(X, now, triangles, reach)
+            if self._tree is None:
+                self._tree = SurfaceTree(self.positions(0.0), triangles)
+            seen = self._tree.closest(X, now, reach, moved=self.collider.moves)
         if not self.collider.moves or span <= 0.0:
             return Plane(seen=seen, velocity=np.zeros_like(seen.point))
         way = self.positions(frame + span / self._frame_time) - now

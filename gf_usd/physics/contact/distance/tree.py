@@ -26,14 +26,20 @@ class SurfaceTree:
         self._starts = bounds
         self._around = _around(self._corners, len(points))
         self._boxes = np.zeros((2 ** (levels + 1), 6))
+        if len(triangles):
+            self._refit(points)
 
-    def closest(self, X: Floats, points: Floats, reach: float) -> Closest:
-        """What `closest` says of X (n, 3) [m] no farther than reach [m], of points (V, 3) [m]."""
+    def closest(self, X: Floats, points: Floats, reach: float, *, moved: bool = True) -> Closest:
+        """What `closest` says of X (n, 3) [m] no farther than reach [m], of points (V, 3) [m].
+
+        moved : whether the points are elsewhere than the last time.
+        """
         from gf_usd.physics.contact.distance import kernels
 
         if len(X) == 0 or len(self._order) == 0:
             return none_seen()
-        self._refit(points)
+        if moved:
+            self._refit(points)
         X, points = (np.ascontiguousarray(a, np.float64) for a in (X, points))
         found, which = np.zeros((len(X), 6)), np.empty(len(X), np.int32)
         kernels.closest_points(
