@@ -37,7 +37,7 @@ from gf_usd.physics.contact.narrow_phase import (
     pair_values,
 )
 from gf_usd.physics.contact.self_contact import AHEAD, FACE, NEARLY, SelfContact
-from gf_usd.physics.contact.stability import coming_depth, levers, stiffest
+from gf_usd.physics.contact.stability import PairSprings
 from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
@@ -52,8 +52,6 @@ COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest 
 # Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
 # those of planes it carries, and each of the two strained by both bodies.
 CROWD = 4.0
-SPARE = 1.5  # of CROWD: few samples are deep
-NEAR = 0.1  # [spacings] from where a sample counts as one that touches
 # Of m g r in T: what planes may give to a pair so that its samples come to be as deep as they truly
 # are, which lifts what rests on them.  In a whole bake of ten T it is a thousandth.
 BUDGET = 1e-4
@@ -356,38 +354,21 @@ class BodyContact:
         x, v : (n, 3) [m], [m/s] now; span : [s] for which the planes stay; values : of
         `pair_values`; floor : see `detect`.  1 where the number of substeps is given.
         """
-        body, f = self._body, self.planes
+        body = self._body
         if body.settings.substeps:
             return 1.0
-        faces = np.flatnonzero(f.partner != narrow_phase.NOBODY)
-        away, speed = f.interpolated(x) + f.point - x, f.interpolated(v) + f.velocity - v
-        depth, closing = ((a * f.normal)[faces].sum(1) for a in (away, speed))
-        coming = coming_depth(
-            depth, AHEAD * closing, span, self._k[faces], values["mass"][faces], self._hardening
-        )
-        touches = coming > -NEAR * self._spacing
-        rows, coming = faces[touches], np.maximum(coming[touches], 0.0)
-        # A spring k d (1 + d^2 / a^2) is 1 + 3 (d / a)^2 as stiff against more as against little.
-        harder = 1.0 + 3.0 * self._hardening * coming**2
-        rest = body.step
-        if body.regions:
-            deepest = float(harder.max(initial=1.0))
-            return rest.dt / rest.crowded(self._crowd * max(1.0, deepest / SPARE)).dt
-        k = self._k[rows] * harder
         near = np.arange(len(x)) if floor is None else floor
         if body.settings.floor is None:
             near = near[:0]
-        omega2 = stiffest(
-            self.contact.rows.W, body.mass, f, rows, k * levers(f, rows, x),
-            near, self.contact.stiffness[near],
+        springs = PairSprings(
+            planes=self.planes, k=self._k, values=values, hardening=self._hardening,
+            spacing=self._spacing,
         )  # fmt: skip
-        c = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])[rows]
-        rate = max(
-            float((c / k).max(initial=0.0)),
-            float((self.contact.damping / self.contact.stiffness)[near].max(initial=0.0)),
-        )
-        here = replace(rest, contact=float(np.sqrt(omega2)), contact_damping=rate * omega2)
-        return max(1.0, rest.dt / here.dt)
+        if body.regions:
+            stable = springs.crowded_step(self.contact, body.step, x, v, span, self._crowd)
+        else:
+            stable = springs.step(self.contact, body.mass, body.step, x, v, span, near)
+        return max(1.0, body.step.dt / stable.dt)
 
     def _sliding(self, v: Floats) -> float:
         """[s] until a sample has slid too far along what it faces; what is off may go farther."""

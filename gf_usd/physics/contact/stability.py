@@ -13,16 +13,86 @@ counted into k_s.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
 import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.carriers import cross, turn
-from gf_usd.physics.contact.narrow_phase import ContactPlanes
+from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
+from gf_usd.physics.contact.narrow_phase import NOBODY, ContactPlanes
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
+from gf_usd.physics.time_step import StableStep
 
 COLUMN = 4.0  # samples' masses that come to a stop behind one that touches
+NEAR = 0.1  # [spacings] from where a sample counts as one that touches
+QUICKER = 1.5  # speeds may grow by this factor until the next detection
+SPARE = 1.5  # of the springs on a crowded sample: few samples are deep
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairSprings:
+    """The springs between n samples and their planes, from a detection on."""
+
+    planes: ContactPlanes
+    k: Floats  # (n,) [N/m]
+    values: Mapping[str, Floats]  # of `pair_values`
+    hardening: float  # [1/m^2] 1 / a^2: a spring is k d (1 + d^2 / a^2)
+    spacing: float  # [m]
+
+    def step(
+        self, contact: FloorContact, mass: NodalMass, rest: StableStep, x: Floats, v: Floats,
+        span: float, near: Ints,
+    ) -> StableStep:  # fmt: skip
+        """The stable step of a body with these springs, and the floor's on the samples `near`.
+
+        rest : without them; x, v : (n, 3) [m], [m/s] of the samples now; span : [s] for which the
+        planes stay.
+        """
+        rows, harder = self._touching(x, v, span)
+        k, values = self.k[rows] * harder, self.values
+        omega2 = stiffest(
+            contact.rows.W, mass, self.planes, rows, k * levers(self.planes, rows, x),
+            near, contact.stiffness[near],
+        )  # fmt: skip
+        c = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])[rows]
+        rate = max(_most(c, k), _most(contact.damping[near], contact.stiffness[near]))
+        return replace(rest, contact=float(np.sqrt(omega2)), contact_damping=rate * omega2)
+
+    def crowded_step(
+        self, contact: FloorContact, rest: StableStep, x: Floats, v: Floats, span: float,
+        crowd: float,
+    ) -> StableStep:  # fmt: skip
+        """The same of a body with rigid regions, which are no nodes: with `crowd` times as many
+        springs on each sample as the floor has.
+        """
+        deepest = float(self._touching(x, v, span)[1].max(initial=1.0))
+        floor = replace(
+            rest, contact=float(np.sqrt(contact.omega2)), contact_damping=contact.damping_rate
+        )
+        return floor.crowded(crowd * max(1.0, deepest / SPARE))
+
+    def _touching(self, x: Floats, v: Floats, span: float) -> tuple[Ints, Floats]:
+        """Samples (m,) that may touch within a span [s]; (m,) >= 1 how much harder their springs
+        may become: 1 + 3 (d / a)^2 times as stiff against more as against little."""
+        f = self.planes
+        faces = np.flatnonzero(f.partner != NOBODY)
+        away, speed = f.interpolated(x) + f.point - x, f.interpolated(v) + f.velocity - v
+        depth, closing = ((a * f.normal)[faces].sum(1) for a in (away, speed))
+        coming = coming_depth(
+            depth, QUICKER * closing, span, self.k[faces], self.values["mass"][faces],
+            self.hardening,
+        )  # fmt: skip
+        touches = coming > -NEAR * self.spacing
+        return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
+
+
+def _most(c: Floats, k: Floats) -> float:
+    """[s] the largest c / k of springs; those without stiffness have none."""
+    return float((c[k > 0.0] / k[k > 0.0]).max(initial=0.0))
 
 
 def stiffest(
