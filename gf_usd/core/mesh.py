@@ -181,6 +181,48 @@ def divided(points: Floats, triangles: Ints, area: float) -> Pieces:
     )
 
 
+def with_short_edges(points: Floats, triangles: Ints, longest: float) -> tuple[Floats, Ints]:
+    """The same surface with no edge longer than this: (V', 3) points and (T', 3) triangles.
+
+    Longer edges are halved, for all triangles at them alike, until there are none.  The first V
+    points are those given.  longest : of the points' unit, above 0.
+    """
+    points, triangles = np.asarray(points, float), np.asarray(triangles, np.int64)
+    while True:
+        ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], -1), axis=-1)
+        edges, edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+        way = points[edges[:, 1]] - points[edges[:, 0]]
+        long = np.flatnonzero((way * way).sum(1) > longest**2)
+        if len(long) == 0:
+            return points, triangles
+        middle = np.full(len(edges), -1)
+        middle[long] = len(points) + np.arange(len(long))
+        points = np.concatenate([points, points[edges[long, 0]] + 0.5 * way[long]])
+        triangles = _cut_at(triangles, middle[edge.reshape(-1, 3)])
+
+
+def _cut_at(triangles: Ints, middle: Ints) -> Ints:
+    """Triangles (T, 3) cut at the points on their edges: middle (T, 3) after each corner, -1: none.
+
+    One cut leaves two, two leave three, three leave four triangles of the same winding.
+    """
+    has = middle >= 0
+    count = has.sum(1)
+    # Each is turned so that what differs comes first: the cut edge, or the one that is not cut.
+    first = np.where(count == 2, (~has).argmax(1), has.argmax(1))
+    turn = (first[:, None] + np.arange(3)) % 3
+    (a, b, c), (ab, bc, ca) = (np.take_along_axis(v, turn, 1).T for v in (triangles, middle))
+    one, two, three = (np.flatnonzero(count == n) for n in (1, 2, 3))
+    cut = [
+        (one, ((a, ab, c), (ab, b, c))),
+        (two, ((bc, c, ca), (a, b, bc), (a, bc, ca))),
+        (three, ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))),
+    ]
+    out = [triangles[count == 0]]
+    out += [np.stack([v[rows] for v in corners], 1) for rows, all in cut for corners in all]
+    return np.concatenate(out)
+
+
 def triangulate(
     points: Floats, counts: Ints, indices: Ints
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

@@ -270,7 +270,7 @@ def fill(
         particles=particles,
         samples=samples,
         contact_setup=contact_setup(
-            solid, bodies, physics,
+            solid, bodies, physics, spacing=particles.spacing,
             self_contact=False if paper or settings.solver == "ul" else request.self_contact,
         ),
     )  # fmt: skip

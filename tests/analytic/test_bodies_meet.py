@@ -304,3 +304,21 @@ def test_no_sample_of_two_arms_that_close_is_let_go(material, rate):
     assert max(x.contact for x in h) > 0.0
     # Two bodies yield by half a spacing at most; this one is pushed sooner.
     assert max(x.overlap for x in h) <= (0.5 - OFFSET) * solver.particles.spacing
+
+
+def test_boxes_of_twelve_triangles_do_not_sink_into_each_other():
+    """Their faces are flat between eight vertices, however the landing bends them."""
+    boxes = [
+        cube(low=(x, y, z), edge=(1.0, 0.5, 1.0), path=path)
+        for path, (x, y, z) in {
+            "/A": (0.0, 0.0, 0.0), "/B": (0.1, 0.53, 0.0), "/C": (0.0, 1.06, 0.1),
+        }.items()
+    ]  # fmt: skip
+    solver = contact_solver(
+        *boxes, particles=900, frames=16, floor=0.0, up=(0.0, 1.0, 0.0), gravity=(0.0, -9.81, 0.0),
+        velocity=[(0.0, -6.0, 0.0)] * 3,
+    )  # fmt: skip
+    h = [frame.health for frame in solver.frames()]
+    assert max(x.min_J for x in h) > 0.0
+    assert h[0].kinetic > 2.0 * h[-1].kinetic, "they have landed"
+    assert max(x.overlap for x in h) < 0.2 * solver.particles.spacing

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from solids import CUBE_POINTS, CUBE_TRIANGLES
 
 from gf_usd.core.mesh import (
+    areas,
     boundary_edges,
     divided,
     proper,
@@ -11,6 +13,7 @@ from gf_usd.core.mesh import (
     signed_volume,
     triangulate,
     weld,
+    with_short_edges,
 )
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
@@ -177,3 +180,30 @@ def test_triangles_are_divided_into_pieces_of_at_most_an_area():
     )
     assert len(divided(points, np.zeros((0, 3), int), 0.2).of) == 0
     assert divided(points, triangles, np.inf).of.tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("longest", [0.05, 0.3, 0.9, 10.0])
+def test_short_edges_leave_the_surface_as_it_is(longest: float) -> None:
+    points, triangles = CUBE_POINTS * [1.0, 2.0, 0.1], CUBE_TRIANGLES
+    finer, cut = with_short_edges(points, triangles, longest)
+    assert np.array_equal(finer[: len(points)], points)
+    edges = np.stack([cut, np.roll(cut, -1, axis=1)], -1).reshape(-1, 2)
+    assert np.linalg.norm(finer[edges[:, 0]] - finer[edges[:, 1]], axis=1).max() <= max(
+        longest, np.sqrt(5.0) if longest == 10.0 else 0.0
+    )
+    # Closed and of one winding: each edge is there once each way.
+    assert len(np.unique(edges, axis=0)) == len(edges)
+    assert {tuple(e) for e in edges.tolist()} == {tuple(e) for e in edges[:, ::-1].tolist()}
+    assert areas(finer, cut).sum() == pytest.approx(areas(points, triangles).sum(), rel=1e-12)
+    assert areas(finer, cut).min() > 0.0
+    assert signed_volume(finer, cut) == pytest.approx(0.2, rel=1e-12)
+    assert (len(cut) == 12) == (longest == 10.0)
+
+
+def test_edges_at_seams_are_cut_at_the_same_places() -> None:
+    """Triangles that do not share their vertices."""
+    apart = CUBE_POINTS[CUBE_TRIANGLES].reshape(-1, 3)
+    finer, cut = with_short_edges(apart, np.arange(36).reshape(-1, 3), 0.4)
+    joined, same = with_short_edges(CUBE_POINTS, CUBE_TRIANGLES, 0.4)
+    assert len(cut) == len(same)
+    assert {tuple(p) for p in finer.tolist()} == {tuple(p) for p in joined.tolist()}

@@ -51,7 +51,7 @@ def contact_solver(
         velocity=velocity,
         pins=pins,
         contact_setup=ContactSetup(
-            skins=skins(made, of),
+            skins=skins(made, of, filled.spacing),
             colliders=colliders,
             through=through,
             through_colliders=through_colliders,

@@ -50,7 +50,7 @@ def mixed_solver(
         embedded={s.path: s.points for s in surfaces},
         embedded_body={s.path: k for k, s in enumerate(surfaces)},
         velocity=velocity, real=real,
-        contact_setup=ContactSetup(skins=skins(made, of), colliders=colliders),
+        contact_setup=ContactSetup(skins=skins(made, of, filled.spacing), colliders=colliders),
     )  # fmt: skip
     assert isinstance(solver, Coupled)
     return solver

@@ -364,10 +364,11 @@ class BodyContact:
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing,
         )  # fmt: skip
+        fall = (float(np.linalg.norm(body.settings.gravity)) + body.settings.pushes) * span
         if body.regions:
-            stable = springs.crowded_step(self.contact, body.step, x, v, span, self._crowd)
+            stable = springs.crowded_step(self.contact, body.step, x, v, span, fall, self._crowd)
         else:
-            stable = springs.step(self.contact, body.mass, body.step, x, v, span, near)
+            stable = springs.step(self.contact, body.mass, body.step, x, v, span, fall, near)
         return max(1.0, body.step.dt / stable.dt)
 
     def _sliding(self, v: Floats) -> float:

@@ -22,14 +22,16 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.carriers import cross, turn
 from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
-from gf_usd.physics.contact.narrow_phase import NOBODY, ContactPlanes
+from gf_usd.physics.contact.narrow_phase import CLOSER, NOBODY, ContactPlanes
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
 
 COLUMN = 4.0  # samples' masses that come to a stop behind one that touches
-NEAR = 0.1  # [spacings] from where a sample counts as one that touches
+NEAR = 0.25  # [spacings] from where a sample counts as one that touches
 QUICKER = 1.5  # speeds may grow by this factor until the next detection
+TURNED = 0.5  # of a speed along a plane that may be one into it until then
+DAMPED = 0.9  # of the step without damping: where a bound of it asks for less, it is computed
 SPARE = 1.5  # of the springs on a crowded sample: few samples are deep
 
 
@@ -45,47 +47,60 @@ class PairSprings:
 
     def step(
         self, contact: FloorContact, mass: NodalMass, rest: StableStep, x: Floats, v: Floats,
-        span: float, near: Ints,
+        span: float, fall: float, near: Ints,
     ) -> StableStep:  # fmt: skip
         """The stable step of a body with these springs, and the floor's on the samples `near`.
 
         rest : without them; x, v : (n, 3) [m], [m/s] of the samples now; span : [s] for which the
-        planes stay.
+        planes stay; fall : [m/s] that forces on the body add to a speed until then.
         """
-        rows, harder = self._touching(x, v, span)
+        rows, harder = self._touching(x, v, span, fall)
         k, values = self.k[rows] * harder, self.values
-        omega2 = stiffest(
-            contact.rows.W, mass, self.planes, rows, k * levers(self.planes, rows, x),
-            near, contact.stiffness[near],
-        )  # fmt: skip
+        lever = levers(self.planes, rows, x)
+
+        def largest(pairs: Floats, floor: Floats) -> float:
+            return stiffest(
+                contact.rows.W, mass, self.planes, rows, pairs * lever, near, floor[near]
+            )
+
+        omega2 = largest(k, contact.stiffness)
         c = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])[rows]
+        # Of every spring c <= rate k, so that this bounds the eigenvalue, widely where they differ.
         rate = max(_most(c, k), _most(contact.damping[near], contact.stiffness[near]))
-        return replace(rest, contact=float(np.sqrt(omega2)), contact_damping=rate * omega2)
+        free = replace(rest, contact=float(np.sqrt(omega2)), contact_damping=0.0)
+        bounded = replace(free, contact_damping=rate * omega2)
+        if bounded.dt >= DAMPED * free.dt:
+            return bounded
+        return replace(free, contact_damping=largest(c, contact.damping))
 
     def crowded_step(
-        self, contact: FloorContact, rest: StableStep, x: Floats, v: Floats, span: float,
-        crowd: float,
+        self, contact: FloorContact, rest: StableStep, x: Floats, v: Floats,
+        span: float, fall: float, crowd: float,
     ) -> StableStep:  # fmt: skip
         """The same of a body with rigid regions, which are no nodes: with `crowd` times as many
         springs on each sample as the floor has.
         """
-        deepest = float(self._touching(x, v, span)[1].max(initial=1.0))
+        deepest = float(self._touching(x, v, span, fall)[1].max(initial=1.0))
         floor = replace(
             rest, contact=float(np.sqrt(contact.omega2)), contact_damping=contact.damping_rate
         )
         return floor.crowded(crowd * max(1.0, deepest / SPARE))
 
-    def _touching(self, x: Floats, v: Floats, span: float) -> tuple[Ints, Floats]:
+    def _touching(self, x: Floats, v: Floats, span: float, fall: float) -> tuple[Ints, Floats]:
         """Samples (m,) that may touch within a span [s]; (m,) >= 1 how much harder their springs
         may become: 1 + 3 (d / a)^2 times as stiff against more as against little."""
         f = self.planes
         faces = np.flatnonzero(f.partner != NOBODY)
-        away, speed = f.interpolated(x) + f.point - x, f.interpolated(v) + f.velocity - v
-        depth, closing = ((a * f.normal)[faces].sum(1) for a in (away, speed))
-        coming = coming_depth(
-            depth, QUICKER * closing, span, self.k[faces], self.values["mass"][faces],
-            self.hardening,
+        away, speed = (
+            (f.interpolated(x) + f.point - x)[faces], (f.interpolated(v) + f.velocity - v)[faces]
         )  # fmt: skip
+        depth, closing = ((a * f.normal[faces]).sum(1) for a in (away, speed))
+        fastest = np.maximum(QUICKER * closing, TURNED * np.sqrt((speed * speed).sum(1))) + fall
+        coming = coming_depth(
+            depth, fastest, span, self.k[faces], self.values["mass"][faces], self.hardening
+        )
+        # A detection is made before samples come closer: what says more is about to fail anyway.
+        coming = np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
         touches = coming > -NEAR * self.spacing
         return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
 
@@ -157,5 +172,5 @@ def coming_depth(
     """
     fast = np.maximum(speed, 0.0)
     energy = 0.5 * COLUMN * mass * fast**2
-    square = (np.sqrt(1.0 + 4.0 * energy * hardening / k) - 1.0) / hardening
+    square = (np.sqrt(1.0 + 4.0 * energy * hardening / np.maximum(k, 1e-300)) - 1.0) / hardening
     return np.minimum(depth + span * fast, np.maximum(depth, 0.0) + np.sqrt(square))

@@ -84,7 +84,7 @@ ALONE = 1500  # particles for each thread: fewer threads share a substep of fewe
 # More substeps than at rest where bodies land at m times their wave speed: 1 + STRAINED m^3, up to
 # MOST; fitted to the pairs of `tools.bench.estimates`.
 STRAINED, MOST = 1.3, 5.0
-CROWD = 2.0  # more substeps where bodies fall on each other
+CROWD = 1.3  # times as many substeps where bodies fall on each other
 START_SECONDS = 1.1  # imports: between those of a quiet machine and of a busy one
 LAW_SECONDS = 0.9  # load the compiled kernels of a law; the very first bake compiles them
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once

@@ -13,7 +13,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles, SurfaceSamples
-from gf_usd.core.mesh import shells, signed_volume, weld
+from gf_usd.core.mesh import shells, signed_volume, weld, with_short_edges
 from gf_usd.core.stage import Collider, ContactSetup, Skin, StagePhysics
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.readers.isolated import Reading
@@ -71,8 +71,13 @@ def keep_limbs_apart(
     )
 
 
-def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
-    """The surface of each body, seen from outside."""
+# [spacings] of an edge of the surface that bodies collide with.  Faces are flat between vertices
+# however the body bends: boxes of twelve triangles overlapped by 1.7 spacings (measured).
+LONGEST = 1.5
+
+
+def skins(solid: Solid, of: Ints, spacing: float = np.inf) -> tuple[Skin, ...]:
+    """The surface of each body, seen from outside, no edge longer than LONGEST spacings [m]."""
     out = []
     for body in range(int(of.max()) + 1):
         points, triangles, first = [], [], 0
@@ -81,15 +86,24 @@ def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
             points.append(p)
             triangles.append(t + first)
             first += len(p)
-        out.append(Skin(points=np.concatenate(points), triangles=np.concatenate(triangles)))
+        whole = np.concatenate(points), np.concatenate(triangles)
+        if np.isfinite(spacing):
+            whole = with_short_edges(*whole, LONGEST * spacing)
+        out.append(Skin(points=whole[0], triangles=whole[1]))
     return tuple(out)
 
 
 def contact_setup(
-    solid: Solid, bodies: BodyPlan, physics: StagePhysics, *, self_contact: bool | None
+    solid: Solid,
+    bodies: BodyPlan,
+    physics: StagePhysics,
+    *,
+    spacing: float,
+    self_contact: bool | None,
 ) -> ContactSetup:
     """Who meets whom, as the stage wants it.
 
+    spacing : [m] of the particles.
     self_contact : bodies meet themselves; None: those that can, see `rounded`.
     """
     colliders = physics.obstacles
@@ -106,7 +120,7 @@ def contact_setup(
             mine = body[said.path]
             through |= {(mine, k) for k in range(bodies.count)}
             through_colliders |= {(mine, k) for k in range(len(colliders))}
-    made = skins(solid, bodies.of_surface)
+    made = skins(solid, bodies.of_surface, spacing)
     meets: set[int] = set()
     if self_contact is not False:
         passes = {a for a, b in through if a == b}

@@ -63,7 +63,9 @@ def converting(
         samples=sample_surface(made, filled.spacing, of),
         embedded={s.path: s.points for s in surfaces}, embedded_body=plan.embedded,
         velocity=velocity, real=np.float64,
-        contact_setup=contact_setup(made, plan, StagePhysics(), self_contact=False),
+        contact_setup=contact_setup(
+            made, plan, StagePhysics(), spacing=filled.spacing, self_contact=False
+        ),
     )  # fmt: skip
     assert isinstance(solver, Converting)
     return solver

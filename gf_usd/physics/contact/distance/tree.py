@@ -56,13 +56,14 @@ class SurfaceTree:
         away *= np.where(gap < 0.0, -1.0, 1.0)[:, None]
         away[on] = pseudo[on]
         length = np.linalg.norm(away, axis=1, keepdims=True)
+        sure = np.flatnonzero(length[:, 0] > 0.0)  # on a triangle without area nothing is out
         return Closest(
-            rows=rows,
-            gap=gap,
-            triangle=self._order[at],
-            weights=w,
-            point=point,
-            normal=away / np.where(length > 0.0, length, 1.0),
+            rows=rows[sure],
+            gap=gap[sure],
+            triangle=self._order[at[sure]],
+            weights=w[sure],
+            point=point[sure],
+            normal=away[sure] / length[sure],
         )
 
     def _refit(self, points: Floats) -> None:
