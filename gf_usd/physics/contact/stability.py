@@ -27,6 +27,7 @@ from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
 
+ACCURACY = 0.05  # of an eigenvalue: what is missing at most, which is added
 COLUMN = 4.0  # samples' masses that come to a stop behind one that touches
 NEAR = 0.25  # [spacings] from where a sample counts as one that touches
 QUICKER = 1.5  # speeds may grow by this factor until the next detection
@@ -57,11 +58,10 @@ class PairSprings:
         rows, harder = self._touching(x, v, span, fall)
         k, values = self.k[rows] * harder, self.values
         lever = levers(self.planes, rows, x)
+        B = stretches(contact.rows.W, self.planes, rows, near)
 
         def largest(pairs: Floats, floor: Floats) -> float:
-            return stiffest(
-                contact.rows.W, mass, self.planes, rows, pairs * lever, near, floor[near]
-            )
+            return stiffest(B, mass, np.concatenate([pairs * lever, floor[near]]))
 
         omega2 = largest(k, contact.stiffness)
         c = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])[rows]
@@ -110,34 +110,32 @@ def _most(c: Floats, k: Floats) -> float:
     return float((c[k > 0.0] / k[k > 0.0]).max(initial=0.0))
 
 
-def stiffest(
-    W: sparse.csr_matrix,
-    mass: NodalMass,
-    planes: ContactPlanes,
-    rows: Ints,
-    k: Floats,
-    floor: Ints,
-    floor_k: Floats,
-) -> float:
-    """The largest eigenvalue [1/s^2] of M~^-1 B^T K B.
+def stretches(
+    W: sparse.csr_matrix, planes: ContactPlanes, rows: Ints, floor: Ints
+) -> sparse.csr_matrix:
+    """B (m + l, nodes) of samples `rows` (m,) that face a plane, and `floor` (l,) near the floor.
 
-    W : (n, nodes) of all samples; rows, k : (m,) samples that face a plane, and their springs
-    [N/m]; floor, floor_k : (l,) the same of those near the floor.
+    W : (n, nodes) of all samples.
     """
-    stiff = np.concatenate([k, floor_k])
-    if not stiff.any():
-        return 0.0
     carriers, weights = planes.carriers[rows], planes.weights[rows]
     carried = np.flatnonzero(planes.partner[rows] >= 0)
-    row = np.concatenate([np.arange(len(stiff)), np.repeat(carried, 3)])
+    count = len(rows) + len(floor)
+    row = np.concatenate([np.arange(count), np.repeat(carried, 3)])
     column = np.concatenate([rows, floor, carriers[carried].ravel()])
-    value = np.concatenate([np.ones(len(stiff)), -weights[carried].ravel()])
+    value = np.concatenate([np.ones(count), -weights[carried].ravel()])
     used, local = np.unique(column, return_inverse=True)
-    P = sparse.csr_matrix((value, (row, local.reshape(-1))), shape=(len(stiff), len(used)))
-    B = sparse.csr_matrix(P @ W[used])
-    Bt = B.T.tocsr()
-    start = np.random.default_rng(0).normal(size=W.shape[1])
-    return spectrum.largest_eigenvalue(mass.acceleration, lambda a: Bt @ (stiff * (B @ a)), start)
+    P = sparse.csr_matrix((value, (row, local.reshape(-1))), shape=(count, len(used)))
+    return sparse.csr_matrix(P @ W[used])
+
+
+def stiffest(B: sparse.csr_matrix, mass: NodalMass, k: Floats) -> float:
+    """The largest eigenvalue [1/s^2] of M~^-1 B^T K B, or a little more; k : (m + l,) [N/m]."""
+    if not k.any():
+        return 0.0
+    Bt, start = B.T, np.random.default_rng(0).normal(size=B.shape[1])
+    return spectrum.largest_eigenvalue(
+        mass.acceleration, lambda a: Bt @ (k * (B @ a)), start, ACCURACY
+    )
 
 
 def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:

@@ -18,9 +18,12 @@ MOST = 60  # steps, more than the balls, boxes and bars of the tests take
 Operator = Callable[[Floats], Floats]
 
 
-def largest_eigenvalue(inverse_mass: Operator, stiffness: Operator, start: Floats) -> float:
+def largest_eigenvalue(
+    inverse_mass: Operator, stiffness: Operator, start: Floats, accuracy: float = ACCURACY
+) -> float:
     """Largest eigenvalue of A K, with the residual added.
 
+    accuracy : of the eigenvalue, the residual that is small enough.
     inverse_mass, stiffness : A and K on fields shaped as `start`, K positive semi-definite.
     Lanczos' value comes from below, and some eigenvalue is within its residual, beta |s_last|.
     Where the largest ones lie close together that may be a neighbor of the largest.
@@ -44,7 +47,7 @@ def largest_eigenvalue(inverse_mass: Operator, stiffness: Operator, start: Float
             np.diag(diagonal) + np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1)
         )
         value, bound = float(values[-1]), beta * abs(float(vectors[-1, -1]))
-        if bound <= ACCURACY * value or beta <= 1e-12 * value:
+        if bound <= accuracy * value or beta <= 1e-12 * value:
             break
         off_diagonal.append(beta)
         q_old, q, Kq = q, r / beta, Kr / beta
