@@ -24,7 +24,7 @@ from gf_usd.physics.contact.carriers import Triples, cross, spin
 from gf_usd.physics.contact.distance.closest import Closest, above_plane
 from gf_usd.physics.contact.distance.tree import SurfaceTree
 from gf_usd.physics.contact.distance.winding import outside_where_unwound, shell
-from gf_usd.physics.contact.floor import FloorContact
+from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
 from gf_usd.physics.grid.reference import Rows
 
 FACING = 1.5  # [spacings] a sample stands for the surface this far around it
@@ -184,7 +184,7 @@ def pair_values(
     contact: FloorContact,
     walls: Sequence[tuple[float | None, float | None]],
 ) -> dict[str, Floats]:
-    """k, m, friction and restitution of each sample with what it faces.
+    """k, m, friction and damping c of each sample with what it faces.
 
     Two bodies meet with the softer's
     stiffness, their reduced mass, the geometric mean of their frictions and the lower restitution;
@@ -205,7 +205,7 @@ def pair_values(
             mu[at] = wall_friction
         if wall_restitution is not None:
             e[at] = wall_restitution
-    return {"stiffness": k, "mass": m, "friction": mu, "restitution": e}
+    return {"stiffness": k, "mass": m, "friction": mu, "damping": damping_coefficient(k, m, e)}
 
 
 class BodySkin:

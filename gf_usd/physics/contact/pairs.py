@@ -22,7 +22,7 @@ from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.continuity import EASE, Stored, continued
 from gf_usd.physics.contact.distance.closest import Closest, closest
-from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
+from gf_usd.physics.contact.floor import HARD, FloorContact
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
     CLOSER,
@@ -364,7 +364,7 @@ class BodyContact:
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing,
         )  # fmt: skip
-        fall = (float(np.linalg.norm(body.settings.gravity)) + body.settings.pushes) * span
+        fall = self._fall(span)
         if body.regions:
             stable = springs.crowded_step(self.contact, body.step, x, v, span, fall, self._crowd)
         else:
@@ -379,19 +379,22 @@ class BodyContact:
         way = TRAVEL * self._spacing + WAIT * np.maximum(self._gap[near], 0.0)
         return float((way / np.maximum(speed, 1e-30)).min(initial=np.inf))
 
+    def _fall(self, span: float) -> float:
+        """[m/s] that gravity and fields may add to a speed within a span [s]."""
+        s = self._body.settings
+        return (float(np.linalg.norm(s.gravity)) + s.pushes) * span
+
     def _schedule(
         self, x: Floats, v: Floats, frame: float, span: float, still: Ints | None = None
     ) -> tuple[list[tuple[int, int]], float]:
         if len(self._members) == 1 and not self._obstacles:
             return [], float("inf")
-        s = self._body.settings
-        fall = (float(np.linalg.norm(s.gravity)) + s.pushes) * span
         return schedule(
             [Box.around(x[m], v[m]) for m in self._members],
             self._obstacles,
             self.contact_setup,
             frame=frame,
-            fall=fall,
+            fall=self._fall(span),
             reach=(FACING + TRAVEL) * self._spacing,
             spacing=self._spacing,
             still=still,
@@ -525,10 +528,9 @@ class BodyContact:
         pair[:, narrow_phase.POINT : narrow_phase.STIFFNESS] = np.hstack(
             [point, f.normal, f.velocity]
         )
-        damping = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])
         pair[:, narrow_phase.HARDENING] = self._hardening
         pair[:, narrow_phase.STIFFNESS : narrow_phase.DEPTH] = np.stack(
-            [values["stiffness"], damping, values["friction"]], 1
+            [values["stiffness"], values["damping"], values["friction"]], 1
         )
         start, order = f.lists()
         links = np.full((len(start), narrow_phase.LINKS), narrow_phase.NOBODY)

@@ -20,18 +20,17 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.broad_phase import CHANGE
 from gf_usd.physics.contact.carriers import cross, turn
-from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
+from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.contact.narrow_phase import CLOSER, NOBODY, ContactPlanes
+from gf_usd.physics.contact.self_contact import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
 
 ACCURACY = 0.05  # of an eigenvalue: what is missing at most, which is added
 COLUMN = 4.0  # samples' masses that come to a stop behind one that touches
-NEAR = 0.25  # [spacings] from where a sample counts as one that touches
-QUICKER = 1.5  # speeds may grow by this factor until the next detection
-TURNED = 0.5  # of a speed along a plane that may be one into it until then
 DAMPED = 0.9  # of the step without damping: where a bound of it asks for less, it is computed
 SPARE = 1.5  # of the springs on a crowded sample: few samples are deep
 
@@ -56,7 +55,7 @@ class PairSprings:
         planes stay; fall : [m/s] that forces on the body add to a speed until then.
         """
         rows, harder = self._touching(x, v, span, fall)
-        k, values = self.k[rows] * harder, self.values
+        k, c = self.k[rows] * harder, self.values["damping"][rows]
         lever = levers(self.planes, rows, x)
         B = stretches(contact.rows.W, self.planes, rows, near)
 
@@ -64,7 +63,6 @@ class PairSprings:
             return stiffest(B, mass, np.concatenate([pairs * lever, floor[near]]))
 
         omega2 = largest(k, contact.stiffness)
-        c = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])[rows]
         # Of every spring c <= rate k, so that this bounds the eigenvalue, widely where they differ.
         rate = max(_most(c, k), _most(contact.damping[near], contact.stiffness[near]))
         free = replace(rest, contact=float(np.sqrt(omega2)), contact_damping=0.0)
@@ -95,13 +93,13 @@ class PairSprings:
             (f.interpolated(x) + f.point - x)[faces], (f.interpolated(v) + f.velocity - v)[faces]
         )  # fmt: skip
         depth, closing = ((a * f.normal[faces]).sum(1) for a in (away, speed))
-        fastest = np.maximum(QUICKER * closing, TURNED * np.sqrt((speed * speed).sum(1))) + fall
+        fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt((speed * speed).sum(1))) + fall
         coming = coming_depth(
             depth, fastest, span, self.k[faces], self.values["mass"][faces], self.hardening
         )
         # A detection is made before samples come closer: what says more is about to fail anyway.
         coming = np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
-        touches = coming > -NEAR * self.spacing
+        touches = coming > -NEARLY * self.spacing
         return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
 
 
