@@ -293,6 +293,9 @@ class Health:
     flow_volume: float | None = None
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
+    outside_share: float | None = None  # of the particles, far out of the mesh; None: not looked at
+    outside_depth: float | None = None  # [m] of the farthest of them
+    outside_mesh: str | None = None  # the mesh with the longest faces, in words
 
     @property
     def dissipation(self) -> float:

@@ -151,6 +151,9 @@ def test_totals_and_extremes() -> None:
         "inside_at_end_m": None,
         "inside_max_share": None,
         "inside_max_m": None,
+        "outside_mesh_max_share": None,
+        "outside_mesh_max_m": None,
+        "outside_mesh": None,
         "penetration_at_end_spacings": pytest.approx(0.2),
         "resting_penetration_m": 0.02,
         "resting_penetration_spacings": pytest.approx(0.2),
@@ -201,6 +204,18 @@ def test_what_is_inside_is_that_of_the_frames_looked_at() -> None:
     out = log_of(frames).summary()
     assert (out["inside_at_end_share"], out["inside_at_end_m"]) == (0.1, 0.04)
     assert (out["inside_max_share"], out["inside_max_m"]) == (0.3, 0.04)
+
+
+def test_what_is_outside_is_the_most_of_the_frames_looked_at() -> None:
+    frames = [
+        Health(mass=1.0),
+        Health(outside_share=0.3, outside_depth=0.02, outside_mesh="</A>"),
+        Health(),
+        Health(outside_share=0.1, outside_depth=0.04, outside_mesh="</A>"),
+    ]
+    out = log_of(frames).summary()
+    assert (out["outside_mesh_max_share"], out["outside_mesh_max_m"]) == (0.3, 0.04)
+    assert out["outside_mesh"] == "</A>"
 
 
 def test_losses_are_no_gain() -> None:
@@ -316,7 +331,7 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     # no law flows, nothing settles, and no frame is looked at for what is inside
     told = set(Health.__dataclass_fields__) - {
         "plastic_dissipation", "conversion_dissipation", "converted", "settling_dissipation",
-        "inside_share", "inside_depth",
+        "inside_share", "inside_depth", "outside_share", "outside_depth", "outside_mesh",
         "fallen", "fallen_kinetic", "lost", "flow_volume",
     }  # fmt: skip
     assert set(rows[0]) == {"time_code", *told, "centre", "energy", "energy_gain"}

@@ -24,6 +24,7 @@ from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.measures.inside import Inside, InsideMeasure
+from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, named
 
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin
@@ -73,12 +74,15 @@ class FrameBuilder:
             for one in surfaces
             if one.splats is None and len(one.triangles) and one.path not in waiting
         ]
-        self._inside = None
+        self._inside, self._outside, self._coarse = None, None, ""
         if meshes:
-            self._inside = InsideMeasure(
-                meshes, solver.particles.spacing, settings.frames, open_end=open_end
-            )
+            spacing = solver.particles.spacing
+            self._inside = InsideMeasure(meshes, spacing, settings.frames, open_end=open_end)
+            if found := coarse(meshes, spacing):
+                self._coarse = named(found, spacing)
+                self._outside = OutsideMeasure(meshes, solver.particles.X, spacing)
         self._poses: Mapping[str, Pose] = {}  # of the last sample
+        self._x = solver.particles.X  # [m] then
 
     def state(self) -> dict[str, Any]:
         """What the next sample starts from: `solver` and `track` of a `Checkpoint`."""
@@ -134,11 +138,11 @@ class FrameBuilder:
             meshes[surface.path] = MeshPose(
                 points=pose.x, velocities=pose.v * s.time_scale, normals=normals
             )
-        self._poses = poses
+        self._poses, self._x = poses, frame.particles.x
         health = frame.health
         converted = self._converted(frame)
         if self._inside and self._inside.asked(frame.index):
-            health = _looked(health, self._inside.measure(frame.index, poses))
+            health = self._looked(health, self._inside.measure(frame.index, poses))
         return BakedFrame(
             index=frame.index,
             time_code=s.time_code(frame.index),
@@ -176,12 +180,18 @@ class FrameBuilder:
         if self._inside is None:
             return sample
         found = self._inside.measure(sample.index, self._poses, ends=True)
-        return replace(sample, health=_looked(sample.health, found))
+        return replace(sample, health=self._looked(sample.health, found))
 
-
-def _looked(health: Health, found: Inside) -> Health:
-    """With what was found inside a body."""
-    return replace(health, inside_share=found.share, inside_depth=found.depth)
+    def _looked(self, health: Health, found: Inside) -> Health:
+        """With what was found inside a body, and what is outside its mesh in the last sample."""
+        health = replace(health, inside_share=found.share, inside_depth=found.depth)
+        if self._outside is None:
+            return health
+        outside = self._outside.measure(self._poses, self._x)
+        return replace(
+            health, outside_share=outside.share, outside_depth=outside.depth,
+            outside_mesh=self._coarse,
+        )  # fmt: skip
 
 
 def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:

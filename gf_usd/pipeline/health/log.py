@@ -219,7 +219,7 @@ class HealthLog:
             "resting_penetration_spacings": last.penetration / self._spacing if rests else None,
         }
 
-    def _inside(self) -> dict[str, float | None]:
+    def _inside(self) -> dict[str, Any]:
         """Of the surface, what lies inside a body; None where nothing was looked at."""
         looked = [(f.inside_share, f.inside_depth or 0.0) for f in self.frames
                   if f.inside_share is not None]  # fmt: skip
@@ -229,6 +229,16 @@ class HealthLog:
             "inside_at_end_m": None if end is None else self.frames[-1].inside_depth,
             "inside_max_share": max((share for share, _ in looked), default=None),
             "inside_max_m": max((depth for _, depth in looked), default=None),
+            **self._outside(),
+        }
+
+    def _outside(self) -> dict[str, Any]:
+        """Of the particles, those outside their mesh; None where every mesh is fine enough."""
+        looked = [f for f in self.frames if f.outside_share is not None]
+        return {
+            "outside_mesh_max_share": max((f.outside_share or 0.0 for f in looked), default=None),
+            "outside_mesh_max_m": max((f.outside_depth or 0.0 for f in looked), default=None),
+            "outside_mesh": looked[-1].outside_mesh if looked else None,
         }
 
     def _momenta(self) -> dict[str, Any]:
@@ -369,7 +379,7 @@ def joined(samples: Sequence[Health]) -> Health:
         for name in names
         if getattr(samples[-1], name) is not None
     }
-    for name in ("inside_share", "inside_depth"):
+    for name in ("inside_share", "inside_depth", "outside_share", "outside_depth"):
         known = [getattr(sample, name) for sample in samples if getattr(sample, name) is not None]
         values[name] = known[-1] if known else None
     return replace(samples[-1], **values)

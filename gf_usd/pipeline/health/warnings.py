@@ -24,6 +24,7 @@ ENERGY_GAIN = 1e-3
 PLANES_GAIN = 1e-3
 REDONE = 0.1  # of the frames: more often than at a hard landing or two
 INSIDE = 0.01  # of the surface: limbs stand in each other, visibly
+OUTSIDE = 0.01  # of the particles: the mesh shows another shape than the body has
 DEEP = 1.0  # [spacings] the surface visibly sinks in
 RESTING = (
     0.25  # [spacings] the contact is laid out for 0.08; a narrow foot sinks deeper than a ball
@@ -197,6 +198,19 @@ def _inside(h: HealthSummary) -> Said:
     )
 
 
+def _outside(h: HealthSummary) -> Said:
+    share = h.get("outside_mesh_max_share")
+    if share is None or share <= OUTSIDE:
+        return None
+    return (
+        f"the mesh {h['outside_mesh']} is too coarse to show how its body bends: in some frame"
+        f" {100.0 * share:.2g} % of the particles are a spacing or more outside it, up to"
+        f" {1000.0 * h['outside_mesh_max_m']:.3g} mm",
+        "divide its faces in the program that made it; the particles and Gaussians show the true"
+        " shape",
+    )
+
+
 def _resting(h: HealthSummary) -> Said:
     depth = h["resting_penetration_spacings"]
     if depth is None or depth <= RESTING:
@@ -312,6 +326,7 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "overlap": _overlap,
     "let-go": _let_go,
     "inside": _inside,
+    "coarse-mesh": _outside,
     "resting-depth": _resting,
     "free-flight": _drift,
     "loop": _loop,

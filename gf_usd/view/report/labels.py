@@ -125,6 +125,14 @@ ROWS: tuple[Row, ...] = (
     ),
     Row("inside_max_m", "Largest depth inside a body", "m", "in the frames that were measured"),
     Row(
+        "outside_mesh_max_share",
+        "Largest share of the particles outside their mesh",
+        "",
+        "by a spacing or more; only measured if a mesh has long faces",
+    ),
+    Row("outside_mesh_max_m", "Largest distance outside the mesh", "m", "of a particle"),
+    Row("outside_mesh", "Mesh with the longest faces", "", "relative to the particle spacing"),
+    Row(
         "penetration_at_end_spacings",
         "Depth in the floor at the end",
         "spacings",
@@ -253,6 +261,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "unconverted": ("converted_particles", "converted_share"),
     "flow-volume": ("flow_volume_min", "flow_volume_max"),
     "inside": ("inside_at_end_share", "inside_at_end_m"),
+    "coarse-mesh": ("outside_mesh_max_share", "outside_mesh_max_m", "outside_mesh"),
     "resting-depth": ("resting_penetration_m", "resting_penetration_spacings"),
     "free-flight": ("momentum_drift", "angular_momentum_drift"),
     "loop": ("loop_cycles", "loop_difference_m", "loop_difference_share"),

@@ -1,0 +1,63 @@
+"""Particles outside a mesh that is too coarse to follow them, against shares that are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from solids import cube, sphere
+
+from gf_usd.core.frames import Pose
+from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, named
+
+SPACING = 0.1
+MIDDLES = (np.arange(10) + 0.5) * SPACING
+X = np.stack(np.meshgrid(MIDDLES, MIDDLES, MIDDLES), -1).reshape(-1, 3)  # in the unit cube
+
+
+def pose(points) -> Pose:
+    n = len(points)
+    return Pose(x=np.asarray(points, float), v=np.zeros((n, 3)), F=np.tile(np.eye(3), (n, 1, 1)))
+
+
+def test_particles_above_a_lowered_top_are_outside():
+    box = cube((0.0, 0.0, 0.0), path="/Box")
+    measure = OutsideMeasure([box], X, SPACING)
+    still = measure.measure({"/Box": pose(box.points)}, X)
+    assert (still.share, still.depth) == (0.0, 0.0)
+    low = np.minimum(box.points, [np.inf, 0.6, np.inf])
+    found = measure.measure({"/Box": pose(low)}, X)
+    # Layers at 0.65, 0.75, 0.85 and 0.95, of which the first is less than a spacing off.
+    assert found.share == pytest.approx(0.3)
+    assert found.depth == pytest.approx(0.35)
+
+
+def test_particles_without_a_mesh_at_rest_do_not_count():
+    box = cube((0.0, 0.0, 0.0), path="/Box")
+    apart = X + [3.0, 0.0, 0.0]
+    measure = OutsideMeasure([box], np.concatenate([X, apart]), SPACING)
+    low = {"/Box": pose(np.minimum(box.points, [np.inf, 0.6, np.inf]))}
+    assert measure.measure(low, np.concatenate([X, apart])).share == pytest.approx(0.3)
+    none = OutsideMeasure([box], apart, SPACING).measure(low, apart)
+    assert (none.share, none.depth) == (0.0, 0.0)
+
+
+def test_meshes_with_long_faces_are_named():
+    box, ball = cube((0.0, 0.0, 0.0), path="/Box"), sphere(subdivisions=4, path="/Ball")
+    assert coarse([ball], SPACING) == {}
+    assert coarse([box], 0.5) == {}, "its diagonals are less than four spacings long"
+    found = coarse([ball, box], SPACING)
+    assert found == {"/Box": pytest.approx(2.0**0.5)}
+    assert named(found, SPACING) == "</Box> (edges up to 14 spacings)"
+    assert named({**found, "/Other": 1.0}, SPACING).startswith("</Box> and 1 more ")
+
+
+def test_a_mesh_with_few_long_faces_is_fine_enough():
+    """A cap of long triangles on one of many, as primitives have them."""
+    ball = sphere(subdivisions=4, path="/Ball")
+    long = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    points = np.concatenate([ball.points, long])
+    triangles = np.concatenate([ball.triangles, [[0, 1, 2]] + np.array(len(ball.points))])
+    both = replace(ball, points=points, triangles=triangles)
+    assert coarse([both], SPACING) == {}
