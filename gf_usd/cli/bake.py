@@ -68,7 +68,7 @@ def bake(
     Writes NAME.MATERIAL.usda (open this one), NAME.MATERIAL.cache.usdc and
     NAME.MATERIAL.report.json; the asset file does not change.  A mesh file (obj, ply, stl, off,
     glb, gltf, fbx) is also converted to NAME.source.usdc, and its packed textures are written to
-    NAME.textures/.
+    NAME.textures/.  With --max-edge-length the divided meshes are in NAME.MATERIAL.source.usdc.
     """
     if as_json and events == STDOUT:
         raise UsageError(

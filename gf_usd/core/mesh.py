@@ -181,24 +181,64 @@ def divided(points: Floats, triangles: Ints, area: float) -> Pieces:
     )
 
 
-def with_short_edges(points: Floats, triangles: Ints, longest: float) -> tuple[Floats, Ints]:
-    """The same surface with no edge longer than this: (V', 3) points and (T', 3) triangles.
+@dataclass(frozen=True, kw_only=True)
+class Division:
+    """Triangles of which the long edges were halved, for all triangles at them alike."""
 
-    Longer edges are halved, for all triangles at them alike, until there are none.  The first V
-    points are those given.  longest : of the points' unit, above 0.
+    triangles: Ints  # (T', 3) into the points, of the winding of those that they lie in
+    halves: tuple[Ints, ...]  # (n, 2) ends of the edges halved, turn by turn: the new points
+    of: Ints  # (T',) the triangle that each lies in
+    weights: Floats  # (T', 3, 3) of each corner: barycentric in that triangle
+
+    def extended(self, values: Floats) -> Floats:
+        """(V', ...) values of the points, of which the first V are given: linear along edges."""
+        for ends in self.halves:
+            low, high = values[ends[:, 0]], values[ends[:, 1]]
+            values = np.concatenate([values, low + 0.5 * (high - low)])
+        return values
+
+
+def divide_edges(points: Floats, triangles: Ints, longest: float, most: int = 0) -> Division:
+    """Halve the edges that are longer than this until there are none.
+
+    points : (V, 3); triangles : (T, 3); longest : of the points' unit, above 0; most : triangles
+    from which on it ends with edges left; 0: no matter how many.
     """
     points, triangles = np.asarray(points, float), np.asarray(triangles, np.int64)
-    while True:
+    # A corner of a triangle is a row of `weights` that no other triangle has.
+    of, weights = np.repeat(np.arange(len(triangles)), 3), np.tile(np.eye(3), (len(triangles), 1))
+    corners = np.arange(3 * len(triangles)).reshape(-1, 3)
+    halves: list[Ints] = []
+    while not most or len(triangles) < most:
         ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], -1), axis=-1)
         edges, edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
         way = points[edges[:, 1]] - points[edges[:, 0]]
         long = np.flatnonzero((way * way).sum(1) > longest**2)
         if len(long) == 0:
-            return points, triangles
+            break
         middle = np.full(len(edges), -1)
         middle[long] = len(points) + np.arange(len(long))
         points = np.concatenate([points, points[edges[long, 0]] + 0.5 * way[long]])
-        triangles = _cut_at(triangles, middle[edge.reshape(-1, 3)])
+        halves.append(edges[long])
+        cut = middle[edge.reshape(-1, 3)]
+        rows = np.full(cut.shape, -1)
+        rows[cut >= 0] = len(weights) + np.arange((cut >= 0).sum())
+        first, last = corners[cut >= 0], np.roll(corners, -1, axis=1)[cut >= 0]
+        weights = np.concatenate([weights, 0.5 * (weights[first] + weights[last])])
+        of = np.concatenate([of, of[first]])
+        triangles, corners = _cut_at(triangles, cut), _cut_at(corners, rows)
+    return Division(
+        triangles=triangles, halves=tuple(halves), of=of[corners[:, 0]], weights=weights[corners]
+    )
+
+
+def with_short_edges(points: Floats, triangles: Ints, longest: float) -> tuple[Floats, Ints]:
+    """The same surface with no edge longer than this: (V', 3) points and (T', 3) triangles.
+
+    See `divide_edges`; the first V points are those given.
+    """
+    division = divide_edges(points, triangles, longest)
+    return division.extended(np.asarray(points, float)), division.triangles
 
 
 def _cut_at(triangles: Ints, middle: Ints) -> Ints:

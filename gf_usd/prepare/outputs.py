@@ -71,6 +71,8 @@ def outputs(
     output: str | None,
     flatten: bool = False,
     sweep: str | None = None,
+    *,
+    divided: bool = False,
 ) -> Outputs:
     """Names of the results; variants are their names.
 
@@ -78,7 +80,8 @@ def outputs(
     One variant: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
     duck.rubber-jelly.rubber.cache.usdc and so on.  A mesh file duck.obj also gives
     duck.source.usdc, which all bakes of it share.  Flattened, or named .usdz, a bake is one file.
-    A sweep has a name for all variants together, and duck.NAME.sheet.png.
+    A sweep has a name for all variants together, and duck.NAME.sheet.png.  divided : the faces of
+    meshes are, and the bake lies over a layer of its own: duck.rubber.source.usdc.
 
     Raises UsageError for names that collide, with each other or with the asset.
     """
@@ -106,11 +109,14 @@ def outputs(
     stem = root.name[: -len(root.suffix)]
     is_usd = source.suffix.lower() in USD
     parts = ("",) if len(variants) == 1 else tuple(f".{variant}" for variant in variants)
+    layer = None
+    if not flat and (divided or not is_usd):
+        layer = root.with_name(f"{stem if divided else source.stem}.source.usdc")
     files = Outputs(
         root=root,
         caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
         report=root.with_name(f"{stem}{REPORT}"),
-        source=None if is_usd or flat else root.with_name(f"{source.stem}.source.usdc"),
+        source=layer,
         flat=flat,
         sheet=root.with_name(f"{stem}{SHEET}") if sweep else None,
     )

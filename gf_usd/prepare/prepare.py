@@ -24,6 +24,7 @@ from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import Swept, swept
 from gf_usd.prepare.options.table import PLANNED
 from gf_usd.prepare.outputs import (
+    USD,
     Outputs,
     SplatSequence,
     Stamp,
@@ -150,7 +151,9 @@ def _targets(
     """The targets of a bake.  Raises UsageError where something is in their way."""
     names = [preset.name for preset in presets]
     sweep = presets[0].swept if isinstance(presets[0], Swept) else None
-    files = outputs(source, names, target, request.flatten, sweep)
+    files = outputs(
+        source, names, target, request.flatten, sweep, divided=request.max_edge_length is not None
+    )
     seen = stamps(files)
     # what it wrote before it ended was free to be written
     overwrite = overwrite or (resume and interrupted(files))
@@ -189,7 +192,7 @@ class SourceAsset:
     spec: StageSpec  # what its stage says
     presets: Sequence[Any]  # one for each variant
     file: Path  # its USD form
-    converted: MeshSource | None  # of an asset that is not USD
+    converted: MeshSource | None  # of an asset that is not USD, or whose faces were divided
 
 
 def read_stage(
@@ -207,12 +210,13 @@ def read_stage(
     presets : that were asked for; none: the stage says what it is made of, or it is rubber.
     """
     asset, spec, converted = _hulled(read.asset), read.spec, read.converted
-    usd = converted is None
+    usd = source.suffix.lower() in USD
+    file = source if converted is None else converted.layer
     if spec is None:
         spec = StageSpec()
         if usd:
             asset, spec = read_stage_spec(
-                asset, source, prims, rest=request.start, elastic=_elastic(presets)
+                asset, file, prims, rest=request.start, elastic=_elastic(presets)
             )
     if presets and isinstance(presets[0], Auto):
         spec = advise(asset, source, spec, presets[0], usd=usd, rest=request.start, draw=draw)
@@ -223,10 +227,7 @@ def read_stage(
     of_files, said = file_obstacles(request.listed("colliders"), asset.facts, limits)
     physics = replace(spec.physics, of_files=of_files, notes=(*spec.physics.notes, *said))
     spec = replace(spec, physics=physics)
-    return SourceAsset(
-        asset=asset, spec=spec, presets=presets, converted=converted,
-        file=source if converted is None else converted.layer,
-    )  # fmt: skip
+    return SourceAsset(asset=asset, spec=spec, presets=presets, converted=converted, file=file)
 
 
 def _hulled(asset: Asset) -> Asset:
@@ -256,7 +257,7 @@ def reading(
     return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
         time_code=request.start, elastic=_elastic(presets), bind_pose=request.flesh,
-        fps=request.fps,
+        fps=request.fps, max_edge_length=request.max_edge_length,
     )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ FORMATS = (
         read="gf_usd.readers.usd.asset:read_usd",
     ),
     Format(name="OBJ", suffixes=(".obj",), kind=MESH, read="gf_usd.readers.mesh.obj:read_obj"),
-    Format(name="PLY", suffixes=(".ply",), kind=MESH, read="gf_usd.readers.mesh.ply:read_ply"),
+    Format(name="PLY", suffixes=(".ply",), kind=MESH, read="gf_usd.readers.mesh.ply.read:read_ply"),
     Format(name="STL", suffixes=(".stl",), kind=MESH, read="gf_usd.readers.mesh.stl:read_stl"),
     Format(name="OFF", suffixes=(".off",), kind=MESH, read="gf_usd.readers.mesh.off:read_off"),
     Format(

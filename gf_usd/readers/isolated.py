@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ class Source:
 
     asset: Asset
     spec: StageSpec | None  # what its stage says; None: a mesh file, or not asked for yet
-    converted: MeshSource | None = None  # of a mesh file
+    converted: MeshSource | None = None  # of a mesh file, or of one whose faces were divided
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,11 +90,12 @@ def read_untrusted(
     elastic: bool = True,
     bind_pose: bool = False,
     fps: float | None = None,
+    max_edge_length: float | None = None,
 ) -> Source:
     """All that a bake reads of a file before it fills it.
 
-    The options are those of `read_asset`, `convert` and `read_stage_spec`.  Raises InputError as
-    these do.
+    The options are those of `read_asset`, `convert` and `read_stage_spec`; max_edge_length : [stage
+    units] from which on faces are divided.  Raises InputError as these and `divided` do.
     """
     from gf_usd.readers import convert, read_asset
 
@@ -103,6 +104,10 @@ def read_untrusted(
     )
     if converted is not None:
         asset = converted.asset(prims=tuple(prims), time_code=time_code, bind_pose=bind_pose)
+        if max_edge_length is not None:
+            converted, notes = _divided(path, asset, max_edge_length, converted)
+            asset = converted.asset(prims=tuple(prims), time_code=time_code, bind_pose=bind_pose)
+            asset = _noted(asset, notes)
         return Source(asset=asset, spec=None, converted=converted)
     # registers itself before any stage opens
     from gf_usd.readers.usd_bake.spec import read_stage_spec
@@ -116,9 +121,36 @@ def read_untrusted(
         time_code=time_code,
         bind_pose=bind_pose,
     )
+    file = path
+    if max_edge_length is not None:
+        from gf_usd.readers.usd.asset import read_usd
+
+        converted, notes = _divided(path, asset, max_edge_length)
+        file = converted.layer
+        asset = read_usd(
+            file, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis,
+            time_code=time_code, bind_pose=bind_pose, named=path,
+        )  # fmt: skip
+        asset = _noted(asset, notes)
     if asset.splats:  # they get surfaces first, of which the stage is then asked
-        return Source(asset=asset, spec=None)
+        return Source(asset=asset, spec=None, converted=converted)
     # no animation leads up to the bind pose: it starts at rest
     rest = None if bind_pose else time_code
-    asset, spec = read_stage_spec(asset, path, prims, rest=rest, elastic=elastic)
-    return Source(asset=asset, spec=spec)
+    asset, spec = read_stage_spec(asset, file, prims, rest=rest, elastic=elastic)
+    return Source(asset=asset, spec=spec, converted=converted)
+
+
+def _divided(
+    path: Path, asset: Asset, longest: float, of: MeshSource | None = None
+) -> tuple[MeshSource, tuple[str, ...]]:
+    """See `divided`; and what is said of the meshes."""
+    from gf_usd.readers.mesh.divide import divided
+    from gf_usd.readers.notes import Notes
+
+    notes, unit = Notes(), asset.facts.units.length
+    made = divided(path, asset.surfaces, longest * unit, of=of, unit=unit, note=notes.add)
+    return made, notes.lines()
+
+
+def _noted(asset: Asset, notes: tuple[str, ...]) -> Asset:
+    return replace(asset, facts=replace(asset.facts, notes=(*asset.facts.notes, *notes)))

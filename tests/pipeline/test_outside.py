@@ -49,7 +49,7 @@ def test_meshes_with_long_faces_are_named():
     assert coarse([box], 0.5) == {}, "its diagonals are less than four spacings long"
     found = coarse([ball, box], SPACING)
     assert found == {"/Box": pytest.approx(2.0**0.5)}
-    assert named(found, SPACING) == "</Box> (edges up to 14 spacings)"
+    assert named(found, SPACING) == "</Box> (edges up to 14 spacings of 0.1 m)"
     assert named({**found, "/Other": 1.0}, SPACING).startswith("</Box> and 1 more ")
 
 

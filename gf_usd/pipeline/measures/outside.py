@@ -98,4 +98,4 @@ def named(meshes: Mapping[str, float], spacing: float) -> str:
     """The meshes of `coarse` in words."""
     path, edge = next(iter(meshes.items()))
     more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
-    return f"<{path}>{more} (edges up to {edge / spacing:.2g} spacings)"
+    return f"<{path}>{more} (edges up to {edge / spacing:.2g} spacings of {spacing:.3g} m)"

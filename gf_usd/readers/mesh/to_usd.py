@@ -48,7 +48,7 @@ class Folder:
 
 
 class MeshSource:
-    """The USD layer of a file that is not USD.
+    """The USD layer of a file that is not USD, or over one whose faces were divided (`divide`).
 
     Parameters
     ----------

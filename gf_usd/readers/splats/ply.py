@@ -33,7 +33,7 @@ from gf_usd.core.asset import Splats
 from gf_usd.core.errors import InputError
 from gf_usd.core.radiance import Y_0
 from gf_usd.readers.mesh.data import REPAIR, refuse_pointer
-from gf_usd.readers.mesh.ply_tables import Element, Ragged, Table, header, read_body
+from gf_usd.readers.mesh.ply.tables import Element, Ragged, Table, header, read_body
 
 HEAD = 65536  # bytes in which the header of a splat file ends
 # What 3DGS and its heirs write next to labels.

@@ -25,7 +25,7 @@ from gf_usd.readers.mesh.data import (
     require_sound,
     tidy,
 )
-from gf_usd.readers.mesh.ply_tables import Ragged, header, read_body
+from gf_usd.readers.mesh.ply.tables import Ragged, header, read_body
 from gf_usd.readers.notes import Notes
 
 UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))

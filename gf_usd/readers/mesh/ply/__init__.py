@@ -1,0 +1,1 @@
+"""PLY files: their tables, and the polygons in them."""
