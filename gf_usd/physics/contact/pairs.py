@@ -17,7 +17,6 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials.dimensionless import time_scale
-from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.continuity import EASE, Stored, continued
@@ -48,7 +47,6 @@ APART = 0.15
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
 STAY = 1.0  # [spacings]
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
-COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
 # Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
 # those of planes it carries, and each of the two strained by both bodies.
 CROWD = 4.0
@@ -405,12 +403,7 @@ class BodyContact:
         low, high = theirs.min(0) - search.reach, theirs.max(0) + search.reach
         members = np.concatenate([self._members[k] for k in near])
         x = search.x[members]
-        boxed = members[((x >= low) & (x <= high)).all(1)]
-        if len(boxed) == 0:
-            return boxed
-        far = search.reach + COVER * self._spacing
-        gap = kd_tree(theirs).query(search.x[boxed], distance_upper_bound=far)[0]
-        return boxed[np.isfinite(gap)]
+        return members[((x >= low) & (x <= high)).all(1)]
 
     def _face_body(
         self, search: ContactSearch, near: Sequence[int], other: int, nodes: Floats, offset: Floats

@@ -134,6 +134,37 @@ def nearest_in_leaf(points: ti.template(), corners: ti.template(), first, behind
     return best, at, w
 
 
+@ti.func
+def keep_box(boxes: ti.template(), i, low, high):
+    """Write the corners of box i."""
+    for a in ti.static(range(3)):
+        boxes[i, a] = low[a]
+        boxes[i, a + 3] = high[a]
+
+
+@ti.func
+def enclose_leaf(
+    points: ti.template(), corners: ti.template(), starts: ti.template(), boxes: ti.template(), leaf
+):
+    """The box of a leaf, around where its triangles are."""
+    first = starts[leaf]
+    low = vector(points, corners[first, 0])
+    high = low
+    for t in range(first, starts[leaf + 1]):
+        for k in ti.static(range(3)):
+            p = vector(points, corners[t, k])
+            low, high = ti.min(low, p), ti.max(high, p)
+    keep_box(boxes, starts.shape[0] - 1 + leaf, low, high)
+
+
+@ti.func
+def enclose_children(boxes: ti.template(), node):
+    """The box of a node, around those of its children."""
+    for a in ti.static(range(3)):
+        boxes[node, a] = ti.min(boxes[2 * node, a], boxes[2 * node + 1, a])
+        boxes[node, a + 3] = ti.max(boxes[2 * node, a + 3], boxes[2 * node + 1, a + 3])
+
+
 @ti.kernel
 def closest_points(
     X: ti.types.ndarray(dtype=ti.f64, ndim=2),
@@ -143,28 +174,39 @@ def closest_points(
     boxes: ti.types.ndarray(dtype=ti.f64, ndim=2),
     starts: ti.types.ndarray(dtype=ti.i32, ndim=1),
     reach: ti.f64,
+    moved: ti.i32,
     found: ti.types.ndarray(dtype=ti.f64, ndim=2),
     which: ti.types.ndarray(dtype=ti.i32, ndim=1),
 ):
     """The nearest triangle to each X (n, 3) [m] within a reach [m], -1 where there is none.
 
-    found : (n, 6) weights and pseudo-normal, not of unit length; the rest as `SurfaceTree` has it.
+    moved : 1: the boxes are refitted first, from the leaves to the root.  found : (n, 6) weights
+    and pseudo-normal, not of unit length; the rest as `SurfaceTree` has it.
     """
+    for leaf in range((starts.shape[0] - 1) * moved):
+        enclose_leaf(points, corners, starts, boxes, leaf)
+    for _ in range(moved):
+        node = starts.shape[0] - 2
+        while node > 0:
+            enclose_children(boxes, node)
+            node -= 1
     for i in range(X.shape[0]):
         p = vector(X, i)
         leaves = starts.shape[0] - 1
         best, at = reach * reach, -1
         w = 0.0 * p
         node = 1
-        while node < leaves:
+        near = box_distance(boxes, 1, p) < best
+        while near and node < leaves:
             node *= 2
             if box_distance(boxes, node + 1, p) < box_distance(boxes, node, p):
                 node += 1
         nearest = node
-        leaf = node - leaves
-        best, at, w = nearest_in_leaf(
-            points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
-        )
+        if near:
+            leaf = node - leaves
+            best, at, w = nearest_in_leaf(
+                points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
+            )
         node = 1
         while node > 0:
             down = 0

@@ -26,8 +26,7 @@ class SurfaceTree:
         self._starts = bounds
         self._around = _around(self._corners, len(points))
         self._boxes = np.zeros((2 ** (levels + 1), 6))
-        if len(triangles):
-            self._refit(points)
+        self._fitted = False
 
     def closest(self, X: Floats, points: Floats, reach: float, *, moved: bool = True) -> Closest:
         """What `closest` says of X (n, 3) [m] no farther than reach [m], of points (V, 3) [m].
@@ -38,13 +37,13 @@ class SurfaceTree:
 
         if len(X) == 0 or len(self._order) == 0:
             return none_seen()
-        if moved:
-            self._refit(points)
         X, points = (np.ascontiguousarray(a, np.float64) for a in (X, points))
         found, which = np.zeros((len(X), 6)), np.empty(len(X), np.int32)
         kernels.closest_points(
-            X, points, self._corners, self._around, self._boxes, self._starts, reach, found, which
-        )
+            X, points, self._corners, self._around, self._boxes, self._starts, reach,
+            int(moved or not self._fitted), found, which,
+        )  # fmt: skip
+        self._fitted = True
         rows = np.flatnonzero(which >= 0)
         at, w, pseudo = which[rows], found[rows, :3], found[rows, 3:]
         point = np.einsum("nk,nka->na", w, points[self._corners[at]])
@@ -65,17 +64,6 @@ class SurfaceTree:
             point=point[sure],
             normal=away[sure] / length[sure],
         )
-
-    def _refit(self, points: Floats) -> None:
-        corners = [points[self._corners[:, k]] for k in range(3)]
-        leaves = len(self._starts) - 1
-        for side, extreme in ((slice(0, 3), np.minimum), (slice(3, 6), np.maximum)):
-            whole = extreme(extreme(corners[0], corners[1]), corners[2])
-            level, first = extreme.reduceat(whole, self._starts[:-1]), leaves
-            self._boxes[first:, side] = level
-            while first > 1:
-                level, first = extreme(level[::2], level[1::2]), first // 2
-                self._boxes[first : 2 * first, side] = level
 
 
 def _sorted(centers: Floats, bounds: Ints, levels: int) -> Ints:
