@@ -23,6 +23,7 @@ from gf_usd.prepare.materials.table import Authored, variant_name
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import Swept, swept
 from gf_usd.prepare.options.table import PLANNED
+from gf_usd.prepare.options.texts import AUTO
 from gf_usd.prepare.outputs import (
     USD,
     Outputs,
@@ -39,6 +40,7 @@ from gf_usd.prepare.outputs import (
     stamps,
 )
 from gf_usd.prepare.plan import Plan, command_line
+from gf_usd.prepare.settings import DEFAULT_PARTICLES
 from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_stage_spec
 from gf_usd.system.sandbox import Limits
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
+EDGE = 2.0  # [spacings] that an edge of a mesh is long with --max-edge-length auto
 DEFAULT_MATERIAL = "rubber"  # where nobody says anything
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
@@ -254,10 +257,14 @@ def reading(
     up_axis: str | None,
 ) -> Reading:
     """The file, being read."""
+    longest, count = request.parsed["max_edge_length"], None
+    if longest == AUTO:
+        longest = EDGE * request.spacing if request.spacing else None
+        count = None if longest else request.particles or DEFAULT_PARTICLES
     return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
         time_code=request.start, elastic=_elastic(presets), bind_pose=request.flesh,
-        fps=request.fps, max_edge_length=request.max_edge_length,
+        fps=request.fps, max_edge_length=longest, edges_for=count,
     )  # fmt: skip
 
 

@@ -91,11 +91,13 @@ def read_untrusted(
     bind_pose: bool = False,
     fps: float | None = None,
     max_edge_length: float | None = None,
+    edges_for: int | None = None,
 ) -> Source:
     """All that a bake reads of a file before it fills it.
 
     The options are those of `read_asset`, `convert` and `read_stage_spec`; max_edge_length : [stage
-    units] from which on faces are divided.  Raises InputError as these and `divided` do.
+    units] from which on faces are divided; edges_for : particles, of two spacings of which that is.
+    Raises InputError as these and `divided` do.
     """
     from gf_usd.readers import convert, read_asset
 
@@ -104,8 +106,8 @@ def read_untrusted(
     )
     if converted is not None:
         asset = converted.asset(prims=tuple(prims), time_code=time_code, bind_pose=bind_pose)
-        if max_edge_length is not None:
-            converted, notes = _divided(path, asset, max_edge_length, converted)
+        if max_edge_length or edges_for:
+            converted, notes = _divided(path, asset, max_edge_length, edges_for, converted)
             asset = converted.asset(prims=tuple(prims), time_code=time_code, bind_pose=bind_pose)
             asset = _noted(asset, notes)
         return Source(asset=asset, spec=None, converted=converted)
@@ -122,10 +124,10 @@ def read_untrusted(
         bind_pose=bind_pose,
     )
     file = path
-    if max_edge_length is not None:
+    if max_edge_length or edges_for:
         from gf_usd.readers.usd.asset import read_usd
 
-        converted, notes = _divided(path, asset, max_edge_length)
+        converted, notes = _divided(path, asset, max_edge_length, edges_for)
         file = converted.layer
         asset = read_usd(
             file, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis,
@@ -141,14 +143,16 @@ def read_untrusted(
 
 
 def _divided(
-    path: Path, asset: Asset, longest: float, of: MeshSource | None = None
-) -> tuple[MeshSource, tuple[str, ...]]:
+    path: Path, asset: Asset, longest: float | None, particles: int | None,
+    of: MeshSource | None = None,
+) -> tuple[MeshSource, tuple[str, ...]]:  # fmt: skip
     """See `divided`; and what is said of the meshes."""
-    from gf_usd.readers.mesh.divide import divided
+    from gf_usd.readers.mesh.divide import divided, fine_edge
     from gf_usd.readers.notes import Notes
 
     notes, unit = Notes(), asset.facts.units.length
-    made = divided(path, asset.surfaces, longest * unit, of=of, unit=unit, note=notes.add)
+    edge = longest * unit if longest else fine_edge(asset.surfaces, particles or 1)
+    made = divided(path, asset.surfaces, edge, of=of, unit=unit, note=notes.add)
     return made, notes.lines()
 
 

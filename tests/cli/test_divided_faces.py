@@ -94,6 +94,29 @@ def test_the_layer_is_used_again_for_the_same_and_refused_for_another(cube: Path
     assert layer.read_bytes() != made
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [("0", "max_edge_length is 0"), ("nan", "not a number"), ("inf", "not a number"),
+     ("fine", "not a number")],
+)  # fmt: skip
+def test_lengths_that_are_none_are_refused(cube: Path, given: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said) as error:
+        bake(cube, **ASKED, max_edge_length=given)
+    assert "auto" in error.value.hint
+
+
+def test_two_spacings_of_the_particles(cube: Path) -> None:
+    asked = {**ASKED, "frames": 2}
+    by_count = bake(cube, **asked, max_edge_length="auto")
+    there = len(points(Usd.Stage.Open(str(by_count.root)), 1))
+    spacing = (8.0 / 600) ** (1.0 / 3.0)
+    same = bake(cube, **asked, max_edge_length=2.0 * spacing, output="same.usda")
+    assert len(points(Usd.Stage.Open(str(same.root)), 1)) == there
+    del asked["particles"]
+    spaced = bake(cube, **asked, spacing=spacing, max_edge_length="auto", output="spaced.usda")
+    assert len(points(Usd.Stage.Open(str(spaced.root)), 1)) == there
+
+
 def test_one_file_needs_no_layer(cube: Path) -> None:
     asked = {**ASKED, "frames": 2}
     bake(cube, **asked, max_edge_length=0.5, output="one.usdz")

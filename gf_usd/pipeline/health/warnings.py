@@ -206,8 +206,8 @@ def _outside(h: HealthSummary) -> Said:
         f"the mesh {h['outside_mesh']} is too coarse to show how its body bends: in some frame"
         f" {100.0 * share:.2g} % of the particles are a spacing or more outside it, up to"
         f" {1000.0 * h['outside_mesh_max_m']:.3g} mm",
-        "divide its faces (--max-edge-length, about two spacings); the particles and Gaussians show"
-        " the true shape",
+        "divide its faces (--max-edge-length auto); the particles and Gaussians show the true"
+        " shape",
     )
 
 

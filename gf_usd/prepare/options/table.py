@@ -94,11 +94,11 @@ class RequestOptions:
         PARTICLES, "Place particles about this far apart [stage units].",
         above_zero=True, commands=INSPECT,
     )] = None
-    max_edge_length: Annotated[float | None, Option(
+    max_edge_length: Annotated[float | str | None, Option(
         PARTICLES, "Divide faces of meshes whose edges are longer than this [stage units], in a"
-        " layer over the asset, so that coarse meshes show how their bodies bend. About two"
-        " spacings are fine enough.",
-        shown="meshes keep their faces", above_zero=True,
+        " layer over the asset, so that coarse meshes show how their bodies bend; auto: two"
+        " spacings of --particles.",
+        shown="meshes keep their faces", parse=texts.parse_edge_length, write=values.edge,
     )] = None
     seed: Annotated[int | None, Option(
         PARTICLES, "Random seed of the particle positions with --preset paper and of noise fields.",

@@ -63,6 +63,16 @@ def parse_time_scale(text: str) -> float | str:
     return value
 
 
+def parse_edge_length(text: str) -> float | str:
+    """A length in stage units, or "auto"."""
+    if text == AUTO:
+        return text
+    value = number("--max-edge-length", text, "a length such as 0.1 (stage units), or auto")
+    if not 0.0 < value < math.inf:
+        raise UsageError(f"--max-edge-length is {text}", "give a length above 0, or auto")
+    return value
+
+
 REST = "rest"
 FRAMES = "give a whole number such as 48, rest, or rest:480 for 480 at most"
 

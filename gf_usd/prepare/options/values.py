@@ -142,6 +142,12 @@ def rate(name: str, value: Any) -> str:
     return value if isinstance(value, str) else digits(real(name, value, "a number, or 'auto'"))
 
 
+def edge(name: str, value: Any) -> str:
+    """A length in stage units, or "auto"."""
+    wanted = "a length such as 0.1 (stage units), or 'auto'"
+    return value if isinstance(value, str) else digits(real(name, value, wanted))
+
+
 def gravity(name: str, value: Any) -> str:
     """A number along minus up, or a vector."""
     wanted = "9.81 (m/s^2, downward), or three numbers: (0, -9.81, 0)"

@@ -19,7 +19,7 @@ from pxr import Sdf, Usd, UsdGeom
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import Division, divide_edges, triangulate
+from gf_usd.core.mesh import Division, divide_edges, signed_volume, triangulate
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
 
 MOST = 4_000_000  # triangles of a mesh: more take the memory of a workstation
@@ -112,6 +112,12 @@ def divide_faces(points: Floats, counts: Ints, indices: Ints, longest: float) ->
         division=division,
         divided=int(long.sum()),
     )
+
+
+def fine_edge(surfaces: Sequence[Surface], particles: int) -> float:
+    """[m] two spacings of so many particles in all of the surfaces; infinite: they hold nothing."""
+    volume = sum(abs(signed_volume(one.points, one.triangles)) for one in surfaces)
+    return 2.0 * float(np.cbrt(volume / particles)) if volume > 0.0 else float("inf")
 
 
 def divided(

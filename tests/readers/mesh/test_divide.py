@@ -12,7 +12,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import areas, signed_volume, triangulate
 from gf_usd.readers.isolated import read_untrusted
 from gf_usd.readers.mesh import divide
-from gf_usd.readers.mesh.divide import divide_faces
+from gf_usd.readers.mesh.divide import divide_faces, fine_edge
 
 LONGEST = 0.35
 # A prism over a pentagon, with a small square on its side: long and short faces, 3 to 5 corners.
@@ -200,3 +200,17 @@ def test_too_many_triangles_are_refused(tmp_path: Path, monkeypatch):
         read_untrusted(path, max_edge_length=0.01)
     assert "/A/Prism" in str(error.value)
     assert "--max-edge-length" in error.value.hint
+
+
+def test_an_edge_of_two_spacings(tmp_path: Path):
+    path = tmp_path / "prism.usda"
+    stage_of(path)
+    (whole,) = read_untrusted(path).asset.surfaces
+    volume = signed_volume(POINTS * 0.01, triangulate(POINTS, COUNTS, INDICES)[0])
+    edge = fine_edge([whole], 700)
+    assert edge == pytest.approx(2.0 * np.cbrt(volume / 700), rel=1e-6)
+    (fine,) = read_untrusted(path, edges_for=700).asset.surfaces
+    ends = np.stack([fine.triangles, np.roll(fine.triangles, -1, axis=1)], -1).reshape(-1, 2)
+    longest = np.linalg.norm(fine.points[ends[:, 0]] - fine.points[ends[:, 1]], axis=1).max()
+    assert 0.4 * edge < longest <= edge * (1.0 + 1e-6)
+    assert fine_edge([], 700) == np.inf

@@ -1,0 +1,79 @@
+"""Particle-substeps a second of a whole bake, beside Taichi's stock MLS-MPM in the same run.
+
+    python -m tools.bench.baked [--particles N ...] [--turns N]
+
+`gf-usd bake` of a ball of rubber: damping, filter, contact with friction, health, Gaussians, mesh
+and USD files, all as they are by default.  Two bakes of different length are taken from each other,
+so that neither the start nor the set-up counts, but reading out, writing and checking of every
+frame does.  CPU seconds of all threads, one thread asked for; the stock solver has no damping, no
+friction, and writes nothing.  Medians over turns in which each program is run once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+from tools.bench.processes import ALONE, PEERS, ROOT, run
+
+FRAMES = (24, 96)  # the ball touches the floor in the first of them and rebounds in the second
+ASSET = ROOT / "samples" / "sphere.usda"
+
+
+def bake(particles: int, frames: int, folder: Path) -> tuple[float, int]:
+    """CPU seconds of a bake, and its particles times its substeps."""
+    command = [
+        *(sys.executable, "-m", "gf_usd", "bake", str(ASSET), "--material", "rubber"),
+        *("--particles", str(particles), "--frames", str(frames), "--threads", "1"),
+        *("-o", f"{folder}/", "--overwrite", "--json"),
+    ]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True,
+        env={**os.environ, **ALONE, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    said = json.loads(done.stdout)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return spent, said["particles"] * said["bakes"][0]["health"]["substeps"]
+
+
+def rate(particles: int) -> float:
+    """Million particle-substeps a CPU second of the longer bake beyond the shorter one."""
+    with tempfile.TemporaryDirectory() as folder:
+        (short, few), (long, many) = (bake(particles, n, Path(folder)) for n in FRAMES)
+    return (many - few) / (long - short) / 1e6
+
+
+def stock(particles: int) -> float:
+    """The same of Taichi's stock MLS-MPM on the drop of `tools/bench/scene.py`."""
+    job = {"kind": "speed", "n": particles, "seconds": 3.0}
+    found = run(sys.executable, PEERS["taichi"], job, [0], 150.0)
+    return found["particles"] / found["cpu"] / 1e6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--particles", type=int, nargs="+", default=[10_000, 100_000])
+    parser.add_argument("--turns", type=int, default=3)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        bake(1000, 2, Path(folder))  # compiles the kernels
+    print("| particles | whole bake, M/s | Taichi's stock MLS-MPM, M/s | ratio |")
+    print("|---:|---:|---:|---:|")
+    for n in asked.particles:
+        turns = [(rate(n), stock(n)) for _ in range(asked.turns)]
+        own, other = (median(column) for column in zip(*turns))
+        ratio = median(a / b for a, b in turns)
+        print(f"| {n:,} | {own:.2f} | {other:.2f} | {ratio:.1f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
