@@ -142,6 +142,37 @@ def notes(repairs: Sequence[Repairs]) -> tuple[str, ...]:
     )
 
 
+def agreeing_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
+    """The asset with triangles that face as their neighbors do, and what was turned, in words.
+
+    Of each connected part, where two triangles meet at an edge, those of less area are turned:
+    there is nothing else that a few faces the other way round could mean.
+    """
+    made = [_agreeing(surface) for surface in asset.surfaces]
+    said = tuple(
+        f"<{surface.path}>: {_count(turned, 'triangle')} facing the other way"
+        f" {'is' if turned == 1 else 'are'} turned for the fill; the mesh itself does not change"
+        for surface, turned in made
+        if turned
+    )
+    return (replace(asset, surfaces=tuple(one for one, _ in made)), said) if said else (asset, ())
+
+
+def _agreeing(surface: Surface) -> tuple[Surface, int]:
+    """The same of one surface, and how many triangles were turned."""
+    welded = weld(surface.points)[0][surface.triangles]
+    sound = np.flatnonzero(proper(welded))
+    triangles = welded[sound]
+    edges = Edges.of(triangles)
+    starts = edges.directed[edges.pairs, 0]
+    if not (starts[:, 0] == starts[:, 1]).any():
+        return surface, 0
+    against = np.zeros(len(welded), bool)
+    against[sound] = winding.patches(surface.points, triangles, edges).against
+    corners = np.arange(3 * len(welded)).reshape(-1, 3)
+    return _with_slots(surface, winding.turned(corners, against)), int(against.sum())
+
+
 def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     """A surface whose triangles bound a solid as well as they can, and what was done.
 

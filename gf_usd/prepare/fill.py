@@ -97,7 +97,7 @@ def fill(
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.diagnosis import diagnose, tolerated
-    from gf_usd.geometry.repair import notes
+    from gf_usd.geometry.repair import agreeing_asset, notes
     from gf_usd.geometry.sampling.contact_samples import sample_surface
     from gf_usd.geometry.sampling.particles import sample_solid
     from gf_usd.geometry.sampling.tets import tet_lattices
@@ -107,17 +107,21 @@ def fill(
     from gf_usd.readers.usd_bake.keys import material_keys
 
     mended: tuple[str, ...] = ()
+    agreed: tuple[str, ...] = ()
     filled = asset
     follows = False  # a sheet is as thick as the spacing
     if repair:
         asset, filled, repairs = mend(asset, request, spec)
         mended = notes(repairs)
         follows = any(one.thickened for one in repairs)
+    else:
+        asset, agreed = agreeing_asset(asset)
+        filled = asset
     solid = built or build_solid(filled, repaired=repair)
     if not (repair or built):
         by_path = {seen.path: seen for seen in known}
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
-        mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
+        mended = (*agreed, *(line for seen in all_seen if (line := tolerated(seen))))
     keys = spec.physics.gravity_keys if request.gravity is None else ()
     unit = asset.facts.units.length
     flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)

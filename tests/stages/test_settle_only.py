@@ -45,8 +45,32 @@ def test_nothing_rests_while_an_obstacle_is_to_move() -> None:
 def test_what_fell_past_every_obstacle_does_not_keep_the_others_from_resting() -> None:
     rest = Rest(time_scale(2.0), 2.0)
     fell = Health(mass=3.0, kinetic=50.0, fallen=1, fallen_kinetic=50.0)
-    assert not Rest(time_scale(2.0), 2.0).reached(replace(fell, fallen_kinetic=49.0), 5)
-    assert rest.reached(fell, 5)
+    moves = replace(fell, fallen_kinetic=49.0)
+    assert [rest.reached(h, 5) for h in (moves, moves, fell, fell)] == [False] * 3 + [True]
+
+
+@pytest.mark.parametrize("frame_time", [1.0, 3.0, 50.0])
+def test_one_frame_at_rest_is_no_rest(frame_time: float) -> None:
+    """However short T is against a frame: what is about to fall is at rest in the first one."""
+    rest = Rest(frame_time * time_scale(2.0), 2.0)
+    still, moving = (Health(mass=3.0, kinetic=energy) for energy in (0.0, 1.0))
+    assert [rest.reached(h, i) for i, h in enumerate((still, moving, still, moving))] == [False] * 4
+    assert [rest.reached(still, 4), rest.reached(still, 5)] == [False, True]
+
+
+def test_a_body_so_small_that_a_frame_is_longer_than_T_falls(tmp_path: Path) -> None:
+    asset = tmp_path / "small.usda"
+    stage = Usd.Stage.CreateNew(str(asset))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.001)
+    ball = UsdGeom.Sphere.Define(stage, "/Ball")
+    ball.CreateRadiusAttr(5.0)
+    stage.SetDefaultPrim(ball.GetPrim())
+    stage.Save()
+    found = gf_usd.bake(asset, material="clay", particles=200, output=tmp_path / "out.usda")
+    assert found.frames > 3
+    assert found.health["first_contact_frame"] is not None
+    assert found.health["shift_max_m"] > 0.01
 
 
 def test_an_obstacle_stays_from_its_last_move_on() -> None:

@@ -11,7 +11,10 @@ from gf_usd.core.materials.dimensionless import G0, time_scale
 
 
 class Rest:
-    """Sees when all bodies have been at rest for a time T; see `AT_REST`.
+    """Sees when all bodies have been at rest for a time T, and in two frames; see `AT_REST`.
+
+    One frame says nothing of a time: a body that is about to fall is at rest in the first one, and
+    one that bounces may be where it turns around.
 
     frame_time : [s] between frames; radius : [m] of a ball of the bodies' volume; stirred : frames
     at the start in which an obstacle moves, or may move again.  Bodies that have fallen past every
@@ -30,8 +33,8 @@ class Rest:
         """Whether this frame, the next one, ends a time T at rest."""
         moving = health.kinetic - (health.fallen_kinetic or 0.0)
         still = index >= self._stirred and moving <= self.limit(health)
-        self.still = self.still + self._step if still else 0.0
-        return self.still >= time_scale(self._radius)
+        before, self.still = self.still, self.still + self._step if still else 0.0
+        return before > 0.0 and self.still >= time_scale(self._radius)
 
     def said(self, look: str, frames: Sequence[Health], most: int, *, settled: bool) -> str:
         """When a material came to rest, in words; most : frames that it may take."""
