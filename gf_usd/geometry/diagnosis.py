@@ -10,6 +10,7 @@ Faces without area, and which of them hold nothing together.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -232,6 +233,22 @@ def tolerated(seen: Diagnosis) -> str:
     small = any(hole.share <= HOLE_LIMIT for hole in seen.holes)
     hint = "; --repair fixes this" if small or len(said) > bool(seen.holes) else ""
     return f"<{seen.path}> is filled despite {', '.join(said)}{hint}"
+
+
+KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
+
+
+def hollowed(seen: Sequence[Diagnosis], volume: float) -> str:
+    """A warning where faults of meshes cost the fill much of what they enclose; else "".
+
+    volume : [m^3] that was filled of them.
+    """
+    whole = sum(one.volume for one in seen)
+    if volume >= KEPT * whole or not any(faults(one) for one in seen):
+        return ""
+    return (
+        f"only {volume:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"
+    )
 
 
 def _count(n: int, what: str) -> str:

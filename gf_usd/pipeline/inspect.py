@@ -39,7 +39,7 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import check_unit
-from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
+from gf_usd.geometry.diagnosis import Diagnosis, diagnose, hollowed
 from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.thin.parts import Part, suggestion
 from gf_usd.geometry.thin.thickness import Thickness, thickness
@@ -51,8 +51,6 @@ from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.prepare import parse_request, read_stage, reading, would_fill
 from gf_usd.system.sandbox import Limits
-
-KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,10 +200,7 @@ def lost_volume(seen: Inspection) -> str:
     if seen.plan is None or seen.repairs:
         return ""
     filled = [d for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
-    whole, fill = sum(d.volume for d in filled), seen.plan.particles.volume
-    if fill >= KEPT * whole or not any(faults(d) for d in filled):
-        return ""
-    return f"only {fill:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"
+    return hollowed(filled, seen.plan.particles.volume)
 
 
 def _part(part: Part) -> dict[str, Any]:

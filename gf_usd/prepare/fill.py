@@ -96,7 +96,7 @@ def fill(
     more_pins : of the solid, besides those that are asked for.
     """
     from gf_usd.core.mesh import signed_volume
-    from gf_usd.geometry.diagnosis import diagnose, tolerated
+    from gf_usd.geometry.diagnosis import diagnose, hollowed, tolerated
     from gf_usd.geometry.repair import agreeing_asset, notes
     from gf_usd.geometry.sampling.contact_samples import sample_surface
     from gf_usd.geometry.sampling.particles import sample_solid
@@ -119,9 +119,10 @@ def fill(
         filled = asset
     solid = built or build_solid(filled, repaired=repair)
     if not (repair or built):
-        by_path = {seen.path: seen for seen in known}
-        all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
-        mended = (*agreed, *(line for seen in all_seen if (line := tolerated(seen))))
+        by_path = {} if agreed else {seen.path: seen for seen in known}
+        all_seen = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
+        said = (*(tolerated(seen) for seen in all_seen), hollowed(all_seen, solid.volume))
+        mended = (*agreed, *filter(None, said))
     keys = spec.physics.gravity_keys if request.gravity is None else ()
     unit = asset.facts.units.length
     flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)

@@ -24,12 +24,12 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.carriers import cross, turn
 from gf_usd.physics.contact.continuity import EASE
 from gf_usd.physics.contact.narrow_phase import TRAVEL
-from gf_usd.physics.contact.pairs import COVER
 from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.planes import Faced
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
+COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
 STEP = 1.0  # w T of a span at most: a quarter of what is stable, squared
 
 
