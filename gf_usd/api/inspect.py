@@ -36,7 +36,7 @@ def inspect(path: Path, **options: Any) -> Inspection:
     Raises
     ------
     UsageError : the options make no sense, or another part of the program uses Taichi.
-    InputError : the file cannot be read, or contains nothing to bake.
+    InputError : the file cannot be read, is the result of a bake, or contains nothing to bake.
     """
     from gf_usd.pipeline.inspect import inspect as inspect_asset
 

@@ -43,6 +43,7 @@ class SurfaceMaterial:
 
 
 FILE, ASSUMED, OPTION = "file", "assumed", "option"  # where a unit or an axis comes from
+BAKES = "gaussianFlesh"  # the variant set that root prims of a bake have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +62,26 @@ class StageFacts:
     default_prim: str | None
     animated: bool = False  # a layer of it holds time samples
     says_physics: bool = False  # a UsdPhysics scene or API is authored on the stage
+    baked_prim: str | None = None  # a root prim with the variants of a bake
     notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
 
     @property
     def up(self) -> NDArray[np.float64]:
         """Unit vector (3,) of the up axis."""
         return np.eye(3)[AXES[self.up_axis]]
+
+    def require_not_baked(self) -> None:
+        """Raise InputError where the stage is the result of a bake."""
+        if self.baked_prim is not None:
+            raise baked_already(self.path, self.baked_prim)
+
+
+def baked_already(path: Path, prim: str) -> InputError:
+    """The refusal of a stage whose root prim has the variants of a bake."""
+    return InputError(
+        f"{path}: <{prim}> already has a variant set {BAKES!r}: this file is the result of a bake.",
+        "bake the original asset instead",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

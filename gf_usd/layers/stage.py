@@ -15,12 +15,12 @@ import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.asset import BAKES, Asset, StageFacts, baked_already
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.core.frames import Choices, Settings
 from gf_usd.system.atomic_files import partial_path
 
-VARIANT_SET = "gaussianFlesh"
+VARIANT_SET = BAKES
 SCOPE = "GaussianFlesh"
 
 # Attributes that say how others change with time.
@@ -73,11 +73,7 @@ def open_source(path: Path) -> Usd.Stage:
         )
     for prim in stage.GetPseudoRoot().GetAllChildren():
         if prim.GetVariantSets().HasVariantSet(VARIANT_SET):
-            raise InputError(
-                f"{path}: <{prim.GetPath()}> already has a variant set {VARIANT_SET!r}: "
-                "this file is the result of a bake.",
-                "bake the original asset instead",
-            )
+            raise baked_already(path, str(prim.GetPath()))
     return stage
 
 

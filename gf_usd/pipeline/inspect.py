@@ -240,7 +240,7 @@ def inspect(
     Raises
     ------
     UsageError : the options make no sense.
-    InputError : the file cannot be read, or contains nothing to bake.
+    InputError : the file cannot be read, is the result of a bake, or contains nothing to bake.
     """
     from gf_usd.geometry.thin.parts import poor_parts
 

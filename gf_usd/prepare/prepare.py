@@ -211,7 +211,10 @@ def read_stage(
     """What is to be soft, what its stage says of that, and the presets that it is baked with.
 
     presets : that were asked for; none: the stage says what it is made of, or it is rubber.
+
+    Raises InputError for the result of a bake.
     """
+    read.asset.facts.require_not_baked()
     asset, spec, converted = _hulled(read.asset), read.spec, read.converted
     usd = source.suffix.lower() in USD
     file = source if converted is None else converted.layer

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import ASSUMED, FILE, LATEST, OPTION, StageFacts
+from gf_usd.core.asset import ASSUMED, BAKES, FILE, LATEST, OPTION, StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
@@ -148,7 +148,16 @@ def stage_facts(
         default_prim=str(default.GetPath()) if default else None,
         animated=any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()),
         says_physics=any(_is_physics(prim) for prim in _everything(stage)),
+        baked_prim=_baked_prim(stage),
     )
+
+
+def _baked_prim(stage: Usd.Stage) -> str | None:
+    """A root prim that has the variants of a bake."""
+    for prim in stage.GetPseudoRoot().GetAllChildren():
+        if prim.GetVariantSets().HasVariantSet(BAKES):
+            return str(prim.GetPath())
+    return None
 
 
 def _time_code(authored: bool, value: float, path: Path, which: str) -> float | None:

@@ -1,0 +1,39 @@
+"""The result of a bake as the asset of another: refused before it is filled, by inspect too."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+SMALL = ("--particles", "300", "--frames", "3")
+REFUSAL = (
+    "error: block.rubber.usda: </World> already has a variant set 'gaussianFlesh': "
+    "this file is the result of a bake.\n\nhint: bake the original asset instead\n"
+)
+
+
+@pytest.fixture
+def baked(gf_usd, here: Path, block: Path) -> str:
+    done = gf_usd("bake", block, *SMALL)
+    assert done.status == 0, done.err
+    return "block.rubber.usda"
+
+
+def test_the_result_of_a_bake_is_refused_before_work(gf_usd, baked: str) -> None:
+    done = gf_usd("bake", baked, *SMALL)
+    assert (done.status, done.out, done.err) == (3, "", REFUSAL)
+
+
+def test_inspect_refuses_the_result_of_a_bake(gf_usd, baked: str) -> None:
+    done = gf_usd("inspect", baked, *SMALL)
+    assert (done.status, done.out, done.err) == (3, "", REFUSAL)
+    told = json.loads(gf_usd("inspect", baked, *SMALL, "--json").out)
+    assert told["bakeable"] is False
+    assert "is the result of a bake" in told["refusal"]["message"]
+
+
+def test_the_result_of_a_bake_can_be_an_obstacle(gf_usd, baked: str, block: Path) -> None:
+    done = gf_usd("bake", block, *SMALL, "--collider", baked, "-o", "on.usda")
+    assert done.status == 0, done.err
