@@ -92,6 +92,25 @@ def test_a_sheet_has_a_tile_for_each_frame(stage, tmp_path):
     assert rows[0] < rows[1] < rows[2]
 
 
+@pytest.mark.parametrize("order", ["inherited invisible", "invisible inherited"])
+def test_a_time_at_which_nothing_is_visible_is_an_empty_tile(stage, tmp_path, order):
+    first, last = order.split()
+    seen = f'{{ 1: "{first}", 3: "{last}" }}'
+    hidden = BOX.replace("size = 2\n", f"size = 2\n token visibility.timeSamples = {seen}\n")
+    stage.write_text(hidden, encoding="utf-8")
+    words = ("--sheet", "2", "--columns", "2", "--size", "120x90")
+    done = run(stage, "-o", tmp_path / "a.png", *words)
+    assert done.exit_code == 0, done.output
+    assert "note: pictures of times at which nothing is visible are empty" in done.output
+    page = pixels(tmp_path / "a.png")
+    tiles = [page[2:92, 2 + i * 122 :][:, :120] for i in range(2)]
+    red = [int((tile[..., 0] > 2 * tile[..., 1]).sum()) for tile in tiles]
+    assert red[order.split().index("inherited")] > 200
+    assert red[order.split().index("invisible")] == 0
+    corners = [tile[80:, :10].mean() for tile in tiles]  # of the same floor and background
+    assert corners[0] == pytest.approx(corners[1], abs=8.0)
+
+
 def test_the_stage_keeps_its_camera(tmp_path):
     path = tmp_path / "seen.usda"
     camera = """

@@ -86,6 +86,11 @@ def is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     return UsdGeom.Imageable(prim).ComputeVisibility(time) != UsdGeom.Tokens.invisible
 
 
+def is_shown(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether a prim that is to be drawn is so at a time; what never changes always is."""
+    return not comes_and_goes(prim) or is_visible(prim, time)
+
+
 def sometimes_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     """Whether a prim is visible at a time, or at one at which its visibility changes."""
     if is_visible(prim, time):
@@ -106,9 +111,10 @@ def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float
         spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
         chosen = [times[i] for i in np.unique(np.round(spread).astype(int))]
     changing = {number for number, prim in enumerate(prims) if comes_and_goes(prim)}
+    chosen += _missed([prims[number] for number in sorted(changing)], chosen)
     boxes: list[dict[int, Floats]] = []  # of each prim, at each time
     for code in chosen:
-        time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
+        time = _time_of(code)
         xforms = UsdGeom.XformCache(time)
         skins = Skins(time, xforms, Notes())
         now: dict[int, Floats] = {}
@@ -125,6 +131,24 @@ def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float
         return None
     low, high = whole.tolist()
     return Bounds(low=tuple(low), high=tuple(high))
+
+
+def _missed(changing: Sequence[Usd.Prim], chosen: Sequence[float | None]) -> list[float]:
+    """The first times, in the range of the chosen, of prims that are visible at none of these."""
+    within = [code for code in chosen if code is not None]
+    low, high = (within[0], within[-1]) if within else (-np.inf, np.inf)
+    found: list[float] = []
+    for prim in changing:
+        if any(is_visible(prim, _time_of(code)) for code in (*chosen, *found)):
+            continue
+        samples = {code for one in _visibilities(prim) for code in one.GetTimeSamples()}
+        inside = (code for code in sorted(samples) if low <= code <= high)
+        found += [code for code in inside if is_visible(prim, Usd.TimeCode(code))][:1]
+    return found
+
+
+def _time_of(code: float | None) -> Usd.TimeCode:
+    return Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
 
 
 def _fitted(boxes: Sequence[Mapping[int, Floats]]) -> Floats | None:

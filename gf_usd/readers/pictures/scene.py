@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,7 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.camera import find_camera, read_camera
 from gf_usd.readers.pictures.extent import (
     HEALTH,
-    comes_and_goes,
-    is_visible,
+    is_shown,
     motion_bounds,
     sample_times,
     sometimes_visible,
@@ -71,6 +71,7 @@ WITH_MESHES = (SHOWS["both"][0], "gaussians")
 
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
+EMPTY = "pictures of times at which nothing is visible are empty"  # a note
 FLOOR_TOLERANCE = 0.05  # of the size: a body whose lowest point is this near height 0 stands there
 
 
@@ -125,6 +126,8 @@ class PictureStage:
             self._camera = find_camera(self._stage, path, camera) if camera else None
             pressure = self._facts.units.pressure
             self.values = Values(self._stage, color, path, pressure) if color else None
+        if not self._prims and self._hidden(kinds):
+            raise self._all_invisible()
         if not self._prims:
             there = ", ".join(sorted({kind for kind, _ in self._all()})) or "nothing to draw"
             raise InputError(
@@ -139,7 +142,8 @@ class PictureStage:
         """The extent over the whole time range, looked up once.
 
         The floor is height 0 where the body stands there, to 5 % of its size, or comes down on it
-        from above; else it is under the lowest point of the motion.
+        from above; else it is under the lowest point of the motion.  Times at which nothing is
+        visible do not count.
         """
         if self._motion is None:
             prims = [prim for _, prim in self._prims]
@@ -147,7 +151,9 @@ class PictureStage:
             with reading(self._path):
                 times = sample_times(moving)
                 bounds = motion_bounds(prims, times, self._facts.units.length)
-                first = motion_bounds(prims, times[:1], self._facts.units.length)
+                shown = (t for t in times if any(is_shown(p, Usd.TimeCode(t)) for p in prims))
+                start = [*islice(shown, 1)]
+                first = motion_bounds(prims, start, self._facts.units.length)
             up = self._facts.up
             self._motion = Motion(
                 bounds=bounds,
@@ -162,7 +168,9 @@ class PictureStage:
     def scene(self, time_code: float | None = None) -> Scene:
         """What is visible at a time code; None: the first of the stage.
 
-        Raises InputError for broken meshes, and where nothing can be drawn at that time.
+        Nothing is in it where all is hidden at that time, but not always.
+
+        Raises InputError for broken meshes, and where nothing can be drawn.
         """
         time = self._time(time_code)
         notes = Notes()
@@ -171,11 +179,17 @@ class PictureStage:
             drawn = [
                 item for kind, prim in self._prims if (item := self._read(kind, prim, context))
             ]
+            hidden = any(not is_shown(prim, time) for _, prim in self._prims)
         if not drawn:
-            raise InputError(
-                f"{self._path}: nothing can be drawn at {time}: {'; '.join(notes.lines())}",
-                "check the file with usdview, or choose another --frame",
-            )
+            if hidden and self.motion.bounds is not None:
+                notes.add(EMPTY)
+            elif reasons := notes.lines():
+                raise InputError(
+                    f"{self._path}: nothing can be drawn at {time}: {'; '.join(reasons)}",
+                    "check the file with usdview, or choose another --frame",
+                )
+            else:
+                raise self._all_invisible()
         clouds = [item for item in drawn if isinstance(item, RenderSplats)]
         solid = [item for item in drawn if isinstance(item, RenderEllipsoids)]
         if self.show == "ellipsoids":
@@ -242,7 +256,7 @@ class PictureStage:
         self, kind: str, prim: Usd.Prim, context: Reading
     ) -> RenderMesh | RenderSplats | RenderEllipsoids | None:
         """One prim; None, and a note, for one that holds nothing; None where it is hidden then."""
-        if comes_and_goes(prim) and not is_visible(prim, context.time):
+        if not is_shown(prim, context.time):
             return None
         try:
             if kind == "mesh":
@@ -296,6 +310,23 @@ class PictureStage:
             elif prim.IsA(UsdGeom.Points):
                 found.append(("points", prim))
         return found
+
+    def _hidden(self, kinds: tuple[str, ...]) -> set[str]:
+        """The kinds of these that prims have which only their visibility keeps out of a picture."""
+        return {
+            kind
+            for kind, prim in self._all()
+            if kind in kinds and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
+        }
+
+    def _all_invisible(self) -> InputError:
+        kinds = SHOWS[self.show][0]
+        hidden = sorted(self._hidden(kinds))
+        what = "every mesh is" if hidden == ["mesh"] else f"all {' and '.join(hidden)} are"
+        return InputError(
+            f"{self._path}: it contains no visible {' or '.join(kinds)}: {what} invisible.",
+            "make it visible, with all prims above it, or choose another kind with --show",
+        )
 
     def _visible(self, kinds: tuple[str, ...]) -> list[tuple[str, Usd.Prim]]:
         """Prims of these kinds to draw; a bake's particles even where its display hides them."""

@@ -51,6 +51,16 @@ def Xform "root" {
 }
 """
 
+# 2 cm wide; its bottom rises by a centimeter per time code, with a sample at each of 100
+RISING = """
+def Cube "box" {
+    double size = 2
+    double3 xformOp:translate.timeSamples = { SAMPLES }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    VISIBILITY
+}
+""".replace("SAMPLES", ", ".join(f"{k}: (0, {k}, 0)" for k in range(1, 101)))
+
 
 def test_a_mesh_in_meters_with_the_look_of_each_subset(tmp_path):
     scene = read_scene(write(tmp_path, BOX))
@@ -296,6 +306,28 @@ def test_hidden_and_guide_prims_are_not_drawn(tmp_path):
     for body in (hidden, guide):
         with pytest.raises(InputError, match="no visible mesh"):
             PictureStage(write(tmp_path, body))
+
+
+@pytest.mark.parametrize(
+    "visibility", ['visibility = "invisible"', 'visibility.timeSamples = { 200: "inherited" }']
+)
+def test_what_is_never_visible_is_refused_with_the_reason(tmp_path, visibility):
+    always = visibility.replace("{", '{ 1: "invisible",')
+    body = RISING.replace("VISIBILITY", f"token {always}")
+    with pytest.raises(InputError, match="every mesh is invisible") as caught:
+        PictureStage(write(tmp_path, body)).scene(2.0)
+    assert "make it visible" in caught.value.hint
+
+
+def test_the_camera_and_the_floor_are_those_of_the_times_at_which_something_is_visible(tmp_path):
+    flash = '{ 1: "invisible", 50.5: "inherited", 51.5: "invisible" }'
+    body = RISING.replace("VISIBILITY", f"token visibility.timeSamples = {flash}")
+    stage = PictureStage(write(tmp_path, body))
+    assert stage.motion.bounds is not None
+    assert stage.motion.bounds.low[1] == pytest.approx(0.495, abs=0.02)
+    assert stage.motion.ground == pytest.approx(0.495, abs=0.02)
+    assert stage.scene(1.0).meshes == ()
+    assert [mesh.name for mesh in stage.scene(51.0).meshes] == ["/box"]
 
 
 def test_prototypes_of_an_instancer_are_not_drawn_by_themselves(tmp_path):
