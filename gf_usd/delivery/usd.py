@@ -192,6 +192,8 @@ def _author(stage: Usd.Stage, variant: BakedVariant) -> None:
         rigs = [r for r in variant.rigs if variant.meshes[r.body.meshes[0]].startswith(f"{path}/")]
         rigs = rigs or [r for r in variant.rigs if variant.meshes[r.body.meshes[0]] == path]
         with _variant_of(stage.GetPrimAtPath(path), variant.name):
+            for mesh in (m for rig in rigs for m in rig.body.meshes):
+                _end_instances(stage, variant.meshes[mesh])
             bind_meshes(
                 stage, rigs, variant.meshes, variant.triangles, variant.time_codes, variant.unit
             )
@@ -202,10 +204,11 @@ def _author_splats(stage: Usd.Stage, bake: Path, variant: BakedVariant, error: f
     source = open_stage(bake)
     select_variant(source, bake, variant.name or None)
     for prim in [one for one in source.Traverse() if is_captured(one)]:
-        target = stage.GetPrimAtPath(prim.GetPath())
         radius = {c.name: r for c, r in zip(variant.clouds, variant.radii)}.get(str(prim.GetPath()))
         root = stage.GetPrimAtPath(prim.GetPath().GetPrefixes()[0])
         with _variant_of(root, variant.name):
+            _end_instances(stage, str(prim.GetPath()))
+            target = stage.GetPrimAtPath(prim.GetPath())
             if radius is None:
                 if not root.GetVariantSets().HasVariantSet(VARIANTS):
                     keep_at_rest(target)
@@ -213,6 +216,17 @@ def _author_splats(stage: Usd.Stage, bake: Path, variant: BakedVariant, error: f
             if not sample_times([prim]):
                 continue  # the bake left it at rest
             author_samples(target, prim, variant.time_codes, error * radius / variant.unit)
+
+
+def _end_instances(stage: Usd.Stage, path: str) -> None:
+    """End every instance above a prim: the bake's own ends were in the cache.
+
+    From the outermost in, because what is inside of an instance cannot be changed before.
+    """
+    for above in Sdf.Path(path).GetPrefixes():
+        prim = stage.GetPrimAtPath(above)
+        if prim.IsInstance():
+            prim.SetInstanceable(False)
 
 
 @contextmanager

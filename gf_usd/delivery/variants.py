@@ -19,6 +19,7 @@ from gf_usd.delivery.splats.clouds import (
     read_clouds,
     with_splats,
 )
+from gf_usd.readers.pictures.prims import INSTANCER
 from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
 from gf_usd.readers.pictures.splats import SplatMotion
 
@@ -98,8 +99,10 @@ def read_variants(
             )
         )
         recordings.append(recording)
-        mine = [note for note in recording.notes if not note.endswith(ONE_SET)]
-        notes |= dict.fromkeys((*mine, *said))
+        # a USD file keeps what stands beside the bake, instancers too
+        untrue = (ONE_SET,) if whole else (ONE_SET, INSTANCER)
+        mine = [note for note in (*recording.notes, *said) if not note.endswith(untrue)]
+        notes |= dict.fromkeys(mine)
     return variants, recordings, tuple(notes)
 
 

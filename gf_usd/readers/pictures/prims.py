@@ -5,6 +5,8 @@ A Surface as a picture shows it: colors, textures, roughness and metal at each t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
@@ -17,6 +19,7 @@ from gf_usd.core.scene import Harmonics, RenderEllipsoids, RenderMesh, RenderSpl
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.stage import LeftAlone, Placement
 
+INSTANCER = "not drawn: PointInstancer"  # a note
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
 Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
 
@@ -33,6 +36,19 @@ def stands_for_meshes(prim: Usd.Prim) -> bool:
     """True for points of flowing bodies, which a bake shows in addition to meshes."""
     named = prim.HasRelationship("gaussianFlesh:sourceMeshes")
     return prim.IsA(UsdGeom.Points) and named and not is_ours(prim)
+
+
+def placed_prims(stage: Usd.Stage, notes: Notes) -> Iterator[Usd.Prim]:
+    """Every prim of a stage, instances seen as prims, but none below a PointInstancer.
+
+    Prototypes there stand nowhere by themselves.  Each instancer gets a note.
+    """
+    walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
+    for prim in walk:
+        if prim.IsA(UsdGeom.PointInstancer):
+            notes.add(INSTANCER, str(prim.GetPath()))
+            walk.PruneChildren()
+        yield prim
 
 
 def read_splats(

@@ -23,7 +23,13 @@ from gf_usd.readers.pictures.extent import (
     sample_times,
     sometimes_visible,
 )
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, read_splats, to_render_mesh
+from gf_usd.readers.pictures.prims import (
+    SPLAT_TYPE,
+    is_ours,
+    placed_prims,
+    read_splats,
+    to_render_mesh,
+)
 from gf_usd.readers.pictures.values import MEASURES, written
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
@@ -201,7 +207,7 @@ class BakedMotion:
 
     def _find(self) -> None:
         """Meshes, Gaussians and their times."""
-        prims = list(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
+        prims = list(placed_prims(self._stage, self._notes))
         clouds = [p for p in prims if str(p.GetTypeName()) == SPLAT_TYPE]
         clouds.sort(key=lambda p: not is_ours(p))
         if len(clouds) > 1:

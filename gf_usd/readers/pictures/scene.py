@@ -36,6 +36,7 @@ from gf_usd.readers.pictures.prims import (
     SPLAT_TYPE,
     as_ellipsoids,
     is_ours,
+    placed_prims,
     read_points,
     read_splats,
     stands_for_meshes,
@@ -294,14 +295,9 @@ class PictureStage:
     def _all(self) -> list[tuple[str, Usd.Prim]]:
         """Every prim that could be drawn with its kind, hidden ones included."""
         found = []
-        walk = iter(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
-        for prim in walk:
+        for prim in placed_prims(self._stage, self._stage_notes):
             name = str(prim.GetTypeName())
-            if prim.IsA(UsdGeom.PointInstancer):
-                # its prototypes below it stand nowhere by themselves
-                self._stage_notes.add("not drawn: PointInstancer", str(prim.GetPath()))
-                walk.PruneChildren()
-            elif has_surface(prim):
+            if has_surface(prim):
                 found.append(("mesh", prim))
             elif name == SPLAT_TYPE:
                 found.append(("gaussians" if is_ours(prim) else "splats", prim))

@@ -11,7 +11,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.scene import RenderSplats
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import sample_times
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, read_splats
+from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, placed_prims, read_splats
 from gf_usd.readers.pictures.recording import PURPOSES, select_variant, variants_of
 from gf_usd.readers.usd.stage import LeftAlone, Placement, open_stage, reading, stage_facts
 
@@ -53,7 +53,7 @@ class SplatMotion:
             self.rate = float(self._stage.GetTimeCodesPerSecond())
             prims = [
                 prim
-                for prim in Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies())
+                for prim in placed_prims(self._stage, self._notes)
                 if str(prim.GetTypeName()) == SPLAT_TYPE
             ]
             self._prims = [
