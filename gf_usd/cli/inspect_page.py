@@ -185,7 +185,7 @@ def _parts(console: Console, seen: Inspection) -> None:
     console.print(table)
     if len(seen.parts) > MOST_PARTS:
         console.print(f"and {len(seen.parts) - MOST_PARTS} more (--json lists all)")
-    console.print("such parts follow their surroundings stiffly", end="")
+    console.print("such parts hardly bend: they follow what they are connected to stiffly", end="")
     needed = suggestion(seen.parts)
     which = "all but the thinnest" if any(p.suggested is None for p in seen.parts) else "them"
     console.print(f"; --particles {needed} would fill {which}" if needed else "")

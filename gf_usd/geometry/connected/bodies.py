@@ -1,7 +1,8 @@
 """Bodies: surfaces that overlap or touch at rest belong to one.
 
 What is modeled of parts, a duck with its beak, falls as one, and so does what a physics body of the
-stage holds together.  What lies apart are bodies of their own, that meet only by contact.
+stage holds together.  What lies apart, and different physics bodies even if they touch, are bodies
+of their own, that meet only by contact.
 
 How far points of a body lie on either side of the border between parts of its surface.
 """
@@ -14,10 +15,8 @@ from typing import Any
 import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.neighbors import components
 from gf_usd.geometry.solid import INSIDE, Solid
 
 FINEST = 64  # parts of an edge: the walls of a hall need no more
@@ -31,8 +30,8 @@ def find_bodies(
     """Body of each surface (S,), numbered from 0 in the order of the surfaces.
 
     spacing : [m] of the particles; owners : what each surface belongs to, "" for nothing: what has
-    the same owner is one body; combine : one body in all; kinds : (S,) surfaces of two kinds are
-    never one body, None: all are of one.
+    the same owner is one body, what has different ones never is; combine : one body in all;
+    kinds : (S,) surfaces of two kinds are never one body, None: all are of one.
     """
     count = len(solid.surfaces)
     if combine or count == 1:
@@ -46,24 +45,33 @@ def find_bodies(
     low = np.array([p.min(0) for p in points]) - reach
     high = np.array([p.max(0) for p in points]) + reach
     close: Any = ((low[:, None] <= high) & (low <= high[:, None])).all(2)
-    joined = [
+    label, held = _owned(owners, np.zeros(count, int) if kinds is None else kinds)
+    pairs = (
         (a, b)
         for a in range(count)
         for b in range(a + 1, count)
-        if (kinds is None or kinds[a] == kinds[b])
-        and (
-            owners[a] == owners[b] != ""
-            or (
-                close[a, b]
-                and (_meets(points[a], solid, b, reach) or _meets(points[b], solid, a, reach))
-            )
-        )
-    ]
-    one, two = np.array(joined, int).reshape(-1, 2).T
-    graph = coo_matrix((np.ones(len(one)), (one, two)), shape=(count, count))
-    label = components(graph)[1]
-    _, first = np.unique(label, return_index=True)
+        if close[a, b] and (kinds is None or kinds[a] == kinds[b])
+    )
+    for a, b in pairs:
+        one, two = label[a], label[b]
+        # two physics bodies are never one, not even by what lies between them
+        if one == two or (held[one] and held[two]):
+            continue
+        if _meets(points[a], solid, b, reach) or _meets(points[b], solid, a, reach):
+            held[one] = held[one] or held[two]
+            label[label == two] = one
+    _, first, label = np.unique(label, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[label]
+
+
+def _owned(owners: Sequence[str], kinds: Ints) -> tuple[Ints, list[str]]:
+    """Label (S,) of each surface, one for each kind of an owner, and the owner of each label."""
+    first: dict[tuple[str, int], int] = {}
+    label = [
+        first.setdefault((owner, int(kind)), k) if owner else k
+        for k, (owner, kind) in enumerate(zip(owners, kinds, strict=True))
+    ]
+    return np.array(label), list(owners)
 
 
 def spread(points: Floats, triangles: Ints, spacing: float) -> Floats:

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
 
 
-LEAST = 16  # particles: a body of fewer does not hold a grid
+LEAST = 16  # particles: what has fewer is no more than a lump
+CELL = 2.0  # [spacings] parts in neighboring cells have two planes of nodes or more in common
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,22 +56,24 @@ def plan_bodies(
     owners : the physics body prim that a surface belongs to, by path; combine : one body in all;
     kinds : (S,) surfaces of two kinds are never one body; None: all are of one.
     """
-    from gf_usd.geometry.connected.bodies import find_bodies
+    from gf_usd.geometry.connected.bodies import TOUCHING, find_bodies
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
     of = find_bodies(solid, spacing, owners=owned, combine=combine, kinds=kinds)
+    notes = [] if combine else _touching(of, solid, owned, TOUCHING * spacing, asset)
     particles = sample(of)
-    of, fused = _fuse_small(of, solid, particles, kinds)
+    of, fused = _fuse_small(of, solid, particles, owned, kinds)
     if fused:
         particles = sample(of)
     body = of[particles.surface]
     volume = np.bincount(body, particles.V0, minlength=int(of.max()) + 1)
     paths = [s.path for s in solid.surfaces]
     names = tuple(tuple(p for p, k in zip(paths, of) if k == b) for b in range(int(of.max()) + 1))
-    notes = [
+    notes += [
         f"<{paths[s]}> holds {n} particles and is merged with <{paths[host]}>"
         for s, n, host in fused
     ]
+    notes += _small(names, np.bincount(body))
     if len(names) > 1:
         notes.append(
             f"{len(names)} bodies, which collide: {_listed(names)}; --combine makes them one body"
@@ -92,26 +95,76 @@ def _listed(names: Sequence[Sequence[str]]) -> str:
     return first + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
-def _fuse_small(
-    of: Ints, solid: Solid, particles: Particles, kinds: Ints | None = None
-) -> tuple[Ints, list[Any]]:
-    """Bodies of too few particles become one with the nearest; (surface, particles, host) of each.
+def _touching(
+    of: Ints, solid: Solid, owners: Sequence[str], reach: float, asset: Asset
+) -> list[str]:
+    """A note on what is one body only because it touches; reach : [m] nearer than which it does."""
+    paths = [s.path for s in solid.surfaces]
+    found = []
+    for body in range(int(of.max()) + 1):
+        members = np.flatnonzero(of == body)
+        if len({owners[s] or paths[s] for s in members}) > 1:
+            found.append([[paths[s]] for s in members])
+    if not found:
+        return []
+    count = sum(len(one) for one in found)
+    what = "one body" if len(found) == 1 else f"{len(found)} bodies"
+    away = f"{reach / asset.facts.units.length:.2g} units"
+    return [
+        f"{count} meshes that touch are {what}: {'; '.join(_listed(one) for one in found[:4])}"
+        + (f"; and {len(found) - 4} more" if len(found) > 4 else "")
+        + f"; to keep them apart, make them rigid or deformable bodies (UsdPhysics) or move them"
+        f" more than {away} apart"
+    ]
 
+
+def _small(names: Sequence[Sequence[str]], particles: Ints) -> list[str]:
+    """A note on bodies of few particles."""
+    few = np.flatnonzero(particles < LEAST)
+    if len(names) == 1 or not len(few):
+        return []
+    most = int(particles[few].max())
+    count = f"{most} particle{'s' * (most > 1)}"
+    holds = f"holds only {count}" if len(few) == 1 else f"hold at most {count} each"
+    return [
+        f"{_listed([names[k] for k in few])} {holds}, too few to bend: use more --particles or a"
+        " smaller --spacing"
+    ]
+
+
+def _fuse_small(
+    of: Ints, solid: Solid, particles: Particles, owners: Sequence[str], kinds: Ints | None = None
+) -> tuple[Ints, list[Any]]:
+    """Bodies of few particles become one with what is next to them; (surface, particles, host).
+
+    Farther than a cell away, they have too few nodes in common with it to follow it stiffly.
     A surface without any particle is a shell about nothing: it can only be embedded.
     """
     of, fused = of.copy(), []
+    kinds = np.zeros(len(of), np.int64) if kinds is None else kinds
+    held = np.array(owners)
     for body in range(int(of.max()) + 1):
         members = np.flatnonzero(of == body)
         mine = np.isin(particles.surface, members)
-        if mine.sum() >= LEAST or len(members) == len(of):
+        if mine.sum() >= LEAST or not len(members) or len(members) == len(of):
             continue
-        rest = np.flatnonzero(~mine)
-        if kinds is not None:
-            rest = rest[kinds[particles.surface[rest]] == kinds[members[0]]]
+        others = of[particles.surface] != body
+        others &= kinds[particles.surface] == kinds[members[0]]
+        if mine_of := "".join(set(held[members])):  # of one owner, or of none
+            rivals = of[(held != "") & (held != mine_of)]
+            others &= ~np.isin(of[particles.surface], rivals)
+        rest = np.flatnonzero(others)
         if not len(rest):
             continue
-        points = np.concatenate([solid.surfaces[s].points for s in members])
-        gap, at = kd_tree(particles.X[rest]).query(points)
+        near = CELL * particles.lattice if mine.any() else np.inf
+        points = (
+            particles.X[mine]
+            if mine.any()
+            else np.concatenate([solid.surfaces[s].points for s in members])
+        )
+        gap, at = kd_tree(particles.X[rest]).query(points, p=np.inf)
+        if gap.min() > near:
+            continue
         host = int(particles.surface[rest[at[np.argmin(gap)]]])
         of[members] = of[host]
         fused += [(int(s), int((particles.surface == s).sum()), host) for s in members]

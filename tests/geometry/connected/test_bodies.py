@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from solids import cube, solid, sphere
 
 from gf_usd.geometry.connected.bodies import find_bodies
@@ -46,3 +47,16 @@ def test_what_one_owner_holds_is_one_body() -> None:
     three = [cube((3.0 * k, 0.0, 0.0), path=f"/C{k}") for k in range(3)]
     assert found(*three, owners=["/Car", "", "/Car"]) == [0, 1, 0]
     assert found(*three, owners=["", "", ""]) == [0, 1, 2]
+
+
+def test_what_two_owners_hold_is_never_one_body() -> None:
+    """A stack of rigid bodies that touch, and of two with a cushion of no owner between them."""
+    stack = [cube((0.0, float(k), 0.0), path=f"/C{k}") for k in range(3)]
+    assert found(*stack, owners=["/A", "/B", "/C"]) == [0, 1, 2]
+    assert found(*stack, owners=["/A", "", "/C"]) == [0, 0, 1]
+    assert found(*stack, owners=["/A", "/B", "/A"]) == [0, 1, 0]
+
+
+def test_an_owner_of_two_kinds_holds_a_body_of_each() -> None:
+    three = [cube((float(k), 0.0, 0.0), path=f"/C{k}") for k in range(3)]
+    assert found(*three, owners=["/Car"] * 3, kinds=np.array([0, 1, 0])) == [0, 1, 0]

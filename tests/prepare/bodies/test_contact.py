@@ -35,12 +35,55 @@ def test_what_one_rigid_body_holds_is_one(plan) -> None:
     assert seen.bodies.surfaces == (("/Car/One", "/Car/Two"), ("/Three",))
 
 
-def test_a_crumb_is_one_body_with_what_is_nearest(plan) -> None:
-    small = "double3 xformOp:scale = (0.2, 0.2, 0.2)\ndouble3 xformOp:translate = (3.0, 2.0, 0)"
-    order = 'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]'
-    seen = plan(cubes(), mesh("Crumb", small, order))
+def crumb(x: float, y: float, *lines: str, apis: tuple[str, ...] = ()) -> str:
+    """/Crumb, a cube of a fifth of a meter of the lowest corner (x, y, 0)."""
+    placed = (
+        f"double3 xformOp:translate = ({x}, {y}, 0)",
+        "double3 xformOp:scale = (0.2, 0.2, 0.2)",
+        'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]',
+    )
+    return mesh("Crumb", *placed, *lines, apis=apis)
+
+
+def test_a_crumb_is_one_body_with_what_is_next_to_it(plan) -> None:
+    seen = plan(cubes(), crumb(3.4, 1.1))
     assert seen.bodies.surfaces == (("/One",), ("/Two", "/Crumb"))
-    assert noted(seen, "</Crumb> holds")
+    assert noted(seen, "</Crumb> holds 8 particles and is merged with </Two>")
+    assert not noted(seen, "that touch")
+
+
+def test_a_crumb_far_from_all_others_is_a_body_that_collides(plan) -> None:
+    """One that had no node in common with its body fell through it."""
+    seen = plan(cubes(), crumb(3.4, 2.0))
+    assert seen.bodies.surfaces == (("/One",), ("/Two",), ("/Crumb",))
+    assert noted(seen, "</Crumb> holds only 8 particles, too few to bend: use more")
+    assert not noted(seen, "merged")
+    assert len(seen.contact_setup.skins) == 3
+
+
+def test_a_crumb_is_not_merged_with_another_physics_body(plan) -> None:
+    seen = plan(cubes(apis=(RIGID,)), crumb(0.4, 1.1, apis=(RIGID,)))
+    assert seen.bodies.surfaces == (("/One",), ("/Two",), ("/Crumb",))
+
+
+def test_meshes_that_touch_are_one_body_with_a_note(plan) -> None:
+    seen = plan(mesh("One"), mesh("Two", at(1.0)), mesh("Far", at(5.0)))
+    assert seen.bodies.surfaces == (("/One", "/Two"), ("/Far",))
+    assert noted(seen, "2 meshes that touch are one body: </One>, </Two>; to keep them apart")
+    pairs = [mesh(f"M{k}", at(k + k // 2)) for k in range(4)]
+    assert noted(plan(*pairs), "4 meshes that touch are 2 bodies: </M0>, </M1>; </M2>, </M3>; to")
+
+
+def test_what_is_meant_to_be_one_body_has_no_note(plan) -> None:
+    both = mesh("One") + mesh("Two", at(1.0))
+    assert not noted(plan(both, combine=True), "that touch")
+    assert not noted(plan(prim("Xform", "Car", both, apis=[RIGID])), "that touch")
+
+
+def test_rigid_bodies_that_touch_stay_apart(plan) -> None:
+    seen = plan(mesh("One", apis=[RIGID]), mesh("Two", at(1.0), apis=[RIGID]))
+    assert seen.bodies.surfaces == (("/One",), ("/Two",))
+    assert not noted(seen, "that touch")
 
 
 def test_skins_are_seen_from_outside(plan) -> None:
