@@ -37,14 +37,9 @@ def find_bodies(
     if combine or count == 1:
         return np.zeros(count, np.int64)
     reach = TOUCHING * spacing
-    points = [
-        np.concatenate([s.points[np.unique(t)], spread(s.points, t, spacing)])
-        for s, t in zip(solid.surfaces, solid.triangles)
-    ]
+    points = _skins(solid, spacing)
     owners = owners or [""] * count
-    low = np.array([p.min(0) for p in points]) - reach
-    high = np.array([p.max(0) for p in points]) + reach
-    close: Any = ((low[:, None] <= high) & (low <= high[:, None])).all(2)
+    close = _close(points, reach)
     label, held = _owned(owners, np.zeros(count, int) if kinds is None else kinds)
     pairs = (
         (a, b)
@@ -62,6 +57,41 @@ def find_bodies(
             label[label == two] = one
     _, first, label = np.unique(label, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[label]
+
+
+def overlapping(
+    solid: Solid, spacing: float, of: Ints, owners: Sequence[str]
+) -> list[tuple[int, int]]:
+    """Surfaces of two owners and two bodies (S,) that are deeper in each other than a touch."""
+    rivals = [k for k, owner in enumerate(owners) if owner]
+    if len({owners[k] for k in rivals}) < 2:
+        return []
+    points, depth = _skins(solid, spacing), TOUCHING * spacing
+    close = _close(points, -depth)
+    return [
+        (a, b)
+        for a in rivals
+        for b in rivals
+        if a < b
+        and of[a] != of[b]
+        and close[a, b]
+        and (_enters(points[a], solid, b, depth) or _enters(points[b], solid, a, depth))
+    ]
+
+
+def _skins(solid: Solid, spacing: float) -> list[Floats]:
+    """Points (n, 3) [m] all over each surface."""
+    return [
+        np.concatenate([s.points[np.unique(t)], spread(s.points, t, spacing)])
+        for s, t in zip(solid.surfaces, solid.triangles)
+    ]
+
+
+def _close(points: Sequence[Floats], reach: float) -> NDArray[np.bool_]:
+    """(S, S) whether boxes, each enlarged by reach [m], meet."""
+    low = np.array([p.min(0) for p in points]) - reach
+    high = np.array([p.max(0) for p in points]) + reach
+    return np.asarray(((low[:, None] <= high) & (low <= high[:, None])).all(2))
 
 
 def _owned(owners: Sequence[str], kinds: Ints) -> tuple[Ints, list[str]]:
@@ -101,6 +131,19 @@ def _meets(X: Floats, solid: Solid, surface: int, reach: float) -> bool:
         return True
     w = igl.fast_winding_number(points, triangles, X)
     return bool((np.abs(np.asarray(w)) > INSIDE).any())
+
+
+def _enters(X: Floats, solid: Solid, surface: int, depth: float) -> bool:
+    """Whether a point (n, 3) [m] is inside a surface and farther than depth [m] from it."""
+    points, triangles = solid.surfaces[surface].points, solid.triangles[surface]
+    center = points.mean(0)
+    near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
+    if not near.any():
+        return False
+    X, points = np.ascontiguousarray(X[near] - center), np.ascontiguousarray(points - center)
+    w = igl.fast_winding_number(points, triangles, X)
+    squared = igl.point_mesh_squared_distance(X, points, triangles)[0]
+    return bool(((np.abs(np.asarray(w)) > INSIDE) & (np.asarray(squared) > depth**2)).any())
 
 
 NEARER = 1e-7  # [1] of the distance

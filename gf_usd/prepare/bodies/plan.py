@@ -56,7 +56,7 @@ def plan_bodies(
     owners : the physics body prim that a surface belongs to, by path; combine : one body in all;
     kinds : (S,) surfaces of two kinds are never one body; None: all are of one.
     """
-    from gf_usd.geometry.connected.bodies import TOUCHING, find_bodies
+    from gf_usd.geometry.connected.bodies import TOUCHING, find_bodies, overlapping
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
     of = find_bodies(solid, spacing, owners=owned, combine=combine, kinds=kinds)
@@ -77,6 +77,13 @@ def plan_bodies(
     if len(names) > 1:
         notes.append(
             f"{len(names)} bodies, which collide: {_listed(names)}; --combine makes them one body"
+        )
+    if len(names) > 1 and (pairs := overlapping(solid, spacing, of, owned)):
+        one, two = (f"<{paths[k]}>" for k in pairs[0])
+        more = f" (and {len(pairs) - 1} more pairs)" if len(pairs) > 1 else ""
+        notes.append(
+            f"{one} and {two}{more} are different physics bodies that overlap: if they collide,"
+            " contact pushes them apart; move them apart, or use --combine"
         )
     several = len(names) > 1
     radius = np.cbrt(3.0 * volume / (4.0 * np.pi)) if several else np.array([particles.radius])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from solids import cube, solid, sphere
 
-from gf_usd.geometry.connected.bodies import find_bodies
+from gf_usd.geometry.connected.bodies import find_bodies, overlapping
 
 
 def found(*surfaces, spacing: float = 0.1, **more) -> list[int]:
@@ -60,3 +60,13 @@ def test_what_two_owners_hold_is_never_one_body() -> None:
 def test_an_owner_of_two_kinds_holds_a_body_of_each() -> None:
     three = [cube((float(k), 0.0, 0.0), path=f"/C{k}") for k in range(3)]
     assert found(*three, owners=["/Car"] * 3, kinds=np.array([0, 1, 0])) == [0, 1, 0]
+
+
+def test_owners_that_overlap_are_found_and_those_that_touch_are_not() -> None:
+    bodies = [cube((0.9 * k, 0.0, 0.0), path=f"/C{k}") for k in range(2)]
+    bodies += [cube((1.9, 0.0, 0.0), path="/C2"), cube((1.9, 0.5, 0.0), path="/C3")]
+    seen = solid(*bodies)
+    of, owners = np.arange(4), ["/A", "/B", "/C", ""]
+    assert overlapping(seen, 0.1, of, owners) == [(0, 1)]
+    assert overlapping(seen, 0.1, np.zeros(4, int), owners) == []
+    assert overlapping(seen, 0.1, of, ["", "/B", "", ""]) == []

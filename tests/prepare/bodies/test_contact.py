@@ -84,6 +84,10 @@ def test_rigid_bodies_that_touch_stay_apart(plan) -> None:
     seen = plan(mesh("One", apis=[RIGID]), mesh("Two", at(1.0), apis=[RIGID]))
     assert seen.bodies.surfaces == (("/One",), ("/Two",))
     assert not noted(seen, "that touch")
+    assert not noted(seen, "overlap")
+    seen = plan(mesh("One", apis=[RIGID]), mesh("Two", at(0.8), apis=[RIGID]))
+    assert seen.bodies.count == 2
+    assert noted(seen, "</One> and </Two> are different physics bodies that overlap")
 
 
 def test_skins_are_seen_from_outside(plan) -> None:
