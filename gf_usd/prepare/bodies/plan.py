@@ -110,8 +110,8 @@ def _touching(
     found = []
     for body in range(int(of.max()) + 1):
         members = np.flatnonzero(of == body)
-        if len({owners[s] or paths[s] for s in members}) > 1:
-            found.append([[paths[s]] for s in members])
+        if len({owners[int(s)] or paths[int(s)] for s in members}) > 1:
+            found.append([[paths[int(s)]] for s in members])
     if not found:
         return []
     count = sum(len(one) for one in found)
@@ -134,8 +134,8 @@ def _small(names: Sequence[Sequence[str]], particles: Ints) -> list[str]:
     count = f"{most} particle{'s' * (most > 1)}"
     holds = f"holds only {count}" if len(few) == 1 else f"hold at most {count} each"
     return [
-        f"{_listed([names[k] for k in few])} {holds}, too few to bend: use more --particles or a"
-        " smaller --spacing"
+        f"{_listed([names[int(k)] for k in few])} {holds}, too few to bend: use more --particles"
+        " or a smaller --spacing"
     ]
 
 
