@@ -34,6 +34,7 @@ from gf_usd.prepare.bodies.contact import (
     keep_limbs_apart,
     require_clear_start,
     skins,
+    sunk_notes,
 )
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.plan import plan_bodies
@@ -279,8 +280,10 @@ def fill(
             self_contact=False if paper or settings.solver == "ul" else request.self_contact,
         ),
     )  # fmt: skip
+    sunk: tuple[str, ...] = ()
     if not paper:
         require_clear_start(asset.facts.path, particles, settings.lift, limbs.contact_setup, unit)
+        sunk = sunk_notes(particles, settings.lift, limbs.contact_setup, bodies)
     if not paper and request.solver != "ul":
         limbs = keep_limbs_apart(solid, bodies, limbs, embedded_points(asset))
     tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
@@ -324,7 +327,7 @@ def fill(
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
+            *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *sunk,
             *flesh.notes, *limbs.notes, *materials.notes, *weak,
             *physics.notes,
             *unfilled, *left, *skin, *_options(made, each), *split,

@@ -83,6 +83,7 @@ class BodyContact:
         g, r = float(np.linalg.norm(body.settings.gravity)), body.particles.radius
         self._budget = BUDGET * g * r * float(body.m.sum()) / time_scale(r)  # [W]
         self._apart: dict[tuple[int, int], Floats] = {}  # see `_offsets`, of bodies that met
+        self._sunk: dict[int, Floats] = {}  # see `_sunk_in`, of obstacles
         self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
@@ -190,12 +191,30 @@ class BodyContact:
         for other in np.unique(theirs):
             rows = facing[theirs == other]
             out[rows] = self._offset_from(rows, int(other))
+        at = self.planes.obstacle
+        for which in np.unique(at[at >= 0]):
+            rows = np.flatnonzero(at == which)
+            out[rows] = self._sunk_in(int(which))[rows]
         return out
+
+    def _sunk_in(self, which: int) -> Floats:
+        """(n,) [m] <= 0 where samples are in an obstacle at the start: they are pushed when deeper.
+
+        A spring that begins deep would throw out what the asset has there.
+        """
+        if which not in self._sunk:
+            X = self._X + np.asarray(self._body.settings.lift)
+            reach = (FACING + TRAVEL) * self._spacing
+            seen = self._obstacles[which].planes(X, reach, 0.0, 0.0).seen
+            found = self._sunk[which] = np.zeros(len(X))
+            found[seen.rows] = np.minimum(seen.gap, 0.0)
+        return self._sunk[which]
 
     def _offset_from(self, rows: Ints, other: int) -> Floats:
         """(k,) [m] of samples `rows` from a body: less than a share where they are nearer at rest.
 
-        So a body at rest stays so, and what touches or overlaps then has none.
+        So a body at rest stays so: what touches then has none, and what overlaps is pushed when it
+        is deeper.
         """
         out = np.zeros(len(rows))
         for k in map(int, np.unique(self._of[rows])):
@@ -211,7 +230,7 @@ class BodyContact:
             X, skin, most = self._X[self._members[body]], self._skins[other].skin, APART
             seen = closest(X, skin.points, skin.triangles, (FACING + TRAVEL) * self._spacing)
             apart = np.full(len(X), most * self._spacing)
-            apart[seen.rows] = np.clip(seen.gap, 0.0, most * self._spacing)
+            apart[seen.rows] = np.minimum(seen.gap, most * self._spacing)
             self._apart[body, other] = apart
         return self._apart[body, other]
 
@@ -309,9 +328,8 @@ class BodyContact:
             hardening=self._hardening,
             pair=self._pairs(search.planes),
         )
-        if np.isfinite(self._gap).all():
-            budget = self._budget * (time - self._detected)
-            new = continued(old, new, ease=EASE * self._spacing, budget=budget)
+        budget = self._budget * (time - self._detected)
+        new = continued(old, new, ease=EASE * self._spacing, budget=budget)
         self._note_overlap(state)
         self.planes, self._k = new.planes, new.stiffness
         self.injected += new.energy - old.energy
@@ -488,12 +506,11 @@ class BodyContact:
         self, search: ContactSearch, near: Sequence[int], which: int, frame: float, span: float
     ) -> None:
         rows = np.concatenate([self._members[k] for k in near])
+        sunk = self._sunk_in(which)
         plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span)
-        found = plane.seen
-        search.offer(
-            rows[found.rows], found.gap, found.normal, found.point,
-            velocity=plane.velocity, obstacle=which,
-        )  # fmt: skip
+        found, mine = plane.seen, rows[plane.seen.rows]
+        point = found.point + sunk[mine, None] * found.normal
+        search.offer(mine, found.gap, found.normal, point, velocity=plane.velocity, obstacle=which)
 
     def _upload(
         self,

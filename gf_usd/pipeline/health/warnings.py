@@ -148,9 +148,10 @@ def _planes(h: HealthSummary) -> Said:
     if share < PLANES_GAIN:
         return None
     return (
-        f"contact between bodies put {share * h['energy_scale_J']:.3g} J into them,"
+        f"contact put {share * h['energy_scale_J']:.3g} J into the bodies,"
         f" {100.0 * share:.2g} % of their energy scale",
-        "lower the impact (--drop), or take more --particles",
+        "lower the impact (--drop), or take more --particles; if bodies overlap at the start, move"
+        " them apart in the asset",
     )
 
 

@@ -162,6 +162,24 @@ def require_clear_start(
             )
 
 
+def sunk_notes(
+    particles: Particles, lift: Sequence[float], setup: ContactSetup, bodies: BodyPlan
+) -> tuple[str, ...]:
+    """Notes on bodies that have particles in an obstacle at the start."""
+    body, X = particles.body_of, particles.X + np.asarray(lift, float)
+    notes = []
+    for k, one in enumerate(setup.colliders):
+        met = [a for a in range(bodies.count) if (a, k) not in setup.through_colliders]
+        count = np.bincount(body[_inside(one, X)], minlength=bodies.count)
+        for a in (a for a in met if count[a]):
+            notes.append(
+                f"<{bodies.surfaces[a][0]}> starts with {count[a]} of {int((body == a).sum())}"
+                f" particles inside the obstacle <{one.path}> and stays as deep as it is until"
+                " it moves away; move them apart in the asset"
+            )
+    return tuple(notes)
+
+
 def _inside(obstacle: Collider, X: Floats) -> Ints:
     """(n,) which of the points X (n, 3) [m] are in an obstacle at the start."""
     from gf_usd.geometry.winding import winding_inside

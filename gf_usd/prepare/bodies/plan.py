@@ -82,8 +82,9 @@ def plan_bodies(
         one, two = (f"<{paths[k]}>" for k in pairs[0])
         more = f" (and {len(pairs) - 1} more pairs)" if len(pairs) > 1 else ""
         notes.append(
-            f"{one} and {two}{more} are different physics bodies that overlap: if they collide,"
-            " contact pushes them apart; move them apart, or use --combine"
+            f"{one} and {two}{more} are different physics bodies that overlap: they stay as deep"
+            " in each other as they are until they move apart; move them apart in the asset, or use"
+            " --combine"
         )
     several = len(names) > 1
     radius = np.cbrt(3.0 * volume / (4.0 * np.pi)) if several else np.array([particles.radius])
