@@ -79,7 +79,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "planes": (
         summary(Health(elastic=10.0, injected=0.0099, planes=0.0099), Health(planes=-0.1)),
         summary(Health(elastic=10.0, injected=0.01, planes=0.01), Health(planes=-0.1)),
-        "put 0.01 J into them, 0.1 % of",
+        "put 0.01 J into the bodies, 0.1 % of",
     ),
     "penetration": (
         summary(Health(penetration=0.099, kinetic=5.0)),
