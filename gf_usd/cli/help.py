@@ -36,7 +36,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Contact": ("floor", "colliders", "self_contact"),
     "Output": (
         *("output", "overwrite", "only", "flatten", "range", "samples_per_frame", "stress"),
-        *("export_ply", "export_spz", "resume"),
+        *("export_ply", "export_spz", "resume", "max_edge_length"),
     ),
     "Performance": ("particles", "spacing", "threads", "device", "max_hours"),
     "Report": ("dry_run", "quiet", "verbose", "as_json", "strict", "help", "help_all"),
@@ -64,6 +64,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
 METAVARS = {
     "material": "PRESET|FILE|auto", "output": "PATH", "prims": "PRIM", "up_axis": "Y|Z",
     "law": "LAW", "time_scale": "FACTOR|auto", "drop": "HEIGHT|3r", "gravity": "G|X,Y,Z",
+    "max_edge_length": "LENGTH|auto",
     "floor": "HEIGHT|none|X,Y,Z", "pins": "REGION", "velocity": "X,Y,Z", "spin": "X,Y,Z",
     "colliders": "FILE", "conversions": "[WHERE=]PRESET@LIMIT", "material_boxes": "PRESET:BOX",
     "material_labels": "NAME=VALUE:PRESET", "range": "FIRST:LAST", "only": "SHAPES",
