@@ -268,7 +268,10 @@ def fill(
     if (mixed or request.converted) and not choices.flowing:
         choices = replace(choices, flowing=drawn.meshes)
     require_stored(choices.precision, particles, settings)
-    unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
+    unfilled = [
+        f"<{p}> is not filled: it moves with the nearest body and does not collide; {why}"
+        for p, why in solid.embedded
+    ]
     left = [f"<{p}> is not baked: {why}" for p, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
