@@ -45,7 +45,10 @@ def show(seen: Inspection) -> None:
 def _facts(console: Console, seen: Inspection) -> None:
     f = seen.asset.facts
     wide = " x ".join(f"{w:.3g}" for w in size(seen.asset))
-    rate = "no frame rate" if not f.time_codes_per_second else f"{f.time_codes_per_second:g} fps"
+    codes, frames = f.time_codes_per_second, f.frames_per_second or f.time_codes_per_second
+    rate = "no frame rate" if not frames else f"{frames:g} fps"
+    if codes != frames:
+        rate += f" and {codes:g} time codes per second"
     span = (
         ""
         if f.start_time_code is None or f.end_time_code is None

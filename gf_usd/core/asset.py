@@ -56,6 +56,7 @@ class StageFacts:
     unit_from: str = FILE  # the unit of length: FILE, ASSUMED or OPTION
     axis_from: str = FILE  # the up axis, likewise
     time_codes_per_second: float | None  # None where the source authors none
+    frames_per_second: float | None = None  # of playback; likewise
     start_time_code: float | None
     end_time_code: float | None
     root_prims: tuple[str, ...]  # every root prim path, in order

@@ -5,7 +5,7 @@ Keys of the JSON; lengths in meters unless a name says otherwise, None where it 
 file, bakeable, refusal {message, hint}, warnings [], notes [], skipped [{path, reason}]
 units       meters_per_unit, kilograms_per_unit, up_axis, and for the first and the last whether
             the file says so: meters_per_unit_from, up_axis_from (file | assumed | option)
-time        codes_per_second, start, end: as authored
+time        codes_per_second, frames_per_second, start, end: as authored
 size        widths of the box around everything, along x, y, z
 meshes      of each: path, type, points, faces, triangles, quads, ngons, largest_face, fill
             (filled | rides along | refused), reason, watertight, boundary_edges, holes, hole_share,
@@ -98,6 +98,7 @@ class Inspection:
             },
             "time": {
                 "codes_per_second": facts.time_codes_per_second,
+                "frames_per_second": facts.frames_per_second,
                 "start": facts.start_time_code,
                 "end": facts.end_time_code,
             },

@@ -208,7 +208,8 @@ def resolve(
     authored = authored_rate(facts)
     T = time_scale(radius)
     # The paper's 60 frames per second are for a body of 1 m; others keep its frames per T.
-    fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
+    playback = facts.frames_per_second or authored or DEFAULT_FPS
+    fps = request.fps or (60.0 * PAPER_T / T if paper else playback)
     asked = request.parsed
     floor, normal = floor_plane(asked["floor"], facts.up, facts.units.length)
     still = Height(value=0.0, in_radii=False) if facts.says_physics and not paper else DEFAULT_DROP

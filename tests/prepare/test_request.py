@@ -126,6 +126,13 @@ def test_what_the_stage_says_is_kept() -> None:
     assert not any(np.signbit(s.gravity[:2]))
 
 
+def test_frames_of_playback_lie_time_codes_apart() -> None:
+    said = facts(time_codes_per_second=48.0, frames_per_second=24.0, start_time_code=1.0)
+    s = settled(said=said)
+    assert (s.fps, s.time_codes_per_second, s.time_code(1)) == (24.0, 48.0, 3.0)
+    assert settled(said=said, fps=48.0).fps == 48.0
+
+
 def test_options_win_over_the_stage() -> None:
     said = facts(time_codes_per_second=48.0, start_time_code=101.0)
     s = settled(said=said, fps=30.0, start=0.0, frames=7, gravity="1.62", drag=0.25, seed=3)

@@ -40,6 +40,12 @@ HEADS = {
     "a range, other fps": (RANGE, 48.0, 5.0, 15.0),
     "a range and a rate, other fps": (f"{RANGE}\n    {RATE}", 48.0, 5.0, 15.0),
     "twice the rate": (f"{RANGE}\n    timeCodesPerSecond = 48", 24.0, 5.0, 15.0),
+    "frames of playback": (
+        f"{RANGE}\n    timeCodesPerSecond = 48\n    framesPerSecond = 24",
+        None,
+        5.0,
+        15.0,
+    ),
 }
 
 
@@ -64,6 +70,7 @@ def test_the_first_frame_is_the_source_at_that_time(name: str, tmp_path: Path) -
     assert times[0] == start
     # a second of playback is a second, in the source as in the bake
     assert baked.GetTimeCodesPerSecond() == Usd.Stage.Open(str(source)).GetTimeCodesPerSecond()
+    assert baked.GetFramesPerSecond() == (fps or 24.0)
     assert times[1] - times[0] == baked.GetTimeCodesPerSecond() / (fps or 24.0)
     ours, theirs = (world_points(stage, "/World/Box", start) for stage in (baked, none))
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-5)

@@ -118,7 +118,9 @@ def stage_facts(
     Raises InputError for a unit, an axis or a time code that makes no sense.
     """
     root = stage.GetRootLayer()
-    rate = next((_metadata(stage, key) for key in RATES if stage.HasAuthoredMetadata(key)), None)
+    codes, frames = (
+        float(_metadata(stage, key)) if stage.HasAuthoredMetadata(key) else None for key in RATES
+    )
     for error in stage.GetCompositionErrors():
         notes.add(f"does not compose: {_first_line(_text(error))}")
     default = stage.GetDefaultPrim()
@@ -137,7 +139,8 @@ def stage_facts(
         up_axis=axis,
         unit_from=unit_from,
         axis_from=axis_from,
-        time_codes_per_second=None if rate is None else float(rate),
+        time_codes_per_second=frames if codes is None else codes,
+        frames_per_second=frames,
         start_time_code=_time_code(root.HasStartTimeCode(), root.startTimeCode, path, "start"),
         end_time_code=_time_code(root.HasEndTimeCode(), root.endTimeCode, path, "end"),
         root_prims=tuple(

@@ -56,7 +56,14 @@ def test_facts_of_a_stage_that_says_nothing(read):
 
 
 def test_frames_per_second_stand_in_for_time_codes_per_second(read):
-    assert read(f"#usda 1.0\n(framesPerSecond = 30)\n{BALL}").facts.time_codes_per_second == 30
+    facts = read(f"#usda 1.0\n(framesPerSecond = 30)\n{BALL}").facts
+    assert (facts.time_codes_per_second, facts.frames_per_second) == (30, 30)
+
+
+def test_frames_per_second_are_those_of_playback(read):
+    said = "framesPerSecond = 24\n timeCodesPerSecond = 48"
+    facts = read(f"#usda 1.0\n({said})\n{BALL}").facts
+    assert (facts.time_codes_per_second, facts.frames_per_second) == (48, 24)
 
 
 def test_an_applied_physics_schema_counts_as_physics(read):
