@@ -19,7 +19,7 @@ from gf_usd.core.mesh import areas, shells
 from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
 from gf_usd.geometry.solid import Solid
-from gf_usd.geometry.surface import nearest
+from gf_usd.geometry.surface import Nearest, nearest
 
 FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] three quarters of a cell: a thinner wall may have no cell of its own that is more
@@ -32,6 +32,7 @@ THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
 BARE, CLEARLY_BARE = 1.5, 2.0  # [spacings]
 PLATE = 4.0  # [spacings] area over length of a region that is no mere edge: both sides of a strip
 STEPS = 4  # inward
+OFF_EDGE = 0.01  # of the way to the middle of a triangle
 VOLUME_POINTS = 20_000  # a region that holds a hundredth of its box is measured to 7 %
 SENSIBLE = 2_000_000  # particles: more is no advice
 
@@ -133,7 +134,8 @@ def _poor_regions(
     s = particles.spacing
     distance = kd_tree(particles.X).query(samples.X)[0]
     at = nearest(solid, samples.X)
-    poor = np.flatnonzero((distance > BARE * s) | _thin(solid, samples.X, at.normal, s))
+    X = _off_edges(solid, samples.X, at)
+    poor = np.flatnonzero((distance > BARE * s) | _thin(solid, X, at.normal, s))
     if len(poor) == 0:
         return []
     X, area, owner = samples.X[poor], samples.area[poor], at.surface[poor]
@@ -177,6 +179,19 @@ def _poor_regions(
             )
         )
     return found
+
+
+def _off_edges(solid: Solid, X: Floats, at: Nearest) -> Floats:
+    """Surface points X (n, 3) a little toward the middle of their triangle.
+
+    Inward of a point on an edge lies in the plane of the other face: neither inside nor outside.
+    """
+    moved = X.copy()
+    for number, surface in enumerate(solid.surfaces):
+        mine = at.surface == number
+        middle = surface.points[surface.triangles[at.triangle[mine]]].mean(axis=1)
+        moved[mine] += OFF_EDGE * (middle - X[mine])
+    return moved
 
 
 def _thin(solid: Solid, X: Floats, normal: Floats, spacing: float) -> winding.Flags:

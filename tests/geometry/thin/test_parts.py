@@ -8,6 +8,7 @@ import trimesh
 from solids import cube, fill, solid, sphere, surface
 
 from gf_usd.geometry.thin.parts import FEW, poor_parts, suggestion
+from gf_usd.readers import read_asset
 
 
 def parts_of(*surfaces, particles):
@@ -34,6 +35,15 @@ def hat():
 @pytest.mark.parametrize("body", [sphere(), cube()], ids=["ball", "box"])
 def test_a_body_without_thin_parts_has_none(body, particles):
     assert parts_of(body, particles=particles) == ()
+
+
+@pytest.mark.parametrize("particles", [2000, 5200, 8000])
+def test_the_edges_of_a_divided_box_are_not_thin(tmp_path, particles):
+    # Samples are its points, also those on its edges: inward of them is in another face.
+    file = tmp_path / "cube.usda"
+    file.write_text('#usda 1.0\n(metersPerUnit = 1)\ndef Cube "Cube" {}')
+    (box,) = read_asset(file).surfaces
+    assert parts_of(box, particles=particles) == ()
 
 
 def test_shells_thinner_than_a_spacing_are_named():
