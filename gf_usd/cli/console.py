@@ -32,7 +32,6 @@ def show_plan(
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
-    contact = d["first_contact_frame"]
     too_long = d["estimated_seconds"] > 3600.0 * max_hours
     lines = [
         f"{d['source']}: {len(d['bodies'])} mesh(es), {d['volume_m3']:.4g} m^3,"
@@ -42,8 +41,7 @@ def show_plan(
         f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {d['start']:g}",
         "substeps    "
         + ", ".join(f"{n} per frame ({look})" for look, n in d["substeps_per_frame"].items()),
-        f"drop        {d['drop_m']:.3g} m, "
-        + (f"first contact at frame {contact}" if contact is not None else "no contact"),
+        f"drop        {d['drop_m']:.3g} m, {landing_of(prepared.plan, d)}",
         f"time        {time_of(d)}"
         + (f": refused because it is more than --max-hours {max_hours:g}" if too_long else ""),
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
@@ -52,6 +50,16 @@ def show_plan(
         *(_told(prepared.plan, note) for note in (*d["notes"], *saved)),
     ]
     typer.echo("\n".join(lines), err=err)
+
+
+def landing_of(plan: Plan, cost: Mapping[str, Any]) -> str:
+    """When the body first touches the floor, by the estimate of its cost."""
+    from gf_usd.pipeline.prepared import more_than_a_fall
+
+    if more := more_than_a_fall(plan):
+        return f"first contact is not estimated with {more}"
+    frame = cost["first_contact_frame"]
+    return "no contact with a floor" if frame is None else f"first contact at frame {frame}"
 
 
 def announce(prepared: Prepared) -> None:

@@ -12,7 +12,8 @@ meshes      of each: path, type, points, faces, triangles, quads, ngons, largest
             volume_m3, area_m2, collapsed, slivers, duplicates, non_manifold_edges, repairs {};
             shells: index, triangles, low, size, volume_m3, area_m2, winding, against, and holes:
             edges, size, center, share
-body        particles, spacing, volume_m3, radius, frames, fps, start, drop, first_contact_frame,
+body        particles, spacing, volume_m3, radius, frames, fps, start, drop, first_contact_frame
+            (of a fall on the floor; None also where it is not estimated, as with obstacles),
             thickness_5_percent (of the surface is no thicker), thickness_median, and the
             particles_across the former
 parts       poorly filled: path, shell, kind (empty | few | thin | bare region | thin region),

@@ -68,7 +68,7 @@ class Prepared:
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             paired=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
-            first_contact=contact,
+            first_contact=None if more_than_a_fall(plan) else contact,
             flying=flying(plan),
             fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
             damping=[self.solvers.damping(variant) for variant in plan.variants],
@@ -173,6 +173,20 @@ def draw(scene: Scene, size: tuple[int, int]) -> Any:
 def pushed(plan: Plan) -> bool:
     """Whether more than gravity and contact moves the bodies."""
     return plan.held or bool(plan.settings.fields)
+
+
+def more_than_a_fall(plan: Plan) -> str:
+    """What keeps the first contact from being that of a fall on the floor, in a word; "": nothing.
+
+    `first_contact` knows nothing of it.
+    """
+    if plan.contact_setup is not None and plan.contact_setup.colliders:
+        return "obstacles"
+    if plan.held or plan.goals:
+        return "pins or animation"
+    if plan.settings.fields:
+        return "fields"
+    return "velocities" if any(map(callable, plan.velocity)) else ""
 
 
 def flying(plan: Plan) -> int:

@@ -51,6 +51,26 @@ def test_a_dry_run_says_and_writes_nothing_else(gf_usd, here: Path, block: Path)
     assert names(here) == []
 
 
+TABLE = """
+    def Cube "Table" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+    {
+        double size = 100
+    }
+}
+"""
+
+
+def test_a_fall_on_an_obstacle_is_not_called_no_contact(gf_usd, here: Path, block: Path) -> None:
+    text = block.read_text(encoding="utf-8").rstrip()
+    block.write_text(text.removesuffix("}") + TABLE, encoding="utf-8")
+    for command in (("bake", "--dry-run"), ("inspect",)):
+        done = gf_usd(*command, block, "--particles", "300")
+        assert "first contact is not estimated with obstacles" in done.out
+        assert "no contact" not in done.out
+    plan = strict(gf_usd("bake", block, "--particles", "300", "--dry-run", "--json").out)
+    assert plan["first_contact_frame"] is None
+
+
 def test_the_recorded_command_bakes_the_same_again(gf_usd, here: Path, block: Path) -> None:
     first = gf_usd(
         "bake", block, "--spacing", "3.7654321", "--frames", "3", "-m", "jelly", "--seed", "5",

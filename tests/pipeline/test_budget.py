@@ -219,6 +219,8 @@ def test_first_contact_is_a_fall(plan: Plan) -> None:
     assert cost(replace(plan, drop=20.0))["first_contact_frame"] is None, "after the bake"
     none = replace(plan, settings=replace(plan.settings, floor=None))
     assert cost(none)["first_contact_frame"] is None
+    thrown = replace(plan, velocity=(lambda X: 0.0 * X + 1.0,))
+    assert cost(thrown)["first_contact_frame"] is None
     # On a slope of 60 degrees, 1 m of height is half a meter along the normal, and so is g: the
     # time is the same.
     n = (math.sin(math.pi / 3.0), math.cos(math.pi / 3.0), 0.0)
