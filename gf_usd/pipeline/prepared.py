@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import MIXED, sampled
+from gf_usd.core.frames import MIXED, sampled, written
 from gf_usd.core.scene import Scene
 from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
 from gf_usd.pipeline.cost.budget import (
@@ -25,6 +25,7 @@ from gf_usd.pipeline.cost.forecast import (
     Stages,
     Watch,
 )
+from gf_usd.prepare.options.choices import split_again
 from gf_usd.prepare.plan import Plan, Variant
 from gf_usd.prepare.prepare import Refill
 from gf_usd.prepare.prepare import prepare as prepare_plan
@@ -144,12 +145,16 @@ def of_a_shot(prepared: Prepared) -> Prepared:
         f" at most {plan.settings.frames} frames in about"
         f" {duration(prepared.cost['estimated_seconds'])}; use --frames rest for that"
     )
+    settings = replace(plan.settings, frames=frames)
+    choices, notes = split_again(
+        plan.choices, plan.notes, plan.frame_bytes, written(plan.settings), written(settings)
+    )
     shorter = replace(
         plan,
-        settings=replace(plan.settings, frames=frames),
+        settings=settings,
         each=tuple(replace(one, frames=frames) for one in plan.each),
-        choices=replace(plan.choices, until_rest=False, open_end=False),
-        notes=(*plan.notes, note),
+        choices=replace(choices, until_rest=False, open_end=False),
+        notes=(*notes, note),
     )
     return replace(prepared, plan=shorter)
 

@@ -285,6 +285,18 @@ def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch, limit,
     )
 
 
+@pytest.mark.parametrize("clips", [False, True])
+def test_the_cache_of_a_shot_is_split_by_its_own_size(monkeypatch, clips: bool) -> None:
+    whole = gf_usd.inspect(SPHERE, **FEW).plan
+    shot = shot_frames(whole.settings.frames) * whole.frame_bytes
+    monkeypatch.setattr("gf_usd.pipeline.prepared.REST_WORK", 100.0)
+    monkeypatch.setattr("gf_usd.core.frames.LARGE", (0.5 if clips else 2.0) * shot)
+    plan = gf_usd.inspect(SPHERE, **FEW).plan
+    assert bool(plan.choices.clip_frames) == clips
+    notes = [note for note in plan.notes if "is split into value clips" in note]
+    assert [f"about {shot / 1e9:.1f} GB" in note for note in notes] == [True] * clips
+
+
 @pytest.mark.slow
 def test_a_bake_ends_at_rest_and_says_what_that_took(tmp_path: Path) -> None:
     done = gf_usd.bake(SPHERE, output=tmp_path / "s.usda", only="mesh", **SMALL)

@@ -73,13 +73,33 @@ def chosen(
         if choices.flat or choices.settled
         else clip_length(request.clip_frames, size, written(settings))
     )
-    notes = ()
-    if length and request.clip_frames is None:
-        notes = (
-            f"the cache, about {size * written(settings) / 1e9:.1f} GB, is split into value clips"
-            f" of {length} frames: --clip-frames 0 keeps it in one file",
-        )
+    unasked = length and request.clip_frames is None
+    notes = (split_note(size, written(settings), length),) if unasked else ()
     return replace(choices, clip_frames=length), notes
+
+
+def split_note(frame_bytes: float, frames: int, length: int) -> str:
+    """That a cache is split unasked into value clips of so many frames."""
+    return (
+        f"the cache, about {frame_bytes * frames / 1e9:.1f} GB, is split into value clips"
+        f" of {length} frames: --clip-frames 0 keeps it in one file"
+    )
+
+
+def split_again(
+    choices: Choices, notes: tuple[str, ...], frame_bytes: float, planned: int, frames: int
+) -> tuple[Choices, tuple[str, ...]]:
+    """The choices and the notes of a bake with fewer frames than were planned.
+
+    A cache that was split unasked is split only where it is still large.
+    """
+    said = split_note(frame_bytes, planned, choices.clip_frames)
+    if said not in notes:
+        return choices, notes
+    length = clip_length(None, frame_bytes, frames)
+    now = (split_note(frame_bytes, frames, length),) if length else ()
+    at = notes.index(said)
+    return replace(choices, clip_frames=length), (*notes[:at], *now, *notes[at + 1 :])
 
 
 SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
