@@ -177,6 +177,7 @@ class BodyPhysics:
     angular_velocity: Triple | None = None  # [rad/s]
     center: Triple | None = None  # [m] of mass, as authored; None: that of the volume
     moving: Floats | None = None  # (V, 3) [m/s of playback] of the animation that ends at rest
+    carried: bool = False  # an animated transform, its own or one above, moves it after that
     spec: PhysicsMaterialSpec = field(
         default_factory=PhysicsMaterialSpec
     )  # of the bound physics material

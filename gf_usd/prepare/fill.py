@@ -38,7 +38,7 @@ from gf_usd.prepare.bodies.contact import (
 )
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.plan import plan_bodies
-from gf_usd.prepare.bodies.velocities import start_velocities
+from gf_usd.prepare.bodies.velocities import left_animation, start_velocities
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
 from gf_usd.prepare.materials.checks import require_standing
 from gf_usd.prepare.materials.conversion import with_conversions
@@ -298,6 +298,7 @@ def fill(
             body=bodies.embedded, copies=limbs.embedded_copies,
         )  # fmt: skip
         stated += (f"attachments pull parts of the body with springs: {', '.join(springs)}",)
+    alone = () if goals else left_animation(bodies, spec.bodies, limbs.particles, pins)
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -331,7 +332,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *sunk,
-            *flesh.notes, *limbs.notes, *materials.notes, *weak,
+            *alone, *flesh.notes, *limbs.notes, *materials.notes, *weak,
             *physics.notes,
             *unfilled, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),

@@ -2,20 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames import Particles
-from gf_usd.core.stage import BodyPhysics, Triple
+from gf_usd.core.stage import BodyPhysics, Pin, Triple
 from gf_usd.prepare.bodies.plan import BodyPlan
+from gf_usd.readers.notes import Notes
 
-if TYPE_CHECKING:
-    pass
+CARRIED = (
+    "its transform is animated: the simulation starts from its pose at the first frame, and does"
+    " not follow the animation after that"
+)
+
+
+def left_animation(
+    bodies: BodyPlan, said: dict[str, BodyPhysics], particles: Particles, pins: Sequence[Pin]
+) -> tuple[str, ...]:
+    """Notes on surfaces that an animated transform moves, and no pin their body."""
+    held = np.zeros(len(particles), bool)
+    for pin in pins:
+        if pin.rigid:
+            continue
+        mine = np.asarray(pin.inside(particles.X), bool)
+        if not mine.any():  # a region may hold nodes of the grid only
+            mine[np.argmin(np.linalg.norm(particles.X - pin.anchors.mean(0), axis=1))] = True
+        held |= mine
+    body = np.zeros(len(particles), int) if particles.body is None else particles.body
+    followed = set(body[held].tolist())
+    notes = Notes()
+    for k, paths in enumerate(bodies.surfaces):
+        for path in paths:
+            if k not in followed and path in said and said[path].carried:
+                notes.add(CARRIED, path)
+    return notes.lines()
 
 
 def start_velocities(

@@ -41,7 +41,12 @@ from gf_usd.readers.usd_physics.attributes import (
     vector,
 )
 from gf_usd.readers.usd_physics.materials import read_material_spec
-from gf_usd.readers.usd_physics.motion import Readings, matrix, velocity_at_rest
+from gf_usd.readers.usd_physics.motion import (
+    Readings,
+    is_carried_on,
+    matrix,
+    velocity_at_rest,
+)
 
 MASS = "PhysicsMassAPI"
 MASSES = ("physics:mass", "omniphysics:mass")
@@ -86,6 +91,7 @@ def read_body(
         angular_velocity=spin,
         center=_center(owner or prim, here),
         moving=velocity_at_rest(prim, readings, rest, step, notes),
+        carried=is_carried_on(prim, time),
         spec=spec,
         material=materials.whole(spec, density) if materials else None,
         subsets=read_subsets(prim, facts, time, materials, density, notes) if materials else (),

@@ -82,6 +82,20 @@ def transform_varies(prim: Usd.Prim) -> bool:
     return False
 
 
+def is_carried_on(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether its transform, or one above it, moves the prim after a time."""
+    codes: set[float] = set()
+    above = prim
+    while above and not above.IsPseudoRoot():
+        if placed := UsdGeom.Xformable(above):
+            codes.update(placed.GetTimeSamples())
+        above = above.GetParent()
+    shown = UsdGeom.Imageable(prim)
+    here = shown.ComputeLocalToWorldTransform(time)
+    later = (code for code in sorted(codes) if code > time.GetValue())
+    return any(shown.ComputeLocalToWorldTransform(code) != here for code in later)
+
+
 def shape_varies(prim: Usd.Prim, reading: Reading) -> bool:
     """Whether the points could move by themselves, or a skeleton moves them."""
     if prim.IsA(UsdGeom.Mesh) and reading.skins.placement(prim) is not None:

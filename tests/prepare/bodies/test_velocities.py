@@ -76,6 +76,40 @@ def test_one_of_the_two_leaves_the_other_to_the_stage(plan) -> None:
     assert abs(np.average(v[:, 2], weights=made.particles.V0)) < 1e-9, "the velocity is replaced"
 
 
+def carried(*bodies: str, samples: str = "1: (0, 9, 0), 5: (4, 9, 0)") -> str:
+    """A root prim /Up with these bodies, that an animated transform moves."""
+    move = f"double3 xformOp:translate.timeSamples = {{ {samples} }}"
+    order = 'uniform token[] xformOpOrder = ["xformOp:translate"]'
+    return f'def Xform "Up"\n{{\n{move}\n{order}\n{"".join(bodies)}\n}}\n'
+
+
+def alone(plan: Plan) -> list[str]:
+    return [note.split(": its transform is animated")[0] for note in plan.notes if ANIMATED in note]
+
+
+ANIMATED = "its transform is animated: the simulation starts from its pose at the first frame"
+
+
+def test_a_note_says_that_animated_transforms_are_not_followed(plan) -> None:
+    three = mesh("One"), mesh("Two", at(3.0)), mesh("Three", at(6.0))
+    assert alone(plan(carried(*three[:2]))) == ["/Up/One and /Up/Two"]
+    assert alone(plan(carried(*three))) == ["/Up/One and 2 more"]
+    assert alone(plan(mesh("One"))) == []
+
+
+def test_animation_that_ends_at_the_first_frame_is_not_left(plan) -> None:
+    body = carried(mesh("One"), samples="-4: (0, 9, 0), 1: (0, 8, 0)")
+    assert alone(plan(body, start=1.0)) == []
+    assert alone(plan(body, start=0.0)) == ["/Up/One"]
+
+
+def test_pinned_bodies_and_obstacles_follow_animated_transforms(plan) -> None:
+    two = carried(mesh("One"), mesh("Two", at(3.0)))
+    assert alone(plan(two, pins=["/Up/One"])) == ["/Up/Two"]
+    tray = mesh("Tray", at(0.0, -3.0), apis=("PhysicsCollisionAPI",))
+    assert alone(plan(carried(mesh("One"), tray))) == ["/Up/One"]
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
