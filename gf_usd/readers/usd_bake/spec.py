@@ -41,6 +41,8 @@ def read_stage_spec(
         skipped=(*asset.skipped, *out.items()),
     )
     physics = read_motion(asset, file, rest=rest, times=(), elastic=elastic)
+    met = {one.path: _obstacle(one.role) for one in physics.colliders}
+    asset = replace(asset, skipped=tuple((p, met.get(p, why)) for p, why in asset.skipped))
     left = {s.path for s in asset.surfaces}
     return asset, StageSpec(
         bakes={path: bake for path, bake in bakes.items() if path in left},
@@ -64,5 +66,9 @@ def _kept_out(bake: PrimBake) -> str:
     if bake.enabled is False:
         return "the stage turns off its bake (gaussianFlesh:enabled)"
     if bake.obstacle:
-        return f"it is a {bake.role} collider: an obstacle"
+        return _obstacle(bake.role)
     return ""
+
+
+def _obstacle(role: str) -> str:
+    return f"it is a {role} collider: an obstacle"

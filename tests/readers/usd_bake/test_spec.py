@@ -23,6 +23,17 @@ def soft(plan) -> list[str]:
     return [s.path for s in plan.asset.surfaces]
 
 
+def test_a_collider_that_could_not_be_baked_is_called_an_obstacle(plan) -> None:
+    ground = prim("Plane", "Ground", 'uniform token axis = "Y"', at(0.0, -2.0), apis=[COLLISION])
+    wall = mesh("Wall", at(9.0), 'token visibility = "invisible"', apis=[COLLISION])
+    seen = plan(mesh("One", at(0.0, 4.0)), ground, wall, prim("Plane", "Backdrop"))
+    assert [c.path for c in seen.contact_setup.colliders] == ["/Ground", "/Wall"]
+    assert noted(seen, "</Wall> is not baked: it is a static collider: an obstacle")
+    assert noted(seen, "</Ground> is not baked: it is a static collider: an obstacle")
+    assert noted(seen, "</Backdrop> is not baked: Plane: only meshes")
+    assert not noted(seen, "</Ground> is not baked: Plane")
+
+
 def test_colliders_are_obstacles_and_no_bodies(plan) -> None:
     tray = mesh("Tray", SLIDE, KINEMATIC, apis=[COLLISION, RIGID])
     seen = plan(mesh("One", at(0.0, 4.0)), TABLE, tray)
