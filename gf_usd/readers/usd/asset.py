@@ -12,7 +12,14 @@ from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, first_time_cod
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import Reading, read_surface
-from gf_usd.readers.usd.select import Selection, instances_above, select
+from gf_usd.readers.usd.select import (
+    INVISIBLE,
+    PURPOSE,
+    REPEATED,
+    Selection,
+    instances_above,
+    select,
+)
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
@@ -114,7 +121,7 @@ def _nothing(
         more = f" and {len(skipped) - 1} more" if len(skipped) > 1 else ""
         return InputError(
             f"{path}: nothing under {under} can be made soft: {where} ({reason}){more}",
-            "give the asset a visible mesh, or name other prims with --prim",
+            _remedy(stage, where, reason, by_name),
         )
     there = ", ".join(f"{n} {name}" for name, n in found.types.most_common(5)) or "nothing"
     elsewhere = [] if by_name else _meshes_elsewhere(stage)
@@ -122,6 +129,31 @@ def _nothing(
     if elsewhere:
         hint = f"there are meshes outside the default prim: --prim {elsewhere[0]}"
     return InputError(f"{path}: no mesh was found under {under}, which contains {there}", hint)
+
+
+def _remedy(stage: Usd.Stage, where: str, reason: str, by_name: bool) -> str:
+    """What would make the prim at a path soft, which was left out for a reason."""
+    if reason == INVISIBLE:
+        return f"make {where} visible in the file: what is hidden is not baked"
+    if reason.startswith(PURPOSE):
+        return f"set the purpose of {where} to default or render in the file"
+    if reason.endswith(REPEATED):
+        own = _own_file(stage, where)
+        what = f"the prototype's own file, {own}" if own else "a file with the prototype alone"
+        return f"bake {what}; the prototype may reference the result"
+    mesh = "give the asset a visible mesh"
+    return mesh if by_name else f"{mesh}, or name other prims with --prim"
+
+
+def _own_file(stage: Usd.Stage, where: str) -> str:
+    """The file that a prototype, or the first of a PointInstancer, is in; "" for the asset's."""
+    prim = stage.GetPrimAtPath(where)
+    if instancer := UsdGeom.PointInstancer(prim):
+        prims = map(stage.GetPrimAtPath, instancer.GetPrototypesRel().GetForwardedTargets())
+        prim = next((one for one in prims if one), prim)
+    layers = [spec.layer for spec in prim.GetPrimStack()]
+    others = [layer for layer in layers if layer not in stage.GetLayerStack()]
+    return Path(others[0].realPath).name if others else ""
 
 
 def _meshes_elsewhere(stage: Usd.Stage) -> list[str]:

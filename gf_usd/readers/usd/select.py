@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,8 @@ from gf_usd.readers.usd.solids.points import is_body
 # Prims of an instance are read in place, as if it were not one.
 PROXIES = Usd.TraverseInstanceProxies()
 BAKED_PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+# Why a prim is left out: the whole reason, how it begins, and how it ends.
+INVISIBLE, PURPOSE, REPEATED = "invisible", "purpose ", ": its instances are not made soft"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,9 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
     InputError for a prim path that does not exist.
     """
     if prims:
-        roots = [named_prim(stage, path, name) for name in prims]
+        roots = [
+            named_prim(stage, path, name, among=lambda: bakeable(stage, time)) for name in prims
+        ]
     elif default := stage.GetDefaultPrim():
         roots = [default]
     else:
@@ -58,13 +62,13 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
         for prim in walk:
             types[str(prim.GetTypeName()) or "untyped prim"] += 1
             if _is_hidden(prim, time):
-                skipped[str(prim.GetPath())] = "invisible"
+                skipped[str(prim.GetPath())] = INVISIBLE
                 walk.PruneChildren()
             elif prim.IsA(UsdGeom.PointInstancer):
-                skipped[str(prim.GetPath())] = "PointInstancer: its instances are not made soft"
+                skipped[str(prim.GetPath())] = f"PointInstancer{REPEATED}"
                 walk.PruneChildren()
             elif instancer := repeated.get(prim.GetPath()):
-                why = f"prototype of <{instancer}>: its instances are not made soft"
+                why = f"prototype of <{instancer}>{REPEATED}"
                 skipped[str(prim.GetPath())] = why
                 walk.PruneChildren()
             elif prim.IsA(UsdGeom.Gprim):
@@ -99,6 +103,12 @@ def _model(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | 
     return None
 
 
+def bakeable(stage: Usd.Stage, time: Usd.TimeCode) -> set[Sdf.Path]:
+    """Paths of the prims that can be asked for: what `select` finds everywhere, and those above."""
+    everywhere = select(stage, Path(), ["/"], time).geometry
+    return {path for prim in everywhere for path in prim.GetPath().GetPrefixes()}
+
+
 def _prototypes(stage: Usd.Stage) -> dict[Sdf.Path, Sdf.Path]:
     """What PointInstancers repeat, and which one does: moved, it would move every copy."""
     found: dict[Sdf.Path, Sdf.Path] = {}
@@ -126,11 +136,20 @@ def _why_not(prim: Usd.Prim, time: Usd.TimeCode) -> str:
     elif not (has_surface(prim) or name == SPLAT_TYPE):
         return f"{name}: only meshes, solid shapes, points and splats are made soft"
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
-    return "" if purpose in BAKED_PURPOSES else f"purpose {purpose}"
+    return "" if purpose in BAKED_PURPOSES else f"{PURPOSE}{purpose}"
 
 
-def named_prim(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
-    """The prim that a user named; InputError with the nearest names where there is none."""
+def named_prim(
+    stage: Usd.Stage,
+    path: Path,
+    name: str,
+    *,
+    among: Callable[[], Collection[Sdf.Path]] | None = None,
+) -> Usd.Prim:
+    """The prim that a user named; InputError with the nearest names where there is none.
+
+    among : the paths that make sense there; None: all do.
+    """
     if Sdf.Path.IsValidPathString(name) and (wanted := Sdf.Path(name)).IsAbsolutePath():
         if wanted == Sdf.Path.absoluteRootPath:
             return stage.GetPseudoRoot()
@@ -144,7 +163,12 @@ def named_prim(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
             )
     else:
         wanted = None
-    every = [str(p.GetPath()) for p in Usd.PrimRange.Stage(stage, PROXIES)]
+    known = None if among is None else among()
+
+    def sensible(prims: Iterable[Usd.Prim]) -> list[str]:
+        return [str(p.GetPath()) for p in prims if known is None or p.GetPath() in known]
+
+    every = sensible(Usd.PrimRange.Stage(stage, PROXIES))
     leaf = name.rsplit("/", 1)[-1]
     close = [p for p in every if p.rsplit("/", 1)[-1] == leaf][:3]
     close += [p for p in difflib.get_close_matches(name, every, n=3) if p not in close]
@@ -152,8 +176,11 @@ def named_prim(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
         hint = f"did you mean {' or '.join(close)}?"
     else:
         parent = _nearest(stage, wanted)
-        names = ", ".join(str(p.GetPath()) for p in parent.GetAllChildren()[:8])
-        hint = f"{parent.GetPath()} exists and contains {names or 'nothing'}"
+        while known is not None and parent.GetParent() and parent.GetPath() not in known:
+            parent = parent.GetParent()
+        names = ", ".join(sensible(parent.GetAllChildren())[:8])
+        nothing = "nothing" if known is None else "nothing that can be baked"
+        hint = f"{parent.GetPath()} exists and contains {names or nothing}"
     raise InputError(f"{path}: there is no prim {name}", hint)
 
 

@@ -255,6 +255,66 @@ def test_a_missing_reference_beside_a_mesh_is_a_note(write, capfd):
     assert capfd.readouterr().err == ""
 
 
+HIDDEN = 'def Cube "A" {\n token visibility = "invisible"\n }'
+GUIDE = 'def Cube "A" {\n uniform token purpose = "guide"\n }'
+REPEATS = """def PointInstancer "A"
+{
+    rel prototypes = </A/B>
+    def Xform "B" %s
+    {
+        def Cube "C" {}
+    }
+}"""
+
+
+@pytest.mark.parametrize("prims", [(), ("/A",)])
+@pytest.mark.parametrize(
+    ("body", "hint"),
+    [
+        (HIDDEN, "make /A visible in the file"),
+        (GUIDE, "set the purpose of /A to default or render"),
+        (REPEATS % "", "bake a file with the prototype alone;"),
+        (REPEATS % "(references = @ball.usda@</Ball>)", "the prototype's own file, ball.usda;"),
+    ],
+)
+def test_the_hint_says_what_makes_it_soft(read, tmp_path, body, hint, prims):
+    (tmp_path / "ball.usda").write_text('#usda 1.0\ndef Sphere "Ball" {}')
+    with pytest.raises(InputError) as error:
+        read(body, prims=prims)
+    assert hint in error.value.hint
+    assert "--prim" not in error.value.hint
+
+
+LOOKS = """def Xform "Ball"
+{
+    def Material "Red"
+    {
+        def Shader "Shade" {}
+    }
+    def Sphere "Skin" {}
+    def Cube "Shad"
+    {
+        token visibility = "invisible"
+    }
+}"""
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("/Ball/Skim", "did you mean /Ball/Skin or /Ball?"),
+        ("/Ball/Red/Shape", "/Ball exists and contains /Ball/Skin"),
+        ("/Ball/Red/Shades", "/Ball exists and contains /Ball/Skin"),
+        ("/Shad", "/ exists and contains /Ball"),
+        ("/Ball/Wxyzwxyzwxyz", "/Ball exists and contains /Ball/Skin"),
+    ],
+)
+def test_only_what_can_be_baked_is_suggested(read, name, hint):
+    with pytest.raises(InputError) as error:
+        read(LOOKS, prims=[name])
+    assert error.value.hint == hint
+
+
 def test_an_inactive_prim_by_name(read):
     with pytest.raises(InputError, match="the prim /A is inactive"):
         read('def Cube "A" (active = false) {}\ndef Cube "B" {}', prims=["/A"])
