@@ -213,7 +213,7 @@ def divide_edges(points: Floats, triangles: Ints, longest: float, most: int = 0)
         ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], -1), axis=-1)
         edges, edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
         way = points[edges[:, 1]] - points[edges[:, 0]]
-        long = np.flatnonzero((way * way).sum(1) > longest**2)
+        long = np.flatnonzero((way * way).sum(1) > longest * longest)
         if len(long) == 0:
             break
         middle = np.full(len(edges), -1)
