@@ -181,6 +181,9 @@ def divided(points: Floats, triangles: Ints, area: float) -> Pieces:
     )
 
 
+EDGE = 2.0  # [spacings] that edges of a mesh may be long for it to show every bend of its body
+
+
 @dataclass(frozen=True, kw_only=True)
 class Division:
     """Triangles of which the long edges were halved, for all triangles at them alike."""

@@ -109,7 +109,6 @@ def fill(
 
     mended: tuple[str, ...] = ()
     agreed: tuple[str, ...] = ()
-    filled = asset
     follows = False  # a sheet is as thick as the spacing
     if repair:
         asset, filled, repairs = mend(asset, request, spec)

@@ -12,6 +12,7 @@ from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.materials.laws import check_law
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.presets import Fixed, find_preset
+from gf_usd.core.mesh import EDGE
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
-EDGE = 2.0  # [spacings] that an edge of a mesh is long with --max-edge-length auto
 DEFAULT_MATERIAL = "rubber"  # where nobody says anything
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]

@@ -58,15 +58,10 @@ class InsideMeasure:
     def __init__(
         self, surfaces: Sequence[Surface], spacing: float, frames: int, *, open_end: bool = False
     ) -> None:
-        first = np.cumsum([0, *(len(one.points) for one in surfaces)])
         self._paths = [one.path for one in surfaces]
-        self._triangles = np.ascontiguousarray(
-            np.concatenate([outward(one) + k for one, k in zip(surfaces, first)]), dtype=np.int64
-        )
-        self._points = np.concatenate([np.asarray(one.points, float) for one in surfaces])
-        counts = [len(one.triangles) for one in surfaces]
-        self._ends = np.cumsum([0, *counts])
+        self._points, self._triangles, self._ends = stacked(surfaces)
         self._pieces = divided(self._points, self._triangles, 0.5 * spacing**2)
+        counts = np.diff(self._ends)
         self._surface = np.repeat(np.arange(len(surfaces)), counts)[self._pieces.of]
         self._spacing, self._last = spacing, frames - 1
         self._stride, self._open_end = max(1, -(-frames // LOOKS)), open_end
@@ -196,6 +191,17 @@ class WoundSurfaces:
             made.init(points, np.ascontiguousarray(self._triangles[first:behind]))
         found = self._built[first, behind].winding_number(np.ascontiguousarray(X, dtype=float))
         return np.asarray(found).reshape(-1)
+
+
+def stacked(surfaces: Sequence[Surface]) -> tuple[Floats, Ints, Ints]:
+    """Points (V, 3) [m] of all at rest, triangles (T, 3) of all, and where those of each begin."""
+    first = np.cumsum([0, *(len(one.points) for one in surfaces)])
+    triangles = np.concatenate([outward(one) + k for one, k in zip(surfaces, first)])
+    return (
+        np.concatenate([np.asarray(one.points, float) for one in surfaces]),
+        np.ascontiguousarray(triangles, dtype=np.int64),
+        np.cumsum([0, *(len(one.triangles) for one in surfaces)]),
+    )
 
 
 def outward(surface: Surface) -> Ints:

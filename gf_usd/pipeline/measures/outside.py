@@ -21,7 +21,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
 from gf_usd.core.mesh import areas
-from gf_usd.pipeline.measures.inside import WITHIN, WoundSurfaces, outward
+from gf_usd.pipeline.measures.inside import WITHIN, WoundSurfaces, stacked
 
 LONG = 4.0  # [spacings] of an edge: those of shorter ones show every bend of the grid, two wide
 SHARE = 0.01  # of the area of all meshes, in faces with a long edge: less is a detail
@@ -44,15 +44,10 @@ class OutsideMeasure:
     """
 
     def __init__(self, surfaces: Sequence[Surface], X: Floats, spacing: float) -> None:
-        first = np.cumsum([0, *(len(one.points) for one in surfaces)])
         self._paths = [one.path for one in surfaces]
-        self._triangles = np.ascontiguousarray(
-            np.concatenate([outward(one) + k for one, k in zip(surfaces, first)]), dtype=np.int64
-        )
-        self._ends = np.cumsum([0, *(len(one.triangles) for one in surfaces)])
+        points, self._triangles, self._ends = stacked(surfaces)
         self._spacing = spacing
         some = np.arange(0, len(X), max(1, -(-len(X) // MOST)))
-        points = np.concatenate([np.asarray(one.points, float) for one in surfaces])
         self._rows: Ints = some[self._wound(points, X[some])]
 
     def measure(self, poses: Mapping[str, Pose], x: Floats) -> Outside:

@@ -19,7 +19,7 @@ from pxr import Sdf, Usd, UsdGeom
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import Division, divide_edges, signed_volume, triangulate
+from gf_usd.core.mesh import EDGE, Division, divide_edges, signed_volume, triangulate
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
 
 MOST = 4_000_000  # triangles of a mesh: more take the memory of a workstation
@@ -71,21 +71,25 @@ class DividedFaces:
         return nearest
 
 
+def long_faces(points: Floats, counts: Ints, indices: Ints, longest: float) -> Ints:
+    """(P,) whether a polygon has an edge longer than this; lines have no triangles, and stay."""
+    face = np.repeat(np.arange(len(counts)), counts)
+    start = np.cumsum(counts) - counts
+    after = np.arange(1, len(indices) + 1)
+    after = np.where(after == (start + counts)[face], start[face], after)
+    edge = lengths(points[indices[after]] - points[indices])
+    return (np.bincount(face, edge > longest, len(counts)) > 0) & (np.asarray(counts) >= 3)
+
+
 def divide_faces(points: Floats, counts: Ints, indices: Ints, longest: float) -> DividedFaces:
     """Divide polygons with an edge longer than this; the others stay, and meet them at their edges.
 
     points : (V, 3); counts : (P,); indices : (C,); longest : of the points' unit.
     """
     counts, indices = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
-    face = np.repeat(np.arange(len(counts)), counts)
-    start = np.cumsum(counts) - counts
-    after = np.arange(1, len(indices) + 1)
-    after = np.where(after == (start + counts)[face], start[face], after)
-    edge = lengths(points[indices[after]] - points[indices])
-    long = np.bincount(face, edge > longest, len(counts)) > 0
+    long, start = long_faces(points, counts, indices, longest), np.cumsum(counts) - counts
     triangles, corner, of = triangulate(points, counts, indices)
     cut = np.flatnonzero(long[of])
-    long = np.isin(np.arange(len(counts)), of[cut])  # lines have no triangles, and stay
     division = divide_edges(points, triangles[cut], longest, MOST)
     # Corners stand in one table: those of the faces before, then those of the triangles.
     kept, made = np.flatnonzero(~long), of[cut][division.of]
@@ -115,9 +119,9 @@ def divide_faces(points: Floats, counts: Ints, indices: Ints, longest: float) ->
 
 
 def fine_edge(surfaces: Sequence[Surface], particles: int) -> float:
-    """[m] two spacings of so many particles in all of the surfaces; infinite: they hold nothing."""
+    """[m] EDGE spacings of so many particles in all surfaces; infinite: they hold nothing."""
     volume = sum(abs(signed_volume(one.points, one.triangles)) for one in surfaces)
-    return 2.0 * float(np.cbrt(volume / particles)) if volume > 0.0 else float("inf")
+    return EDGE * float(np.cbrt(volume / particles)) if volume > 0.0 else float("inf")
 
 
 def divided(
@@ -144,18 +148,19 @@ def divided(
         if surface.type_name != "Mesh":
             continue
         prim = stage.GetPrimAtPath(surface.path)
-        made = divide_faces(surface.points, surface.face_counts, surface.face_indices, longest)
-        if not made.divided:
+        polygons = surface.points, surface.face_counts, surface.face_indices
+        if not (count := int(long_faces(*polygons, longest).sum())):
             continue
+        if why := _refusal(prim):
+            note(f"{count} faces longer than --max-edge-length stay: {why}", surface.path)
+            continue
+        made = divide_faces(*polygons, longest)
         if len(made.division.triangles) >= MOST:
             raise InputError(
                 f"{path}: {surface.path}: with edges of at most {longest / unit:g} units it would"
                 f" have more than {MOST:,} triangles",
                 "give a larger --max-edge-length",
             )
-        if why := _refusal(prim):
-            note(f"{made.divided} faces longer than --max-edge-length stay: {why}", surface.path)
-            continue
         _author(prim, made)
         note(
             f"{made.divided} of {len(surface.face_counts)} faces are divided: no edge is longer"

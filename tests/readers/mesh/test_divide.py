@@ -214,3 +214,14 @@ def test_an_edge_of_two_spacings(tmp_path: Path):
     longest = np.linalg.norm(fine.points[ends[:, 0]] - fine.points[ends[:, 1]], axis=1).max()
     assert 0.4 * edge < longest <= edge * (1.0 + 1e-6)
     assert fine_edge([], 700) == np.inf
+
+
+def test_a_mesh_that_stays_may_have_any_edges(tmp_path: Path, monkeypatch):
+    """It is not divided only to be counted."""
+    path = tmp_path / "prism.usda"
+    stage = stage_of(path)
+    cage(stage)
+    stage.Save()
+    monkeypatch.setattr(divide, "MOST", 500)
+    (surface,) = read_untrusted(path, max_edge_length=0.01).asset.surfaces
+    assert len(surface.points) == 10
