@@ -116,7 +116,7 @@ def disk_of(told: Mapping[str, Any]) -> str:
 EVERY = 30.0  # [s] between plain lines, at most
 PATIENCE = 5.0  # [s] before reading or filling is worth a line
 STEP = 0.1  # of the frames between plain lines, at most
-COMPILES = " (only once: later bakes with the same laws reuse them)"
+COMPILES = " (or loading them from the cache, once a bake with the same laws has compiled them)"
 
 
 @contextmanager

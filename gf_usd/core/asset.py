@@ -96,6 +96,14 @@ class Texture:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LimitSurface:
+    """What a renderer draws of the cage of a subdivision surface."""
+
+    shift: float  # [m] from the cage, at the farthest of its points
+    volume: float  # [m^3] that it encloses
+
+
+@dataclass(frozen=True, kw_only=True)
 class Surface:
     """One mesh of the asset, posed at the first frame."""
 
@@ -117,6 +125,7 @@ class Surface:
     splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
     own_points: int | None = None  # the first of `points` are the prim's own, the rest a surface
     # that was put around them, which is not written; None: all are
+    limit: LimitSurface | None = None  # of a cage that is far from it; None: drawn as it is
 
 
 @dataclass(frozen=True, kw_only=True)

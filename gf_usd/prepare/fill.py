@@ -28,6 +28,7 @@ from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare import paper as paper_options
+from gf_usd.prepare.bodies.cages import cage_notes
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
     contact_setup,
@@ -331,6 +332,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *sunk,
+            *cage_notes(solid.surfaces, particles.spacing),
             *alone, *flesh.notes, *limbs.notes, *materials.notes, *weak,
             *physics.notes,
             *unfilled, *left, *skin, *_options(made, each), *split,

@@ -147,7 +147,7 @@ def _divided(
     of: MeshSource | None = None,
 ) -> tuple[MeshSource, tuple[str, ...]]:  # fmt: skip
     """See `divided`; and what is said of the meshes."""
-    from gf_usd.readers.mesh.divide import divided, fine_edge
+    from gf_usd.readers.mesh.divide.layer import divided, fine_edge
     from gf_usd.readers.notes import Notes
 
     notes, unit = Notes(), asset.facts.units.length

@@ -95,9 +95,9 @@ class RequestOptions:
         above_zero=True, commands=INSPECT,
     )] = None
     max_edge_length: Annotated[float | str | None, Option(
-        PARTICLES, "Divide faces of meshes whose edges are longer than this [stage units], in a"
-        " layer over the asset, so that coarse meshes show how their bodies bend; auto: two"
-        " spacings of --particles.",
+        PARTICLES, "Divide faces of meshes, and refine cages of subdivision surfaces, whose edges"
+        " are longer than this [stage units], in a layer over the asset, so that coarse meshes show"
+        " how their bodies bend; auto: two spacings of --particles.",
         shown="meshes keep their faces", parse=texts.parse_edge_length, write=values.edge,
     )] = None
     seed: Annotated[int | None, Option(

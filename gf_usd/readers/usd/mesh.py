@@ -12,10 +12,11 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.asset import Surface
+from gf_usd.core.asset import LimitSurface, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.readers.mesh.divide.cages import cage_of, limit_surface
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.primvars import Corners
@@ -109,7 +110,16 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         materials=shading.materials,
         skinned=place.skinned,
         own_points=None if carriers is None else authored,
+        limit=_limit(prim, points, polygons),
     )
+
+
+def _limit(prim: Usd.Prim, points: Floats, polygons: Polygons) -> LimitSurface | None:
+    """See `limit_surface`; points : (V, 3) [m] of the polygons, world."""
+    if not prim.IsA(UsdGeom.Mesh):
+        return None
+    cage = cage_of(UsdGeom.Mesh(prim), polygons.counts, polygons.indices, len(points))
+    return None if cage is None else limit_surface(cage, points)
 
 
 def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:

@@ -48,7 +48,10 @@ def frames(run: UpdatedLagrangian, count: int):
     return [next(walk) for _ in range(count + 1)]
 
 
-@pytest.mark.parametrize("name", ["honey", "powder-snow", "dry-sand", "toothpaste"])
+@pytest.mark.parametrize(
+    "name",
+    ["honey", "powder-snow", pytest.param("dry-sand", marks=pytest.mark.slow), "toothpaste"],
+)
 def test_momenta_are_kept_and_the_energy_lost_is_counted(name: str) -> None:
     """The block implodes and turns; half of it is converted after two frames."""
     run = solver(Limit(kind=TIME, value=3.0), name, **FAST, frames=8)

@@ -11,8 +11,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import areas, signed_volume, triangulate
 from gf_usd.readers.isolated import read_untrusted
-from gf_usd.readers.mesh import divide
-from gf_usd.readers.mesh.divide import divide_faces, fine_edge
+from gf_usd.readers.mesh.divide import layer as divide
+from gf_usd.readers.mesh.divide.faces import divide_faces
+from gf_usd.readers.mesh.divide.layer import fine_edge
 
 LONGEST = 0.35
 # A prism over a pentagon, with a small square on its side: long and short faces, 3 to 5 corners.
@@ -169,14 +170,14 @@ def varying(stage: Usd.Stage) -> None:
         mesh.GetFaceVertexIndicesAttr().Set(INDICES.tolist(), code)
 
 
-def cage(stage: Usd.Stage) -> None:
-    UsdGeom.Mesh(stage.GetPrimAtPath("/A/Prism")).GetSubdivisionSchemeAttr().Clear()
+def loop(stage: Usd.Stage) -> None:
+    UsdGeom.Mesh(stage.GetPrimAtPath("/A/Prism")).GetSubdivisionSchemeAttr().Set("loop")
 
 
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (cage, "the cage of a subdivision surface"),
+        (loop, "the cage of a Loop subdivision surface"),
         (skinned, "it is skinned"),
         (varying, "its topology changes"),
     ],
@@ -220,7 +221,7 @@ def test_a_mesh_that_stays_may_have_any_edges(tmp_path: Path, monkeypatch):
     """It is not divided only to be counted."""
     path = tmp_path / "prism.usda"
     stage = stage_of(path)
-    cage(stage)
+    loop(stage)
     stage.Save()
     monkeypatch.setattr(divide, "MOST", 500)
     (surface,) = read_untrusted(path, max_edge_length=0.01).asset.surfaces

@@ -1,0 +1,233 @@
+"""Cages of subdivision surfaces: read from a stage, and refined until their edges are short.
+
+A refined cage has the same limit surface, so that what is rendered stays where it is, and the
+polygons that are simulated come close to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pxr import UsdGeom
+
+from gf_usd.core.arrays import Floats, Ints, lengths
+from gf_usd.core.asset import LimitSurface
+from gf_usd.core.mesh import signed_volume, triangulate
+from gf_usd.readers.mesh.divide.catmull_clark import (
+    INFINITE,
+    Cage,
+    Level,
+    boundary,
+    limit,
+    refine,
+    sharp_edges,
+)
+from gf_usd.readers.mesh.divide.faces import CORNERS, FACES, POINTS
+
+NEAR = 0.005  # of the size of a mesh: no bake has so small a spacing
+LARGE = 200_000  # corners
+
+
+def cage_of(mesh: UsdGeom.Mesh, counts: Ints, indices: Ints, points: int) -> Cage | None:
+    """The cage of a Catmull-Clark surface; None: the mesh has another scheme, or faces that have
+    fewer than three corners.
+
+    Creases and corners that name points or edges that are not there are passed over.
+    """
+    counts, indices = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
+    if str(mesh.GetSubdivisionSchemeAttr().Get()) != UsdGeom.Tokens.catmullClark:
+        return None
+    if len(counts) == 0 or counts.min() < 3:
+        return None
+    cage = Cage(
+        counts=counts, indices=indices, points=points,
+        edge_sharpness=np.zeros(len(indices)), point_sharpness=np.zeros(points),
+    )  # fmt: skip
+    keys = _keys(cage.ends(), points)
+    ends, sharpness = _creases(mesh, points)
+    if len(ends):
+        sharp, where = np.unique(_keys(ends, points), return_inverse=True)
+        most = np.zeros(len(sharp))
+        np.maximum.at(most, where.reshape(-1), sharpness)
+        at = np.searchsorted(sharp, keys).clip(max=len(sharp) - 1)
+        cage.edge_sharpness[:] = np.where(sharp[at] == keys, most[at], 0.0)
+    at, sharpness = _corners(mesh, points)
+    np.maximum.at(cage.point_sharpness, at, sharpness)
+    if str(mesh.GetInterpolateBoundaryAttr().Get()) != UsdGeom.Tokens.edgeOnly:
+        outer = boundary(cage)
+        alone = np.bincount(indices, minlength=points)[outer] == 1
+        cage.point_sharpness[outer[alone]] = INFINITE
+    return cage
+
+
+def limit_surface(cage: Cage, points: Floats) -> LimitSurface | None:
+    """The limit surface of a cage with points (V, 3) [m]; None where it is NEAR all of them, or
+    where the cage has more than LARGE corners: such a cage is fine.
+    """
+    size = float(np.ptp(points, axis=0).max(initial=0.0))
+    edges = points[cage.ends()]
+    longest = lengths(edges[:, 1] - edges[:, 0]).max(initial=0.0)
+    if len(cage.indices) > LARGE or longest <= NEAR * size:
+        return None
+    level = refine(cage)
+    refined = level.points(points)
+    shift = float(lengths(limit(level, refined, cage.points) - points).max())
+    if shift <= NEAR * size:
+        return None
+    finer = refine(level.cage)
+    there = finer.points(refined)
+    triangles = triangulate(there, finer.cage.counts, finer.cage.indices)[0]
+    return LimitSurface(shift=shift, volume=abs(signed_volume(there, triangles)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinedCage:
+    """A cage after some levels of refinement."""
+
+    cage: Cage
+    levels: tuple[Level, ...]
+    divided: int  # faces before
+
+    @property
+    def counts(self) -> Ints:
+        """(P',) corners of each face."""
+        return (self.levels[-1].cage if self.levels else self.cage).counts
+
+    @property
+    def indices(self) -> Ints:
+        """(C',) points of the corners."""
+        return (self.levels[-1].cage if self.levels else self.cage).indices
+
+    @property
+    def face(self) -> Ints:
+        """(P',) the face before that each lies in."""
+        face = np.arange(len(self.cage.counts))
+        for level in self.levels:
+            face = face[level.face]
+        return face
+
+    def values(self, given: Any, elements: str, width: int = 1) -> Any:
+        """Values (n, ...) of points, faces or corners, of those that there are now.
+
+        Numbers of points are subdivided like the points themselves, others with a fraction are
+        interpolated; of those without one the nearest is taken.  width : values of each element.
+        """
+        given = given.reshape(-1, width, *given.shape[1:])
+        out = given if given.dtype.kind != "f" or elements == FACES else given.astype(float)
+        for level in self.levels:
+            if elements == FACES:
+                out = out[level.face]
+            elif elements == CORNERS and given.dtype.kind == "f":
+                out = level.corners(out)
+            elif elements == CORNERS:
+                out = out[np.repeat(level.owner, 4)]
+            elif given.dtype.kind != "f":
+                out = out[level.first]
+            else:
+                out = level.points(out) if elements == POINTS else level.linear(out)
+        return out.reshape(-1, *given.shape[2:]).astype(given.dtype)
+
+    def faces(self, given: Ints) -> Ints:
+        """The faces that lie in some of those before."""
+        return np.flatnonzero(np.isin(self.face, given))
+
+    def smooth_corners(self, given: Floats, linear: str) -> Floats:
+        """Values (C, ...) of corners, smooth within the regions that have no seam between corners.
+
+        linear : faceVaryingLinearInterpolation of the mesh; `all` is `values`.
+        """
+        table, cage = _regions(self.cage, given.astype(float), linear)
+        for _ in self.levels:
+            level = refine(cage)
+            table, cage = level.points(table), level.cage
+        return table[cage.indices].astype(given.dtype)
+
+    def author(self, mesh: UsdGeom.Mesh) -> None:
+        """Write what is sharp after these levels, where anything was."""
+        last = self.levels[-1].cage if self.levels else self.cage
+        if mesh.GetCreaseIndicesAttr().HasAuthoredValue():
+            edges, sharpness = sharp_edges(last)
+            mesh.GetCreaseIndicesAttr().Set(edges.astype(np.int32).ravel())
+            mesh.CreateCreaseLengthsAttr().Set(np.full(len(edges), 2, np.int32))
+            mesh.CreateCreaseSharpnessesAttr().Set(sharpness.astype(np.float32))
+        if mesh.GetCornerIndicesAttr().HasAuthoredValue():
+            at = np.flatnonzero(last.point_sharpness > 0.0)
+            mesh.GetCornerIndicesAttr().Set(at.astype(np.int32))
+            mesh.CreateCornerSharpnessesAttr().Set(last.point_sharpness[at].astype(np.float32))
+
+
+def refine_until(
+    cage: Cage, points: Floats, short: Callable[[Floats, Ints, Ints], bool], most: int
+) -> RefinedCage | None:
+    """Refine a cage with points (V, 3) until its faces are short; None: more than `most` quads."""
+    levels: list[Level] = []
+    now, faces = cage, len(cage.counts)
+    while not short(points, now.counts, now.indices):
+        if len(now.indices) > most:
+            return None
+        levels.append(refine(now))
+        points, now = levels[-1].points(points), levels[-1].cage
+    return RefinedCage(cage=cage, levels=tuple(levels), divided=faces)
+
+
+def _keys(ends: Ints, points: int) -> Ints:
+    return ends.min(1) * points + ends.max(1)
+
+
+def _creases(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
+    """(K, 2) points of the edges in creases, and (K,) their sharpness."""
+    along = np.asarray(mesh.GetCreaseIndicesAttr().Get() or (), np.int64)
+    sizes = np.asarray(mesh.GetCreaseLengthsAttr().Get() or (), np.int64)
+    sharpness = np.asarray(mesh.GetCreaseSharpnessesAttr().Get() or (), float)
+    nothing = np.zeros((0, 2), np.int64), np.zeros(0)
+    if len(sizes) == 0 or sizes.min() < 2 or sizes.sum() != len(along):
+        return nothing
+    last = np.cumsum(sizes) - 1
+    begin = np.setdiff1d(np.arange(len(along)), last)
+    crease = np.repeat(np.arange(len(sizes)), sizes)[begin]
+    if len(sharpness) == len(sizes):
+        sharpness = sharpness[crease]
+    elif len(sharpness) != len(begin):
+        return nothing
+    ends = np.stack([along[begin], along[begin + 1]], 1)
+    there = ((ends >= 0) & (ends < points)).all(1) & (sharpness > 0.0)
+    return ends[there], np.minimum(sharpness[there], INFINITE)
+
+
+def _corners(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
+    """(K,) points that are sharp, and (K,) their sharpness."""
+    at = np.asarray(mesh.GetCornerIndicesAttr().Get() or (), np.int64)
+    sharpness = np.asarray(mesh.GetCornerSharpnessesAttr().Get() or (), float)
+    if len(at) != len(sharpness):
+        return np.zeros(0, np.int64), np.zeros(0)
+    there = (at >= 0) & (at < points) & (sharpness > 0.0)
+    return at[there], np.minimum(sharpness[there], INFINITE)
+
+
+def _regions(cage: Cage, given: Floats, linear: str) -> tuple[Floats, Cage]:
+    """Values of corners as a table (n, ...), and a cage of its rows that seams cut open.
+
+    What stays where it is at seams is as USD defines it: nothing (none), values that a region has
+    in one face alone (cornersOnly), those at points with three and more values, too (cornersPlus1
+    and cornersPlus2), or all values at seams (boundaries).
+    """
+    flat = np.column_stack([cage.indices, given.reshape(len(given), -1)])
+    _, first, row = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+    row = row.reshape(-1)
+    point = cage.indices[first]
+    sharpness = cage.point_sharpness[point].copy()
+    regions = Cage(
+        counts=cage.counts, indices=row, points=len(first),
+        edge_sharpness=cage.edge_sharpness, point_sharpness=sharpness,
+    )  # fmt: skip
+    tokens = UsdGeom.Tokens
+    if linear != tokens.none:
+        sharpness[np.bincount(row, minlength=len(first)) == 1] = INFINITE
+    if linear in (tokens.cornersPlus1, tokens.cornersPlus2):
+        sharpness[np.bincount(point, minlength=cage.points)[point] > 2] = INFINITE
+    if linear == tokens.boundaries:
+        sharpness[boundary(regions)] = INFINITE
+    return given[first], regions
