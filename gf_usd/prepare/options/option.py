@@ -101,8 +101,9 @@ class Option:
             positive(self.flag, value)
         elif self.low is not None and not self.low <= value <= self.high:
             whole = self.kind is int
-            to = "or more" if whole else f"to {self.high:g}"
-            verb = "of" if whole else "from"
+            ends = math.isfinite(self.high)
+            to = f"to {self.high:g}" if ends else "or more"
+            verb = "from" if ends else "of"
             shown = str(value) if whole else f"{value:g}"
             raise UsageError(
                 f"{self.flag} is {shown}", f"give a {self.noun} {verb} {self.low:g} {to}"

@@ -180,7 +180,7 @@ class RequestOptions:
         METHOD, "Compute on the CPU, or on a GPU with CUDA.", choices=("cpu", "cuda"),
     )] = "cpu"
     threads: Annotated[int | None, Option(
-        METHOD, "Number of CPU threads.", shown="all", above_zero=True, decides=False,
+        METHOD, "Number of CPU threads.", shown="all", low=1, high=1024, decides=False,
     )] = None
     pins: Annotated[str | Corners | Sequence[str | Corners], Option(
         SCENE, "Region to pin, or to move with the asset's animation; repeatable. A"
