@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import areas, signed_volume, triangulate
@@ -159,11 +159,6 @@ def test_a_layer_over_the_stage(tmp_path: Path):
     assert any("8 of 8 faces are divided" in note for note in read.asset.facts.notes)
 
 
-def skinned(stage: Usd.Stage) -> None:
-    mesh = stage.GetPrimAtPath("/A/Prism")
-    UsdSkel.BindingAPI(mesh).CreateJointIndicesPrimvar(False, 1).Set([0] * 10)
-
-
 def varying(stage: Usd.Stage) -> None:
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/A/Prism"))
     for code in (1, 2):
@@ -178,7 +173,6 @@ def loop(stage: Usd.Stage) -> None:
     ("change", "why"),
     [
         (loop, "the cage of a Loop subdivision surface"),
-        (skinned, "it is skinned"),
         (varying, "its topology changes"),
     ],
 )

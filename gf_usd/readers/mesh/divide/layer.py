@@ -20,6 +20,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import EDGE, signed_volume
+from gf_usd.readers.mesh.divide import skinned
 from gf_usd.readers.mesh.divide.cages import RefinedCage, cage_of, refine_until
 from gf_usd.readers.mesh.divide.faces import (
     CORNERS,
@@ -33,7 +34,6 @@ from gf_usd.readers.mesh.divide.faces import (
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
 
 MOST = 4_000_000  # triangles of a mesh: more take the memory of a workstation
-SKINNED = "primvars:skel:jointIndices"
 ELEMENTS = {"vertex": POINTS, "varying": VARYING, "uniform": FACES, "faceVarying": CORNERS}
 
 
@@ -73,7 +73,7 @@ def divided(
         polygons = surface.points, surface.face_counts, surface.face_indices
         if not (count := int(long_faces(*polygons, longest).sum())):
             continue
-        if why := _refusal(prim):
+        if why := _refusal(prim, len(surface.points)):
             note(f"{count} faces longer than --max-edge-length stay: {why}", surface.path)
             continue
         made = _shortened(prim, polygons, longest)
@@ -84,6 +84,7 @@ def divided(
                 "give a larger --max-edge-length",
             )
         _author(prim, made)
+        skinned.author_skin(prim, made, len(surface.points))
         cage = f"{count} faces of the subdivision cage have longer edges: it is refined"
         faces = f"{made.divided} of {len(surface.face_counts)} faces are divided"
         note(
@@ -109,19 +110,17 @@ def _lie_over(path: Path, target: Path) -> None:
     layer.Save()
 
 
-def _refusal(prim: Usd.Prim) -> str:
-    """Why the faces of a mesh are not divided; "" where they are."""
+def _refusal(prim: Usd.Prim, points: int) -> str:
+    """Why the faces of a mesh, which has so many points, are not divided; "" where they are."""
     mesh = UsdGeom.Mesh(prim)
     if prim.IsInstanceProxy():
         return "it is part of an instance, which a layer cannot change"
     if mesh.GetSubdivisionSchemeAttr().Get() == UsdGeom.Tokens.loop:
         return "it is the cage of a Loop subdivision surface; subdivide it where it was made"
-    if prim.GetAttribute(SKINNED).HasAuthoredValue():
-        return "it is skinned, by weights of its points"
     topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
     if any(one.ValueMightBeTimeVarying() for one in topology):
         return "its topology changes over time"
-    return ""
+    return skinned.refusal(prim, points)
 
 
 def _shortened(
@@ -145,7 +144,7 @@ def _author(prim: Usd.Prim, made: DividedFaces | RefinedCage) -> None:
     if normals in ELEMENTS:
         _change(mesh.GetNormalsAttr(), lambda values: _unit(made.values(values, ELEMENTS[normals])))
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
-        if primvar.GetInterpolation() in ELEMENTS:
+        if primvar.GetInterpolation() in ELEMENTS and primvar.GetPrimvarName() not in skinned.SKIN:
             _change_primvar(primvar, made, str(mesh.GetFaceVaryingLinearInterpolationAttr().Get()))
     _change(mesh.GetHoleIndicesAttr(), made.faces)
     for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):

@@ -1,0 +1,132 @@
+"""Joint weights and blend shapes of the points that a divided mesh gains.
+
+Both are linear in the points, so that they are interpolated like these.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.readers.mesh.divide.cages import RefinedCage
+from gf_usd.readers.mesh.divide.faces import POINTS, DividedFaces
+
+INFLUENCES = 8  # joints of a point, where the points before had no more
+LEAST = 1e-4  # of a point's weights: less is left out
+INDICES, WEIGHTS = "skel:jointIndices", "skel:jointWeights"
+SKIN = (INDICES, WEIGHTS)
+
+
+def refusal(prim: Usd.Prim, points: int) -> str:
+    """Why joint weights or blend shapes of a mesh cannot be interpolated; "" where they can.
+
+    points : of the mesh.
+    """
+    joints, weights = (UsdGeom.PrimvarsAPI(prim).GetPrimvar(name) for name in SKIN)
+    if _per_point(joints) or _per_point(weights):
+        given = [len(one.Get() or ()) for one in (joints, weights)]
+        size = joints.GetElementSize()
+        if not _per_point(joints) or given != [points * size] * 2:
+            return "its joint weights do not fit its points"
+    shared = _of_others(prim)
+    for shape in _shapes(prim):
+        if shape.GetPath() in shared:
+            return f"its blend shape {shape.GetPath()} is that of another mesh, too"
+        if shape.GetPrim().IsInstanceProxy():
+            return f"its blend shape {shape.GetPath()} is part of an instance"
+        if _rows(shape, points) is None:
+            return f"its blend shape {shape.GetPath()} does not fit its points"
+    return ""
+
+
+def author_skin(prim: Usd.Prim, made: DividedFaces | RefinedCage, points: int) -> None:
+    """Write joint weights and blend shapes of the new points; points : of the mesh before."""
+    joints, weights = (UsdGeom.PrimvarsAPI(prim).GetPrimvar(name) for name in SKIN)
+    if _per_point(joints):
+        size = joints.GetElementSize()
+        index, weight = _divided(
+            np.asarray(joints.Get(), np.int64).reshape(points, size),
+            np.asarray(weights.Get(), float).reshape(points, size),
+            made,
+        )
+        joints.Set(index.astype(np.int32).ravel())
+        weights.Set(weight.astype(np.float32).ravel())
+        for one in (joints, weights):
+            one.SetElementSize(index.shape[1])
+    for shape in _shapes(prim):
+        _author_shape(shape, made, points)
+
+
+def _per_point(primvar: UsdGeom.Primvar) -> bool:
+    """A rigid mesh has the same joints for all its points, which stay."""
+    return primvar.HasAuthoredValue() and primvar.GetInterpolation() != UsdGeom.Tokens.constant
+
+
+def _divided(
+    joints: Ints, weights: Floats, made: DividedFaces | RefinedCage
+) -> tuple[Ints, Floats]:
+    """(V', k') joints and weights of the new points; those before : (V, k) both."""
+    names, column = np.unique(joints, return_inverse=True)
+    table = np.zeros((len(joints), len(names)))
+    rows = np.repeat(np.arange(len(joints)), joints.shape[1])
+    np.add.at(table, (rows, column.reshape(-1)), weights.ravel())
+    table = made.values(table, POINTS)
+    most = min(len(names), max(joints.shape[1], INFLUENCES))
+    best = np.argsort(-table, axis=1, kind="stable")[:, :most]
+    kept = np.take_along_axis(table, best, axis=1)
+    total = table.sum(1, keepdims=True)
+    kept[kept < LEAST * total] = 0.0
+    left = kept.sum(1, keepdims=True)
+    kept *= np.divide(total, left, out=np.zeros_like(total), where=left > 0.0)
+    size = max(1, int((kept > 0.0).any(0).sum()))
+    return np.where(kept > 0.0, names[best], 0)[:, :size], kept[:, :size]
+
+
+def _targets(prim: Usd.Prim) -> list[Sdf.Path]:
+    return UsdSkel.BindingAPI(prim).GetBlendShapeTargetsRel().GetTargets()
+
+
+def _shapes(prim: Usd.Prim) -> list[UsdSkel.BlendShape]:
+    found = (UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(path)) for path in _targets(prim))
+    return [shape for shape in found if shape]
+
+
+def _of_others(prim: Usd.Prim) -> set[Sdf.Path]:
+    """Blend shapes of all other meshes; none is looked for where this one has none."""
+    if not _targets(prim):
+        return set()
+    meshes = (one for one in prim.GetStage().Traverse() if one.IsA(UsdGeom.Mesh) and one != prim)
+    return {path for one in meshes for path in _targets(one)}
+
+
+def _rows(shape: UsdSkel.BlendShape, points: int) -> Ints | None:
+    """(K,) points that the offsets of a blend shape are of; None: they do not fit the mesh."""
+    offsets = len(shape.GetOffsetsAttr().Get() or ())
+    given = shape.GetPointIndicesAttr().Get()
+    at = np.arange(offsets) if not given else np.asarray(given, np.int64)
+    fits = len(at) == offsets and (len(at) == 0 or (at.min() >= 0 and at.max() < points))
+    return at if fits else None
+
+
+def _author_shape(shape: UsdSkel.BlendShape, made: DividedFaces | RefinedCage, points: int) -> None:
+    at = _rows(shape, points)
+    if at is None:
+        return
+    between = shape.GetInbetweens()
+    attributes = [shape.GetOffsetsAttr(), *(one.GetAttr() for one in between)]
+    normals = [shape.GetNormalOffsetsAttr(), *(one.GetNormalOffsetsAttr() for one in between)]
+    tables = {}
+    for attribute in (*attributes, *normals):
+        values = attribute.Get() if attribute else None
+        if values is not None and len(values) == len(at):
+            table = np.zeros((points, 3))
+            table[at] = np.asarray(values)
+            tables[attribute.GetPath()] = made.values(table, POINTS)
+    if not tables:
+        return
+    moved = np.flatnonzero(np.any([np.any(t != 0.0, axis=1) for t in tables.values()], axis=0))
+    for path, table in tables.items():
+        offsets = Vt.Vec3fArray.FromNumpy(table[moved].astype(np.float32))
+        shape.GetPrim().GetStage().GetAttributeAtPath(path).Set(offsets)
+    shape.CreatePointIndicesAttr().Set(moved.astype(np.int32))
