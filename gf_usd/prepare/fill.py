@@ -147,6 +147,7 @@ def fill(
             uniform=paper,
             up=asset.facts.up_axis,
             bodies=of,
+            scattered=None if paper else flow.first,
         )
 
     owners = {path: body.owner for path, body in spec.bodies.items()}

@@ -44,12 +44,14 @@ def sample_solid(
     uniform: bool = False,
     up: str = "Y",
     bodies: Ints | None = None,
+    scattered: Ints | None = None,
 ) -> Particles:
     """Particles at a spacing [m], or about `particles` of them.
 
     uniform : drawn one by one anywhere in the solid, as the paper does, instead of quadrature
     points; seed : of these draws.
     bodies : (S,) the body of each surface; None: all are one.
+    scattered : (S,) surfaces below which particles are at random places; None: nowhere.
 
     Raises InputError where the solid holds too few or too many at that spacing.
     """
@@ -72,7 +74,10 @@ def sample_solid(
     n = len(X)
     if n < LEAST_PARTICLES:
         raise _too_few(n, a, solid)
-    surface, normal, color = _look(solid, X, filled.body, bodies)
+    surface, normal, color, depth = _look(solid, X, filled.body, bodies)
+    if scattered is not None and scattered.any():
+        # half the diagonal of a cube is shorter than its edge: none leaves the solid
+        X = _scattered(X, np.flatnonzero(scattered[surface] & (depth > a)), a, seed)
     volume = float(V0.sum())
     s = float(np.cbrt(volume / n))
     if not uniform:
@@ -117,10 +122,11 @@ def _too_few(n: int, a: float, solid: Solid) -> InputError:
 
 def _look(
     solid: Solid, X: Floats, body: Ints | None, bodies: Ints | None
-) -> tuple[Ints, Floats, Floats]:
-    """Nearest surface (n,), its normal and its color (n, 3), each of the particle's own body."""
+) -> tuple[Ints, Floats, Floats, Floats]:
+    """Nearest surface (n,), its normal and its color (n, 3), each of the particle's own body, and
+    how far it is (n,) [m]."""
     surface = np.zeros(len(X), np.int64)
-    normal, color = np.empty((len(X), 3)), np.empty((len(X), 3))
+    normal, color, away = np.empty((len(X), 3)), np.empty((len(X), 3)), np.empty(len(X))
     body = np.zeros(len(X), np.int64) if body is None else body
     of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
     for k in range(int(of.max()) + 1):
@@ -128,8 +134,8 @@ def _look(
         part = solid.part(members)
         at = nearest(part, X[mine])
         surface[mine], normal[mine] = members[at.surface], at.normal
-        color[mine] = colors(part, at)
-    return surface, normal, color
+        color[mine], away[mine] = colors(part, at), at.distance
+    return surface, normal, color, away
 
 
 def _box(solid: Solid, turn: Floats) -> tuple[Floats, Floats]:
@@ -182,6 +188,18 @@ def _uniform(solid: Solid, n: int, rng: np.random.Generator, turn: Floats) -> _F
         kept.append(X[solid.inside(X)])
     V0 = np.full(n, solid.volume / n)
     return _Filled(X=np.concatenate(kept)[:n], V0=V0, corner=(low @ turn)[None])
+
+
+def _scattered(X: Floats, rows: Ints, a: float, seed: int) -> Floats:
+    """Points of which some are moved by up to half a lattice edge along each axis.
+
+    Rows of a lattice stay rows in a flow that stretches it, with trenches between them.  So what
+    flows is sampled at random in each cube of its lattice, as is usual for the material point
+    method, but for the outermost layer, whose surface would become rough.
+    """
+    X = X.copy()
+    X[rows] += a * (np.random.default_rng(seed).random((len(rows), 3)) - 0.5)
+    return X
 
 
 def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:

@@ -264,3 +264,27 @@ def test_thinning_keeps_both_walls_of_a_gap_and_not_both_sides_of_a_sheet():
 def test_thinning_nothing_and_a_crowd_in_one_place():
     assert thin(np.zeros((0, 3)), 1.0).tolist() == []
     assert thin(np.ones((50, 3)), 1.0).tolist() == [0]
+
+
+def test_what_flows_is_at_random_places_below_its_outermost_layer() -> None:
+    """Of two cubes the second flows: seen along an axis, its rows no longer hide each other."""
+    low = np.array([3.0, 0.0, 0.0])
+    body = solid(cube(), cube(low))
+    plain = sample_solid(body, particles=2000, spacing=None, seed=1)
+    flowing = np.array([False, True])
+    made = sample_solid(body, particles=2000, spacing=None, seed=1, scattered=flowing)
+    again = sample_solid(body, particles=2000, spacing=None, seed=1, scattered=flowing)
+    other = sample_solid(body, particles=2000, spacing=None, seed=2, scattered=flowing)
+    np.testing.assert_array_equal(made.X, again.X)
+    assert (made.X != other.X).any()
+    np.testing.assert_array_equal(made.V0, plain.V0)
+    moved = (made.X != plain.X).any(1)
+    assert moved.any()
+    assert (plain.surface[moved] == 1).all()
+    a = plain.lattice
+    depth = np.minimum(plain.X - low, low + 1.0 - plain.X).min(1)
+    np.testing.assert_array_equal(moved[plain.surface == 1], depth[plain.surface == 1] > a)
+    assert np.abs(made.X - plain.X).max() <= 0.5 * a
+    assert body.inside(made.X).all()
+    columns = [len(np.unique(np.round(p.X[moved][:, :2] / a, 6), axis=0)) for p in (plain, made)]
+    assert columns[1] == moved.sum() > 5 * columns[0]
