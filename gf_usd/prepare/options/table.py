@@ -101,8 +101,8 @@ class RequestOptions:
         shown="meshes keep their faces", parse=texts.parse_edge_length, write=values.edge,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Random seed of the positions of particles that flow, of all with --preset paper,"
-        " and of noise fields.",
+        PARTICLES, "Random seed of the positions of particles that flow, of all with --preset"
+        " paper, and of noise fields.",
         shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | str | None, Option(
