@@ -287,10 +287,11 @@ class Health:
     # flowing particles there; None: not so
     fallen: int | None = None
     fallen_kinetic: float | None = None
-    # Flowing particles below the floor or every obstacle; volume of the others over that at rest;
-    # None: nothing flows without end
+    # Flowing particles below the floor or every obstacle; of the others, the volume over that at
+    # rest, and how many there are in a cell that has any; None: nothing flows without end
     lost: int | None = None
     flow_volume: float | None = None
+    flow_per_cell: float | None = None
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
     outside_share: float | None = None  # of the particles, far out of the mesh; None: not looked at

@@ -137,6 +137,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(lost=0, flow_volume=0.94), Health(lost=0, flow_volume=1.01)),
         "flowing material has 94 % of its volume at rest",
     ),
+    "thin-flow": (
+        summary(Health(lost=0, flow_per_cell=1.0), Health(lost=0, flow_per_cell=2.0)),
+        summary(Health(lost=0, flow_per_cell=6.0), Health(lost=0, flow_per_cell=1.25)),
+        "flowing material is spread too thin for its particles: 1.2 are in a cell",
+    ),
     "loop": (
         summary(loop_cycles=4, loop_difference_m=0.005, loop_difference_share=0.01),
         summary(loop_cycles=16, loop_difference_m=0.006, loop_difference_share=0.012),

@@ -89,7 +89,7 @@ class Losses:
     def __init__(
         self, settings: Settings, setup: ContactSetup | None, h: float, flowing: NDArray[np.bool_]
     ) -> None:
-        self._flowing = flowing
+        self._flowing, self._h = flowing, h
         self._up = settings.normal
         self._level = None if settings.floor is None else settings.floor - h
         if settings.floor is None and setup and any(settings.gravity):
@@ -98,7 +98,7 @@ class Losses:
             self._level = setup.bottom(self._up)
 
     def measured(self, pose: Pose, m: Floats, V0: Floats, J: Floats) -> dict[str, Any]:
-        """`lost`, `fallen_kinetic` and `flow_volume` of `Health`; J (N,) of F_e."""
+        """What `Health` has of flowing particles, from `lost` to `flow_per_cell`; J (N,) of F_e."""
         if not self._flowing.any():
             return {}
         lost = np.zeros(len(pose.x), bool)
@@ -107,7 +107,13 @@ class Losses:
         kept = self._flowing & ~lost
         volume = float(V0[kept] @ J[kept] / V0[kept].sum()) if kept.any() else None
         kinetic = float(0.5 * m[lost] @ (pose.v[lost] ** 2).sum(1))
-        return {"lost": int(lost.sum()), "fallen_kinetic": kinetic, "flow_volume": volume}
+        cells = np.unique(np.floor(pose.x[kept] / self._h), axis=0)
+        return {
+            "lost": int(lost.sum()),
+            "fallen_kinetic": kinetic,
+            "flow_volume": volume,
+            "flow_per_cell": int(kept.sum()) / len(cells) if kept.any() else None,
+        }
 
 
 def _triple(a: Floats) -> tuple[float, float, float]:

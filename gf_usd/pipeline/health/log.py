@@ -193,6 +193,7 @@ class HealthLog:
             "first_lost_frame": next((i for i, f in enumerate(self.frames) if f.lost), None),
             "flow_volume_min": min(volumes, default=None),
             "flow_volume_max": max(volumes, default=None),
+            "flow_per_cell_at_end": self.frames[-1].flow_per_cell,
         }
 
     def _conversion(self) -> dict[str, Any]:

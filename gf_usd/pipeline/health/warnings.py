@@ -35,6 +35,7 @@ STILL = 1e-9  # of the energy scale: a body that never had more motion than this
 NOT_PERIODIC = 0.01  # of the radius: a step from the end of a cycle to its start that is seen
 # Off the volume at rest, of all that flows: weakly compressible laws are off by 1 % by design.
 FLOW_VOLUME = 0.05
+SPARSE = 2.0  # flowing particles in a cell of the grid: a layer as thick as they are apart has four
 ALTERED = 0.01  # of the particle-frames: the material is no longer the one that was asked for
 
 
@@ -296,6 +297,18 @@ def _flow_volume(h: HealthSummary) -> Said:
     )
 
 
+def _thin_flow(h: HealthSummary) -> Said:
+    count = h.get("flow_per_cell_at_end")
+    if count is None or count >= SPARSE:
+        return None
+    return (
+        f"flowing material is spread too thin for its particles: {count:.2g} are in a cell of the"
+        " grid at the end, and 8 where it is deep, so that it looks like drops",
+        "take more --particles or fewer --frames, hold it in a container, or choose a more viscous"
+        " material",
+    )
+
+
 def _loop(h: HealthSummary) -> Said:
     share = h.get("loop_difference_share", 0.0)
     if share <= NOT_PERIODIC:
@@ -316,6 +329,7 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "lost": _lost,
     "unconverted": _unconverted,
     "flow-volume": _flow_volume,
+    "thin-flow": _thin_flow,
     "energy": _energy,
     "inside-out": _inverted,
     "redone": _rollbacks,

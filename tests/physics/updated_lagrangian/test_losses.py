@@ -34,6 +34,14 @@ def test_a_particle_is_lost_a_cell_below_the_floor() -> None:
     assert seen["lost"] == 1, "the last is solid, and the one before within a cell"
     assert seen["fallen_kinetic"] == pytest.approx(0.5 * 4.0 * 25.0)
     assert seen["flow_volume"] == pytest.approx((0.8 + 3.0) / 4.0)
+    assert seen["flow_per_cell"] == 1.0, "one above the floor, one below"
+
+
+def test_particles_are_counted_by_the_cells_that_have_any() -> None:
+    x = np.array([[0.01, 0.01, 0.01], [0.02, 0.05, 0.09], [0.11, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    pose = Pose(x=x, v=np.zeros((4, 3)), F=TURN)
+    seen = Losses(settings(floor=None), None, H, FLOWING).measured(pose, M, V0, J)
+    assert seen["flow_per_cell"] == 1.5
 
 
 def test_without_a_floor_it_is_lost_below_where_obstacles_come_to() -> None:
