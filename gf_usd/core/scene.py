@@ -208,6 +208,7 @@ class Recording:
     baked: tuple[bool, ...]  # one a mesh: it is part of the soft body
     flows: tuple[str, ...] = ()  # prim paths of meshes whose faces change from frame to frame
     vanishing: tuple[str, ...] = ()  # of `meshes`, those that are hidden in some frames
+    converted: tuple[str, ...] = ()  # of these, those that particles or a surface stand for then
     gaussians: GaussianSet | None = None
     about: Mapping[str, Any] = field(default_factory=dict)  # what the bake left in the root layer
     notes: tuple[str, ...] = ()  # what was assumed or left out, in words
@@ -223,6 +224,7 @@ class MotionFrame:
 
     time_code: float
     meshes: tuple[Floats, ...]  # (V, 3) [m], one for each mesh of the recording
+    hidden: tuple[int, ...] = ()  # which of the meshes are invisible
     flows: tuple[RenderMesh, ...] = ()  # whole meshes whose faces change; those without faces are
     # left out
     positions: Floats | None = None  # (N, 3) [m] of the Gaussians

@@ -27,6 +27,7 @@ class BodyMotion:
     frames: Floats  # (T, V, 3) [m]
     radius: float  # [m] of the sphere that has the volume of the meshes
     splats: tuple[tuple[int, Ints], ...] = ()  # S sets of Gaussians, and which of each
+    shown: tuple[bool, ...] = ()  # (T,) in which frames; none: in all of them
 
     @property
     def rest(self) -> Floats:
@@ -55,8 +56,11 @@ def bodies_of(
 ) -> tuple[BodyMotion, ...]:
     """Meshes of a recording as bodies: those under one root prim whose boxes meet at first.
 
-    meshes : which of them.
+    Those of one body are visible in the same frames.
+
+    frames : with the shapes of meshes that are hidden.  meshes : which of them.
     """
+    shown = {i: tuple(i not in frame.hidden for frame in frames) for i in meshes}
     motions = {i: np.array([frame.meshes[i] for frame in frames]) for i in meshes}
     groups: list[list[int]] = []
     for mesh in meshes:
@@ -65,6 +69,7 @@ def bodies_of(
             for group in groups
             if any(
                 _root(recording, mesh) == _root(recording, other)
+                and shown[mesh] == shown[other]
                 and _meet(motions[mesh][0], motions[other][0])
                 for other in group
             )
@@ -80,6 +85,7 @@ def bodies_of(
                 starts=np.cumsum([0, *counts]),
                 frames=np.concatenate([motions[i] for i in group], axis=1),
                 radius=_radius(recording, group, motions),
+                shown=() if all(shown[group[0]]) else shown[group[0]],
             )
         )
     return tuple(found)

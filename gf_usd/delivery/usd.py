@@ -21,8 +21,9 @@ from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
 from gf_usd.delivery.variants import BakedVariant
 from gf_usd.layers.flatten import Package, export, write_placed
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.extent import sample_times
+from gf_usd.readers.pictures.extent import sample_times, sometimes_visible
 from gf_usd.readers.pictures.recording import select_variant, world_points
+from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured
 from gf_usd.readers.usd.stage import open_stage, reading
@@ -51,6 +52,7 @@ def write_usd(
         stage = Usd.Stage.Open(layer, Usd.Stage.LoadAll)
         for variant in variants:
             _author(stage, variant)
+            _hide_left_out(stage, bake, variant)
             _author_splats(stage, bake, variant, error)
         return write_placed(layer, target, package=LayerPackage)
 
@@ -197,6 +199,26 @@ def _author(stage: Usd.Stage, variant: BakedVariant) -> None:
             bind_meshes(
                 stage, rigs, variant.meshes, variant.triangles, variant.time_codes, variant.unit
             )
+
+
+def _hide_left_out(stage: Usd.Stage, bake: Path, variant: BakedVariant) -> None:
+    """Hide meshes that particles or a surface stand for in the bake: at rest they would be wrong.
+
+    The bake hides them with what the file does not take over, its displays and its caches.
+    """
+    source = open_stage(bake)
+    select_variant(source, bake, variant.name or None)
+    start = Usd.TimeCode(variant.time_codes[0])
+    for there in Usd.PrimRange.Stage(source, Usd.TraverseInstanceProxies()):
+        prim = stage.GetPrimAtPath(there.GetPath())
+        if not has_surface(there) or not prim or not sometimes_visible(prim, start):
+            continue
+        if str(there.GetPath()) in variant.left_out or not sometimes_visible(there, start):
+            with _variant_of(stage.GetPrimAtPath(there.GetPath().GetPrefixes()[0]), variant.name):
+                _end_instances(stage, str(there.GetPath()))
+                visibility = UsdGeom.Imageable(stage.GetPrimAtPath(there.GetPath()))
+                visibility.GetVisibilityAttr().Clear()  # of samples, which a default is weaker than
+                visibility.GetVisibilityAttr().Set(UsdGeom.Tokens.invisible)
 
 
 def _author_splats(stage: Usd.Stage, bake: Path, variant: BakedVariant, error: float) -> None:

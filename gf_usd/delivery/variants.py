@@ -35,6 +35,7 @@ class BakedVariant:
     triangles: tuple[Ints, ...]  # (T, 3) into the points of each
     time_codes: tuple[float, ...]
     unit: float  # [m] per stage unit
+    left_out: tuple[str, ...] = ()  # of the meshes, those that particles or a surface stand for
     clouds: tuple[Cloud, ...] = ()  # Gaussians to deliver
     radii: tuple[float, ...] = ()  # [m] of the body that each belongs to
 
@@ -55,7 +56,7 @@ def read_variants(
         recording = source.recording()
         clouds, said = _clouds(bake, source.variant, recording, splats)
         baked = [i for i, mine in enumerate(recording.baked) if mine or whole]
-        gone = [i for i in baked if recording.meshes[i].name in recording.vanishing]
+        gone = [i for i in baked if recording.meshes[i].name in recording.converted]
         baked = [i for i in baked if i not in gone]
         if splats == ONLY:
             baked, gone = [], []
@@ -78,7 +79,7 @@ def read_variants(
                 if splats != NONE
                 else "leave --splats none out, or bake again with mesh among --only",
             )
-        bodies = bodies_of(recording, list(source.frames()), baked) if baked else ()
+        bodies = bodies_of(recording, list(source.frames(whole=True)), baked) if baked else ()
         for path in recording.flows:
             notes[f"{path}: left out because its faces change from frame to frame"] = None
         for i in gone:
@@ -94,6 +95,7 @@ def read_variants(
                 triangles=tuple(mesh.triangles for mesh in recording.meshes),
                 time_codes=recording.time_codes,
                 unit=recording.unit,
+                left_out=tuple(names[i] for i in gone),
                 clouds=clouds,
                 radii=_radii(joined, len(clouds)),
             )

@@ -28,7 +28,8 @@ FULL = {5121: 255.0, 5122: 32767.0, 5123: 65535.0}
 def read_error(path: Path, recording: Recording, rigs: Sequence[Rig]) -> float:
     """The largest distance to the bake over points and frames, in radii.
 
-    Over vertices, and over Gaussians, but for those that follow a single joint.
+    Over vertices, and over Gaussians, but for those that follow a single joint.  Where a body is
+    hidden there is nothing to compare.
     """
     file = GlbFile(path)
     world = _upright(recording)
@@ -41,6 +42,8 @@ def read_error(path: Path, recording: Recording, rigs: Sequence[Rig]) -> float:
         if mesh >= 0:
             rows = np.concatenate([p.points for p in primitives_of(recording.meshes[mesh])])
         for frame in range(len(recording.time_codes)):
+            if rig.body.shown and not rig.body.shown[frame]:
+                continue
             off = file.vertices(node, frame) - wanted[frame, rows]
             far = float(np.sqrt((off**2).sum(axis=1).max()))
             largest = max(largest, far / rig.body.radius)
@@ -184,7 +187,9 @@ class GlbFile:
         q = q / np.linalg.norm(q, axis=1, keepdims=True)
         move = self._keys.get((node, "translation"))
         d = np.array([row.get("translation", (0.0, 0.0, 0.0))]) if move is None else move
-        matrix = np.tile(np.eye(4), (max(len(q), len(d)), 1, 1))
-        matrix[:, :3, :3] = matrix_from_quaternion(q[:, [3, 0, 1, 2]]).swapaxes(1, 2)
+        scale = self._keys.get((node, "scale"), np.ones((1, 3)))
+        matrix = np.tile(np.eye(4), (max(len(q), len(d), len(scale)), 1, 1))
+        turned = matrix_from_quaternion(q[:, [3, 0, 1, 2]]).swapaxes(1, 2)
+        matrix[:, :3, :3] = scale[:, :, None] * turned
         matrix[:, 3, :3] = d
         return matrix

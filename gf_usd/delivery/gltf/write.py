@@ -102,6 +102,8 @@ class _Writer:
         if rig.body.moves:
             for j in range(len(joints)):
                 self._animate(root + j, joints, j)
+        if rig.body.shown:
+            self._hide(root, rig)
         meshes = [self._mesh(rig, i) for i in rig.body.meshes]
         if rig.skinning is not None:
             skin = self._skin(joints, root, below, np.eye(3)) if meshes else -1
@@ -152,11 +154,21 @@ class _Writer:
         moves = joints.translations[:, j].astype(np.float32)
         self._channel(node, "translation", self._accessor(moves))
 
-    def _channel(self, node: int, path: str, output: int) -> None:
+    def _hide(self, root: int, rig: Rig) -> None:
+        """A scale of 0 where the body is hidden, by which glTF 2.0 (3.5.3) animates visibility."""
+        scale = np.repeat(np.array(rig.body.shown, np.float32)[:, None], 3, axis=1)
+        self._channel(root, "scale", self._accessor(scale), interpolation="STEP")
+        for mesh in rig.body.meshes:
+            name = self._recording.meshes[mesh].name
+            self.notes[f"{name}: a scale of 0 hides it in the frames in which it is invisible"] = (
+                None
+            )
+
+    def _channel(self, node: int, path: str, output: int, **how: str) -> None:
         self._channels.append(
             {"sampler": len(self._curves), "target": {"node": node, "path": path}}
         )
-        self._curves.append({"input": self._times, "output": output})
+        self._curves.append({"input": self._times, "output": output, **how})
 
     def _mesh(self, rig: Rig, number: int) -> int:
         shape = self._recording.meshes[number]

@@ -90,7 +90,8 @@ def with_splats(
     """Bodies with the Gaussians that move with them, and a body for each set of no other.
 
     A Gaussian goes to the body under its root prim with the nearest point in the first frame; a
-    captured set only where its box meets that of the body, and both move or neither does.
+    captured set only where its box meets that of the body, and both move or neither does.  None
+    goes to one that is hidden in some frames.
 
     names : prim paths of the meshes, by the numbers that bodies have.
     """
@@ -103,7 +104,9 @@ def with_splats(
         near = [
             i
             for i, body in enumerate(made)
-            if root in roots[i] and (not cloud.captured or _moves_with(body, cloud))
+            if not body.shown
+            and root in roots[i]
+            and (not cloud.captured or _moves_with(body, cloud))
         ]
         if not near:
             made.append(_alone(number, cloud))

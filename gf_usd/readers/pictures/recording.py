@@ -28,6 +28,7 @@ from gf_usd.readers.pictures.prims import (
     is_ours,
     placed_prims,
     read_splats,
+    stands_for_meshes,
     to_render_mesh,
 )
 from gf_usd.readers.pictures.values import MEASURES, written
@@ -45,6 +46,7 @@ from gf_usd.readers.usd.stage import (
 )
 
 ONE_SET = "only these Gaussians are shown"  # a note: a recording has one set
+SCOPE = "GaussianFlesh"  # in the name of the prim that holds what a bake adds
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
 
@@ -100,20 +102,25 @@ class BakedMotion:
             baked=tuple(str(prim.GetPath()) in self._bodies for prim in self._meshes),
             flows=tuple(str(prim.GetPath()) for prim in self._flows),
             vanishing=tuple(str(prim.GetPath()) for prim in self._vanishing),
+            converted=tuple(str(p.GetPath()) for p in self._vanishing if self._is_converted(p)),
             gaussians=self._gaussians,
             about=self.about,
             notes=self._notes.lines(without=FOR_BAKES),
         )
 
-    def frames(self, time_codes: Sequence[float] | None = None) -> Iterator[MotionFrame]:
+    def frames(
+        self, time_codes: Sequence[float] | None = None, *, whole: bool = False
+    ) -> Iterator[MotionFrame]:
         """The moving arrays at these time codes, default all; one frame is held at a time.
+
+        whole : a mesh has its shape where it is hidden too; else it is a point there, of no area.
 
         Raises InputError where an array has another length, or a number that is not finite.
         """
         for code in self._times if time_codes is None else time_codes:
             try:
                 with reading(self._path):
-                    frame = self._frame(code)
+                    frame = self._frame(code, whole=whole)
             except LeftAlone as reason:
                 raise InputError(
                     f"{self._path}: at time code {code:g} a prim cannot be shown: {reason}.",
@@ -121,12 +128,12 @@ class BakedMotion:
                 ) from reason
             yield frame
 
-    def _frame(self, code: float) -> MotionFrame:
+    def _frame(self, code: float, *, whole: bool) -> MotionFrame:
         time = Usd.TimeCode(code)
         xforms = UsdGeom.XformCache(time)
         skins = Skins(time, xforms, Notes())
-        meshes = []
-        for prim, shape in zip(self._meshes, self._shapes):
+        meshes, hidden = [], []
+        for number, (prim, shape) in enumerate(zip(self._meshes, self._shapes)):
             points = world_points(prim, time, xforms, skins) * self._facts.units.length
             if points.shape != shape.points.shape or not np.isfinite(points).all():
                 raise InputError(
@@ -135,15 +142,20 @@ class BakedMotion:
                     "run gf-usd check for details, then bake the asset again",
                 )
             if prim in self._vanishing and not is_visible(prim, time):
-                points = np.broadcast_to(points.mean(0), points.shape)  # of no area
+                hidden.append(number)
+                if not whole:
+                    points = np.broadcast_to(points.mean(0), points.shape)
             meshes.append(points)
         flows = self._changing(self._context(time, xforms, skins, Notes()))
         if self._gaussians is None:
-            return MotionFrame(time_code=code, meshes=tuple(meshes), flows=flows)
+            return MotionFrame(
+                time_code=code, meshes=tuple(meshes), hidden=tuple(hidden), flows=flows
+            )
         positions, axes = self._splats(time, xforms)
         return MotionFrame(
             time_code=code,
             meshes=tuple(meshes),
+            hidden=tuple(hidden),
             flows=flows,
             positions=positions,
             axes=axes,
@@ -221,6 +233,7 @@ class BakedMotion:
                 f"{self._path}: nothing in this file moves.",
                 "bake the asset with gf-usd bake and give the root layer that it writes",
             )
+        self._stand_ins = [prim for prim in prims if stands_for_meshes(prim)]
         for prim in prims:
             if prim.IsA(UsdGeom.Points) and not is_ours(prim) and _moves(prim):
                 self._notes.add("its points move and are left out", str(prim.GetPath()))
@@ -247,6 +260,7 @@ class BakedMotion:
                 continue
             self._meshes.append(prim)
             self._shapes.append(to_render_mesh(surface, self._stage, time))
+        self._stand_ins += [prim for prim in self._flows if SCOPE in prim.GetParent().GetName()]
         self._vanishing = [prim for prim in self._meshes if comes_and_goes(prim)]
         self._gaussians = self._read_gaussians(context) if self._cloud else None
         self._bodies = self._body_paths()
@@ -273,6 +287,17 @@ class BakedMotion:
             rest_scales=scales,
             masses=np.asarray(masses, dtype=np.float64) * units.mass if kept else None,
         )
+
+    def _is_converted(self, mesh: Usd.Prim) -> bool:
+        """Whether a bake hides a mesh from some frame on because something stands for it then.
+
+        The layer that hides it, a cache or a flattened bake, also holds what appears instead.  One
+        that only the source hides is just hidden.
+        """
+        hiding = UsdGeom.Imageable(mesh).GetVisibilityAttr()
+        layers = [spec.layer for spec in hiding.GetPropertyStack()]
+        appears = [prim for prim in self._stand_ins if comes_and_goes(prim)]
+        return any(layer.GetPrimAtPath(prim.GetPath()) for layer in layers for prim in appears)
 
     def _body_paths(self) -> set[str]:
         """Meshes that the bake moves: those its Gaussians name, else every one."""
