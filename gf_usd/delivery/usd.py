@@ -135,8 +135,8 @@ def _tell(layer: Sdf.Layer, names: set[str]) -> None:
     """Leave what the bake says of the variants that are kept."""
     data = layer.customLayerData
     about = dict(data.get(VARIANTS, {}))
-    told = about.get("variants", {})
-    about["variants"] = {name: values for name, values in told.items() if name in names}
+    told = about.get("looks", {})
+    about["looks"] = {name: values for name, values in told.items() if name in names}
     layer.customLayerData = {**data, VARIANTS: about}
 
 

@@ -204,6 +204,14 @@ def test_variants_of_bake_and_source_are_kept(tmp_path: Path, suffix: str) -> No
     assert np.array_equal(source, np.repeat(source[:1], len(source), axis=0))
 
 
+def test_the_file_says_of_the_variants_that_it_has_only(tmp_path: Path) -> None:
+    root, *_ = bake(PAINTED.asset(tmp_path), tmp_path, looks=("rubber", "jelly"))
+    done = deliver(root.path, tmp_path / "out.usda", error=TOLERANCE, variant="jelly")
+    said = Sdf.Layer.FindOrOpen(str(done.path)).customLayerData["gaussianFlesh"]
+    assert list(said["looks"]) == ["jelly"]
+    assert "variants" not in said
+
+
 def test_the_same_bytes_each_time(ball: Path, tmp_path: Path) -> None:
     for suffix in (".usdz", ".glb", ".usda"):
         made = [
