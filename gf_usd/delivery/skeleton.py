@@ -158,7 +158,7 @@ def _placed(prim: Usd.Prim, rest: Floats) -> Floats:
     """(4, 4) for row vectors from the mesh's points to rest (V, 3), world.
 
     The source's own points are kept where one matrix takes all of them there, else replaced, with
-    their normals, by the points of the first frame as the prim's transform places them.
+    their normals and box, by the points of the first frame as the prim's transform places them.
     """
     mesh = UsdGeom.Mesh(prim)
     own = mesh.GetPointsAttr()
@@ -177,10 +177,12 @@ def _placed(prim: Usd.Prim, rest: Floats) -> Floats:
                 return matrix
     matrix = np.array(UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(Usd.TimeCode(0.0)))
     local = (rest - matrix[3, :3]) @ np.linalg.inv(matrix[:3, :3])
-    for attribute in (own, mesh.GetNormalsAttr(), mesh.GetVelocitiesAttr()):
+    extent = mesh.GetExtentAttr()
+    for attribute in (own, mesh.GetNormalsAttr(), mesh.GetVelocitiesAttr(), extent):
         if attribute.GetNumTimeSamples() or attribute == own:
             attribute.Block()
     own.Set(_vectors(local))
+    extent.Set(_vectors(np.array([local.min(axis=0), local.max(axis=0)])))
     return matrix
 
 

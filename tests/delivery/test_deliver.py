@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from small_stages import CUBE, bake, write
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.delivery.deliver import deliver
 from gf_usd.delivery.gltf.read import GlbFile
+from gf_usd.layers.check.run import check_file
 from gf_usd.readers import convert
 
 TOLERANCE = 0.02
@@ -202,6 +204,23 @@ def test_variants_of_bake_and_source_are_kept(tmp_path: Path, suffix: str) -> No
         assert np.linalg.norm(ours - theirs, axis=2).max() <= TOLERANCE
     source = world_points(done.path, "none")["/box/skin"]
     assert np.array_equal(source, np.repeat(source[:1], len(source), axis=0))
+
+
+def test_the_box_is_that_of_the_pose_that_is_delivered(tmp_path: Path) -> None:
+    """A skeleton bends the source before the first frame: its own box holds other points."""
+    asset = PAINTED.asset(tmp_path)
+    (skin,) = asset.surfaces
+    x, y, z = skin.points.T
+    bent = np.stack([x + 0.5 * y * z, y, z + x * y], axis=1)
+    posed = replace(asset, surfaces=(replace(skin, points=bent),))
+    root, *_ = bake(posed, tmp_path)
+    for suffix in (".usda", ".usdz"):
+        done = deliver(root.path, tmp_path / f"out{suffix}", error=TOLERANCE)
+        assert check_file(done.path).findings == ()
+        stage = Usd.Stage.Open(str(done.path))
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/box/skin"))
+        computed = UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get())
+        assert mesh.GetExtentAttr().Get() == computed
 
 
 def test_the_file_says_of_the_variants_that_it_has_only(tmp_path: Path) -> None:
