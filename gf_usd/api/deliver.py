@@ -103,7 +103,8 @@ def retime(
     speed : speed relative to the bake; 0.5 is slow motion.  The animation of the source plays at
         the same speed.
     keys : pairs (time code of the result, time code of the bake), for a varying speed: equal time
-        codes of the bake hold a pose, decreasing ones play backwards.
+        codes of the bake hold a pose, decreasing ones play backwards.  The animation of the source
+        follows them.
 
     Returns
     -------
@@ -113,7 +114,7 @@ def retime(
     ------
     UsageError : not exactly one of speed and keys was given, or the values make no sense.
     InputError : the file cannot be read or is not a root layer with caches, or keys were given and
-        the source is animated.
+        one of its variants is animated in the root layer itself.
     BakeError : the disk refuses.
     """
     with keywords("speed", "keys"):

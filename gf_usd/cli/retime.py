@@ -35,7 +35,7 @@ def retime(
             metavar="NEW:OLD,...",
             help="Time codes of the result and of the bake: 1:1,48:24,60:48 plays the first second"
             " at half the speed, the next at twice. Equal OLD values hold a pose, decreasing"
-            " ones play backwards.",
+            " ones play backwards. The animation of the source follows.",
             show_default="none",
         ),
     ] = None,

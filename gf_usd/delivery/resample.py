@@ -24,6 +24,7 @@ from pxr import Sdf, Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats
 
+RATES = {"velocities": 1, "angularVelocities": 1, "accelerations": 2}  # powers of 1 / time
 # positions -> their velocities, in stage units per second of playback
 VELOCITY = {"points": "velocities", "positions": "gaussianFlesh:velocities"}
 UNIT = {"normals", "primvars:normals", "orientations", "orientationsh"}  # rows of length one
@@ -82,6 +83,24 @@ def resample(stage: Usd.Stage, layer: Sdf.Layer, warp: Warp, codes: Sequence[flo
     for attribute in boxes:
         box = _Samples(attribute)
         _write(layer, attribute, codes, [box.around(t, max(beyond)) for t, _ in at])
+
+
+def sample_as_played(
+    layer: Sdf.Layer, attribute: Usd.Attribute, warp: Warp, codes: Sequence[float]
+) -> None:
+    """Give an attribute samples in a layer: what USD interpolates at the times of the bake.
+
+    Bodies hit what a source animates where USD has it, between its samples too.
+    """
+    values, power = [], RATES.get(attribute.GetName(), 0)
+    for time, rate in map(warp, codes):
+        value = attribute.Get(time)
+        if isinstance(value, Sdf.AssetPath):
+            value = Sdf.AssetPath(value.resolvedPath or value.path)  # it means that anywhere
+        elif power and value is not None:
+            value = _like(value, rate**power * _rows(value))
+        values.append(Sdf.ValueBlock() if value is None else value)
+    _write(layer, attribute, codes, values)
 
 
 def most_samples(stage: Usd.Stage) -> list[float]:

@@ -1,23 +1,23 @@
 """A bake at another speed: a root layer like its own, over caches with other times.
 
-The caches are resampled, nothing is simulated.  With a constant speed the source plays at it as
-well, by a layer offset on the references to it, so that a character under its flesh, or what the
-bodies hit, keeps in step.  With keys it cannot: one offset is one speed.
+The caches are resampled, nothing is simulated.  What the source animates, such as a character under
+its flesh or what the bodies hit, keeps in step: with a constant speed by a layer offset on the
+references to it, with keys, which are more than one speed, by samples in the root layer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdUtils
+from pxr import Sdf, Usd, UsdUtils
 
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.delivery.resample import SAME, Warp, most_samples, resample
-from gf_usd.delivery.usd import VARIANTS, absolute, require_no_input
+from gf_usd.delivery.resample import SAME, Warp, most_samples, resample, sample_as_played
+from gf_usd.delivery.usd import NONE, VARIANTS, absolute, require_no_input
 from gf_usd.layers.flatten import export, write_placed
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.system.atomic_files import partial_path, publish
@@ -35,7 +35,7 @@ class Retimed:
     frames: int  # samples of the longest
     start: float  # time codes
     end: float
-    notes: tuple[str, ...] = ()  # files that could not be found, in words
+    notes: tuple[str, ...] = ()  # files that could not be found, and what keeps its speed, in words
 
 
 def retime(
@@ -66,12 +66,15 @@ def retime(
         made = {cache: _named(target, name, len(caches)) for name, cache in caches.items()}
         require_no_input(bake, target, *made.values())
         if keys is not None:
-            _require_still_source(root, bake, caches)
+            _require_no_samples_in_variants(root, bake)
         try:
             codes = [_retimed(cache, new, speed, keys) for cache, new in made.items()]
             span = min(each[0] for each in codes), max(each[-1] for each in codes)
             layer = _root(root, made, speed, keys, span)
-            notes = write_placed(layer, target)
+            notes = ()
+            if keys is not None:
+                notes = _retime_source(layer, bake, caches, keys, max(codes, key=len))
+            notes = (*notes, *write_placed(layer, target))
             for path in (*made.values(), target):
                 publish(path)
         finally:
@@ -206,24 +209,57 @@ def _require_within(
             )
 
 
-def _require_still_source(root: Sdf.Layer, bake: Path, caches: Mapping[str, Path]) -> None:
-    """Raise InputError where what a cache moves is carried by an animation of the source."""
-    stage = open_stage(bake)
-    if own := _sampled(root):
+def _retime_source(
+    layer: Sdf.Layer,
+    bake: Path,
+    caches: Mapping[str, Path],
+    keys: tuple[tuple[float, float], ...],
+    codes: Sequence[float],
+) -> tuple[str, ...]:
+    """Sample in a root layer what the source animates, at the times of the result; notes in words.
+
+    One offset on the references is one speed, which keys are not.
+    """
+    stage, warp = open_stage(bake), Warp(keys)
+    baked = _in_caches(caches.values())
+    inside: dict[str, None] = {}
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for variant in (*caches, NONE):  # a cache hides what it takes the place of
+        for root in stage.GetPseudoRoot().GetChildren():
+            if root.GetVariantSets().HasVariantSet(VARIANTS):
+                root.GetVariantSet(VARIANTS).SetVariantSelection(variant)
+        for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
+            for attribute in prim.GetAuthoredAttributes():
+                if attribute.GetNumTimeSamples() < 2 or attribute.GetPath() in baked:
+                    continue
+                if prim.IsInstanceProxy():
+                    inside[str(prim.GetPath())] = None
+                    continue
+                sample_as_played(layer, attribute, warp, codes)
+    return tuple(
+        f"{path}: its animation is inside an instance, where --keys cannot retime it; --speed can"
+        for path in inside
+    )
+
+
+def _in_caches(caches: Iterable[Path]) -> set[Sdf.Path]:
+    """Paths of the attributes that caches have, also of those whose samples are in value clips."""
+    found: set[Sdf.Path] = set()
+    for cache in dict.fromkeys(caches):
+        stage = open_stage(cache)
+        found.update(_paths(stage.GetRootLayer()))
+        for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
+            found.update(attribute.GetPath() for attribute in prim.GetAuthoredAttributes())
+    return found
+
+
+def _require_no_samples_in_variants(root: Sdf.Layer, bake: Path) -> None:
+    """Raise InputError where a variant in the root layer itself has samples."""
+    if own := [path for path in _sampled(root) if path.ContainsPrimVariantSelection()]:
         raise InputError(
             f"{bake}: <{own[0]}> is animated but not baked, and --keys cannot retime it",
             "use --speed, which changes the speed of everything",
         )
-    for cache in dict.fromkeys(caches.values()):
-        moved = _paths(open_stage(cache).GetRootLayer())
-        for path in (path for path in moved if path.IsPrimPath()):
-            prim = stage.GetPrimAtPath(path)
-            place = UsdGeom.Xformable(prim) if prim else None
-            if place and place.TransformMightBeTimeVarying():
-                raise InputError(
-                    f"{bake}: <{path}> is animated in the source, and --keys cannot retime it",
-                    "use --speed, which also changes the speed of the source",
-                )
 
 
 def _paths(layer: Sdf.Layer) -> list[Sdf.Path]:

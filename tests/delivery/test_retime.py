@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
 from small_sources import MOVING, PLAIN, SEVERAL_ROOTS, SKINNED, Source
-from small_stages import EPS, bake, motion, open_with, world
+from small_stages import CUBE, EPS, bake, motion, open_with, world
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import Choices
@@ -23,6 +23,43 @@ BODY = "/duck/geo/body"
 FOURTH = 7.0**4 * 1.4 * 1.8
 POSITION = FOURTH / FPS**4 / 384.0  # of Hermite's cubic
 SPEED = FOURTH / FPS**3 * np.sqrt(3.0) / 216.0
+
+
+PUSHED = Source(
+    f"""
+def Xform "duck"
+{{
+    def Mesh "skin"
+    {{ {CUBE} }}
+    def Xform "wall"
+    {{
+        double3 xformOp:translate.timeSamples = {{ 10: (0, 0, 0), 20: (10, 0, 0) }}
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+        token visibility.timeSamples = {{ 10: "inherited", 13: "invisible" }}
+        vector3f[] velocities.timeSamples = {{ 10: [(24, 0, 0)], 20: [(24, 0, 0)] }}
+    }}
+}}
+""",
+    PLAIN.head,
+)
+"""A body, and beside it what only the source animates."""
+
+FLAGS = """
+def Xform "flag" (
+    instanceable = true
+    references = </_flag>
+)
+{
+}
+class Xform "_flag"
+{
+    def Xform "cloth"
+    {
+        double3 xformOp:translate.timeSamples = { 10: (0, 0, 0), 20: (10, 0, 0) }
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+}
+"""
 
 
 @pytest.fixture
@@ -188,11 +225,57 @@ def test_what_makes_no_sense_is_refused_and_nothing_is_written(root: Path, tmp_p
     assert sorted(tmp_path.iterdir()) == there
 
 
-def test_keys_do_not_go_with_an_animated_source(tmp_path: Path) -> None:
-    before = baked(MOVING, tmp_path)
-    start = Usd.Stage.Open(str(before)).GetStartTimeCode()
-    keys = [(start, start), (start + 4.0, start + 2.0)]
-    refused(InputError, "animated in the source", before, tmp_path / "slow.usda", keys=keys)
+@pytest.mark.parametrize(
+    "source", [MOVING, SKINNED, SEVERAL_ROOTS, PUSHED], ids=["moving", "skin", "roots", "obstacle"]
+)
+def test_the_source_follows_keys(tmp_path: Path, source: Source) -> None:
+    """What bodies hit and what carries them is where it was, at each time of the result."""
+    before = baked(source, tmp_path)
+    old = open_with(before, "rubber")
+    start = old.GetStartTimeCode()
+    keys = [(start, start), (start + 2.0, start + 2.0), (start + 6.0, start + 4.0),
+            (start + 8.0, start + 2.0)]  # fmt: skip
+    done = retime(before, tmp_path / "ramp.usda", keys=keys)
+    assert done.notes == ()
+    assert {*check_file(done.path).findings} <= {*check_file(before).findings}
+    new = open_with(done.path, "rubber")
+    meshes = [str(p.GetPath()) for p in old.Traverse() if p.IsA(UsdGeom.Mesh)]
+    assert meshes
+    # half frames are where the caches are resampled by cubics, which has a test of its own
+    for code, then in ((0, 0), (1, 1), (2, 2), (4, 3), (6, 4), (7, 3), (8, 2)):
+        for path in meshes:
+            wanted = world(old, path, "points", start + then)
+            assert world(new, path, "points", start + code) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_what_only_the_source_moves_follows_keys_between_its_samples(tmp_path: Path) -> None:
+    before = baked(PUSHED, tmp_path)
+    keys = [(10.0, 10.0), (20.0, 15.0), (25.0, 15.0)]
+    stage = Usd.Stage.Open(str(retime(before, tmp_path / "ramp.usda", keys=keys).path))
+    wall = stage.GetPrimAtPath("/duck/wall")
+    for code in range(10, 26):
+        then = min(10.0 + 0.5 * (code - 10.0), 15.0)
+        assert wall.GetAttribute("xformOp:translate").Get(code)[0] == pytest.approx(then - 10.0)
+        # stage units per second of playback: half as fast, then held
+        speed = 0.5 * 24.0 if code < 20 else 0.0
+        assert wall.GetAttribute("velocities").Get(code)[0][0] == pytest.approx(speed)
+        shown = wall.GetAttribute("visibility").Get(code) != "invisible"
+        assert shown == (then < 13.0)
+    again = retime(Path(stage.GetRootLayer().realPath), tmp_path / "again.usda",
+                   keys=[(1.0, 20.0), (11.0, 10.0)])  # fmt: skip
+    stage = Usd.Stage.Open(str(again.path))
+    wall = stage.GetPrimAtPath("/duck/wall")
+    backwards = [wall.GetAttribute("xformOp:translate").Get(code)[0] for code in range(1, 12)]
+    assert backwards == pytest.approx([5.0 - 0.5 * k for k in range(11)])
+
+
+def test_what_keys_cannot_retime_is_named(tmp_path: Path) -> None:
+    done = retime(
+        baked(Source(PUSHED.body + FLAGS, PUSHED.head), tmp_path), tmp_path / "ramp.usda",
+        keys=[(10.0, 10.0), (16.0, 13.0)],
+    )  # fmt: skip
+    (note,) = done.notes
+    assert note.startswith("/flag/cloth: its animation is inside an instance")
 
 
 def test_a_full_disk_leaves_nothing_under_a_partial_name(
