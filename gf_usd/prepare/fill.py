@@ -238,7 +238,7 @@ def fill(
 
     materials = with_conversions(
         asset.facts.path, assigned(spec), request.converted, solid, bodies, spec, unit,
-        stated_values(request),
+        stated_values(request), surface=bool(request.surface),
     )  # fmt: skip
     if changes is not None and file is not None:
         materials = with_value_keys(

@@ -253,6 +253,16 @@ def test_what_means_nothing_is_refused_by_name(blocks: Path, tmp_path: Path) -> 
         gf_usd.bake(sand, output=tmp_path / "out.usda", conversions="honey@time:3", **SMALL)
 
 
+@pytest.mark.parametrize(
+    ("surface", "words"),
+    [(False, "particles are shown"), (True, "a surface around the particles is shown")],
+)
+def test_a_note_says_what_is_shown(blocks: Path, surface: bool, words: str) -> None:
+    plan = gf_usd.inspect(blocks, conversions="honey@time:3", surface=surface, **SMALL)
+    (note,) = [one for one in plan.notes if "become honey" in one]
+    assert note.endswith(f"from the first of them on {words}, not the mesh")
+
+
 def test_a_picture_shows_what_is_visible_then(blocks: Path, tmp_path: Path) -> None:
     from gf_usd.readers.pictures.recording import BakedMotion
     from gf_usd.readers.pictures.scene import read_scene

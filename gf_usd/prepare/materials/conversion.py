@@ -107,12 +107,16 @@ def with_conversions(
     spec: StageSpec,
     unit: float,
     stated: Mapping[str, float],
+    *,
+    surface: bool,
 ) -> Assigned:
     """The particles with their conversions, and the tables with what they become at the end.
 
     path : of the asset, for messages; unit : [m] of the stage's; stated : what the options say
-    instead of a material's own values.  Later rules hold before earlier
-    ones.  Raises InputError for a rule that means no particle, or only such as flow from the start.
+    instead of a material's own values; surface : what flows is shown as a surface.  Later rules
+    hold before earlier ones.
+
+    Raises InputError for a rule that means no particle, or only such as flow from the start.
     """
     if not rules:
         return assigned
@@ -136,6 +140,7 @@ def with_conversions(
             )
         of[mine & ~flows] = k
     made, notes = [], []
+    shown = "a surface around the particles is shown" if surface else "particles are shown"
     for k, rule in enumerate(rules):
         rows = np.flatnonzero(of == k)
         if not len(rows):
@@ -148,7 +153,7 @@ def with_conversions(
         names = ", ".join(f"<{p}>" for b in touched for p in bodies.surfaces[b][:4])
         notes.append(
             f"{len(rows)} of {len(particles)} particles, of {names}, become {rule.material}"
-            f" {rule.limit.said}; from the first of them on particles are shown, not the mesh"
+            f" {rule.limit.said}; from the first of them on {shown}, not the mesh"
         )
     targets = tuple(rule.becomes(stated) for rule in rules)
     return replace(
