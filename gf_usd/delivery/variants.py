@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import InputError
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.scene import Recording
 from gf_usd.delivery.motion import BodyMotion, bodies_of
 from gf_usd.delivery.rig import Rig
@@ -22,6 +23,11 @@ from gf_usd.delivery.splats.clouds import (
 from gf_usd.readers.pictures.prims import INSTANCER
 from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
 from gf_usd.readers.pictures.splats import SplatMotion
+
+TORN = (  # a note
+    "the material flows without end: meshes tear where particles separate; a bake without --only"
+    " also has Gaussians, which --splats only delivers to a .glb"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,13 +70,20 @@ def read_variants(
             raise InputError(
                 f"{bake}: <{recording.meshes[gone[0]].name}> is converted: particles stand for it"
                 f" from some frame on, which joints and blend shapes cannot represent.",
-                "use the bake itself, or deliver the particles as Gaussians: --splats only",
+                _instead(bake, source.variant),
             )
         if recording.flows and not baked and not clouds:
             raise InputError(
                 f"{bake}: the faces of <{recording.flows[0]}> change from frame to frame, which "
                 f"joints and blend shapes cannot represent.",
-                "use the bake itself, or deliver the particles as Gaussians: --splats only",
+                _instead(bake, source.variant),
+            )
+        flows = _flows_without_end(source)
+        if not baked and not clouds and flows:
+            raise InputError(
+                f"{bake}: its material flows without end: particles stand for its meshes, which "
+                f"joints and blend shapes cannot represent.",
+                _instead(bake, source.variant),
             )
         if not baked and not clouds:
             raise InputError(
@@ -82,6 +95,8 @@ def read_variants(
         bodies = bodies_of(recording, list(source.frames(whole=True)), baked) if baked else ()
         for path in recording.flows:
             notes[f"{path}: left out because its faces change from frame to frame"] = None
+        if flows and bodies:
+            notes[TORN] = None
         for i in gone:
             notes[f"{recording.meshes[i].name}: left out because particles stand for it"] = None
         names = tuple(mesh.name for mesh in recording.meshes)
@@ -106,6 +121,23 @@ def read_variants(
         mine = [note for note in (*recording.notes, *said) if not note.endswith(untrue)]
         notes |= dict.fromkeys(mine)
     return variants, recordings, tuple(notes)
+
+
+def _flows_without_end(source: BakedMotion) -> bool:
+    """Whether all materials of a bake do, as it says of itself."""
+    told = source.about.get("looks", {}).get(source.variant, {}).get("materials", {})
+    laws = [LAWS.get(material.get("law")) for material in told.values()]
+    return bool(laws) and all(law is not None and law.unbounded for law in laws)
+
+
+def _instead(bake: Path, variant: str) -> str:
+    """What to do where particles stand for meshes, in words."""
+    if SplatMotion(bake, variant or None, captured=False, particles=True):
+        return "use the bake itself, or deliver the particles as Gaussians to a .glb: --splats only"
+    return (
+        "use the bake itself, or bake again with gaussians among --only and deliver these to a "
+        ".glb: --splats only"
+    )
 
 
 def _clouds(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from mixed_stages import body, scene
 from pxr import Usd, UsdGeom
 
 import gf_usd
+from gf_usd.core.errors import InputError
 from gf_usd.delivery.deliver import deliver
 from gf_usd.readers.pictures.recording import BakedMotion
 
@@ -139,3 +141,31 @@ def test_usd_hides_what_particles_stand_for(tmp_path: Path, flatten: bool) -> No
         image = UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{name}"))
         for code in (1.0, 4.0):
             assert (image.ComputeVisibility(code) != "invisible") == shown
+
+
+def honey(folder: Path, **options: Any) -> Path:
+    block = scene(folder, body("Block", "honey", "0, 0.1, 0"))
+    return gf_usd.bake(
+        block, frames=3, output=folder / "bake.usda", particles=300, **options
+    ).root  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usda"])
+def test_the_hint_about_what_flows_can_be_followed(tmp_path: Path, suffix: str) -> None:
+    bake = honey(tmp_path)
+    with pytest.raises(InputError, match="flows without end: particles stand for") as said:
+        deliver(bake, tmp_path / f"out{suffix}")
+    assert said.value.hint.endswith("deliver the particles as Gaussians to a .glb: --splats only")
+    assert deliver(bake, tmp_path / "out.glb", splats="only").splats
+
+
+def test_without_gaussians_the_hint_says_how_to_get_them(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="flows without end") as said:
+        deliver(honey(tmp_path, only="points"), tmp_path / "out.glb")
+    assert "bake again with gaussians among --only" in said.value.hint
+
+
+def test_a_mesh_that_tears_is_delivered_with_a_note(tmp_path: Path) -> None:
+    done = deliver(honey(tmp_path, only="mesh"), tmp_path / "out.glb", error=TOLERANCE)
+    assert [one.meshes for one in done.bodies] == [("/World/Block",)]
+    assert [note for note in done.notes if "meshes tear where particles separate" in note]
