@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,13 +100,41 @@ def sometimes_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     return any(is_visible(prim, Usd.TimeCode(code)) for code in sorted(samples))
 
 
-def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
-    """The box [m] of the prims' points over up to 48 of the times; None where there are none.
+@dataclass(frozen=True)
+class MotionBoxes:
+    """The boxes of prims at times of a motion, and what they are of."""
 
-    If some prims move and others, such as a ground, do not, the box includes of the latter only
-    what is within AROUND times the size of the box of the motion, so that the image fits the
-    motion.
-    """
+    prims: Sequence[Usd.Prim]
+    unit: float  # [m]
+    codes: Sequence[float | None]  # None: the earliest time
+    each: Sequence[Mapping[int, Floats]]  # (2, 3) [m] of each visible prim, at each time
+
+    def still(self) -> set[int]:
+        """The prims whose box never changes."""
+        own: dict[int, list[Floats]] = {}
+        for now in self.each:
+            for number, box in now.items():
+                own.setdefault(number, []).append(box)
+        return {k for k, of in own.items() if all(np.array_equal(box, of[0]) for box in of)}
+
+    def points(self, number: int, which: int) -> Floats:
+        """(n, 3) [m] of a prim at one of the times."""
+        time = _time_of(self.codes[which])
+        xforms = UsdGeom.XformCache(time)
+        return _finite(self.prims[number], time, xforms, Skins(time, xforms, Notes()), self.unit)
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """The box of all; see `motion_bounds`."""
+        whole = fitted(self.each, self.still())
+        if whole is None:
+            return None
+        low, high = whole.tolist()
+        return Bounds(low=tuple(low), high=tuple(high))
+
+
+def motion_boxes(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> MotionBoxes:
+    """The boxes of the prims' points over up to 48 of the times."""
     chosen: list[float | None] = [None]
     if times:
         spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
@@ -121,16 +150,21 @@ def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float
         for number, prim in enumerate(prims):
             if number in changing and not is_visible(prim, time):
                 continue
-            points = _world_points(prim, time, xforms, skins)
-            points = points[np.isfinite(points).all(axis=1)] * unit
+            points = _finite(prim, time, xforms, skins, unit)
             if len(points):
                 now[number] = np.stack([points.min(axis=0), points.max(axis=0)])
         boxes.append(now)
-    whole = _fitted(boxes)
-    if whole is None:
-        return None
-    low, high = whole.tolist()
-    return Bounds(low=tuple(low), high=tuple(high))
+    return MotionBoxes(prims, unit, chosen, boxes)
+
+
+def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
+    """The box [m] of the prims' points over up to 48 of the times; None where there are none.
+
+    If some prims move and others, such as a ground, do not, the box includes of the latter only
+    what is within AROUND times the size of the box of the motion, so that the image fits the
+    motion.
+    """
+    return motion_boxes(prims, times, unit).bounds
 
 
 def _missed(changing: Sequence[Usd.Prim], chosen: Sequence[float | None]) -> list[float]:
@@ -151,28 +185,56 @@ def _time_of(code: float | None) -> Usd.TimeCode:
     return Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
 
 
-def _fitted(boxes: Sequence[Mapping[int, Floats]]) -> Floats | None:
-    """(2, 3) box of what moves, and of what stays near it; None where there is nothing."""
-    numbers = sorted({number for now in boxes for number in now})
-    if not numbers:
-        return None
-    each = {k: [now[k] for now in boxes if k in now] for k in numbers}
-    still = {k: all(np.array_equal(box, own[0]) for box in own) for k, own in each.items()}
-    moving = [box for k in numbers if not still[k] for box in each[k]]
-    resting = [each[k][0] for k in numbers if still[k]]
+def fitted(boxes: Sequence[Mapping[int, Floats]], still: Collection[int]) -> Floats | None:
+    """(2, 3) box of what moves, and of what stays near it; None where there is nothing.
+
+    still : which of the numbers stay.
+    """
+    moving, resting = _apart(boxes, still)
     if not moving:
-        return _union(resting)
-    own = _union(moving)
-    reach = AROUND * float(np.linalg.norm(own[1] - own[0]))
-    low, high = own[0] - reach, own[1] + reach
+        return _union(resting) if resting else None
+    own, low, high = _around(moving)
     near = [box for box in resting if (box[0] <= high).all() and (box[1] >= low).all()]
     return _union([own, *(np.clip(box, low, high) for box in near)])
+
+
+def near_boxes(boxes: MotionBoxes, still: Collection[int]) -> list[Floats]:
+    """(2, 3) each, the boxes of what stays near what moves; none where nothing moves."""
+    moving, resting = _apart(boxes.each, still)
+    if not moving:
+        return []
+    _, low, high = _around(moving)
+    return [box for box in resting if (box[0] <= high).all() and (box[1] >= low).all()]
+
+
+def _apart(
+    boxes: Sequence[Mapping[int, Floats]], still: Collection[int]
+) -> tuple[list[Floats], list[Floats]]:
+    """The boxes of what moves at all times, and one of each prim that stays."""
+    moving = [box for now in boxes for number, box in now.items() if number not in still]
+    resting = {k: box for now in boxes for k, box in now.items() if k in still}
+    return moving, list(resting.values())
+
+
+def _around(moving: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
+    """(2, 3) box of boxes, and the corners of a larger one in which others are near."""
+    own = _union(moving)
+    reach = AROUND * float(np.linalg.norm(own[1] - own[0]))
+    return own, own[0] - reach, own[1] + reach
 
 
 def _union(boxes: Sequence[Floats]) -> Floats:
     """(2, 3) box of boxes."""
     every = np.array(boxes)
     return np.stack([every[:, 0].min(0), every[:, 1].max(0)])
+
+
+def _finite(
+    prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins, unit: float
+) -> Floats:
+    """(n, 3) [m] those of `_world_points` that are numbers."""
+    points = _world_points(prim, time, xforms, skins)
+    return points[np.isfinite(points).all(axis=1)] * unit
 
 
 def _world_points(

@@ -29,9 +29,11 @@ from gf_usd.readers.pictures.extent import (
     HEALTH,
     is_shown,
     motion_bounds,
+    motion_boxes,
     sample_times,
     sometimes_visible,
 )
+from gf_usd.readers.pictures.framing import framed
 from gf_usd.readers.pictures.prims import (
     SPLAT_TYPE,
     as_ellipsoids,
@@ -73,6 +75,7 @@ WITH_MESHES = (SHOWS["both"][0], "gaussians")
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
 EMPTY = "pictures of times at which nothing is visible are empty"  # a note
+FALLEN = "falls out of the picture, which is fitted to the rest; --camera chooses another view"
 FLOOR_TOLERANCE = 0.05  # of the size: a body whose lowest point is this near height 0 stands there
 
 
@@ -142,6 +145,7 @@ class PictureStage:
     def motion(self) -> Motion:
         """The extent over the whole time range, looked up once.
 
+        The box is the one to fit a picture to: see `gf_usd.readers.pictures.framing`.
         The floor is height 0 where the body stands there, to 5 % of its size, or comes down on it
         from above; else it is under the lowest point of the motion.  Times at which nothing is
         visible do not count.
@@ -151,15 +155,20 @@ class PictureStage:
             moving = [*prims, *([self._camera.GetPrim()] if self._camera else [])]
             with reading(self._path):
                 times = sample_times(moving)
-                bounds = motion_bounds(prims, times, self._facts.units.length)
+                boxes = motion_boxes(prims, times, self._facts.units.length)
+                whole = boxes.bounds
                 shown = (t for t in times if any(is_shown(p, Usd.TimeCode(t)) for p in prims))
                 start = [*islice(shown, 1)]
                 first = motion_bounds(prims, start, self._facts.units.length)
-            up = self._facts.up
+            up, bounds = self._facts.up, whole
+            if whole is not None and self._camera is None:
+                bounds, fallen = framed(prims, boxes, whole, up)
+                for path in fallen:
+                    self._stage_notes.add(FALLEN, path)
             self._motion = Motion(
                 bounds=bounds,
                 up=(float(up[0]), float(up[1]), float(up[2])),
-                ground=_ground(bounds, first, up),
+                ground=_ground(whole, first, up),
                 time_codes=tuple(times),
                 frames_per_second=float(self._stage.GetFramesPerSecond()),
                 time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),

@@ -1,0 +1,109 @@
+"""What a picture is fitted to where bodies fall out of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd
+
+from gf_usd.core.scene import Bounds
+from gf_usd.readers.pictures.extent import AROUND, motion_boxes
+from gf_usd.readers.pictures.framing import BELOW, framed
+from gf_usd.readers.pictures.scene import PictureStage
+
+Y = np.array([0.0, 1.0, 0.0])
+CODES = (1.0, 2.0, 3.0, 4.0, 5.0)
+TABLE = """
+def Cube "Table" {
+    double size = 1
+    double3 xformOp:translate = (0, -0.5, 0)
+    float3 xformOp:scale = (8, 1, 8)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+}
+"""
+CAMERA = 'def Camera "Camera" {\n}\n'
+FALLS, LANDS = (1.0, 1.0, -3.0, -8.0, -15.0), (1.0, 1.0, -3.0, -8.0, -8.0)
+
+
+def ball(heights: Sequence[float]) -> str:
+    """A cube of 2 m that rolls off the table."""
+    way = ", ".join(f"{k + 1}: ({k}, {y}, 0)" for k, y in enumerate(heights))
+    return f"""
+def Cube "Ball" {{
+    double size = 2
+    double3 xformOp:translate.timeSamples = {{ {way} }}
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}}
+"""
+
+
+def drops(falling: int) -> str:
+    """Ten points on the table, some of which fall from it and from then on go on to."""
+    rows = []
+    for k, y in enumerate(FALLS):
+        points = [(float(n - 5), y if n < falling else 0.1 + 0.01 * k, 0.0) for n in range(10)]
+        rows.append(f"{k + 1}: {points}")
+    return f"""
+def Points "Drops" {{
+    point3f[] points.timeSamples = {{ {", ".join(rows)} }}
+    float[] widths = [0.0]
+}}
+"""
+
+
+def fit(write: Callable[..., Path], body: str) -> tuple[Bounds, Bounds, tuple[str, ...]]:
+    """The box of all, the one to fit to, and what falls out of it."""
+    stage = Usd.Stage.Open(str(write(body)))
+    prims = [prim for prim in stage.GetPseudoRoot().GetChildren() if prim.GetName() != "Camera"]
+    boxes = motion_boxes(prims, CODES, 1.0)
+    assert boxes.bounds is not None
+    return boxes.bounds, *framed(prims, boxes, boxes.bounds, Y)
+
+
+def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) -> None:
+    whole, shown, fell = fit(write, TABLE + ball(FALLS))
+    assert fell == ("/Ball",)
+    assert whole.low[1] == -16.0
+    # the ball of the first two frames, and of the table what is near that
+    reach = AROUND * np.linalg.norm((3.0, 2.0, 2.0))
+    low, high = (
+        np.array([-1.0 - reach, -reach, -1.0 - reach]),
+        np.array([2.0 + reach, 2.0, 1 + reach]),
+    )
+    low[1] -= BELOW * (high - low).max()
+    np.testing.assert_allclose(shown.low, low)
+    np.testing.assert_allclose(shown.high, high)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [TABLE + ball(LANDS), ball(FALLS), TABLE + drops(9), TABLE + ball((9.0, 7.0, 4.0, 1.0, 1.0))],
+    ids=["it lands", "nothing stays", "most of it falls", "on the table"],
+)
+def test_all_of_any_other_motion_is_shown(write: Callable[..., Path], body: str) -> None:
+    whole, shown, fell = fit(write, body)
+    assert shown == whole
+    assert fell == ()
+
+
+def test_of_drops_those_that_fall_do_not_count(write: Callable[..., Path]) -> None:
+    whole, shown, fell = fit(write, TABLE + drops(2))
+    assert fell == ("/Drops",)
+    assert whole.low[1] == -15.0
+    # on the table, of which a part is near, and a tenth of its width below
+    assert -1.0 - BELOW * 11.0 < shown.low[1] < 0.0
+    assert shown.high[1] == 1.0
+
+
+def test_a_picture_says_what_falls_out_of_it(write: Callable[..., Path]) -> None:
+    path = write(TABLE + ball(FALLS) + CAMERA)
+    fitted, seen = PictureStage(path), PictureStage(path, camera="/Camera")
+    (note,) = [one for one in fitted.scene(1.0).notes if one.startswith("/Ball: falls out of")]
+    assert "--camera" in note
+    assert seen.scene(1.0).notes == ()
+    assert fitted.motion.bounds is not None
+    assert fitted.motion.bounds.low[1] > -3.0
+    assert fitted.motion.ground == seen.motion.ground
