@@ -20,7 +20,7 @@ from gf_usd.delivery.splats.clouds import (
     read_clouds,
     with_splats,
 )
-from gf_usd.readers.pictures.prims import INSTANCER
+from gf_usd.readers.pictures.prims import LEFT_OUT
 from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
 from gf_usd.readers.pictures.splats import SplatMotion
 
@@ -116,9 +116,9 @@ def read_variants(
             )
         )
         recordings.append(recording)
-        # a USD file keeps what stands beside the bake, instancers too
-        untrue = (ONE_SET,) if whole else (ONE_SET, INSTANCER)
-        mine = [note for note in (*recording.notes, *said) if not note.endswith(untrue)]
+        # a USD file keeps what stands beside the bake, instancers and curves too
+        every = [note for note in (*recording.notes, *said) if not note.endswith(ONE_SET)]
+        mine = [note for note in every if whole or f": {LEFT_OUT}" not in note]
         notes |= dict.fromkeys(mine)
     return variants, recordings, tuple(notes)
 

@@ -19,7 +19,7 @@ from gf_usd.core.scene import Harmonics, RenderEllipsoids, RenderMesh, RenderSpl
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.stage import LeftAlone, Placement
 
-INSTANCER = "not drawn: PointInstancer"  # a note
+LEFT_OUT = "not drawn: "  # a note, with a type
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
 Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
 
@@ -41,14 +41,30 @@ def stands_for_meshes(prim: Usd.Prim) -> bool:
 def placed_prims(stage: Usd.Stage, notes: Notes) -> Iterator[Usd.Prim]:
     """Every prim of a stage, instances seen as prims, but none below a PointInstancer.
 
-    Prototypes there stand nowhere by themselves.  Each instancer gets a note.
+    Prototypes there stand nowhere by themselves.  Each instancer gets a note, and so does geometry
+    that is not drawn.
     """
     walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for prim in walk:
-        if prim.IsA(UsdGeom.PointInstancer):
-            notes.add(INSTANCER, str(prim.GetPath()))
+        instancer = prim.IsA(UsdGeom.PointInstancer)
+        if instancer or (_is_undrawn(prim) and _is_rendered(prim)):
+            notes.add(f"{LEFT_OUT}{prim.GetTypeName()}", str(prim.GetPath()))
+        if instancer:
             walk.PruneChildren()
         yield prim
+
+
+def _is_undrawn(prim: Usd.Prim) -> bool:
+    """Geometry of which nothing here makes triangles, such as hair."""
+    return prim.IsA(UsdGeom.Curves) or prim.IsA(UsdGeom.NurbsPatch)
+
+
+def _is_rendered(prim: Usd.Prim) -> bool:
+    """Whether a prim is meant for pictures: no guide, such as the controls of a rig, nor hidden."""
+    image = UsdGeom.Imageable(prim)
+    shown = image.ComputeVisibility(Usd.TimeCode.EarliestTime()) != UsdGeom.Tokens.invisible
+    purposes = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+    return shown and image.ComputePurpose() in purposes
 
 
 def read_splats(
