@@ -166,7 +166,12 @@ def _follow(
 
 
 def _condensed(frames: Sequence[Floats], at_rest: Floats) -> Floats | None:
-    """(F, V, 3) of points that do move; one frame where all are alike, None where as at rest."""
+    """(F, V, 3) of points that do move; one frame where all are alike, None where as at rest.
+
+    None too where no frame was asked for.
+    """
+    if not frames:
+        return None
     if any(not np.array_equal(frame, frames[0]) for frame in frames):
         return np.stack(frames)
     same = np.array_equal(frames[0], at_rest.astype(np.float32))

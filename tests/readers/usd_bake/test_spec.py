@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from physics_stages import SLIDE, mesh, prim
+from physics_stages import BOX, SLIDE, mesh, prim
 from planned import at, cubes, noted, plan_fixture  # noqa: F401
 
 from gf_usd.core.errors import InputError
@@ -44,6 +44,17 @@ def test_colliders_are_obstacles_and_no_bodies(plan) -> None:
     assert noted(seen, "</Tray> is not baked: it is a kinematic collider: an obstacle")
     # SLIDE moves by two meters a time code: frames 0, 1 and 2 are at 1, 2 and 3.
     np.testing.assert_allclose(seen.contact_setup.colliders[1].offset[:, 0], [0.0, 2.0, 4.0])
+
+
+def test_an_obstacle_may_deform(plan) -> None:
+    # What the stage says is read before its frames are known, and again at all of them.
+    lifted = BOX.split("points = ")[1].strip().replace(",1)", ",3)")
+    alive = BOX.rstrip() + "\npoint3f[] points.timeSamples = { 1: [], 3: [] }"
+    rest = BOX.split("points = ")[1].strip()
+    alive = alive.replace("1: []", f"1: {rest}").replace("3: []", f"3: {lifted}")
+    floor = prim("Mesh", "Floor", alive, at(0.0, -2.0), apis=[COLLISION])
+    (found,) = plan(mesh("One", at(0.0, 4.0)), floor).contact_setup.colliders
+    np.testing.assert_array_equal([found.positions(k)[7, 2] for k in range(3)], [1.0, 2.0, 3.0])
 
 
 def test_what_is_turned_off_stays_as_it_is(plan) -> None:
