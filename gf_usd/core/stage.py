@@ -380,6 +380,7 @@ class Pin:
     # the particles there are as elastic as any: a core in a solid.
     sharp: bool = True
     rigid: bool = False  # whether it moves as a rigid body by the forces on it, and not as given
+    patch: bool = False  # part of a surface: where no node is inside, the nearest ones are held
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -77,7 +77,7 @@ def make_pins(
     for region in found:
         _require_hold(region, asset, option)
     make = make_rigid if option == "--rigid" else make_pin
-    return tuple(make(region, solid) for region in found)
+    return tuple(make(region, solid, asset.surfaces) for region in found)
 
 
 def attachment_pins(
@@ -100,7 +100,7 @@ def attachment_pins(
     others = [path for path in paths if path not in ours]
     regions, notes = read_attachments(file, others, asset.facts, rest=rest, times=times)
     held = f"attachments pin parts of the body: {', '.join(paths)}"
-    pins = [make_pin(region, solid, "attachment") for region in regions]
+    pins = [make_pin(region, solid, asset.surfaces, "attachment") for region in regions]
     for region in dict.fromkeys(one.region for one in written):
         mine = [one for one in written if one.region == region]  # one of each body
         name, length = mine[0].name, max(len(one.path) for one in mine)

@@ -63,6 +63,7 @@ from gf_usd.core.stage import Pin
 OWNED = 0.082
 REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outside ends at 1.5
 NEAR = 0.45  # [cells] less than a half, where a row of nodes is as well across the boundary
+ALIKE = 1e-6  # nodes that are as near to a small patch as the nearest one, but for rounding
 HANGS = 0.01  # of a row: more than this on nodes that are given, and X' goes farther in
 
 
@@ -139,14 +140,19 @@ Given = Callable[[Ints, Floats], NDArray[np.float64]]  # of nodes by number, and
 def given_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> PinnedPoints:
     """Nodes X (n, 3) [m] with those of the body that lie within NEAR of a boundary that is held.
 
-    A pin that holds no node itself holds none nearby.
+    A pin that holds no node itself holds none nearby, but for a patch, which may be smaller than a
+    cell: of that, the nearest ones.
     """
     axes = held.axes.copy()
     for index, pin in enumerate(pins):
-        if _holds(pin) and (held.axes == index).any():
+        empty = not (held.axes == index).any()
+        if _holds(pin) and (pin.patch or not empty):
             rows = np.flatnonzero((axes < 0).all(1))
             s = np.linalg.norm(pin.nearest(X[rows]) - X[rows], axis=1)
-            axes[rows[s < NEAR * h]] = index
+            reach = NEAR * h
+            if empty and len(s) and reach <= s.min() < h:
+                reach = (1.0 + ALIKE) * float(s.min())
+            axes[rows[s < reach]] = index
     return PinnedPoints(axes=axes)
 
 
@@ -296,7 +302,7 @@ class PinConstraint:
         for index, pin in enumerate(self.pins):
             if pin.sharp and not (nodes.axes == index).any():
                 raise InputError(
-                    f"--pin {pin.name} holds no node of the grid: it is smaller than a cell or "
+                    f"the pin {pin.name} holds no node of the grid: it is smaller than a cell or "
                     f"outside the body",
                     "enlarge it, or use more particles (--particles) for a finer grid",
                 )

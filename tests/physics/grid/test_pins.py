@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from slow_parameters import slow_but
-from solids import cube, fill, look, settings, solid
+from solids import asset, cube, fill, look, settings, solid, surface
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
@@ -15,6 +15,10 @@ from gf_usd.core.frames import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.regions import box_region, make_pin
+from gf_usd.geometry.repair import repair_asset
+from gf_usd.geometry.sampling.particles import sample_solid
+from gf_usd.geometry.solid import build_solid
+from gf_usd.geometry.thin.thicken import thicken_asset
 from gf_usd.physics.grid.pins import (
     Motion,
     PinConstraint,
@@ -194,6 +198,50 @@ def test_a_pin_that_holds_all_or_nothing_is_refused(text: str, words: str) -> No
         TotalLagrangian(bar(), [soft()], settings(), pins=[box(text)])
     assert words in caught.value.message
     assert caught.value.hint
+
+
+def test_a_patch_smaller_than_a_cell_holds_the_nearest_nodes() -> None:
+    # a tenth of a cell, in the middle of the face x = 0
+    at, small = np.array([0.0, 0.13, 0.12]), 0.01
+    points = at + small * np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    region = Region(name="/Body/spot", kind="patch", points=points, body="/Body",
+                    triangles=np.array([[0, 1, 2]]), path=points[None])  # fmt: skip
+    pin = make_pin(region, BAR)
+    h = 0.2
+    X = np.array([[0.07, 0.1, 0.05], [0.07, 0.3, 0.05], [0.27, 0.1, 0.05]])
+    free = pinned_by([pin], X)
+    assert not free.any
+    assert given_nearby([pin], free, X, h).pin.tolist() == [0, -1, -1]
+    far = X + [0.05, 0.05, 0.0]  # none within NEAR
+    assert given_nearby([pin], pinned_by([pin], far), far, h).pin.tolist() == [0, -1, -1]
+    away = X + [1.0, 0.0, 0.0]
+    assert not given_nearby([pin], pinned_by([pin], away), away, h).any
+
+
+def test_a_pinned_sheet_hangs_as_its_weight_says() -> None:
+    """u(L) = rho g L^2 / 2E as of the bar, of a sheet of one layer of particles."""
+    g, length, pinned, n = 2.0, 1.0, 0.25, 4
+    x = np.linspace(-pinned, length, n + 2)
+    points = np.array([[a, 0.0, z] for a in x for z in (0.0, 0.5)])
+    strips = [[2 * k, 2 * k + 1, 2 * k + 2] for k in range(n + 1)]
+    strips += [[2 * k + 2, 2 * k + 1, 2 * k + 3] for k in range(n + 1)]
+    mended, repairs = repair_asset(asset(surface(points, np.array(strips))))
+    filled, _ = thicken_asset(mended, repairs, spacing=0.05, particles=0)
+    body = build_solid(filled)
+    top = Region(name="/Body/top", kind="patch", points=points, path=points[None],
+                 triangles=np.array([strips[0], strips[n + 1]]), body="/Body")  # fmt: skip
+    s = settings(frames=40, gravity=(g, 0.0, 0.0), fps=24.0, drag=8.0)
+    particles = sample_solid(body, particles=None, spacing=0.05, seed=0)
+    moved = []
+    for pin in make_pin(top, body, mended.surfaces), box("box:-9,-9,-9,0,9,9"):
+        solver = TotalLagrangian(particles, [soft()], s, pins=[pin], embedded={"flag": points})
+        *_, last = solver.frames()
+        moved.append(last.embedded["flag"].x - points)
+    assert np.abs(moved[0][:4]).max() < 1e-12
+    # the same place is held, to second order in a cell of 0.1
+    np.testing.assert_allclose(moved[0][-2:, 0], moved[1][-2:, 0], rtol=0.1**2)
+    # a sheet of one layer is as long as its particles are: to half a spacing, 2 (a / 2) / L
+    assert moved[0][-2:, 0] == pytest.approx(1000.0 * g / (2.0 * 1e5), rel=0.05)
 
 
 def test_a_pinned_bar_stretches_as_its_weight_says() -> None:
