@@ -111,8 +111,9 @@ def fill(
     mended: tuple[str, ...] = ()
     agreed: tuple[str, ...] = ()
     follows = False  # a sheet is as thick as the spacing
+    fitted: float | None = None  # [m] spacing of as many particles as asked for, sheets included
     if repair:
-        asset, filled, repairs = mend(asset, request, spec)
+        asset, filled, repairs, fitted = mend(asset, request, spec)
         mended = notes(repairs)
         follows = any(one.thickened for one in repairs)
     else:
@@ -137,6 +138,8 @@ def fill(
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
         None if follows else lambda: (solid.volume, thickness(solid)),
     )  # fmt: skip
+    wanted = asked.particles if fitted else 0
+    asked = replace(asked, spacing=fitted or asked.spacing)
 
     def sample(of: Ints) -> Particles:
         return sample_solid(
@@ -157,6 +160,7 @@ def fill(
         asset, solid, spacing, sample, owners, combine=combine,
         kinds=flow.first if mixed else None,
     )  # fmt: skip
+    mended += _count_note(wanted, len(particles))
     _require_one_body(request, bodies.count)
     if paper or (flow.flows.any() and not mixed):
         # There every particle feels the floor; a mass of rho * area * spacing is its own.
@@ -394,23 +398,40 @@ def _resolution(
     return resolution(request.particles, spacing, spec, volumes, thin, paper=paper)
 
 
+def _count_note(wanted: int, count: int) -> tuple[str, ...]:
+    """What to say where sheets have another number of particles than was asked for."""
+    if not wanted or abs(count - wanted) <= OTHER_COUNT * wanted:
+        return ()
+    return (
+        f"sheets of one layer have {count} particles instead of {wanted}: --spacing sets how fine"
+        " they are",
+    )
+
+
+OTHER_COUNT = 0.25  # of the number asked for: solids alone are as far from it
+
+
 def mend(
     asset: Asset, request: Request, spec: StageSpec
-) -> tuple[Asset, Asset, tuple[Repairs, ...]]:
+) -> tuple[Asset, Asset, tuple[Repairs, ...], float | None]:
     """The asset mended, the same with its sheets thickened for the fill, and what was done.
 
-    The first is what is drawn and carried: its points are those of the source.
+    The first is what is drawn and carried: its points are those of the source.  Last comes the
+    spacing [m] at which there are as many particles as asked for; None: nothing is thickened, or
+    the spacing is given.
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.repair import repair_asset
-    from gf_usd.geometry.thin.thicken import thicken_asset
+    from gf_usd.geometry.thin.thicken import thicken_asset, thicken_to_count
 
     mended, repairs = repair_asset(asset)
     asked = _resolution(
         request, spec, asset.facts.units.length,
         lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in mended.surfaces},
     )  # fmt: skip
+    if asked.spacing is None and request.preset != "paper":
+        return mended, *thicken_to_count(mended, repairs, asked.particles)
     filled, repairs = thicken_asset(
         mended, repairs, spacing=asked.spacing, particles=asked.particles
     )
-    return mended, filled, repairs
+    return mended, filled, repairs, None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from physics_stages import prim
+from planned import at, noted, plan_fixture  # noqa: F401
 
 from gf_usd.core.stage import StageSpec
 from gf_usd.geometry.thin.thickness import Thickness
@@ -62,3 +64,17 @@ def test_where_nobody_says_anything_the_thickness_is_asked() -> None:
     made = resolution(None, None, StageSpec(), dict, lambda: (1.0, thick(0.12)), paper=False)
     assert made.particles == 15625
     assert resolution(None, None, StageSpec(), dict, None, paper=False).particles == 8000
+
+
+def test_sheets_have_as_many_particles_as_asked_for_or_a_note_says_so(plan) -> None:
+    quad = (
+        "int[] faceVertexCounts = [4]\nint[] faceVertexIndices = [0, 1, 2, 3]\n"
+        "point3f[] points = [(0, 0, 0), (0, 0, 1), (1, 0, 1), (1, 0, 0)]"
+    )
+    # one layer of n^2 cells with eight particles each: n = 5
+    seen = plan(prim("Mesh", "Flag", quad), particles=200, repair=True)
+    assert len(seen.particles) == 200
+    assert not noted(seen, "instead of")
+    # n = 1 are 8, n = 2 are 32
+    seen = plan(prim("Mesh", "Flag", quad), particles=20, repair=True)
+    assert noted(seen, f"{len(seen.particles)} particles instead of 20: --spacing")

@@ -125,7 +125,8 @@ def test_a_plane_is_refused_in_words_and_baked_with_repair(bake) -> None:
     assert "repair=True" in refused.value.hint
     root, report = bake(plane(), repair=True)
     assert "made 1 thin part" in " ".join(report["notes"])
-    assert report["volume_m3"] == pytest.approx(1.0 * 0.97 / np.sqrt(200), rel=1e-6)
+    assert report["particles"] == 200  # of 5 x 5 cells
+    assert report["volume_m3"] == pytest.approx(1.0 * 0.97 * report["spacing_m"], rel=1e-6)
     stage = Usd.Stage.Open(str(root))
     skin = UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Skin"))
     assert list(skin.GetFaceVertexIndicesAttr().Get()) == [0, 1, 2, 3]

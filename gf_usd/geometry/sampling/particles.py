@@ -101,6 +101,11 @@ def sample_solid(
     )
 
 
+def count_particles(solid: Solid, spacing: float, up: str = "Y") -> int:
+    """How many particles a solid has at a spacing [m], where all of it is one body."""
+    return len(_quadrature(solid, spacing, TURNS[up], None).X)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Filled:
     """What fills a solid."""

@@ -12,11 +12,12 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import areas, proper, shells, signed_volume, weld
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import Repairs
-from gf_usd.geometry.sampling.particles import LEAST_PARTICLES
-from gf_usd.geometry.solid import FLAT_FRACTION, OPEN_FRACTION, hole_fraction
+from gf_usd.geometry.sampling.particles import LEAST_PARTICLES, count_particles
+from gf_usd.geometry.solid import FLAT_FRACTION, OPEN_FRACTION, build_solid, hole_fraction
 from gf_usd.geometry.thin.parts import THIN
 from gf_usd.geometry.winding import Edges
 
@@ -24,6 +25,54 @@ MITRE = 2.0  # offsets: how far a corner may go to move all its faces by 1
 SHARP = 0.1  # of the greatest eigenvalue: directions in which a corner has hardly any face
 LAYER = 0.97  # spacings: a flat sheet lies in one layer of strata, in spite of rounding
 POOR = 0.25  # of the volume asked for: less, and the sheet has no two sides to offset
+
+
+COUNTED = 20_000  # particles that are counted: of more the share is the same
+TRIES = 6  # of a spacing with as many particles as asked for
+NEAR_ENOUGH = 0.05  # of the number asked for
+
+
+def thicken_to_count(
+    asset: Asset, repairs: Sequence[Repairs], particles: int
+) -> tuple[Asset, tuple[Repairs, ...], float | None]:
+    """`thicken_asset` at the spacing [m] at which what is filled has so many particles.
+
+    Cells that a sheet crosses have as many particles as thicker ones, whatever they hold: a sheet
+    has two to four times volume / spacing^3, by how it lies.  None instead of a spacing where
+    nothing is thickened, or cannot be filled.
+    """
+    wanted = min(particles, COUNTED)
+    best: tuple[float, float] | None = None  # how far off, and what to ask for
+    asked, least = float(wanted), None
+    low, high = 0.0, np.inf  # numbers to ask for that give too few, too many
+    for _ in range(TRIES):
+        filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(asked))
+        thick = sum(one.thickened for one in done)
+        if least is None:
+            least = thick
+        if not thick or thick < least:  # so few particles that a sheet is too small for them
+            break
+        try:
+            solid = build_solid(filled, repaired=True)
+        except InputError:  # whoever fills it says what is wrong
+            break
+        spacing = max(one.thickness for one in done) / LAYER
+        count = count_particles(solid, spacing, asset.facts.up_axis)
+        off = abs(np.log(max(count, 1) / wanted))
+        if best is None or off < best[0]:
+            best = off, asked
+        if off <= NEAR_ENOUGH:
+            break
+        low, high = (max(low, asked), high) if count < wanted else (low, min(high, asked))
+        asked *= wanted / max(count, 1)
+        if not low < asked < high:  # a sheet that comes to lie in one more layer of cells
+            asked = float(np.sqrt(low * high))
+    if best is None:
+        return *thicken_asset(asset, repairs, spacing=None, particles=particles), None
+    asked = best[1] * particles / wanted
+    filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(asked))
+    thickness = max(one.thickness for one in done)
+    return filled, done, thickness / LAYER if thickness else None
 
 
 def thicken_asset(

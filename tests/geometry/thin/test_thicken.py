@@ -8,9 +8,9 @@ from solids import asset, cube, joined, sphere, surface
 
 from gf_usd.core.mesh import boundary_edges
 from gf_usd.geometry.repair import repair_asset
-from gf_usd.geometry.sampling.particles import sample_solid
+from gf_usd.geometry.sampling.particles import count_particles, sample_solid
 from gf_usd.geometry.solid import build_solid
-from gf_usd.geometry.thin.thicken import LAYER, offsets, thicken_asset
+from gf_usd.geometry.thin.thicken import LAYER, offsets, thicken_asset, thicken_to_count
 
 
 def sheet(n: int = 1, edge: float = 1.0, wave: float = 0.0, at=(0.0, 0.0, 0.0), path="/Sheet"):
@@ -82,6 +82,30 @@ def test_spacing_and_sheets_agree_on_the_number_of_particles() -> None:
     a = np.cbrt(solid.volume / 1000)
     # the volume is counted on a lattice of 200,000 places: to a few per cent of a thin slab
     assert np.ptp(made.surfaces[1].points[:, 1]) == pytest.approx(LAYER * a, rel=0.03)
+
+
+@pytest.mark.parametrize("wave", [0.0, 0.05])
+@pytest.mark.parametrize("wanted", [500, 3000])
+def test_a_sheet_has_as_many_particles_as_asked_for(wave: float, wanted: int) -> None:
+    """Of any resolution: with volume / a^3 of them a flat one has twice, a bent one up to four."""
+    mended, repairs = repair_asset(asset(sheet(16, wave=wave)))
+    made, (done,), spacing = thicken_to_count(mended, repairs, wanted)
+    assert spacing is not None
+    assert done.thickness == pytest.approx(LAYER * spacing)
+    # A flat sheet has a whole number n of cells along each edge: from n to n + 1, 2 / n more.  Of a
+    # bent one, parts come to lie in one more layer: what is off by more than .25 has a note.
+    off = 0.25 if wave else 2.0 / np.sqrt(wanted / 8)
+    assert count_particles(build_solid(made), spacing) == pytest.approx(wanted, rel=off)
+
+
+def test_of_many_particles_a_share_is_counted() -> None:
+    mended, repairs = repair_asset(asset(sheet(2)))
+    *_, few = thicken_to_count(mended, repairs, 20_000)
+    *_, many = thicken_to_count(mended, repairs, 20_000 * 16)
+    assert few is not None
+    assert many == pytest.approx(few / 4.0, rel=1e-4)  # a^2 = S / N, of whole numbers N
+    *_, none = thicken_to_count(*repair_asset(asset(cube())), 500)
+    assert none is None
 
 
 def test_what_is_too_small_or_in_flesh_stays_as_it_is() -> None:
