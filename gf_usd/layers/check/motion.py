@@ -19,8 +19,9 @@ Positions and velocities are compared as they are in the world: in the space of 
 transform shears, a vibration that nobody sees can be the larger part of the motion.
 
 What trembles close to the rate of the samples, or to a multiple of it, looks as if it moved slowly
-and smoothly.  Its velocities carry it out of its range within a sample; so would those in some
-wrong units, which are told by their factor.
+and smoothly.  Its velocities carry it out of its range within a sample, be it that of the whole
+motion or of the window it is seen in; so would those in some wrong units, which are told by their
+factor.
 
 The rule that bounds bound.
 """
@@ -70,6 +71,9 @@ MOST = 64
 # A factor is wrong where windows of this share of the smooth places agree with it.
 AGREE = 0.9
 SCATTER = 0.5  # of the factor's distance from 1: windows within it agree
+# and of the factor itself: a wrong unit stretches all windows alike.  Their own velocities give
+# 0.98 to 1.01, and a ball that two plates squeeze, which rings faster than the samples, -4.6 to -11.
+RELATIVE_SCATTER = 0.25
 # Factors of wrong units of time and length, besides the rate of the stage itself.
 UNITS = (10.0, 12.0, 24.0, 30.0, 39.37, 60.0, 100.0, 1000.0)
 UNIT_SCATTER = 0.01
@@ -97,6 +101,7 @@ class Tally:
     low: Vectors | None = None  # (3, n) of the places of all windows
     high: Vectors | None = None
     travel: float = 0.0  # of a point in a sample at its velocity: the largest mean of a window
+    leaps: list[bool] = field(default_factory=list)  # whether it leaves the range of each window so
 
     def reach(self, x: Vectors, v: Vectors, step: float) -> None:
         """Note where the points of a window are, (WINDOW, 3, n), and how far v carries them."""
@@ -105,10 +110,12 @@ class Tally:
         self.high = high if self.high is None else np.maximum(self.high, high)
         self.travel = max(self.travel, step * float(np.sqrt((v * v).sum(0)).mean()))
 
-    def add(self, v: Vectors, v2: Vectors, v4: Vectors, floor: float, noise: float) -> None:
+    def add(
+        self, v: Vectors, v2: Vectors, v4: Vectors, floor: float, noise: float, range_: Vectors
+    ) -> None:
         """Count the points of one window; v, v2 and v4 are (3, n).
 
-        Nothing counts as moving below the speed ``floor``; positions that move at less than
+        range_ : (n,) of each point in the window, over the time of a sample.  Nothing counts as moving below the speed ``floor``; positions that move at less than
         ``noise``, their rounding per sample, stand still.
         """
         squares = (v4 * v4).sum(0)
@@ -125,6 +132,7 @@ class Tally:
         if square > 0.0:
             self.factors.append(float((v * v4).sum(0)[smooth].sum()) / square)
             self.weights.append(int(smooth.sum()))
+            self.leaps.append(bool(said[smooth].mean() > range_[smooth].mean()))
 
     @property
     def decided(self) -> bool:
@@ -134,7 +142,9 @@ class Tally:
     def agreed(self) -> float:
         """Share of the smooth places whose window agrees with the factor."""
         off = np.abs(np.array(self.factors) - self.factor)
-        alike = off <= SCATTER * abs(self.factor - 1.0)
+        most = max(RELATIVE_SCATTER * abs(self.factor), WRONG)  # of velocities near 0, some noise
+        most = min(SCATTER * abs(self.factor - 1.0), most)
+        alike = off <= most
         return float(np.array(self.weights)[alike].sum() / sum(self.weights))
 
     def trembles(self, rate: float) -> bool:
@@ -142,8 +152,9 @@ class Tally:
         if self.low is None or self.high is None:
             return False
         span = float(np.sqrt(((self.high - self.low) ** 2).sum(0)).mean())
-        known = np.abs(self.factor / np.array([*UNITS, rate]) - 1.0) <= UNIT_SCATTER
-        return self.travel > span and not known.any()
+        leaps = np.array(self.weights)[self.leaps].sum() > 0.5 * sum(self.weights)
+        known = np.abs(abs(self.factor) / np.array([*UNITS, rate]) - 1.0) <= UNIT_SCATTER
+        return bool(self.travel > span or leaps) and not known.any()
 
     @property
     def factor(self) -> float:
@@ -244,7 +255,8 @@ def _judge(
     weights = rate * _derivatives(tuple(code - codes[MIDDLE] for code in codes))
     v2, v4 = (weights @ x.reshape(WINDOW, -1)).reshape(2, 3, -1)
     tally.reach(x, v, step)
-    tally.add(v, v2, v4, max(STILL * size / step, noise), noise)
+    range_ = np.sqrt((np.ptp(x, axis=0) ** 2).sum(0)) / step
+    tally.add(v, v2, v4, max(STILL * size / step, noise), noise, range_)
 
 
 def _to_world(prim: Usd.Prim, code: float) -> Vectors:

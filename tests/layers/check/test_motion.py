@@ -150,13 +150,27 @@ def test_windows_that_disagree_are_left_undecided(tmp_path: Path) -> None:
     stage = good_stage(tmp_path / "bounces.usda")
     prim = stage.GetPrimAtPath(MESH)
     bounces, unit = (0.8, 1.4, 0.3, 1.3, 0.6, 0.8), (0.8, 0.75, 0.85, 0.8, 0.78, 0.8)
-    for factors, found, left in ((bounces, 0, 1), (unit, 1, 0)):
+    back = tuple(-factor for factor in unit)  # of the wrong sign
+    for factors, found, left in ((bounces, 0, 1), (unit, 1, 0), (back, 1, 0)):
         for at, code in enumerate(CODES):
             v = motion(CUBE, code)[1]
             prim.GetAttribute("velocities").Set(vec3(factors[at % len(factors)] * v), code)
         result = check_stage(stage)
         assert [f.rule for f in result.findings] == ["velocities"] * found
         assert ["0.3 to 1.4 times the motion" in s.reason for s in result.skipped] == [True] * left
+
+
+def test_factors_far_from_one_may_disagree_too(tmp_path: Path) -> None:
+    """Of a ball of rubber that two plates squeeze: all are negative, and no unit is among them."""
+    stage = good_stage(tmp_path / "squeezed.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    for at, code in enumerate(CODES):
+        v = motion(CUBE, code)[1] * (-9.9, -4.6, -6.3, -7.5)[at % 4]
+        prim.GetAttribute("velocities").Set(vec3(v), code)
+    result = check_stage(stage)
+    assert result.findings == ()
+    (skip,) = result.skipped
+    assert "-9.9 to -4.6 times the motion" in skip.reason
 
 
 @pytest.mark.parametrize("periods", [0.97, 1.03, 2.04])
@@ -178,7 +192,25 @@ def test_what_trembles_faster_than_the_samples_is_left_undecided(
     assert ["vibrates too fast" in skip.reason for skip in result.skipped] == [True]
 
 
-@pytest.mark.parametrize("factor", [100.0, RATE, 1.0 / RATE])
+def test_what_trembles_after_it_moved_far_is_left_undecided(tmp_path: Path) -> None:
+    """Its range is that of the moment, not that of the way before."""
+    stage = good_stage(tmp_path / "moved.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    omega, way = 2.0 * np.pi * 0.97 * RATE, np.array([0.3, 0.0, 0.1])
+    far = np.array([0.0, 100.0, 0.0])
+    for at, code in enumerate(CODES):
+        angle = omega * (code - CODES[0]) / RATE
+        x, v = CUBE + np.sin(angle) * way, 0.0 * CUBE + omega * np.cos(angle) * way
+        x = x + far * (at > 1)  # at once: no window in which it moves is smooth
+        prim.GetAttribute("points").Set(vec3(x), code)
+        prim.GetAttribute("velocities").Set(vec3(v), code)
+        prim.GetAttribute("extent").Set(box(x), code)
+    result = check_stage(stage)
+    assert result.findings == ()
+    assert ["vibrates too fast" in skip.reason for skip in result.skipped] == [True]
+
+
+@pytest.mark.parametrize("factor", [100.0, RATE, 1.0 / RATE, -1.0, -RATE])
 def test_a_wrong_unit_is_no_trembling(tmp_path: Path, factor: float) -> None:
     stage = good_stage(tmp_path / "unit.usda")
     prim = stage.GetPrimAtPath(MESH)
