@@ -552,10 +552,16 @@ class BodyContact:
         state.put("pair", pair)
         state.put("links", links)
 
-    def follow(self, state: State, dt: float, closed: bool) -> None:
-        """Take the planes as substeps of dt [s] left them; closed : they ended a frame."""
+    def follow(self, state: State, dt: float, closed: bool) -> bool:
+        """Take the planes as substeps of dt [s] left them; closed : they ended a frame.
+
+        False where the samples are no longer anywhere: nothing can follow them.
+        """
         if not len(self.planes.active):
-            return
+            return True
+        x, v = self.motion(state.view())
+        if not (np.isfinite(x).all() and np.isfinite(v).all()):
+            return False
         pair, f = state.rows("pair", narrow_phase.ROW), self.planes
         who = f.carried
         normal, point = f.normal.copy(), f.point.copy()
@@ -565,6 +571,8 @@ class BodyContact:
         # By what the bodies moved since their last forces.
         self.planes = moved(
             replace(f, normal=normal, point=point, spring=spring),
-            *self.motion(state.view()),
+            x,
+            v,
             0.5 * dt if closed else dt,
         )
+        return True

@@ -176,8 +176,8 @@ class TotalLagrangian(Solver):
             active = max(active, watched)
             self._run(parts, dt, watched)
             left, taken, last = left - chunk, taken + parts, dt
-            if pairs:
-                pairs.follow(state, dt, closed=left == 0)
+            if pairs and not pairs.follow(state, dt, closed=left == 0):
+                break  # `next` throws the frame away, and halves its step
         self.active.move_springs(state, 0.5 * last)
         state.time += substeps * whole
         state.recenter()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from contact_scenes import contact_solver, half_space
+from solids import cube
 from two_legs import legs
 
 GAP = 0.5  # [m]
@@ -36,3 +39,27 @@ def test_what_is_inside_something_else_is_not_held_to_be_inside_its_own_body():
     under = contact.samples.X[:, 1] < 1e-9
     assert (faces.obstacle[under] == 0).all()
     assert pairs.totals(solver.state)[2] < 0.11 * s
+
+
+def test_a_frame_that_blows_up_ends_at_once_and_without_a_warning(monkeypatch):
+    """Planes do not follow what is no number; the frame loop throws the frame away."""
+    solver = contact_solver(
+        cube(path="/Low"), cube((0.0, 1.4, 0.0), path="/High"), particles=130, frames=2, fps=2.0,
+        gravity=(0.0, -9.81, 0.0), velocity=[(0.0, 0.0, 0.0), (0.0, -4.0, 0.0)],
+    )  # fmt: skip
+    pairs, run = solver.pairs, solver._run
+    assert pairs is not None
+    after = []
+
+    def blow_up(*args):
+        run(*args)
+        if len(pairs.planes.active):
+            after.append(args)
+            solver.state.put("u", np.full_like(solver.state.rows("u"), np.nan))
+
+    monkeypatch.setattr(solver, "_run", blow_up)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solver.advance(1, solver.substeps)
+    assert len(after) == 1
+    assert "finite" in solver.not_finite()[1]
