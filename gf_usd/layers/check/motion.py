@@ -71,8 +71,8 @@ MOST = 64
 # A factor is wrong where windows of this share of the smooth places agree with it.
 AGREE = 0.9
 SCATTER = 0.5  # of the factor's distance from 1: windows within it agree
-# and of the factor itself: a wrong unit stretches all windows alike.  Their own velocities give
-# 0.98 to 1.01, and a ball that two plates squeeze, which rings faster than the samples, -4.6 to -11.
+# And of the factor itself: a wrong unit stretches all windows alike.  A ball that two plates
+# squeeze, which rings faster than the samples, has factors of -4.6 to -11.
 RELATIVE_SCATTER = 0.25
 # Factors of wrong units of time and length, besides the rate of the stage itself.
 UNITS = (10.0, 12.0, 24.0, 30.0, 39.37, 60.0, 100.0, 1000.0)
@@ -115,8 +115,9 @@ class Tally:
     ) -> None:
         """Count the points of one window; v, v2 and v4 are (3, n).
 
-        range_ : (n,) of each point in the window, over the time of a sample.  Nothing counts as moving below the speed ``floor``; positions that move at less than
-        ``noise``, their rounding per sample, stand still.
+        range_ : (n,) of each point in the window, over the time of a sample.  Nothing counts as
+        moving below the speed ``floor``; positions that move at less than ``noise``, their rounding
+        per sample, stand still.
         """
         squares = (v4 * v4).sum(0)
         speed, said = np.sqrt(squares), np.sqrt((v * v).sum(0))

@@ -169,8 +169,8 @@ class Skins:
         if bound is None:
             if UsdSkel.BindingAPI(prim).GetJointIndicesPrimvar().HasAuthoredValue():
                 self._notes.add(
-                    "has joint influences but no skeleton poses it (none is bound, or it is not "
-                    "below a SkelRoot): it is read without a pose",
+                    f"has joint influences but no skeleton poses it ({_unposed(prim)}): it is read"
+                    " without a pose",
                     str(prim.GetPath()),
                 )
             return None
@@ -279,3 +279,24 @@ class Skins:
         for binding in self._cache.ComputeSkelBindings(root, PROXIES):
             for skin in binding.GetSkinningTargets():
                 self._bound[skin.GetPrim().GetPath()] = (binding.GetSkeleton().GetPrim(), skin)
+
+
+def _unposed(prim: Usd.Prim) -> str:
+    """Why USD poses a mesh with joint influences by no skeleton."""
+    above, between = prim.GetParent(), None
+    while above and not above.IsA(UsdSkel.Root):
+        # UsdSkel stops at what is not imageable; the outermost such prim hides all below it
+        between = between if above.IsA(UsdGeom.Imageable) or above.IsPseudoRoot() else above
+        above = above.GetParent()
+    if not above:
+        return "it is not below a SkelRoot"
+    if between is not None:
+        kind = between.GetTypeName()
+        what = f"is a {kind}" if kind else "has no type"
+        return (
+            f"<{between.GetPath()}> {what}, and USD ignores bindings below what it cannot draw:"
+            " make it an Xform or a Scope"
+        )
+    if not UsdSkel.BindingAPI(prim).GetInheritedSkeleton():
+        return "none is bound"
+    return "USD does not accept its binding"

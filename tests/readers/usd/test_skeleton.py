@@ -204,11 +204,18 @@ def test_the_animation_that_is_replaced_is_said(write):
 
 
 def test_influences_without_a_skeleton_are_said(write):
-    for body in (rig(WEIGHTS), rig(WEIGHTS, on_mesh=BOUND, root="Xform")):
+    bound = rig(WEIGHTS, on_mesh=BOUND)
+    for body, why in (
+        (rig(WEIGHTS), "none is bound"),
+        (rig(WEIGHTS, on_mesh=BOUND, root="Xform"), "it is not below a SkelRoot"),
+        (bound.replace('def Xform "Other"', 'def "Other"'), "</Rig/Other> has no type, and USD"),
+        (bound.replace('def Xform "Other"', 'def Material "Other"'), "</Rig/Other> is a Material"),
+    ):
         asset = read_asset(write(body))
         assert not asset.surfaces[0].skinned
-        assert asset.surfaces[0].points[:, 0].max() == -1.0  # 2 - 3: where it was authored
-        assert "has joint influences but no skeleton poses it" in asset.facts.notes[0]
+        assert f"has joint influences but no skeleton poses it ({why}" in asset.facts.notes[0]
+        if "Other" not in why:
+            assert asset.surfaces[0].points[:, 0].max() == -1.0  # 2 - 3: where it was authored
 
 
 @pytest.mark.parametrize(("old", "new"), [("[1,0, 1,0, ", "["), ("[0,1, 0,1, ", "[0,9, 0,1, ")])
