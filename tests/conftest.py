@@ -20,7 +20,7 @@ sys.dont_write_bytecode = False
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give each test process a core of its own.
+    """Give each test process cores of its own.
 
     The threads of a kernel wait for each other: where two processes share two cores, one with two
     threads took seventy times as long as it does alone.
@@ -29,7 +29,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if worker is not None and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         if len(cores) >= worker["workercount"]:
-            os.sched_setaffinity(0, {cores[int(worker["workerid"][2:]) % len(cores)]})
+            mine = int(worker["workerid"][2:]) % worker["workercount"]
+            os.sched_setaffinity(0, set(cores[mine :: worker["workercount"]]))
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -287,11 +287,10 @@ class Health:
     # flowing particles there; None: not so
     fallen: int | None = None
     fallen_kinetic: float | None = None
-    # Flowing particles below the floor or every obstacle; of the others, the volume over that at
-    # rest, and how many there are in a cell that has any; None: nothing flows without end
+    # Flowing particles below the floor or every obstacle; None: nothing flows without end
     lost: int | None = None
-    flow_volume: float | None = None
-    flow_per_cell: float | None = None
+    flow_volume: float | None = None  # of the other flowing particles over that at rest
+    flow_per_cell: float | None = None  # of them in a cell of the grid that has any
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
     outside_share: float | None = None  # of the particles, far out of the mesh; None: not looked at

@@ -337,7 +337,9 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *sunk,
-            *cage_notes(solid.surfaces, particles.spacing),
+            *cage_notes(
+                solid.surfaces, particles.spacing, refined=request.max_edge_length is not None
+            ),
             *alone, *flesh.notes, *limbs.notes, *materials.notes, *weak,
             *physics.notes,
             *unfilled, *left, *skin, *_options(made, each), *split,

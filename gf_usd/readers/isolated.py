@@ -152,7 +152,9 @@ def _divided(
 
     notes, unit = Notes(), asset.facts.units.length
     edge = longest * unit if longest else fine_edge(asset.surfaces, particles or 1)
-    made = divided(path, asset.surfaces, edge, of=of, unit=unit, note=notes.add)
+    made = divided(
+        path, asset.surfaces, edge, asked=longest is not None, of=of, unit=unit, note=notes.add
+    )
     return made, notes.lines()
 
 

@@ -77,7 +77,7 @@ def sample_solid(
     surface, normal, color, depth = _look(solid, X, filled.body, bodies)
     if scattered is not None and scattered.any():
         # half the diagonal of a cube is shorter than its edge: none leaves the solid
-        X = _scattered(X, np.flatnonzero(scattered[surface] & (depth > a)), a, seed)
+        X = _scattered(X, np.flatnonzero(scattered[surface] & (depth > a)), a, seed, turn)
     volume = float(V0.sum())
     s = float(np.cbrt(volume / n))
     if not uniform:
@@ -195,15 +195,15 @@ def _uniform(solid: Solid, n: int, rng: np.random.Generator, turn: Floats) -> _F
     return _Filled(X=np.concatenate(kept)[:n], V0=V0, corner=(low @ turn)[None])
 
 
-def _scattered(X: Floats, rows: Ints, a: float, seed: int) -> Floats:
-    """Points of which some are moved by up to half a lattice edge along each axis.
+def _scattered(X: Floats, rows: Ints, a: float, seed: int, turn: Floats) -> Floats:
+    """Points of which some are moved by up to half a lattice edge along each axis of the grid.
 
     Rows of a lattice stay rows in a flow that stretches it, with trenches between them.  So what
     flows is sampled at random in each cube of its lattice, as is usual for the material point
     method, but for the outermost layer, whose surface would become rough.
     """
     X = X.copy()
-    X[rows] += a * (np.random.default_rng(seed).random((len(rows), 3)) - 0.5)
+    X[rows] += a * (np.random.default_rng(seed).random((len(rows), 3)) - 0.5) @ turn
     return X
 
 

@@ -303,9 +303,9 @@ def _thin_flow(h: HealthSummary) -> Said:
         return None
     return (
         f"flowing material is spread too thin for its particles: {count:.2g} are in a cell of the"
-        " grid at the end, and 8 where it is deep, so that it looks like drops",
-        "take more --particles or fewer --frames, hold it in a container, or choose a more viscous"
-        " material",
+        " grid at the end, and about 6 where it is deep, so that it looks like single drops or"
+        " grains",
+        "take more --particles or fewer --frames, or hold it in a container",
     )
 
 

@@ -91,7 +91,7 @@ ROWS: tuple[Row, ...] = (
         "flow_per_cell_at_end",
         "Flowing particles in a cell at the end",
         "",
-        "mean of the cells that have any; 8 where the material is deep",
+        "mean of the cells that have any; about 6 where the material is deep",
     ),
     Row("falls", "Falls", "", "whether gravity takes the body to a floor or an obstacle"),
     Row("shift_max_m", "Largest displacement", "m", "of the center of mass from its start"),

@@ -288,3 +288,15 @@ def test_what_flows_is_at_random_places_below_its_outermost_layer() -> None:
     assert body.inside(made.X).all()
     columns = [len(np.unique(np.round(p.X[moved][:, :2] / a, 6), axis=0)) for p in (plain, made)]
     assert columns[1] == moved.sum() > 5 * columns[0]
+
+
+def test_what_flows_is_at_the_same_places_whichever_axis_is_up() -> None:
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    tall = cube(edge=(1.0, 1.5, 0.8))
+    wide = surface(tall.points @ turn, tall.triangles)
+    flowing = np.array([True])
+    one, other = (
+        sample_solid(solid(body), particles=2000, spacing=None, seed=3, up=up, scattered=flowing).X
+        for body, up in ((tall, "Y"), (wide, "Z"))
+    )
+    np.testing.assert_allclose(one @ turn, other, atol=1e-12)

@@ -35,7 +35,7 @@ def cage_note(path: Path, **options) -> list[str]:
 def test_a_coarse_cage_is_told(cube: Path):
     (note,) = cage_note(cube)
     assert note.startswith("</Cube> is the cage of a subdivision surface")
-    assert "up to 0.866 m (4.3 spacings) inside" in note, "spacing 2 m / 10"
+    assert "up to 0.866 m (4.3 spacings) away from them" in note, "spacing 2 m / 10"
 
 
 def test_a_refined_cage_is_not(cube: Path):

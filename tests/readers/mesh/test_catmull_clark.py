@@ -11,6 +11,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.mesh import signed_volume, triangulate
 from gf_usd.readers.isolated import read_untrusted
+from gf_usd.readers.mesh.divide import layer
 from gf_usd.readers.mesh.divide.cages import cage_of, limit_surface, refine_until
 from gf_usd.readers.mesh.divide.catmull_clark import INFINITE, Cage, limit, refine, sharp_edges
 from gf_usd.readers.mesh.divide.faces import long_faces
@@ -29,7 +30,8 @@ def cage(counts, indices, points, sharp=(), corners=()):
         edge_sharpness=np.zeros(len(indices)), point_sharpness=np.zeros(points),
     )  # fmt: skip
     for a, b, s in sharp:
-        made.edge_sharpness[(made.ends() == sorted((a, b))).all(1)] = s
+        edges = made.edges()
+        made.edge_sharpness[(edges.ends == sorted((a, b))).all(1)[edges.of]] = s
     for a, s in corners:
         made.point_sharpness[a] = s
     return made
@@ -93,8 +95,8 @@ def test_a_plane_grid_is_a_bicubic_b_spline():
 
 def boundary_ends(cage):
     """Both points of every edge of one face alone."""
-    edges, beside = np.unique(cage.ends(), axis=0, return_counts=True)
-    return edges[beside == 1].ravel()
+    edges = cage.edges()
+    return edges.ends[edges.faces == 1].ravel()
 
 
 TAGGED = {
@@ -129,6 +131,35 @@ def test_the_limit_is_that_of_the_refined_cage(tags, open_):
     )
     # what is affine stays so: the weights of every point sum up to one
     np.testing.assert_allclose(first.points(np.ones((len(points), 1))), 1.0, atol=1e-14)
+
+
+def test_what_is_not_manifold_stays_in_place():
+    """Two cubes with one edge in common, whose ends have five edges and six faces."""
+    far = np.array([1000.0, 0.0, 0.0])
+    points = np.concatenate([CUBE, CUBE + [2.0, 2.0, 0.0]]) + far
+    where = np.unique(points, axis=0, return_inverse=True)
+    points, at = where[0], where[1].reshape(-1)
+    made = cage([4] * 12, at[np.concatenate([CUBE_FACES, CUBE_FACES + 8])], len(points))
+    assert len(points) == 14
+    level = refine(made)
+    np.testing.assert_allclose(level.points(np.ones((14, 1))), 1.0, atol=1e-14)
+    again = refine(level.cage)
+    np.testing.assert_allclose(again.points(np.ones((level.cage.points, 1))), 1.0, atol=1e-14)
+    ends = made.edges().ends[made.edges().faces == 4].ravel()
+    there = limit(level, level.points(points), 14)
+    np.testing.assert_array_equal(there[ends], points[ends])
+    assert np.linalg.norm(there - points, axis=1).max() < 2.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_weights_of_any_faces_sum_to_one(seed):
+    rng = np.random.default_rng(seed)
+    faces = [rng.choice(12, n, replace=False) for n in rng.integers(3, 6, 9)]
+    made = cage([len(f) for f in faces], np.concatenate(faces), 12)
+    level = refine(made)
+    np.testing.assert_allclose(level.points(np.ones((12, 1))), 1.0, atol=1e-14)
+    ones = np.ones((level.cage.points, 1))
+    np.testing.assert_allclose(limit(level, ones, 12), 1.0, atol=1e-14)
 
 
 def test_a_semi_sharp_crease_is_sharp_for_as_many_levels():
@@ -200,9 +231,10 @@ def stage_of(path: Path) -> Usd.Stage:
         mesh.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(points), time)
     mesh.CreateFaceVertexCountsAttr([4] * 6)
     mesh.CreateFaceVertexIndicesAttr(CUBE_FACES.tolist())
-    mesh.CreateCreaseIndicesAttr([0, 2, 3, 1, 0])
-    mesh.CreateCreaseLengthsAttr([5])
-    mesh.CreateCreaseSharpnessesAttr([2.5])
+    mesh.CreateHoleIndicesAttr([4])
+    mesh.CreateCreaseIndicesAttr().Set([0, 2, 3, 1, 0], 1)
+    mesh.CreateCreaseLengthsAttr().Set([5], 1)
+    mesh.CreateCreaseSharpnessesAttr().Set([2.5], 1)
     mesh.CreateCornerIndicesAttr([7])
     mesh.CreateCornerSharpnessesAttr([INFINITE])
     api = UsdGeom.PrimvarsAPI(mesh)
@@ -243,6 +275,8 @@ def test_a_layer_refines_a_cage(tmp_path: Path):
             atol=1e-6,
         )
         assert old.cage.points < len(points)
+    faces = np.repeat(np.arange(6), 16)
+    assert list(mesh.GetHoleIndicesAttr().Get()) == np.flatnonzero(faces == 4).tolist()
     assert list(mesh.GetCornerIndicesAttr().Get()) == [7]
     assert set(mesh.GetCreaseSharpnessesAttr().Get()) == {0.5}
     assert set(mesh.GetCreaseLengthsAttr().Get()) == {2}
@@ -252,6 +286,87 @@ def test_a_layer_refines_a_cage(tmp_path: Path):
     top = UsdGeom.Subset(stage.GetPrimAtPath("/Cube/Top"))
     assert len(top.GetIndicesAttr().Get()) == 16
     assert any("the subdivision cage" in note for note in read.asset.facts.notes)
+
+
+def value(name: str, interpolation: str, values: list[float], indices=None):
+    def author(mesh: UsdGeom.Mesh) -> str:
+        kind = Sdf.ValueTypeNames.FloatArray
+        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, kind, interpolation)
+        primvar.Set(values)
+        if indices is not None:
+            primvar.SetIndices(Vt.IntArray(indices))
+        return f"primvars:{name}"
+
+    return author
+
+
+def normals(mesh: UsdGeom.Mesh) -> str:
+    mesh.CreateNormalsAttr([(0, 0, 1)] * 3)
+    return "normals"
+
+
+@pytest.mark.parametrize("scheme", ["none", "catmullClark"])
+@pytest.mark.parametrize(
+    "misfit",
+    [
+        value("few", "vertex", [0.0] * 5), value("many", "vertex", [0.0] * 9),
+        value("few", "uniform", [0.0] * 3), value("few", "faceVarying", [0.0] * 7),
+        value("out", "vertex", [1.0, 2.0], [0, 1, 0, 1, 0, 1, 0, 5]),
+        value("unset", "faceVarying", [1.0], [0, -1] * 12), normals,
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_a_mesh_is_left_out_and_told(tmp_path: Path, misfit, scheme):
+    path = tmp_path / "cube.usda"
+    stage = stage_of(path)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Cube"))
+    mesh.CreateSubdivisionSchemeAttr(scheme)
+    name = misfit(mesh)
+    stage.GetRootLayer().Save()
+    read = read_untrusted(path, max_edge_length=1.5)
+    assert read.converted is not None
+    made = Usd.Stage.Open(str(read.converted.layer))
+    assert not made.GetAttributeAtPath(f"/Cube.{name}").HasAuthoredValue()
+    assert any(f"{name} does not fit the faces" in note for note in read.asset.facts.notes)
+
+
+def edge(mesh: UsdGeom.Mesh) -> None:
+    mesh.CreateFaceVertexCountsAttr([*[4] * 6, 2])
+    mesh.CreateFaceVertexIndicesAttr([*CUBE_FACES.tolist(), 0, 1])
+
+
+def unbounded(mesh: UsdGeom.Mesh) -> None:
+    mesh.CreateInterpolateBoundaryAttr(UsdGeom.Tokens.none)
+
+
+def other(mesh: UsdGeom.Mesh) -> None:
+    mesh.GetPointsAttr().Set([(0, 0, 0)] * 9, 5)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (edge, "faces of fewer than three corners"),
+        (unbounded, "interpolateBoundary = none"),
+        (other, "another number of points at some time"),
+    ],
+)
+def test_a_cage_that_cannot_be_refined_stays_and_is_told(tmp_path: Path, change, why):
+    path = tmp_path / "cube.usda"
+    stage = stage_of(path)
+    change(UsdGeom.Mesh(stage.GetPrimAtPath("/Cube")))
+    stage.GetRootLayer().Save()
+    read = read_untrusted(path, max_edge_length=0.8)
+    assert len(read.asset.surfaces[0].points) == 8
+    assert any(why in note and "faces longer" in note for note in read.asset.facts.notes)
+
+
+def test_a_length_that_nobody_asked_for_does_not_refuse(tmp_path: Path, monkeypatch):
+    path = tmp_path / "cube.usda"
+    stage_of(path)
+    monkeypatch.setattr(layer, "MOST", 200)
+    read = read_untrusted(path, edges_for=10_000)
+    assert len(read.asset.surfaces[0].points) == 8
+    assert any("would have more than 200 triangles" in note for note in read.asset.facts.notes)
 
 
 def _limit_after(cage, points, levels):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pxr import UsdGeom
+from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.asset import LimitSurface
@@ -21,12 +21,14 @@ from gf_usd.readers.mesh.divide.catmull_clark import (
     Cage,
     Level,
     boundary,
+    edge_keys,
     limit,
     refine,
     sharp_edges,
 )
 from gf_usd.readers.mesh.divide.faces import CORNERS, FACES, POINTS
 
+FIRST = Usd.TimeCode.EarliestTime()  # of what a mesh has as time samples alone
 NEAR = 0.005  # of the size of a mesh: no bake has so small a spacing
 LARGE = 40_000  # corners: to refine them takes a tenth of a second
 
@@ -46,21 +48,39 @@ def cage_of(mesh: UsdGeom.Mesh, counts: Ints, indices: Ints, points: int) -> Cag
         counts=counts, indices=indices, points=points,
         edge_sharpness=np.zeros(len(indices)), point_sharpness=np.zeros(points),
     )  # fmt: skip
-    keys = _keys(cage.ends(), points)
     ends, sharpness = _creases(mesh, points)
     if len(ends):
-        sharp, where = np.unique(_keys(ends, points), return_inverse=True)
+        sharp, where = np.unique(edge_keys(ends, points), return_inverse=True)
         most = np.zeros(len(sharp))
         np.maximum.at(most, where.reshape(-1), sharpness)
+        edges = cage.edges()
+        keys = edge_keys(edges.ends, points)
         at = np.searchsorted(sharp, keys).clip(max=len(sharp) - 1)
-        cage.edge_sharpness[:] = np.where(sharp[at] == keys, most[at], 0.0)
+        cage.edge_sharpness[:] = np.where(sharp[at] == keys, most[at], 0.0)[edges.of]
     at, sharpness = _corners(mesh, points)
     np.maximum.at(cage.point_sharpness, at, sharpness)
-    if str(mesh.GetInterpolateBoundaryAttr().Get()) != UsdGeom.Tokens.edgeOnly:
+    if str(mesh.GetInterpolateBoundaryAttr().Get(FIRST)) != UsdGeom.Tokens.edgeOnly:
         outer = boundary(cage)
         alone = np.bincount(indices, minlength=points)[outer] == 1
         cage.point_sharpness[outer[alone]] = INFINITE
     return cage
+
+
+def unknown_rule(mesh: UsdGeom.Mesh, counts: Ints) -> str:
+    """Why the cage of a Catmull-Clark surface cannot be refined here; "" where it can.
+
+    counts : (P,) corners of the faces.
+    """
+    if str(mesh.GetSubdivisionSchemeAttr().Get()) != UsdGeom.Tokens.catmullClark:
+        return ""
+    if np.min(counts, initial=3) < 3:
+        return "it is the cage of a subdivision surface with faces of fewer than three corners"
+    if str(mesh.GetInterpolateBoundaryAttr().Get(FIRST)) == UsdGeom.Tokens.none:
+        return "it is the cage of a subdivision surface with interpolateBoundary = none"
+    smooth = str(mesh.GetTriangleSubdivisionRuleAttr().Get(FIRST)) == UsdGeom.Tokens.smooth
+    if smooth and np.min(counts, initial=4) == 3:
+        return "it is the cage of a subdivision surface with triangleSubdivisionRule = smooth"
+    return ""
 
 
 def limit_surface(cage: Cage, points: Floats) -> LimitSurface | None:
@@ -68,7 +88,7 @@ def limit_surface(cage: Cage, points: Floats) -> LimitSurface | None:
     where the cage has more than LARGE corners: such a cage is fine.
     """
     size = float(np.ptp(points, axis=0).max(initial=0.0))
-    edges = points[cage.ends()]
+    edges = points[cage.edges().ends]
     longest = lengths(edges[:, 1] - edges[:, 0]).max(initial=0.0)
     if len(cage.indices) > LARGE or longest <= NEAR * size:
         return None
@@ -173,15 +193,11 @@ def refine_until(
     return RefinedCage(cage=cage, levels=tuple(levels), divided=faces)
 
 
-def _keys(ends: Ints, points: int) -> Ints:
-    return ends.min(1) * points + ends.max(1)
-
-
 def _creases(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
     """(K, 2) points of the edges in creases, and (K,) their sharpness."""
-    along = np.asarray(mesh.GetCreaseIndicesAttr().Get() or (), np.int64)
-    sizes = np.asarray(mesh.GetCreaseLengthsAttr().Get() or (), np.int64)
-    sharpness = np.asarray(mesh.GetCreaseSharpnessesAttr().Get() or (), float)
+    along = np.asarray(mesh.GetCreaseIndicesAttr().Get(FIRST) or (), np.int64)
+    sizes = np.asarray(mesh.GetCreaseLengthsAttr().Get(FIRST) or (), np.int64)
+    sharpness = np.asarray(mesh.GetCreaseSharpnessesAttr().Get(FIRST) or (), float)
     nothing = np.zeros((0, 2), np.int64), np.zeros(0)
     if len(sizes) == 0 or sizes.min() < 2 or sizes.sum() != len(along):
         return nothing
@@ -199,8 +215,8 @@ def _creases(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
 
 def _corners(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
     """(K,) points that are sharp, and (K,) their sharpness."""
-    at = np.asarray(mesh.GetCornerIndicesAttr().Get() or (), np.int64)
-    sharpness = np.asarray(mesh.GetCornerSharpnessesAttr().Get() or (), float)
+    at = np.asarray(mesh.GetCornerIndicesAttr().Get(FIRST) or (), np.int64)
+    sharpness = np.asarray(mesh.GetCornerSharpnessesAttr().Get(FIRST) or (), float)
     if len(at) != len(sharpness):
         return np.zeros(0, np.int64), np.zeros(0)
     there = (at >= 0) & (at < points) & (sharpness > 0.0)

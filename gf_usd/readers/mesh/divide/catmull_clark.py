@@ -34,9 +34,26 @@ class Cage:
         after[end - 1] = end - self.counts
         return after
 
-    def ends(self) -> Ints:
-        """(C, 2) points of the edge from each corner to the next, the lower first."""
-        return np.sort(np.stack([self.indices, self.indices[self.after()]], 1), axis=1)
+    def edges(self) -> Edges:
+        """The edges of the faces."""
+        ends = np.stack([self.indices, self.indices[self.after()]], 1)
+        found = np.unique(edge_keys(ends, self.points), return_inverse=True, return_counts=True)
+        keys, of, faces = found
+        return Edges(ends=np.stack(np.divmod(keys, self.points), 1), of=of.reshape(-1), faces=faces)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edges:
+    """Edges of a cage, sorted by their points."""
+
+    ends: Ints  # (E, 2) points, the lower first
+    of: Ints  # (C,) the edge from each corner to the next
+    faces: Ints  # (E,) how many have it: 1 at a boundary, 3 and more are not manifold
+
+
+def edge_keys(ends: Ints, points: int) -> Ints:
+    """(n,) a number for each pair of points (n, 2), in the order of the lower and the higher."""
+    return ends.min(1) * points + ends.max(1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,10 +117,8 @@ def refine(cage: Cage, *, bilinear: bool = False) -> Level:
     own, after = np.arange(n_corners), cage.after()
     before = np.empty_like(own)
     before[after] = own
-    ends = cage.ends()
-    edges, edge = np.unique(ends, axis=0, return_inverse=True)
-    edge = edge.reshape(-1)
-    beside = np.bincount(edge, minlength=len(edges))
+    found = cage.edges()
+    edges, edge, beside = found.ends, found.of, found.faces
     sharp = np.zeros(len(edges))
     np.maximum.at(sharp, edge, cage.edge_sharpness)
     sharp[(beside != 2) | bilinear] = INFINITE
@@ -143,25 +158,29 @@ def limit(level: Level, values: Floats, before: int) -> Floats:
     DeRose 1993), (e + 4 v + e) / 6 along a crease.
     """
     cage = level.cage
-    quads = cage.indices.reshape(-1, 4)
-    v, e, f, e2 = quads.T
+    v, e, f, e2 = cage.indices.reshape(-1, 4).T
+    quads = np.arange(len(v))
     n = np.bincount(v, minlength=before)[:before].astype(float)
-    total = np.zeros((before, *values.shape[1:]))
     # Each edge of an interior vertex is beside two quads.
-    np.add.at(total, v, 2.0 * (values[e] + values[e2]) + values[f])
+    around = 2.0 * (values[e] + values[e2]) + values[f]
+    total = Weights(to=v, of=quads, weight=np.ones(len(v)), count=before)(around)
     shape = (-1, *[1] * (values.ndim - 1))
     used = np.maximum(n, 1.0).reshape(shape)
     smooth = (used**2 * values[:before] + total) / (used * (used + 5.0))
-    spokes = np.unique(np.stack([np.concatenate([v, v]), np.concatenate([e, e2])], 1), axis=0)
+    keys = np.concatenate([v, v]) * cage.points + np.concatenate([e, e2])
+    center, middle = np.divmod(np.unique(keys), cage.points)
+    degree = np.bincount(center, minlength=before)
     count = np.bincount(np.concatenate([e, e2]), minlength=cage.points)
     sharp = np.zeros(cage.points)
     np.maximum.at(sharp, e, cage.edge_sharpness.reshape(-1, 4)[:, 0])
     np.maximum.at(sharp, e2, cage.edge_sharpness.reshape(-1, 4)[:, 3])
     # A point on an edge is beside four quads, or two at a boundary.
-    spokes = spokes[(sharp[spokes[:, 1]] > 0.0) | (count[spokes[:, 1]] != 4)]
-    rule = _rule(np.bincount(spokes[:, 0], minlength=before), cage.point_sharpness[:before])
-    ends = np.zeros_like(total)
-    np.add.at(ends, spokes[:, 0], values[spokes[:, 1]])
+    hard = (sharp[middle] > 0.0) | (count[middle] != 4)
+    center, middle = center[hard], middle[hard]
+    rule = _rule(np.bincount(center, minlength=before), cage.point_sharpness[:before])
+    rule = np.where((rule == SMOOTH) & (degree != n), CORNER, rule)
+    one = np.ones(len(center))
+    ends = Weights(to=center, of=middle, weight=one, count=before)(values)
     out = np.where((rule == CREASE).reshape(shape), (4.0 * values[:before] + ends) / 6.0, smooth)
     stays = (rule == CORNER) | (n == 0)
     return np.where(stays.reshape(shape), values[:before], out)
@@ -207,13 +226,14 @@ def _vertices(
     share = (np.bincount(ends, turns * hard, n_points) + own * point_sharp) / np.maximum(many, 1)
     share = np.where(rule == then, 1.0, np.minimum(share, 1.0))
     degree = np.maximum(np.bincount(ends, minlength=n_points), 1).astype(float)
-    alone = np.bincount(cage.indices, minlength=n_points) == 0
+    # Around a smooth vertex there are as many faces as edges; where there are not, it is none.
+    odd = np.bincount(cage.indices, minlength=n_points) != degree
     parts = []
     for which, amount, edge_is_sharp in (
         (rule, share, hard > 0.0),
         (then, 1.0 - share, later > 0.0),
     ):
-        which = np.where(alone, CORNER, which)
+        which = np.where((which == SMOOTH) & odd, CORNER, which)
         of_self = np.choose(which, [1.0 - 2.0 / degree, np.full(n_points, 0.75), np.ones(n_points)])
         parts.append((np.arange(n_points), np.arange(n_points), amount * of_self))
         on_crease = (which[ends] == CREASE) & edge_is_sharp
@@ -240,14 +260,14 @@ def _joined(one: Weights, other: Weights) -> Weights:
 
 def sharp_edges(cage: Cage) -> tuple[Ints, Floats]:
     """(K, 2) points of the edges that are sharp besides boundaries, and (K,) their sharpness."""
-    edges, which, beside = np.unique(cage.ends(), axis=0, return_inverse=True, return_counts=True)
-    sharpness = np.zeros(len(edges))
-    np.maximum.at(sharpness, which.reshape(-1), cage.edge_sharpness)
-    chosen = (sharpness > 0.0) & (beside > 1)
-    return edges[chosen], sharpness[chosen]
+    edges = cage.edges()
+    sharpness = np.zeros(len(edges.ends))
+    np.maximum.at(sharpness, edges.of, cage.edge_sharpness)
+    chosen = (sharpness > 0.0) & (edges.faces > 1)
+    return edges.ends[chosen], sharpness[chosen]
 
 
 def boundary(cage: Cage) -> Ints:
     """Points at an edge of one face alone."""
-    edges, beside = np.unique(cage.ends(), axis=0, return_counts=True)
-    return np.unique(edges[beside == 1])
+    edges = cage.edges()
+    return np.unique(edges.ends[edges.faces == 1])

@@ -21,7 +21,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import EDGE, signed_volume
 from gf_usd.readers.mesh.divide import skinned
-from gf_usd.readers.mesh.divide.cages import RefinedCage, cage_of, refine_until
+from gf_usd.readers.mesh.divide.cages import RefinedCage, cage_of, refine_until, unknown_rule
 from gf_usd.readers.mesh.divide.faces import (
     CORNERS,
     FACES,
@@ -51,16 +51,19 @@ def divided(
     surfaces: Sequence[Surface],
     longest: float,
     *,
+    asked: bool,
     of: MeshSource | None,
     unit: float,
     note: Callable[[str, str], None],
 ) -> MeshSource:
     """The layer of a file whose meshes have no face with an edge longer than this [m].
 
-    surfaces : of the file; of : its USD form, where it is no USD file; unit : [m] of the stage's.
+    surfaces : of the file; asked : the length was, and is not that of `fine_edge`; of : its USD
+    form, where it is no USD file; unit : [m] of the stage's.
     note : takes what is said of a mesh, and its path.
 
-    Raises InputError where a mesh would have more than MOST triangles.
+    Raises InputError where a mesh would have more than MOST triangles by a length that was asked
+    for.
     """
     folder = of.folder if of else Folder()
     if of is None:
@@ -73,17 +76,25 @@ def divided(
         polygons = surface.points, surface.face_counts, surface.face_indices
         if not (count := int(long_faces(*polygons, longest).sum())):
             continue
-        if why := _refusal(prim, len(surface.points)):
+        if why := _refusal(prim, polygons):
             note(f"{count} faces longer than --max-edge-length stay: {why}", surface.path)
             continue
         made = _shortened(prim, polygons, longest)
+        if made is None and not asked:
+            note(
+                f"{count} faces stay: with edges of {longest / unit:.3g} units it would have more"
+                f" than {MOST:,} triangles; give a larger --max-edge-length",
+                surface.path,
+            )
+            continue
         if made is None:
             raise InputError(
                 f"{path}: {surface.path}: with edges of at most {longest / unit:g} units it would"
                 f" have more than {MOST:,} triangles",
                 "give a larger --max-edge-length",
             )
-        _author(prim, made)
+        for name in _author(prim, made, polygons):
+            note(f"{name} does not fit the faces that were divided, and is left out", surface.path)
         skinned.author_skin(prim, made, len(surface.points))
         cage = f"{count} faces of the subdivision cage have longer edges: it is refined"
         faces = f"{made.divided} of {len(surface.face_counts)} faces are divided"
@@ -110,8 +121,8 @@ def _lie_over(path: Path, target: Path) -> None:
     layer.Save()
 
 
-def _refusal(prim: Usd.Prim, points: int) -> str:
-    """Why the faces of a mesh, which has so many points, are not divided; "" where they are."""
+def _refusal(prim: Usd.Prim, polygons: tuple[Floats, Ints, Ints]) -> str:
+    """Why the faces of a mesh are not divided; "" where they are."""
     mesh = UsdGeom.Mesh(prim)
     if prim.IsInstanceProxy():
         return "it is part of an instance, which a layer cannot change"
@@ -120,7 +131,11 @@ def _refusal(prim: Usd.Prim, points: int) -> str:
     topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
     if any(one.ValueMightBeTimeVarying() for one in topology):
         return "its topology changes over time"
-    return skinned.refusal(prim, points)
+    points, counts, _ = polygons
+    posed = mesh.GetPointsAttr()
+    if any(len(posed.Get(time) or ()) != len(points) for time in posed.GetTimeSamples()):
+        return "it has another number of points at some time"
+    return unknown_rule(mesh, counts) or skinned.refusal(prim, len(points))
 
 
 def _shortened(
@@ -136,16 +151,36 @@ def _shortened(
     return None if len(made.division.triangles) >= MOST else made
 
 
-def _author(prim: Usd.Prim, made: DividedFaces | RefinedCage) -> None:
+def _author(
+    prim: Usd.Prim, made: DividedFaces | RefinedCage, polygons: tuple[Floats, Ints, Ints]
+) -> list[str]:
+    """Write what becomes of a mesh; returns the attributes that did not fit it, which are blocked.
+
+    polygons : before.
+    """
     mesh = UsdGeom.Mesh(prim)
-    normals = str(mesh.GetNormalsInterpolation())
+    points, counts, indices = polygons
+    sizes = {POINTS: len(points), VARYING: len(points), FACES: len(counts), CORNERS: len(indices)}
+    normals = ELEMENTS.get(str(mesh.GetNormalsInterpolation()))
+    misfits = []
+
+    def change(attribute: Usd.Attribute, elements: str, to: Callable[[Any], Any]) -> None:
+        if not _change(attribute, to, sizes[elements]):
+            misfits.append(attribute.GetName())
+
     for attribute in (mesh.GetPointsAttr(), mesh.GetVelocitiesAttr(), mesh.GetAccelerationsAttr()):
-        _change(attribute, lambda values: made.values(values, POINTS))
-    if normals in ELEMENTS:
-        _change(mesh.GetNormalsAttr(), lambda values: _unit(made.values(values, ELEMENTS[normals])))
+        change(attribute, POINTS, lambda values: made.values(values, POINTS))
+    if normals:
+        change(mesh.GetNormalsAttr(), normals, lambda values: _unit(made.values(values, normals)))
+    linear = str(mesh.GetFaceVaryingLinearInterpolationAttr().Get(Usd.TimeCode.EarliestTime()))
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
-        if primvar.GetInterpolation() in ELEMENTS and primvar.GetPrimvarName() not in skinned.SKIN:
-            _change_primvar(primvar, made, str(mesh.GetFaceVaryingLinearInterpolationAttr().Get()))
+        elements = ELEMENTS.get(str(primvar.GetInterpolation()))
+        if elements is None or primvar.GetPrimvarName() in skinned.SKIN:
+            continue
+        if not _change_primvar(primvar, made, linear, sizes[elements]):
+            primvar.GetAttr().Block()
+            primvar.BlockIndices()
+            misfits.append(primvar.GetName())
     _change(mesh.GetHoleIndicesAttr(), made.faces)
     for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
         if subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face:
@@ -154,22 +189,23 @@ def _author(prim: Usd.Prim, made: DividedFaces | RefinedCage) -> None:
     mesh.GetFaceVertexIndicesAttr().Set(made.indices.astype(np.int32))
     if isinstance(made, RefinedCage):
         made.author(mesh)
+    return misfits
 
 
 def _change_primvar(
-    primvar: UsdGeom.Primvar, made: DividedFaces | RefinedCage, linear: str
-) -> None:
-    """The values of a primvar, or only its indices where those do: faces keep their values.
+    primvar: UsdGeom.Primvar, made: DividedFaces | RefinedCage, linear: str, count: int
+) -> bool:
+    """Write the values of a primvar, or only its indices where those do: faces keep their values.
 
-    linear : faceVaryingLinearInterpolation of the mesh.
+    linear : faceVaryingLinearInterpolation of the mesh; count : its elements.  Returns False, and
+    may have written some, where it has not as many.
     """
     elements, width = ELEMENTS[str(primvar.GetInterpolation())], primvar.GetElementSize()
     attribute = primvar.GetAttr()
     value = attribute.Get(Usd.TimeCode.EarliestTime())
     fraction = value is not None and np.asarray(value).dtype.kind == "f"
     if primvar.IsIndexed() and (elements == FACES or not fraction):
-        _change(primvar.GetIndicesAttr(), lambda values: made.values(values, elements))
-        return
+        return _change(primvar.GetIndicesAttr(), lambda at: made.values(at, elements), count)
     unit = primvar.GetPrimvarName() == "normals"
     smooth = isinstance(made, RefinedCage) and elements == CORNERS and width == 1 and fraction
 
@@ -180,24 +216,44 @@ def _change_primvar(
         return _unit(out) if unit else out
 
     if not primvar.IsIndexed():
-        _change(attribute, change)
-        return
+        return _change(attribute, change, count * width)
     times = sorted({*attribute.GetTimeSamples(), *primvar.GetIndicesAttr().GetTimeSamples()})
     flat = {time: primvar.ComputeFlattened(time) for time in times or [Usd.TimeCode.Default()]}
     for time, values in flat.items():
+        # None where an index is that of no value
+        if values is None or len(values) not in (0, count * width):
+            return False
+        if len(values) == 0:
+            continue
         attribute.Set(_as(values, change(np.asarray(values))), time)
     primvar.BlockIndices()
+    return True
 
 
-def _change(attribute: Usd.Attribute, change: Callable[[Any], Any]) -> None:
-    """Author what becomes of the value of an attribute, and of its time samples; none has none."""
+def _change(
+    attribute: Usd.Attribute, change: Callable[[Any], Any], count: int | None = None
+) -> bool:
+    """Author what becomes of the value of an attribute, and of its time samples; none has none.
+
+    count : values that it has to have, at every time; None: any number.  Where it has not it is
+    blocked, and False is returned.
+    """
     if not attribute or not attribute.HasAuthoredValue():
-        return
+        return True
     times = [*attribute.GetTimeSamples(), Usd.TimeCode.Default()]
     seen = {time: attribute.Get(time) for time in times}
+    seen = {time: values for time, values in seen.items() if values is not None}
+    if count is not None and not all(_fits(values, count) for values in seen.values()):
+        attribute.Block()
+        return False
     for time, values in seen.items():
-        if values is not None and len(values):
+        if len(values):
             attribute.Set(_as(values, change(np.asarray(values))), time)
+    return True
+
+
+def _fits(values: Any, count: int) -> bool:
+    return hasattr(values, "__len__") and len(values) in (0, count)
 
 
 def _as(like: Any, values: Any) -> Any:

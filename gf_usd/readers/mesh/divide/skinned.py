@@ -12,6 +12,8 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.readers.mesh.divide.cages import RefinedCage
 from gf_usd.readers.mesh.divide.faces import POINTS, DividedFaces
 
+FIRST = Usd.TimeCode.EarliestTime()
+BLOCK = 16  # joints whose weights are interpolated together
 INFLUENCES = 8  # joints of a point, where the points before had no more
 LEAST = 1e-4  # of a point's weights: less is left out
 INDICES, WEIGHTS = "skel:jointIndices", "skel:jointWeights"
@@ -25,7 +27,7 @@ def refusal(prim: Usd.Prim, points: int) -> str:
     """
     joints, weights = (UsdGeom.PrimvarsAPI(prim).GetPrimvar(name) for name in SKIN)
     if _per_point(joints) or _per_point(weights):
-        given = [len(one.Get() or ()) for one in (joints, weights)]
+        given = [len(one.Get(FIRST) or ()) for one in (joints, weights)]
         size = joints.GetElementSize()
         if not _per_point(joints) or given != [points * size] * 2:
             return "its joint weights do not fit its points"
@@ -46,8 +48,8 @@ def author_skin(prim: Usd.Prim, made: DividedFaces | RefinedCage, points: int) -
     if _per_point(joints):
         size = joints.GetElementSize()
         index, weight = _divided(
-            np.asarray(joints.Get(), np.int64).reshape(points, size),
-            np.asarray(weights.Get(), float).reshape(points, size),
+            np.asarray(joints.Get(FIRST), np.int64).reshape(points, size),
+            np.asarray(weights.Get(FIRST), float).reshape(points, size),
             made,
         )
         joints.Set(index.astype(np.int32).ravel())
@@ -68,17 +70,24 @@ def _divided(
 ) -> tuple[Ints, Floats]:
     """(V', k') joints and weights of the new points; those before : (V, k) both."""
     names, column = np.unique(joints, return_inverse=True)
-    table = np.zeros((len(joints), len(names)))
+    column = column.reshape(-1)
     rows = np.repeat(np.arange(len(joints)), joints.shape[1])
-    np.add.at(table, (rows, column.reshape(-1)), weights.ravel())
-    table = made.values(table, POINTS)
     most = min(len(names), max(joints.shape[1], INFLUENCES))
-    best = np.argsort(-table, axis=1, kind="stable")[:, :most]
-    kept = np.take_along_axis(table, best, axis=1)
-    total = table.sum(1, keepdims=True)
+    new = len(made.values(np.zeros((len(joints), 1)), POINTS))
+    best, kept, total = np.zeros((new, 0), np.int64), np.zeros((new, 0)), np.zeros((new, 1))
+    for first in range(0, len(names), BLOCK):
+        mine = (column >= first) & (column < first + BLOCK)
+        table = np.zeros((len(joints), min(BLOCK, len(names) - first)))
+        np.add.at(table, (rows[mine], column[mine] - first), weights.ravel()[mine])
+        table = made.values(table, POINTS)
+        total += table.sum(1, keepdims=True)
+        of = np.broadcast_to(first + np.arange(table.shape[1]), table.shape)
+        table, of = np.concatenate([kept, table], 1), np.concatenate([best, of], 1)
+        order = np.argsort(-table, axis=1, kind="stable")[:, :most]
+        best, kept = np.take_along_axis(of, order, 1), np.take_along_axis(table, order, 1)
     kept[kept < LEAST * total] = 0.0
     left = kept.sum(1, keepdims=True)
-    kept *= np.divide(total, left, out=np.zeros_like(total), where=left > 0.0)
+    kept *= np.divide(total, left, out=np.zeros_like(left), where=left > 0.0)
     size = max(1, int((kept > 0.0).any(0).sum()))
     return np.where(kept > 0.0, names[best], 0)[:, :size], kept[:, :size]
 
