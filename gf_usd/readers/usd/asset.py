@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd.mesh import Reading, read_surface
+from gf_usd.readers.usd.mesh import Reading, read_surface, with_limit
 from gf_usd.readers.usd.select import (
     INVISIBLE,
     PURPOSE,
@@ -91,7 +91,7 @@ def _surfaces(
                 unit = facts.units.length
                 splats.append(read_captured(prim, time, place, unit, notes))
             else:
-                surfaces.append(read_surface(prim, context))
+                surfaces.append(with_limit(prim, read_surface(prim, context)))
         except LeftAlone as reason:
             skipped[str(prim.GetPath())] = str(reason)
         else:

@@ -12,7 +12,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.asset import LimitSurface, Surface
+from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.neighbors import kd_tree
@@ -110,16 +110,16 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         materials=shading.materials,
         skinned=place.skinned,
         own_points=None if carriers is None else authored,
-        limit=_limit(prim, points, polygons),
     )
 
 
-def _limit(prim: Usd.Prim, points: Floats, polygons: Polygons) -> LimitSurface | None:
-    """See `limit_surface`; points : (V, 3) [m] of the polygons, world."""
+def with_limit(prim: Usd.Prim, surface: Surface) -> Surface:
+    """The surface of a prim, with the limit surface of a cage that is far from it."""
     if not prim.IsA(UsdGeom.Mesh):
-        return None
-    cage = cage_of(UsdGeom.Mesh(prim), polygons.counts, polygons.indices, len(points))
-    return None if cage is None else limit_surface(cage, points)
+        return surface
+    points = surface.points
+    cage = cage_of(UsdGeom.Mesh(prim), surface.face_counts, surface.face_indices, len(points))
+    return surface if cage is None else replace(surface, limit=limit_surface(cage, points))
 
 
 def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:
