@@ -15,6 +15,7 @@ from typing import Any
 
 from gf_usd.batch.job import CALM, GOOD, STATES, Job, Outcome
 from gf_usd.batch.record import read_record
+from gf_usd.core.errors import UsageError
 from gf_usd.system.atomic_files import publish_text
 from gf_usd.system.file_locks import locked
 from gf_usd.system.fingerprint import program
@@ -177,11 +178,31 @@ def recorded(job: Job) -> Outcome | None:
     return None if entry is None else Outcome.of(entry["outcome"])
 
 
-def failed_in(path: Path) -> list[str]:
-    """Names of the jobs that a summary says are not good; none where there is no summary."""
+def failed_in(path: Path, jobs: Sequence[Job]) -> list[str]:
+    """Names of the jobs that are not good, by a summary or their record, whichever is newer.
+
+    Records have what tasks of a bundle did, which write no summary; the summary has jobs that were
+    stopped or left to another run, which have no record.  Raises UsageError where all have neither.
+    """
+    when, rows = _summary(path)
+    known = {row.job: row for row in rows}
+    for job in jobs:
+        entry = read_record(job)
+        if entry is not None and (job.name not in known or entry.get("finished", "") > when):
+            known[job.name] = Outcome.of(entry["outcome"])
+    found = [known[job.name] for job in jobs if job.name in known]
+    if not found:
+        raise UsageError(
+            f"--failed: no earlier run is known: there is no {path}, and no job has a record",
+            "run the batch without --failed first, or give the --output of that run",
+        )
+    return [row.job for row in found if not row.good]
+
+
+def _summary(path: Path) -> tuple[str, list[Outcome]]:
+    """When a summary was written, and its jobs; none where there is no summary."""
     try:
         entry = json.loads(path.read_text(encoding="utf-8"))
-        rows = [Outcome.of(row) for row in entry["jobs"]]
+        return str(entry["finished"]), [Outcome.of(row) for row in entry["jobs"]]
     except (OSError, ValueError, KeyError, TypeError):
-        return []
-    return [row.job for row in rows if not row.good]
+        return "", []

@@ -185,7 +185,7 @@ def batch(
     how = How(
         at_once=at_once, memory=memory, overwrite=overwrite, scheduler=scheduler,
         resources=tuple(resource or ()), report=not no_report, as_json=as_json,
-        openjd_lines=openjd_lines, quiet=quiet, slice=slice, warm=warm,
+        openjd_lines=openjd_lines, quiet=quiet, slice=slice, warm=warm, tasks=tasks is not None,
         part=None if part is None else parse_part(part, slice),
     )  # fmt: skip
     if dry_run:

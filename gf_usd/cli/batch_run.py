@@ -87,7 +87,7 @@ def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
     """The jobs that are asked for.  Raises UsageError for a name or number that none has."""
     jobs = choose(plan, choice.select) if choice.select else plan.jobs
     if choice.failed:
-        names = set(failed_in(plan.out / f"{plan.title}{SUMMARY}"))
+        names = set(failed_in(plan.out / f"{plan.title}{SUMMARY}", plan.jobs))
         jobs = tuple(job for job in jobs if job.name in names)
     if choice.tasks is not None:
         wanted = {plan.jobs[number].name for number in pieces(choice.tasks, len(plan.jobs))}
@@ -203,6 +203,7 @@ class How:
     scheduler: str | None = None
     resources: tuple[str, ...] = ()
     report: bool = True
+    tasks: bool = False  # by their numbers, as one of several runs of the plan
     as_json: bool = False
     openjd_lines: bool = False
     quiet: bool = False
@@ -310,34 +311,39 @@ def _finish(
         summary = {"event": "summary", "counts": counts(outcomes), "seconds": round(seconds, 3),
                    "repeat": repeat}  # fmt: skip
         typer.echo(json.dumps(summary))
-    if not how.report:
+    if how.tasks and not how.report:
+        # one of many runs of the plan: each would read the records of all jobs
         return
-    from gf_usd.batch.page import write_page
-
-    target = plan.out / f"{plan.title}{PAGE}"
+    summary, target = (plan.out / f"{plan.title}{suffix}" for suffix in (SUMMARY, PAGE))
     try:
-        entry = write_summary(
-            plan.out / f"{plan.title}{SUMMARY}", outcomes, repeat=repeat, seconds=seconds,
-            jobs=plan.jobs,
-        )  # fmt: skip
+        entry = write_summary(summary, outcomes, repeat=repeat, seconds=seconds, jobs=plan.jobs)
+        if not how.report:
+            return
+        from gf_usd.batch.page import write_page
+
         write_page(target, plan, entry, pictures=pictures)
     except BakeError as error:
         # the results are there, and each has its record: a page can be had later
-        typer.echo(f"no page: {error}", err=True)
+        typer.echo(f"no {'page' if how.report else 'summary'}: {error}", err=True)
     else:
         typer.echo(f"{target}", err=True)
 
 
 @contextmanager
 def _stoppable(children: Children) -> Iterator[list[int]]:
-    """SIGTERM and Ctrl-C end the bakes; the list then holds the signal's number."""
+    """SIGTERM and Ctrl-C end the bakes; the list then holds the signal's number.
+
+    Only the first does: a handler runs in the middle of the one before, which holds locks that are
+    not to be had twice, and the bakes are ended after their grace in any case.
+    """
     stopped: list[int] = []
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
 
     def stop(number: int, frame: object) -> None:
         del frame
-        stopped.append(number)
-        children.stop()
+        if not stopped:
+            stopped.append(number)
+            children.stop()
 
     for number in before:
         signal.signal(number, stop)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from batch_jobs import job, outcome
 
 from gf_usd.batch.board import again, counts, failed_in, ordered, summary_line, write_summary
 from gf_usd.batch.record import write_record
+from gf_usd.core.errors import UsageError
 
 ENDS = [
     outcome("a", "done"), outcome("c", "refused"), outcome("b", "kept"), outcome("d", "crashed"),
@@ -46,7 +48,24 @@ def test_the_file_keeps_what_was_not_run_this_time(tmp_path: Path) -> None:
     ]
     assert entry["repeat"] == "again"
     # c was never run: it is in no list of failures either
-    assert failed_in(path) == ["b"]
-    assert failed_in(tmp_path / "none.json") == []
+    assert failed_in(path, jobs) == ["b"]
+
+
+def test_failures_are_those_of_the_summary_or_of_newer_records(tmp_path: Path) -> None:
+    jobs = [job(tmp_path, name) for name in ("a", "b", "c")]
+    path = tmp_path / "out" / "toys.batch.json"
+    path.parent.mkdir()
+    with pytest.raises(UsageError, match="no earlier run is known") as caught:
+        failed_in(path, jobs)
+    assert "without --failed" in caught.value.hint
+    # a task of a bundle writes records only
+    write_record(jobs[1], outcome("b", "failed"), identity="x", description={})
+    assert failed_in(path, jobs) == ["b"]
+    # what is stopped has no record
+    ends = [outcome("a", "stopped"), outcome("b", "done"), outcome("c", "done")]
+    entry = write_summary(path, ends, repeat="", seconds=1.0, jobs=jobs)
+    assert failed_in(path, jobs) == ["a"]
+    path.write_text(json.dumps({**entry, "finished": "2020-01-01T00:00:00Z"}), encoding="utf-8")
+    assert failed_in(path, jobs) == ["a", "b"]
     path.write_text("[]", encoding="utf-8")
-    assert failed_in(path) == []
+    assert failed_in(path, jobs) == ["b"]

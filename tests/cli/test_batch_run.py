@@ -1,0 +1,64 @@
+"""How a batch is stopped, and what it leaves for the next run of it."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from batch_jobs import outcome
+from small_bakes import Done
+
+from gf_usd.cli.batch_run import _stoppable
+from gf_usd.system.processes import Children
+
+Call = Callable[..., Done]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_second_signal_does_not_stop_again(number: signal.Signals) -> None:
+    """Its handler runs within that of the first, which holds the lock of the children."""
+    stops = []
+
+    class Stopped(Children):
+        def stop(self) -> None:
+            stops.append(number)
+            if len(stops) < 3:
+                signal.raise_signal(number)
+
+    with _stoppable(Stopped()) as stopped:
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+    assert stops == [number]
+    assert stopped == [number]
+
+
+def test_without_a_page_the_failed_jobs_are_still_known(
+    gf_usd: Call, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def nothing(jobs, limits, **how):
+        asked.extend(job.name for job in jobs)
+        for job in jobs:
+            state = "stopped" if job.name == "block.jelly" else "done"
+            yield {"event": "finished", **outcome(job.name, state).as_json()}
+
+    monkeypatch.setattr("gf_usd.cli.batch_run.run_here", nothing)
+    words = ("batch", block, "-m", "rubber,jelly", "-o", "out", "--no-report", "-q")
+    none = gf_usd(*words, "--failed")
+    assert none.status == 2
+    assert "no earlier run is known" in none.err
+    assert asked == []
+    assert gf_usd(*words, "--tasks", "0").status == 0
+    assert not (here / "out" / "out.batch.json").exists()
+    assert gf_usd(*words).status == 1
+    assert json.loads((here / "out" / "out.batch.json").read_text("utf-8"))["counts"] == {
+        "done": 1, "stopped": 1,
+    }  # fmt: skip
+    assert not (here / "out" / "out.batch.html").exists()
+    asked.clear()
+    gf_usd(*words, "--failed")
+    assert asked == ["block.jelly"]
