@@ -122,7 +122,7 @@ def test_sigterm_ends_the_bakes_and_says_how_to_go_on(
     assert "to repeat only these: gf-usd batch" in err
     left = [name for name in names(here / "out") if not name.startswith(".")]
     assert left
-    assert all(".partial." in name for name in left)
+    assert all(".partial." in name for name in left if name != "out.batch.json")
     free = acquire(here / "out" / "block.rubber.seed0.usda")
     assert free is not None
     free.release()
