@@ -30,7 +30,7 @@ from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
-from gf_usd.system.taichi_runtime import init_taichi
+from gf_usd.system.taichi_runtime import init_taichi, kernel_cache_notes
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -91,7 +91,8 @@ def plan_scene(spec: SceneSpec) -> Plan:
             "move the body up, or lower the floor",
         )
     settings = tuple(replace(one, floor=spec.floor) for one in plan.each)
-    return replace(plan, settings=settings[0], each=settings)
+    notes = (*plan.notes, *kernel_cache_notes())
+    return replace(plan, notes=notes, settings=settings[0], each=settings)
 
 
 def start_scene(plan: Plan) -> TotalLagrangian:

@@ -45,7 +45,7 @@ from gf_usd.prepare.settings import DEFAULT_PARTICLES
 from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_stage_spec
 from gf_usd.system.sandbox import Limits
-from gf_usd.system.taichi_runtime import init_taichi
+from gf_usd.system.taichi_runtime import init_taichi, kernel_cache_notes
 
 if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
@@ -125,7 +125,8 @@ def prepare(
     )  # fmt: skip
     odd = implausible_size(asset)
     plan = replace(
-        plan, command=command, notes=(*plan.notes, odd) if odd else plan.notes,
+        plan, command=command,
+        notes=(*plan.notes, *((odd,) if odd else ()), *kernel_cache_notes()),
         odd=odd if asset.facts.unit_from == ASSUMED else "",
         sequences=targets.sequences, seen=targets.seen, seen_source=seen_source,
     )  # fmt: skip

@@ -211,9 +211,10 @@ class Process(Owned):
 def tail_of(stderr: IO[bytes], on_line: Callable[[str], None]) -> str:
     """Read to its end; the last TAIL characters.  on_line : called with each line."""
     tail = ""
-    for line in io.TextIOWrapper(stderr, encoding="utf-8", errors="replace"):
-        tail = (tail + line)[-TAIL:]
-        on_line(line.rstrip("\n"))
+    with io.TextIOWrapper(stderr, encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            tail = (tail + line)[-TAIL:]
+            on_line(line.rstrip("\n"))
     return tail
 
 

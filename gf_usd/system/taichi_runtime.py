@@ -9,7 +9,8 @@ import importlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -23,6 +24,7 @@ THREADS = 8  # that kernels are compiled for, at least
 # [bytes] Taichi's own limit of 100 MB holds 175 kernels: a few laws, mass matrices and precisions
 # in turn remove each other's, and each bake compiles them again.
 KERNEL_CACHE = 1 << 30
+CACHE_FOLDER = "TI_OFFLINE_CACHE_FILE_PATH"  # variable of the environment: where they are
 
 # Variables of the environment while it is imported and started.
 QUIET = {
@@ -95,13 +97,23 @@ def is_taken() -> bool:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    set_here = {name: text for name, text in QUIET.items() if name not in os.environ}
-    os.environ.update(set_here)
+    with _environment({name: text for name, text in QUIET.items() if name not in os.environ}):
+        yield
+
+
+@contextlib.contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set variables of the environment within the block."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
         yield
     finally:
-        for name in set_here:
-            os.environ.pop(name, None)
+        for name, text in before.items():
+            if text is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = text
 
 
 def is_ours() -> bool:
@@ -112,10 +124,59 @@ def is_ours() -> bool:
     return now is _runtime and now.prog is not None
 
 
+def _find_home() -> None:
+    """Set HOME where there is none, as in units of systemd: Taichi would abort the process.
+
+    It stays set, because Taichi asks for it whenever it is reset, at the end of the process too.
+    """
+    if os.name != "posix" or {"HOME", "XDG_CACHE_HOME"} & os.environ.keys():
+        return
+    import pwd
+
+    try:
+        home = pwd.getpwuid(os.getuid()).pw_dir
+    except KeyError:  # a number without a name, in a container
+        home = os.devnull  # holds no folder; others could put kernels into the temporary one
+    os.environ["HOME"] = home
+
+
+@cache
+def _kernel_cache() -> tuple[bool, str]:
+    """Whether there is a folder for compiled kernels, and a note where they cannot be kept in it.
+
+    To be asked before Taichi is started, which crashes at its end where it cannot make the folder.
+    """
+    default = importlib.import_module("taichi").lang.impl.default_cfg().offline_cache_file_path
+    folder = os.environ.get(CACHE_FOLDER) or default
+    hint = f"set {CACHE_FOLDER} to a folder that can be written"
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except OSError as error:
+        return False, (
+            f"the folder of compiled kernels {folder} cannot be made ({error.strerror}), so that "
+            f"kernels are compiled in every run; {hint}"
+        )
+    if not os.access(folder, os.W_OK):
+        return True, (
+            f"the folder of compiled kernels {folder} cannot be written, so that kernels it lacks "
+            f"are compiled in every run; {hint}"
+        )
+    return True, ""
+
+
+def kernel_cache_notes() -> tuple[str, ...]:
+    """What is to be said of the folder of compiled kernels, once Taichi was started."""
+    note = _kernel_cache()[1] if _starts else ""
+    return (note,) if note else ()
+
+
 @cache
 def _imported() -> ModuleType:
+    _find_home()
     try:
-        with _quiet(), quick_import():
+        with _quiet(), quick_import(), warnings.catch_warnings():
+            # it calls what is to be gone from Python; with -W error that would end its import
+            warnings.simplefilter("ignore", DeprecationWarning)
             return importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):
@@ -166,13 +227,16 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     _started.clear()
     if _starts:
         _abandon()
+    kept = _kernel_cache()[0]
+    # with the cache off nothing is written there, but the folder must exist
+    elsewhere = {} if kept else {CACHE_FOLDER: os.path.abspath(os.sep)}
     # ti.init prints the architecture on stdout, which belongs to the data of --json
-    with _quiet(), contextlib.redirect_stdout(io.StringIO()):
+    with _quiet(), _environment(elsewhere), contextlib.redirect_stdout(io.StringIO()):
         ti.init(
             arch=ti.cuda if device == "cuda" else ti.cpu,
             default_fp=ti.f64 if f64 else ti.f32,
             cpu_max_num_threads=wanted["threads"],
-            offline_cache=True,
+            offline_cache=kept,
             offline_cache_max_size_of_files=KERNEL_CACHE,
             real_matrix_scalarize=device == "cuda",
             fast_math=False,

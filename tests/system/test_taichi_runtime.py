@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import os
 import subprocess
 import sys
 from types import SimpleNamespace
 
 import pytest
+from small_bakes import BLOCK
+from solids import CUBE_POINTS, CUBE_TRIANGLES
 
+import gf_usd
 from gf_usd.core.errors import GfUsdError, UsageError
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.system import taichi_runtime
 
 
@@ -80,6 +85,60 @@ def test_starting_says_nothing_on_the_way(stdout):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == ""
     assert done.stderr == ""
+
+
+KERNEL = (
+    "from gf_usd.system import taichi_runtime as own; own.init_taichi();"
+    "from gf_usd.physics.grid import embedding_kernels;"
+    "import taichi as ti; x = ti.field(ti.f32, 3); x.fill(1.0);"  # compiles a kernel
+    "print(*own.kernel_cache_notes())"
+)
+
+
+def start_in(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    """A process that compiles a kernel, with nothing but these variables."""
+    paths = {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    return subprocess.run(
+        [sys.executable, "-c", KERNEL],
+        env={**environment, **paths},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_it_starts_without_a_home():
+    done = start_in({})
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("variable", ["HOME", "TI_OFFLINE_CACHE_FILE_PATH"])
+def test_without_a_folder_for_kernels_it_says_so_and_goes_on(variable, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("")
+    # even root can make no folder there
+    done = start_in({"HOME": str(tmp_path), variable: str(file)})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"the folder of compiled kernels {file}" in done.stdout
+    assert "kernels are compiled in every run; set TI_OFFLINE_CACHE_FILE_PATH" in done.stdout
+
+
+def test_plans_say_where_kernels_cannot_be_kept(monkeypatch, tmp_path):
+    monkeypatch.setattr(taichi_runtime, "_kernel_cache", lambda: (True, "no kernels are kept"))
+    scene = gf_usd.Scene()
+    scene.add_body(CUBE_POINTS, CUBE_TRIANGLES)
+    assert "no kernels are kept" in gf_usd.simulate(scene, particles=50).notes
+    (tmp_path / "block.usda").write_text(BLOCK, encoding="utf-8")
+    plan = prepare(tmp_path / "block.usda", particles=50).plan
+    assert plan.notes.count("no kernels are kept") == 1
+
+
+def test_its_import_is_no_warning():
+    code = "from gf_usd.system.taichi_runtime import import_taichi; import_taichi()"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], check=False, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_kernels_of_hundreds_of_bakes_stay_in_the_cache():
