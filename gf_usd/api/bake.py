@@ -33,7 +33,8 @@ def bake(
     ('rubber', 0)
 
     A program that has already opened stages, or that uses Taichi itself, can call it too: the bake
-    then runs in a separate process, and a note says so.
+    then runs in a separate process, and a note says so.  What is baked is the file on disk: an
+    asset with a layer that has unsaved changes in the program is refused.
 
     The keywords are the options of ``gf-usd bake``, with underscores.  They take Python values:
     numbers, tuples and lists, `pathlib` paths, `gf_usd.Material` objects, and dicts for regions.
@@ -81,7 +82,9 @@ def bake(
         written.
     """
     from gf_usd.pipeline.result import require_healthy
+    from gf_usd.readers.usd.stage import require_saved
 
+    require_saved(path)
     asked = {"path": path, "max_hours": max_hours, "slice": slice, "until": until, **options}
     result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
     if why:

@@ -36,10 +36,13 @@ def inspect(path: Path, **options: Any) -> Inspection:
     Raises
     ------
     UsageError : the options make no sense, or another part of the program uses Taichi.
-    InputError : the file cannot be read, is the result of a bake, or contains nothing to bake.
+    InputError : the file cannot be read, has unsaved changes in this program, is the result of a
+        bake, or contains nothing to bake.
     """
     from gf_usd.pipeline.inspect import inspect as inspect_asset
+    from gf_usd.readers.usd.stage import require_saved
 
+    require_saved(path)
     require_here("inspect")
     with guest():
         return inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})

@@ -225,3 +225,42 @@ for task in ('os:abort', 'gf_usd.api.host.guest:nothing'):
     ).splitlines()
     assert said[0].startswith("the process that did the work ended by signal 6")
     assert "with status 1: AttributeError: module 'gf_usd.api.host.guest'" in said[1]
+
+
+EDITED = """
+from pathlib import Path
+from pxr import Sdf, Usd, UsdGeom
+Path('over.usda').write_text('#usda 1.0\\n(subLayers = [@' + SPHERE + '@])\\n')
+Path('root.usda').write_text('#usda 1.0\\n(defaultPrim = "Sphere"\\nsubLayers = [@over.usda@])\\n')
+over = Sdf.Layer.FindOrOpen('over.usda')
+{open}
+Sdf.CreatePrimInLayer(over, '/Sphere').typeName = 'Scope'
+def told(call, **more):
+    try:
+        call('root.usda', particles=60, **more)
+    except gf_usd.InputError as error:
+        print(error.message, '|', error.hint)
+told(gf_usd.bake, output='out/', frames=3)
+told(gf_usd.inspect)
+print(over.dirty)
+"""
+
+
+@pytest.mark.parametrize("schema", ["", "import gf_usd.system.usd_schema"])
+def test_what_the_program_has_not_saved_is_neither_baked_nor_passed_over(
+    tmp_path: Path, schema: str
+) -> None:
+    opened = "stage = Usd.Stage.Open('root.usda')"
+    said = run(tmp_path, schema + EDITED.replace("{open}", opened)).splitlines()
+    assert len(said) == 3
+    for line in said[:2]:
+        assert line.startswith("root.usda: the layer over.usda has unsaved changes in this program")
+        assert "layer.Save()" in line
+    assert said[2] == "True"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_sublayer_with_edits_is_found_where_the_asset_is_not_open(tmp_path: Path) -> None:
+    said = run(tmp_path, EDITED.replace("{open}", "")).splitlines()
+    assert len(said) == 3
+    assert all("over.usda has unsaved changes" in line for line in said[:2])

@@ -23,7 +23,13 @@ from gf_usd.readers.usd.select import (
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
-from gf_usd.readers.usd.stage import LeftAlone, open_stage, reading, stage_facts
+from gf_usd.readers.usd.stage import (
+    LeftAlone,
+    open_stage,
+    reading,
+    require_saved,
+    stage_facts,
+)
 
 INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
 
@@ -47,6 +53,7 @@ def read_usd(
     with reading(path):
         stage = open_stage(path)
         path = named or path
+        require_saved(path, stage)
         notes = Notes()
         facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
         time = Usd.TimeCode(first_time_code(facts, time_code))

@@ -90,6 +90,33 @@ def open_stage(path: Path) -> Usd.Stage:
     return stage
 
 
+def require_saved(path: Path, stage: Usd.Stage | None = None) -> None:
+    """Raise InputError where a layer of an asset has edits in this process that its file lacks.
+
+    Layers that are written refer to files, and a process of its own reads files: only what is saved
+    is the same to all of them.
+
+    stage : of the asset; None: it is not opened, and those of its layers count that are open.
+    """
+    if stage is not None:
+        layers = list(stage.GetUsedLayers())
+    else:
+        root = Sdf.Layer.Find(str(path))
+        layers = [] if root is None else [root]
+    for layer in layers:  # it grows
+        if layer.dirty and not layer.anonymous:
+            raise InputError(
+                f"{path}: the layer {layer.identifier} has unsaved changes in this program, but"
+                " what is baked is the file on disk",
+                "save it (layer.Save()) or reload it (layer.Reload()), or export the stage and bake"
+                " that file",
+            )
+        if stage is None:
+            names = layer.GetCompositionAssetDependencies()
+            found = (Sdf.Layer.FindRelativeToLayer(layer, name) for name in names)
+            layers += [one for one in dict.fromkeys(found) if one and one not in layers]
+
+
 def _require_rates(path: Path, layer: Sdf.Layer) -> None:
     """Raise InputError for a rate that is not a positive number."""
     for key in RATES:
