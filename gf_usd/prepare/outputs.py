@@ -15,7 +15,7 @@ from gf_usd.core.asset import Splats
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import SOURCE_VARIANT
 from gf_usd.readers.splats.write import WRITERS
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.atomic_files import is_utf8, partial_path, publish
 
 REPORT = ".report.json"
 SHEET = ".sheet.png"
@@ -105,6 +105,12 @@ def outputs(
         raise UsageError(
             f"{root.name} would be one file for {len(variants)} materials: {', '.join(variants)}",
             "a flattened bake holds one material: bake them one by one, or write layers",
+        )
+    if not is_utf8(root):
+        shown = str(root).encode(errors="backslashreplace").decode()
+        raise UsageError(
+            f"-o {shown}: its path has bytes that are not UTF-8, and USD cannot open it",
+            "choose another -o",
         )
     stem = root.name[: -len(root.suffix)]
     is_usd = source.suffix.lower() in USD

@@ -44,6 +44,7 @@ from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.prepare.settings import DEFAULT_PARTICLES
 from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_stage_spec
+from gf_usd.system.atomic_files import require_utf8
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import init_taichi, kernel_cache_notes
 
@@ -89,6 +90,7 @@ def prepare(
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
     source = Path(path)
+    require_utf8(source)
     target = None if output is None else str(output)
     again = {"overwrite": overwrite, "resume": resume}
     # what is in the way of the results is found before the asset is read, where they have names

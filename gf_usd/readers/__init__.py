@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
 from gf_usd.readers.formats import SUFFIXES, USD, Format, format_of
+from gf_usd.system.atomic_files import require_utf8
 
 if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
@@ -103,6 +104,7 @@ def _require_file(path: Path) -> None:
             raise InputError(f"{path} does not exist", f"{_near(path)}{_what_can_be_read()}")
         if not path.is_file():
             raise InputError(f"{path} is not a regular file", _what_can_be_read())
+        require_utf8(path)
         with path.open("rb") as file:
             if not file.read(1):
                 raise InputError(f"{path} is empty (0 bytes)", _what_can_be_read())

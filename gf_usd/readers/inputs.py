@@ -15,7 +15,7 @@ from pxr import Ar, UsdUtils
 from gf_usd.core.errors import InputError
 from gf_usd.readers.formats import MESH, USD, format_of
 from gf_usd.readers.usd.stage import reading
-from gf_usd.system.atomic_files import relative
+from gf_usd.system.atomic_files import relative, require_utf8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +70,7 @@ def _unreadable(path: Path, error: OSError) -> InputError:
 def _files(path: Path) -> tuple[Sequence[Path], Sequence[str]]:
     if not path.is_file():
         raise InputError(f"{path} does not exist", "check the spelling of the path")
+    require_utf8(path)
     if format_of(path, USD):
         return usd_inputs(path)
     from gf_usd.readers.splats.convert import is_splat_file

@@ -12,7 +12,7 @@ import os
 import re
 from pathlib import Path
 
-from gf_usd.core.errors import BakeError
+from gf_usd.core.errors import BakeError, InputError
 
 WORKING = re.compile(r"\.\w{6}")
 
@@ -57,9 +57,10 @@ def publish(path: Path) -> Path:
 def publish_text(path: Path, text: str) -> Path:
     """Write a small UTF-8 text file under its final name in one step; returns path.
 
-    Raises BakeError where the folder or the disk refuses.
+    Bytes of a file's name that are no UTF-8 are written as backslashes and numbers.  Raises
+    BakeError where the folder or the disk refuses.
     """
-    return publish_bytes(path, text.encode("utf-8"))
+    return publish_bytes(path, text.encode("utf-8", errors="backslashreplace"))
 
 
 def publish_bytes(path: Path, data: bytes) -> Path:
@@ -96,6 +97,25 @@ def relative(path: Path, folder: Path) -> str:
         return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
     except ValueError:  # Windows, another drive
         return path.absolute().as_posix()
+
+
+def is_utf8(path: Path) -> bool:
+    """Whether all bytes of an absolute path are UTF-8: USD opens no others."""
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def require_utf8(path: Path) -> None:
+    """Raise InputError for an asset that USD cannot open because of its path."""
+    if not is_utf8(path):
+        shown = str(path).encode(errors="backslashreplace").decode()
+        raise InputError(
+            f"{shown}: its path has bytes that are not UTF-8, and USD cannot open it",
+            "rename the file, or the folder that has them in its name",
+        )
 
 
 def asset_path(target: Path, folder: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,11 @@ def test_text_is_written_in_one_step(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == "{}\nμ"
     with pytest.raises(BakeError, match="could not be written"):
         publish_text(tmp_path / "no" / "report.json", "{}")
+
+
+def test_bytes_of_a_name_that_are_no_text_are_spelled_out(tmp_path: Path) -> None:
+    path = publish_text(tmp_path / "page.html", os.fsdecode(b"d\xfcck.usda, \xc3\xa4"))
+    assert path.read_text("utf-8") == "d\\udcfcck.usda, \u00e4"
 
 
 def test_what_a_kill_within_usd_leaves_is_dropped_and_nothing_else(tmp_path: Path) -> None:

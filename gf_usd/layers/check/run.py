@@ -22,6 +22,7 @@ from gf_usd.layers.check.validators import run_validators
 from gf_usd.layers.stage import VARIANT_SET
 from gf_usd.layers.usd_warnings import gathered
 from gf_usd.system import usd_schema  # noqa: F401  (the rules ask USD for the schema's definitions)
+from gf_usd.system.atomic_files import require_utf8
 
 UNSAFE = "not run: the time codes of a layer do not advance, so reading its samples would never end"
 VALIDATORS = "usd"
@@ -68,6 +69,7 @@ def check_file(path: str | Path) -> CheckResult:
         raise InputError(
             f"{file} is not a file.", "give the path of a usd, usda, usdc or usdz file"
         )
+    require_utf8(file)
     if not Usd.Stage.IsSupportedFile(str(file)):
         raise InputError(
             f"{file} does not have the suffix of a USD file.",

@@ -22,6 +22,7 @@ from gf_usd.core.asset import ASSUMED, BAKES, FILE, LATEST, OPTION, StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
+from gf_usd.system.atomic_files import require_utf8
 
 MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
 NO_TEXT = "it holds bytes that are not UTF-8"
@@ -66,9 +67,10 @@ def _first_line(text: str) -> str:
 def open_stage(path: Path) -> Usd.Stage:
     """The composed stage, every payload loaded.
 
-    Raises InputError for a file that is not USD, or whose rate of time codes is zero (reading its
-    samples would never end).
+    Raises InputError for a path that USD cannot open, for a file that is not USD, or whose rate of
+    time codes is zero (reading its samples would never end).
     """
+    require_utf8(path)
     with path.open("rb") as file:
         head = file.read(64)
     if not any(head.startswith(magic) for magic in MAGIC):
@@ -98,6 +100,7 @@ def require_saved(path: Path, stage: Usd.Stage | None = None) -> None:
 
     stage : of the asset; None: it is not opened, and those of its layers count that are open.
     """
+    require_utf8(path)
     if stage is not None:
         layers = list(stage.GetUsedLayers())
     else:
