@@ -215,27 +215,43 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
     where : what to name in an error.
     folder : that paths of material files and obstacles are relative to.
 
+    Raises UsageError as `checked`, and for a material that is not there.
+    """
+    out = checked(given, where)
+    try:
+        if "material" in out:
+            out["material"] = _materials(out["material"], folder)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error.message}", error.hint) from error
+    if "colliders" in out:
+        out["colliders"] = [str((folder / name).resolve()) for name in out["colliders"]]
+    return out
+
+
+def checked(
+    given: Mapping[str, Any], where: str, known: Mapping[str, Option] = KNOWN
+) -> dict[str, Any]:
+    """Options with their names and values as the command line has them; paths as they are.
+
+    known : the options that may be given.
+
     Raises UsageError for an unknown option, a value of the wrong type or out of range.
     """
     out = {}
     for key, value in given.items():
         name = key.replace("-", "_")
-        if name not in KNOWN:
+        if name not in known:
             raise UsageError(
                 f"{where}: unknown option {key!r}",
-                f"{nearest(name, KNOWN)}the options are {', '.join(sorted(KNOWN))}",
+                f"{nearest(name, known)}the options are {', '.join(sorted(known))}",
             )
-        out[name] = _typed(KNOWN[name], value, where)
+        out[name] = _typed(known[name], value, where)
     fields = Request.__dataclass_fields__
     try:
         Request.of({name: value for name, value in out.items() if name in fields}).check()
         if "law" in out:
             check_law(out["law"])
         parse_limits(out.get("limits"))
-        if "material" in out:
-            out["material"] = _materials(out["material"], folder)
-        if "colliders" in out:
-            out["colliders"] = [str((folder / name).resolve()) for name in out["colliders"]]
     except UsageError as error:
         raise UsageError(f"{where}: {error.message}", error.hint) from error
     return out

@@ -24,6 +24,8 @@ Socket = Annotated[
     typer.Option("--socket", help="Listen at this socket.", show_default="GF_USD_SOCKET, else the"
                  " user's runtime folder"),
 ]  # fmt: skip
+ARGUMENTS = ("arguments", "folder", "timeout", "version")  # keys of a request
+JOB = ("asset", "root", "options", "name", "folder", "timeout", "version")
 STOPPED = (signal.SIGINT, signal.SIGTERM)
 READY = (sys.executable, "-m", "gf_usd", "worker", "--ready")
 
@@ -108,8 +110,15 @@ def _ask(path: Path, *, stop: bool) -> None:
 def words_of(request: Mapping[str, Any]) -> list[str]:
     """The arguments of ``gf-usd`` for a request: a job of a batch, or the arguments themselves.
 
-    Raises UsageError for anything but a bake, and for a client of another version.
+    Raises UsageError for anything but a bake, for options that a manifest may not give, and for a
+    client of another version.
     """
+    known = ARGUMENTS if "arguments" in request else JOB
+    if unknown := [key for key in request if key not in known]:
+        raise UsageError(
+            f"a request has {unknown[0]!r} next to {known[0]!r}",
+            f"its keys are {', '.join(known)}",
+        )
     if (version := request.get("version", __version__)) != __version__:
         raise UsageError(
             f"the server is gf-usd {__version__}, but its client is {version}",
@@ -125,6 +134,8 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
             )
         return words
     from gf_usd.batch.job import Job
+    from gf_usd.batch.manifest import checked
+    from gf_usd.prepare.options.table import OPTIONS
 
     named = {"asset", "root"} - request.keys()
     if named or not isinstance(request.get("options", {}), dict):
@@ -132,7 +143,21 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
             f"a job has no {', '.join(sorted(named)) or 'object of options'}",
             'give {"asset": PATH, "root": PATH, "options": {...}}, with absolute paths',
         )
-    return Job.of({"name": "", "options": {}, **request}).arguments()
+    for key in ("asset", "root"):
+        path = request[key]
+        if not isinstance(path, str) or not os.path.isabs(path):
+            raise UsageError(f"{key!r} is {path!r}", "give an absolute path")
+    if request["root"].endswith("/") or os.path.isdir(request["root"]):
+        raise UsageError(
+            f"'root' is {request['root']!r}, a folder",
+            "give the root layer: the path of a file that ends in .usda",
+        )
+    # null leaves an option out, as None does in Python
+    asked = {key: value for key, value in request.get("options", {}).items() if value is not None}
+    given = {name: row for name, row in OPTIONS.items() if name != "output"}  # that is the root
+    options = checked(asked, "the request", given)
+    job = Job(name="", asset=Path(request["asset"]), root=Path(request["root"]), options=options)
+    return job.arguments()
 
 
 def bake_by_server(

@@ -62,12 +62,26 @@ def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:
     words = words_of(job)
     assert words == ["bake", "/a.usda", "--output", "/b.usda", "--particles", "9", "--pin", "/A"]
     assert words_of({"arguments": words}) == words
+    more = {"overwrite": True, "seed": None, "slice": 2}
+    assert words_of({**job, "options": more})[4:] == ["--overwrite", "--slice", "2"]
     wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"asset": "/a.usda"}, "a job has no root"),
         ({**job, "options": 3}, "no object of options"),
         ({"arguments": "bake"}, "'bake'"),
         ({"arguments": ["batch", "x"]}, "'batch x' is not a bake"),
         ({**job, "version": "0.0"}, "but its client is 0.0"),
+        ({**job, "colour": 1}, "a request has 'colour' next to 'asset'"),
+        ({**job, "arguments": words}, "a request has 'asset' next to 'arguments'"),
+        ({**job, "asset": "a.usda"}, "'asset' is 'a.usda'"),
+        ({**job, "root": 3}, "'root' is 3"),
+        ({**job, "root": "/tmp"}, "'root' is '/tmp', a folder"),
+        ({**job, "root": "/nowhere/"}, "'root' is '/nowhere/', a folder"),
+        ({**job, "options": {"particle": 3}}, "the request: unknown option 'particle'"),
+        ({**job, "options": {"output": "a"}}, "the request: unknown option 'output'"),
+        ({**job, "options": {"particles": "300"}}, "the request: particles is '300'"),
+        ({**job, "options": {"particles": 0}}, "the request: --particles is 0"),
+        ({**job, "options": {"drop": [1]}}, "the request: drop is \\[1\\]"),
+        ({**job, "options": {"law": "nope"}}, "nope"),
     )
     for request, message in wrong:
         with pytest.raises(UsageError, match=message):

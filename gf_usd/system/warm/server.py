@@ -27,6 +27,7 @@ LONGEST = 1 << 20  # bytes of a request
 PATIENCE = 10.0  # [s] for the whole request to arrive
 TICK = 0.25  # [s] between looks at the clock
 
+QUESTIONS = ("status", "stop")
 ENDED, SERVER = "ended", "server"  # events of the server's own
 
 Words = Callable[[dict[str, Any]], list[str]]  # from a request to the arguments of gf-usd
@@ -109,8 +110,8 @@ class Server:
     def _answer(self, client: socket.socket, send: _Events) -> None:
         try:
             asked = _request(client)
-            if asked.get("ask"):
-                self._tell(str(asked["ask"]), send)
+            if "ask" in asked:
+                self._tell(_question(asked), send)
                 return
             words, folder = self._words(asked), _folder(asked)
             timeout = _timeout(asked, self._timeout)
@@ -216,7 +217,7 @@ def _request(client: socket.socket) -> dict[str, Any]:
     client.settimeout(None)
     try:
         asked = json.loads(line)
-    except ValueError:  # of the syntax, or of UTF-8
+    except (ValueError, RecursionError):  # of the syntax, of UTF-8, or lists in lists in lists
         asked = None
     if not line.endswith(b"\n") or not isinstance(asked, dict):
         raise UsageError(
@@ -225,6 +226,17 @@ def _request(client: socket.socket) -> dict[str, Any]:
             "docs/farm.md shows requests",
         )
     return asked
+
+
+def _question(asked: dict[str, Any]) -> str:
+    """What is asked of the server itself.  Raises UsageError for what it does not know."""
+    what = asked["ask"]
+    if len(asked) > 1 or what not in QUESTIONS:
+        raise UsageError(
+            f"a request asks {what!r}" + (" and has other keys" if len(asked) > 1 else ""),
+            f'give "ask" alone, with one of {", ".join(map(repr, QUESTIONS))}',
+        )
+    return what
 
 
 def _timeout(asked: dict[str, Any], default: float | None) -> float | None:
@@ -239,7 +251,7 @@ def _timeout(asked: dict[str, Any], default: float | None) -> float | None:
 
 def _folder(asked: dict[str, Any]) -> str:
     """The working directory of a request.  Raises UsageError where it is no folder."""
-    folder = Path(asked.get("folder") or Path.cwd())
+    folder = Path(str(asked.get("folder") or Path.cwd()))
     if not folder.is_absolute() or not folder.is_dir():
         raise UsageError(
             f"{folder} is not the absolute path of a folder",

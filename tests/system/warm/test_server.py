@@ -108,7 +108,7 @@ def test_a_command_ends_with_its_connection(path: Path) -> None:
 
 def test_what_is_no_request_is_refused_in_words(path: Path) -> None:
     with serving(path):
-        for line in (b"bake\n", b"[1]\n", b"\xff\n", b"{}"):
+        for line in (b"bake\n", b"[1]\n", b"\xff\n", b"{}", b"[" * 100_000 + b"\n"):
             client = connect(path)
             assert client is not None
             with client, client.makefile() as lines:
@@ -120,6 +120,14 @@ def test_what_is_no_request_is_refused_in_words(path: Path) -> None:
             assert told[1]["status"] == 2
         _, ended = ask(path, "well", folder="nowhere")
         assert ended["status"] == 2
+        for folder in (3, ["x"], "/nowhere"):
+            error, ended = events(path, {"arguments": ["well"], "folder": folder})
+            assert "is not the absolute path of a folder" in error["message"]
+            assert ended["status"] == 2
+        for question in ({"ask": "time"}, {"ask": ""}, {"ask": "stop", "arguments": ["well"]}):
+            error, ended = events(path, question)
+            assert "a request asks" in error["message"]
+            assert ended["status"] == 2
         for seconds in ("soon", 0, -1.0, True, float("nan")):
             error, ended = events(path, {"arguments": ["well"], "timeout": seconds})
             assert '"timeout" is' in error["message"]
