@@ -208,10 +208,12 @@ class Simulation(Iterator[SimulationFrame]):
         self.close()
 
     def _running(self) -> Any:
-        from gf_usd.system.taichi_runtime import epoch, is_ours
+        from gf_usd.system.taichi_runtime import FORKED, SPAWN, epoch, is_forked, is_ours
 
         if self._solver is None:
             raise UsageError("the simulation is closed", "start another: gf_usd.simulate(scene)")
+        if is_forked():
+            raise UsageError(f"{FORKED}: neither does the simulation", SPAWN)
         if not is_ours():
             self._solver = None
             raise UsageError(

@@ -26,6 +26,12 @@ THREADS = 8  # that kernels are compiled for, at least
 KERNEL_CACHE = 1 << 30
 CACHE_FOLDER = "TI_OFFLINE_CACHE_FILE_PATH"  # variable of the environment: where they are
 
+FORKED = "this process was forked from one that had started Taichi, which does not run in it"
+SPAWN = (
+    "use the spawn method: multiprocessing.get_context('spawn'), as in"
+    " ProcessPoolExecutor(mp_context=...)"
+)
+
 # Variables of the environment while it is imported and started.
 QUIET = {
     "ENABLE_TAICHI_HEADER_PRINT": "0",
@@ -36,6 +42,7 @@ QUIET = {
 _started: dict[str, Any] = {}
 _starts = 0
 _runtime: Any = None  # that of the last start here
+_process = 0  # that of the last start here
 _guests = 0  # nested `borrowed`
 _watchers: list[Callable[[bool], None]] = []  # of `watching`
 
@@ -95,6 +102,13 @@ def is_taken() -> bool:
     return now is not _runtime and now.prog is not None
 
 
+def is_forked() -> bool:
+    """Whether Taichi was started before this process was forked: its threads are not in it, and
+    whoever waits for them waits for ever.
+    """
+    return _starts > 0 and os.getpid() != _process
+
+
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     with _environment({name: text for name, text in QUIET.items() if name not in os.environ}):
@@ -118,7 +132,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 def is_ours() -> bool:
     """Whether Taichi runs as it was started here: nobody reset it, or started it anew, since."""
-    if _runtime is None:
+    if _runtime is None or is_forked():
         return False
     now = importlib.import_module("taichi.lang.impl").get_runtime()
     return now is _runtime and now.prog is not None
@@ -208,8 +222,10 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     Raises
     ------
     UsageError : unknown device, fewer than one thread, or CUDA where there is none.
-    GfUsdError : a system library is missing.
+    GfUsdError : a system library is missing, or this process was forked from one that uses Taichi.
     """
+    if is_forked():
+        raise GfUsdError(FORKED, SPAWN)
     if device not in DEVICES:
         raise UsageError(f"Unknown device {device!r}.", f"choose one of: {', '.join(DEVICES)}")
     if threads is not None and threads < 1:
@@ -223,7 +239,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             "No CUDA device was found.",
             "use --device cpu, or check with nvidia-smi that the driver sees the card",
         )
-    global _starts, _runtime  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
+    global _starts, _runtime, _process  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _started.clear()
     if _starts:
         _abandon()
@@ -246,6 +262,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
     _starts += 1
+    _process = os.getpid()
     _runtime = ti.lang.impl.get_runtime()
 
 

@@ -23,7 +23,7 @@ def run(folder: Path, code: str) -> str:
     start = START.format(sphere=str(ROOT / "samples" / "sphere.usda"), few=FEW)
     done = subprocess.run(
         [sys.executable, "-c", start + code], cwd=folder, capture_output=True, text=True,
-        check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=False, env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=100,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -264,3 +264,46 @@ def test_a_sublayer_with_edits_is_found_where_the_asset_is_not_open(tmp_path: Pa
     said = run(tmp_path, EDITED.replace("{open}", "")).splitlines()
     assert len(said) == 3
     assert all("over.usda has unsaved changes" in line for line in said[:2])
+
+
+FORKED = """
+import os
+from gf_usd.system.taichi_runtime import init_taichi
+scene = gf_usd.Scene()
+scene.add_body([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], [
+    [0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+running = gf_usd.simulate(scene, particles=60)
+next(running)
+
+def told(call):
+    try:
+        call()
+    except gf_usd.GfUsdError as error:
+        print(type(error).__name__, error.message, '|', error.hint, flush=True)
+
+if not os.fork():
+    {work}
+    os._exit(0)
+print(os.wait()[1], next(running).index)
+"""
+
+
+def test_a_forked_process_says_that_taichi_does_not_run_in_it(tmp_path: Path) -> None:
+    calls = "inspect(SPHERE)", "simulate(scene, particles=60)"
+    work = [f"told(lambda: gf_usd.{call})" for call in calls]
+    work += ["told(lambda: next(running))", "told(init_taichi)"]
+    *said, last = run(tmp_path, FORKED.replace("{work}", "; ".join(work))).splitlines()
+    assert last == "0 1"
+    assert len(said) == 4
+    for line in said:
+        assert "this process was forked from one that had started Taichi" in line
+        assert "use the spawn method" in line
+    assert said[-1].startswith("GfUsdError")
+
+
+@pytest.mark.slow
+def test_a_forked_process_bakes_in_one_of_its_own(tmp_path: Path) -> None:
+    work = "result = bake(); print(result.frames, result.notes[-1], flush=True)"
+    said, last = run(tmp_path, FORKED.replace("{work}", work)).splitlines()
+    assert said.startswith("3 baked in a separate process: this process was forked")
+    assert last == "0 1"

@@ -1,8 +1,9 @@
 """A call as a guest of another program: a notebook, a DCC, a daemon.
 
 The program may have opened stages before, which makes it too late to register the schema, or may
-use Taichi itself, which can run only once in a process.  Code that writes or checks layers, or
-computes with Taichi, then runs in a separate process.  This process is left as it was: no signal
+use Taichi itself, which can run only once in a process, or have forked this process from one that
+used it.  Code that writes or checks layers, or computes with Taichi, then runs in a separate
+process.  This process is left as it was: no signal
 handlers, log settings or environment variables are changed, and nothing in Taichi is replaced.
 """
 
@@ -15,7 +16,7 @@ from importlib import import_module
 from typing import Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.system.taichi_runtime import borrowed, is_taken
+from gf_usd.system.taichi_runtime import FORKED, SPAWN, borrowed, is_forked, is_taken
 
 # Taichi, and USD's registry of schemas, are the process's: calls of several threads take turns.
 _TURN = threading.RLock()
@@ -34,6 +35,8 @@ def why_away(*, schema: bool = True) -> str:
 
     schema : it applies or checks the APIs of gaussianFlesh.
     """
+    if is_forked():
+        return FORKED
     if is_taken():
         return TAKEN
     if schema:
@@ -68,6 +71,8 @@ def here_or_away(
 
 def require_here(what: str) -> None:
     """Raise UsageError where something that hands over its solver cannot be in this process."""
+    if is_forked():
+        raise UsageError(f"{FORKED}: {what} needs it", SPAWN)
     if is_taken():
         raise UsageError(
             f"{TAKEN}, and a process can run it only once: {what} would end that computation",
