@@ -34,6 +34,7 @@ from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
 from gf_usd.cli.retime import retime
 from gf_usd.cli.serve import serve
+from gf_usd.cli.streams import guarded, open_closed
 from gf_usd.cli.topics import TOPICS, topic
 from gf_usd.cli.verify import verify
 from gf_usd.cli.worker import follow, forked_readers, make_ready
@@ -117,6 +118,7 @@ def run() -> NoReturn:
     # sums that threads share depend on their number.
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    open_closed()
     prepare_to_leave()
     for number in STOPPED:
         signal.signal(number, _stop)
@@ -131,6 +133,17 @@ def execute(arguments: Sequence[str]) -> int:
 
     An expected error is said on stderr, never as a traceback.
     """
+    with guarded() as broken:
+        try:
+            return _execute(arguments)
+        except OSError as error:
+            if error not in broken:
+                raise
+            typer.echo(f"error: the output cannot be written: {error.strerror}", err=True)
+            return 1
+
+
+def _execute(arguments: Sequence[str]) -> int:
     if len(arguments) == 2 and arguments[0] == "help" and arguments[1] in {*COMMANDS} - {*TOPICS}:
         arguments = (arguments[1], "--help")
     asked = arguments[:1]

@@ -1,0 +1,89 @@
+"""stdout and stderr that are closed, full, or read by nobody any more.
+
+What is said on the way must not end a bake, so that stderr which takes no more is left alone.  The
+result belongs to stdout: that it cannot be written is an error.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO, cast
+
+STANDARD = ("stdin", "stdout", "stderr")
+
+
+def open_closed() -> None:
+    """Have a standard stream that is closed lead nowhere; call it first of all.
+
+    The next file that is opened would otherwise get its number, and what is printed.
+    """
+    for number, name in enumerate(STANDARD):
+        try:
+            os.fstat(number)
+        except OSError:
+            # numbers are given from the lowest on
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+
+
+class Stream:
+    """A stream that leads nowhere from the first write on that fails.
+
+    failed : is given the error of that, and may raise it.
+    """
+
+    def __init__(self, stream: TextIO, failed: Callable[[OSError], None]) -> None:
+        self._stream, self._failed = stream, failed
+
+    def write(self, text: str) -> int:
+        """See `TextIO`."""
+        if text == "":  # how Click tries a stream, without regard for errors
+            return 0
+        try:
+            self._stream.write(text)
+        except OSError as error:
+            self._lose(error)
+        return len(text)
+
+    def flush(self) -> None:
+        """See `TextIO`."""
+        try:
+            self._stream.flush()
+        except OSError as error:
+            self._lose(error)
+
+    def _lose(self, error: OSError) -> None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        with suppress(OSError):  # one without a number
+            os.dup2(nowhere, self._stream.fileno())
+            self._stream.flush()  # what is left in its buffer would fail again at the end
+        os.close(nowhere)
+        self._failed(error)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def guarded() -> Iterator[list[OSError]]:
+    """Guard both streams within the block; the list then holds the error of stdout, if it had one.
+
+    That error is also raised where it happens.
+    """
+    broken: list[OSError] = []
+
+    def fail(error: OSError) -> None:
+        broken.append(error)
+        raise error
+
+    before = sys.stdout, sys.stderr
+    sys.stdout = cast(TextIO, Stream(sys.stdout, fail))
+    sys.stderr = cast(TextIO, Stream(sys.stderr, lambda error: None))
+    try:
+        yield broken
+    finally:
+        sys.stdout, sys.stderr = before
