@@ -19,6 +19,7 @@ from typing import Annotated, Any, ParamSpec, Protocol, TypeVar, cast, get_args,
 from gf_usd.core.errors import GfUsdError, UsageError
 from gf_usd.prepare.options.table import OPTIONS, taken
 from gf_usd.prepare.options.values import refuse
+from gf_usd.system.atomic_files import require_working_folder
 
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
@@ -43,6 +44,7 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
         @wraps(function)
         def call(*args: Any, **options: Any) -> R:
             with keywords():
+                require_working_folder()
                 path = options.pop("path", None) if not args else args[0]
                 if args[1:]:
                     raise UsageError(

@@ -40,6 +40,7 @@ from gf_usd.cli.verify import verify
 from gf_usd.cli.worker import follow, forked_readers, make_ready
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, Unfinished
+from gf_usd.system.atomic_files import require_working_folder
 from gf_usd.system.processes import end_with_parent
 
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -150,6 +151,7 @@ def _execute(arguments: Sequence[str]) -> int:
     # Typer goes through the options of all the commands it knows before it runs one.
     chosen = asked if asked and asked[0] in COMMANDS else COMMANDS
     try:
+        require_working_folder()
         ended = program(chosen, _of_folder(arguments))(
             args=list(arguments), prog_name="gf-usd", standalone_mode=False
         )

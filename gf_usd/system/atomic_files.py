@@ -12,7 +12,7 @@ import os
 import re
 from pathlib import Path
 
-from gf_usd.core.errors import BakeError, InputError
+from gf_usd.core.errors import BakeError, InputError, UsageError
 
 WORKING = re.compile(r"\.\w{6}")
 
@@ -97,6 +97,20 @@ def relative(path: Path, folder: Path) -> str:
         return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
     except ValueError:  # Windows, another drive
         return path.absolute().as_posix()
+
+
+def require_working_folder() -> None:
+    """Raise UsageError where the folder that this process works in was deleted.
+
+    Relative paths have no meaning there, and Taichi does not start.
+    """
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise UsageError(
+            f"the current folder cannot be found: {error.strerror}",
+            "it may have been deleted: change to a folder that exists",
+        ) from error
 
 
 def is_utf8(path: Path) -> bool:

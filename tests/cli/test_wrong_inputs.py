@@ -104,3 +104,31 @@ def test_an_option_that_does_not_parse_is_a_matter_of_usage(tmp_path: Path) -> N
     assert done.returncode == 2
     assert "--frames" in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["ball.usda"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a folder that is worked in cannot be deleted there")
+@pytest.mark.parametrize(
+    "words",
+    [
+        "-m gf_usd bake FILE", "-m gf_usd inspect FILE", "-m gf_usd batch FILE",
+        "-c import_gf_usd;gf_usd.bake('FILE')", "-c import_gf_usd;gf_usd.inspect('FILE')",
+        "-c import_gf_usd;gf_usd.simulate(gf_usd.Scene())",
+    ],
+)  # fmt: skip
+def test_a_deleted_folder_to_work_in_is_said_in_words(tmp_path: Path, words: str) -> None:
+    file = tmp_path / "ball.usda"
+    file.write_text(BALL)
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    arguments = [word.replace("FILE", str(file)) for word in words.split()]
+    arguments = [word.replace("import_gf_usd", "import gf_usd") for word in arguments]
+    root = str(Path(__file__).parents[2])
+    command = [sys.executable, *arguments]
+    code = f"import os, sys; os.rmdir(os.getcwd()); os.execv(sys.executable, {command})"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=gone, env={**os.environ, "PYTHONPATH": root},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == (2 if "-m" in words else 1)
+    assert "the current folder cannot be found: No such file or directory" in done.stderr
+    assert "change to a folder that exists" in done.stderr

@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import Any
 
 from gf_usd.core.errors import UsageError
+from gf_usd.system.atomic_files import require_working_folder
 from gf_usd.system.taichi_runtime import FORKED, SPAWN, borrowed, is_forked, is_taken
 
 # Taichi, and USD's registry of schemas, are the process's: calls of several threads take turns.
@@ -26,6 +27,7 @@ TAKEN = "another part of this program already runs Taichi"
 @contextmanager
 def guest() -> Iterator[None]:
     """Have its turn, and leave Taichi as it was."""
+    require_working_folder()
     with _TURN, borrowed():
         yield
 
