@@ -113,7 +113,7 @@ def bake(
             while True:
                 prepared = prepare(asset, watch=show, **refining.options)
                 plan = prepared.plan
-                exit.watch(plan.outputs.checkpoints)
+                exit.watch(plan.outputs.checkpoints, plan.outputs.root)
                 if events is not None:
                     emit("plan", **describe(plan), **prepared.cost)
                 for note in plan.notes:

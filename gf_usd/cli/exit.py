@@ -6,6 +6,7 @@ What an interrupt leaves, in words.
 from __future__ import annotations
 
 import atexit
+import glob
 import os
 import sys
 from collections.abc import Sequence
@@ -45,18 +46,26 @@ def _end() -> None:
 
 
 _checkpoints: list[Path] = []
+_roots: list[Path] = []
 
 
-def watch(checkpoints: Sequence[Path]) -> None:
-    """From here on an interrupt ends the bake that has these checkpoints."""
+def watch(checkpoints: Sequence[Path], root: Path | None = None) -> None:
+    """From here on an interrupt ends the bake that has these checkpoints and this root layer."""
     _checkpoints[:] = checkpoints
+    _roots[:] = [] if root is None else [root]
 
 
 def message() -> str:
-    """What is left, and how to go on with it where that can be done."""
+    """What is left, and how to go on with it where that can be done; "" where nothing is."""
     kept = [str(path) for path in _checkpoints if path.exists()]
     if not kept:
-        return "only *.partial.* files remain"
+        return "only *.partial.* files remain" if any(map(_is_begun, _roots)) else ""
     return (
         f"{', '.join(kept)} and the full clips are kept: the same command with --resume continues"
     )
+
+
+def _is_begun(root: Path) -> bool:
+    """Whether a part of a bake is there, next to its root layer or in a folder of clips."""
+    stem = glob.escape(root.stem)
+    return any(any(root.parent.glob(f"{stem}{form}")) for form in ("*.partial.*", "*/*.partial.*"))

@@ -192,5 +192,5 @@ def _stop(number: int, frame: object) -> NoReturn:
     for again in STOPPED:
         signal.signal(again, signal.SIG_DFL)
     # typer ends a KeyboardInterrupt without a word
-    typer.echo(f"{STOPPED[number]}; {exit.message()}", err=True)
+    typer.echo("; ".join(filter(None, (STOPPED[number], exit.message()))), err=True)
     sys.exit(128 + number)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from gf_usd.cli import exit
+
 SAID = """
 import atexit, sys, threading, time
 from gf_usd.cli.exit import leave, prepare_to_leave
@@ -76,6 +78,26 @@ leave(0)
     )
     assert ended.returncode == 0, ended.stderr
     assert list(cache.rglob("*.tic"))
+
+
+def test_an_interrupt_tells_of_partial_files_where_there_are_some(tmp_path: Path) -> None:
+    root = tmp_path / "duck[1].usda"
+    exit.watch((), root)
+    try:
+        assert exit.message() == ""
+        (tmp_path / "duck1.cache.partial.usdc").touch()
+        root.touch()
+        assert exit.message() == ""
+        (tmp_path / "duck[1].cache").mkdir()
+        (tmp_path / "duck[1].cache" / "0001.partial.usdc").touch()
+        assert exit.message() == "only *.partial.* files remain"
+        checkpoint = tmp_path / "duck[1].checkpoint.npz"
+        checkpoint.touch()
+        exit.watch((checkpoint,), root)
+        assert "with --resume continues" in exit.message()
+    finally:
+        exit.watch(())
+    assert exit.message() == ""
 
 
 def test_memory_is_left_to_the_system() -> None:
