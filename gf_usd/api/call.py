@@ -17,12 +17,14 @@ from pathlib import Path
 from typing import Annotated, Any, ParamSpec, Protocol, TypeVar, cast, get_args, get_origin
 
 from gf_usd.core.errors import GfUsdError, UsageError
-from gf_usd.prepare.options.table import OPTIONS, taken
+from gf_usd.prepare.options.table import OPTIONS, nearest, taken
 from gf_usd.prepare.options.values import refuse
 from gf_usd.system.atomic_files import require_working_folder
 
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
+Q = ParamSpec("Q")
+S = TypeVar("S")
 
 
 class OfAsset(Protocol[P, R]):
@@ -72,6 +74,21 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
         return call
 
     return decorate
+
+
+def named(function: Callable[Q, S]) -> Callable[Q, S]:
+    """Have a function refuse a keyword that it does not have in the words of `takes`."""
+    name, known = function.__name__, inspect.signature(function).parameters
+
+    @wraps(function)
+    def call(*args: Q.args, **options: Q.kwargs) -> S:
+        for one in options:
+            if one not in known:
+                hint = f"{nearest(one, known)}its options are {', '.join(sorted(known))}"
+                raise UsageError(f"{name}() has no option {one!r}", hint)
+        return function(*args, **options)
+
+    return call
 
 
 def _is_row(hint: Any) -> bool:

@@ -101,8 +101,7 @@ def fit(
         if isinstance(targets, Mapping):
             texts = [f"{name}={values.real(name, value):g}" for name, value in targets.items()]
         else:
-            single = isinstance(targets, str | os.PathLike)
-            texts = [os.fspath(one) for one in ([targets] if single else targets)]
+            texts = list(values.paths("targets", targets))
         for name in options:
             if name not in FITTED:
                 raise UsageError(

@@ -157,7 +157,10 @@ class Bake(Sequence[BakeFrame]):
         return load_report(self.path)[0]
 
     def faces(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(P,) numbers of corners and (C,) indices into the points of a mesh, by its prim path."""
+        """(P,) numbers of corners and (C,) indices into the points of a mesh, by its prim path.
+
+        Raises UsageError for a path that is none of its meshes.
+        """
         return self._arrays.mesh_faces(path)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gf_usd.api.call import keywords
+from gf_usd.api.call import keywords, named
 from gf_usd.api.host.guest import guest, require_here
 from gf_usd.api.scene import Scene, at_frames
 from gf_usd.core.errors import UsageError
@@ -186,7 +186,7 @@ class Simulation(Iterator[SimulationFrame]):
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Continue from a state of `save`; the frames that follow are identical to the bit."""
-        if "index" not in state or "health" not in state:
+        if not isinstance(state, Mapping) or not {"index", "health"} <= state.keys():
             raise UsageError("the state was not made by save()", "give what save() returned")
         with guest():
             self._running().load(state)
@@ -241,8 +241,13 @@ class Simulation(Iterator[SimulationFrame]):
         return solver
 
     def _rows(self, name: str, given: ArrayLike) -> Array:
-        rows = np.asarray(given, float)
         count = len(self._plan.particles)
+        try:
+            rows = np.asarray(given, float)
+        except (TypeError, ValueError):
+            raise values.refuse(name, given, f"numbers of shape ({count}, 3), or 0") from None
+        if rows.shape == () and rows == 0.0:
+            return np.zeros((count, 3))
         if rows.shape != (count, 3) or not np.isfinite(rows).all():
             raise UsageError(
                 f"{name} has the shape {rows.shape}, or is not finite",
@@ -253,15 +258,21 @@ class Simulation(Iterator[SimulationFrame]):
 
 def _field(name: str, given: Any, at: Array) -> Array:
     """(n, 3) of a vector or a function at points (n, 3)."""
-    found = np.asarray(given(at.copy()) if callable(given) else given, float)
+    form = f"three numbers, or a function of (n, 3) that returns (n, 3): here {at.shape}"
+    made = given(at.copy()) if callable(given) else given
+    try:
+        found = np.asarray(made, float)
+    except (TypeError, ValueError):
+        raise values.refuse(name, made, form) from None
     if found.shape not in ((3,), at.shape, ()) or not np.isfinite(found).all():
         raise UsageError(
             f"{name} has the shape {found.shape}, or is not finite",
-            f"give three numbers, or a function of (n, 3) that returns (n, 3): here {at.shape}",
+            f"give {form}",
         )
     return np.array(np.broadcast_to(found, at.shape))
 
 
+@named
 def simulate(
     scene: Scene,
     *,

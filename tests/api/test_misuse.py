@@ -207,3 +207,9 @@ def test_python_values_bake_and_the_command_says_them(tmp_path: Path) -> None:
     said = "--material jelly,soft --drop 1 --floor 0 --range 1:3 --gravity 0,-9.81,0 --particles"
     assert said in result.report.read_text(encoding="utf-8").replace("--prim /Sphere ", "")
     assert any("material soft were given by the caller" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("targets", [3, None, [3]])
+def test_targets_that_are_none_are_refused(targets: Any) -> None:
+    with pytest.raises(gf_usd.UsageError, match=r"^targets is (3|None|\[3\]), of type"):
+        gf_usd.fit("duck.usda", targets)

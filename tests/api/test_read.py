@@ -101,6 +101,12 @@ def test_meshes_are_in_meters(result: gf_usd.BakeResult, bake: gf_usd.Bake) -> N
     assert (inside.max(0) < points.max(0) + 1e-6).all()
 
 
+def test_faces_of_no_mesh_are_refused(bake: gf_usd.Bake) -> None:
+    with pytest.raises(gf_usd.UsageError, match="no mesh '/x' is baked") as caught:
+        bake.faces("/x")
+    assert next(iter(bake[0].meshes)) in caught.value.hint
+
+
 def test_what_cannot_be_read_is_said(result: gf_usd.BakeResult, tmp_path: Path) -> None:
     with pytest.raises(gf_usd.InputError, match="the file contains no bake by gf-usd"):
         gf_usd.read(SPHERE)

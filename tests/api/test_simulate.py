@@ -151,6 +151,17 @@ def test_a_scene_is_run_again_from_its_first_state() -> None:
     assert np.allclose(ends[:2], [0.5 + 2.0 / FPS, 0.5 - 4.0 / FPS], atol=ROUNDING)
 
 
+def test_a_force_of_0_ends_the_forces() -> None:
+    simulation = gf_usd.simulate(alone(gravity=0.0), frames=4, particles=100)
+    next(simulation)
+    simulation.push(np.outer(simulation.masses, (24.0, 0.0, 0.0)))  # [N] for 24 m/s^2
+    fast = next(simulation).health.momentum[0]
+    simulation.push(0)
+    rest = [frame.health.momentum[0] for frame in simulation]
+    assert fast > 0.9 * simulation.masses.sum()
+    assert np.allclose(rest, fast, rtol=ROUNDING)
+
+
 def test_what_is_pinned_follows_its_motion() -> None:
     scene = gf_usd.Scene(gravity=0.0)
     scene.add_body(block((0, 0, 0), (3, 1, 1)), FACES, material="metal", name="bar")
@@ -238,6 +249,11 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.simulate("duck.usda"), "scene is 'duck.usda', of type str"),
     (lambda s: gf_usd.simulate(gf_usd.Scene()), "the scene has no body"),
     (lambda s: gf_usd.simulate(s, frames=0), "frames is 0"),
+    (lambda s: gf_usd.simulate(s, particle=3), "simulate() has no option 'particle'"),
+    (lambda s: gf_usd.simulate(s, particles=100).accelerate("x"), "acceleration is 'x', of type"),
+    (lambda s: gf_usd.simulate(s, particles=100).push("x"), "forces is 'x', of type str"),
+    (lambda s: gf_usd.simulate(s, particles=100).push(1.0), "forces has the shape ()"),
+    (lambda s: gf_usd.simulate(s, particles=100).load(None), "was not made by save()"),
     (lambda s: gf_usd.simulate(s, particles=100, spacing=0.1), "particles 100 and spacing 0.1"),
     (lambda s: gf_usd.simulate(s, device="tpu"), "there is no device 'tpu'"),
     (lambda s: (s.pin((5, 5, 5), (6, 6, 6)), gf_usd.simulate(s)), "pin0 touches no body"),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
@@ -116,7 +116,15 @@ class BakedArrays:
         return tuple(self._meshes)
 
     def mesh_faces(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(P,) numbers of corners, and (C,) indices into the points, of a mesh."""
+        """(P,) numbers of corners, and (C,) indices into the points, of a mesh.
+
+        Raises UsageError for a path that is none of its meshes.
+        """
+        if path not in self._meshes:
+            raise UsageError(
+                f"{self.path}: no mesh {path!r} is baked",
+                f"its meshes are {', '.join(self._meshes) or 'none'}",
+            )
         prim = self._meshes[path]
         if prim.IsA(UsdGeom.TetMesh):
             tets = UsdGeom.TetMesh(prim)
