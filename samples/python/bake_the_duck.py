@@ -33,7 +33,7 @@ def main(duck: Path, folder: Path, particles: int | None = None) -> gf_usd.BakeR
         overwrite=True,
     )
     for bake in result.bakes:
-        print(bake.look, "bounces back with", bake.health["restitution"], "of its speed")
+        print(bake.variant, "bounces back with", bake.health["restitution"], "of its speed")
     for name, warning in result.warnings:
         print(f"{name}: {warning.message} ({warning.hint})")
     picture = gf_usd.preview(result.root, folder / "duck.png", frame=12, size=(480, 360))
