@@ -24,6 +24,7 @@ from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.table import OPTIONS, nearest
 from gf_usd.prepare.outputs import USD
+from gf_usd.readers.formats import SUFFIXES as READABLE
 from gf_usd.system.sandbox import parse_limits
 
 SUFFIXES = (".toml", ".json")
@@ -42,6 +43,7 @@ class Group:
     matrix: Mapping[str, Sequence[Any]]  # option -> values; every combination is a job
     name: str | None = None  # template; None: from what differs
     where: str = "the command line"  # what an error names
+    notes: tuple[str, ...] = ()  # on what its patterns match and is not baked
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +146,7 @@ def make_group(
         matrix=cleaned,
         name=name,
         where=where,
+        notes=passed_over(patterns, folder),
     )
 
 
@@ -167,6 +170,25 @@ def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path,
             raise UsageError(f"{where}: no file matches {pattern}", f"check {folder}")
         found.update(dict.fromkeys(absolute(file) for file in files))
     return tuple(found)
+
+
+def passed_over(patterns: Sequence[str], folder: Path) -> tuple[str, ...]:
+    """Notes on what patterns match and `find_files` leaves out: what is no file, or is gone.
+
+    Folders are not named unless they are called as an asset is.
+    """
+    notes = []
+    for pattern in patterns:
+        path = folder / Path(pattern).expanduser()
+        if path.exists() or not glob.has_magic(str(pattern)):
+            continue
+        for match in sorted(map(Path, glob.glob(str(path), recursive=True))):
+            asset = match.suffix.lower() in READABLE
+            if not match.is_file() and (asset or not match.is_dir()):
+                what = "a folder" if match.is_dir() else "no regular file"
+                why = what if match.exists() else "a link to a file that does not exist"
+                notes.append(f"{match} is passed over: it is {why}")
+    return tuple(dict.fromkeys(notes))
 
 
 def absolute(path: Path) -> Path:

@@ -32,6 +32,7 @@ class BatchPlan:
     title: str
     timeout: float | None  # [s] of an attempt
     retries: int
+    notes: tuple[str, ...] = ()  # on what is not baked
 
 
 def make_plan(manifest: Manifest) -> BatchPlan:
@@ -47,6 +48,7 @@ def make_plan(manifest: Manifest) -> BatchPlan:
         title=manifest.title,
         timeout=manifest.timeout,
         retries=manifest.retries,
+        notes=tuple(dict.fromkeys(note for group in manifest.groups for note in group.notes)),
     )
 
 

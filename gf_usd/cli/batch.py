@@ -181,6 +181,8 @@ def batch(
         path_mapping=path_mapping,
     )  # fmt: skip
     plan = plan_of(sources, asked)
+    for note in plan.notes:
+        typer.echo(f"note: {note}", err=True)
     jobs = chosen(plan, Choice(select=tuple(select or ()), failed=failed, tasks=tasks))
     how = How(
         at_once=at_once, memory=memory, overwrite=overwrite, scheduler=scheduler,

@@ -266,7 +266,7 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
     ):
         if how.as_json:
             typer.echo(json.dumps({"event": "planned", "jobs": len(jobs), "at_once": at_once,
-                                   "out": str(plan.out)}))  # fmt: skip
+                                   "out": str(plan.out), "notes": plan.notes}))  # fmt: skip
         if how.scheduler is not None:
             from gf_usd.batch.cluster import run_there
 

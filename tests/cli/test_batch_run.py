@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -62,3 +63,24 @@ def test_without_a_page_the_failed_jobs_are_still_known(
     asked.clear()
     gf_usd(*words, "--failed")
     assert asked == ["block.jelly"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no such files")
+def test_what_a_pattern_matches_and_is_no_file_is_told(
+    gf_usd: Call, here: Path, block: Path
+) -> None:
+    models = here / "models"
+    models.mkdir()
+    (models / "a.usda").write_bytes(block.read_bytes())
+    (models / "gone.usda").symlink_to("nowhere.usda")
+    os.mkfifo(models / "pipe.usda")
+    for name in ("folder.usda", "textures"):
+        (models / name).mkdir()
+    done = gf_usd("batch", "models/*", "--dry-run")
+    assert done.status == 0
+    assert [line for line in done.err.splitlines() if line.startswith("note: ")] == [
+        f"note: {models / 'folder.usda'} is passed over: it is a folder",
+        f"note: {models / 'gone.usda'} is passed over: it is a link to a file that does not exist",
+        f"note: {models / 'pipe.usda'} is passed over: it is no regular file",
+    ]
+    assert "a.rubber" in done.out
