@@ -126,10 +126,15 @@ def keywords(*own: str, **renamed: str) -> Iterator[None]:
     try:
         yield
     except GfUsdError as error:
-        error.message = in_keywords(error.message, known)
-        error.hint = in_keywords(error.hint, known)
-        error.args = (error.message,)
+        in_python(error, known)
         raise
+
+
+def in_python(error: GfUsdError, known: Mapping[str, str] | None = None) -> None:
+    """Have an error name keywords; known : as of `in_keywords`."""
+    error.message = in_keywords(error.message, known)
+    error.hint = in_keywords(error.hint, known)
+    error.args = (error.message,)
 
 
 def in_keywords(text: str, known: Mapping[str, str] | None = None) -> str:

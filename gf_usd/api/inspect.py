@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.api.call import takes
+from gf_usd.api.call import in_python, takes
 from gf_usd.api.host.guest import guest, require_here
 from gf_usd.prepare.options.table import BakeOptions
 
@@ -25,7 +25,7 @@ def inspect(path: Path, **options: Any) -> Inspection:
     (True, ())
 
     It takes the keywords of `bake`; those that only affect the output files have no effect here.
-    If the file can be read, a refusal is part of the result.
+    If the file can be read, a refusal is part of the result; it names keywords.
 
     Returns
     -------
@@ -45,4 +45,7 @@ def inspect(path: Path, **options: Any) -> Inspection:
     require_saved(path)
     require_here("inspect")
     with guest():
-        return inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})
+        seen = inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})
+    if seen.refusal is not None:
+        in_python(seen.refusal)
+    return seen

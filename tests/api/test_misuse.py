@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pxr import Sdf, Usd
+from small_bakes import BLOCK
 
 import gf_usd
 from gf_usd.prepare.options.table import OPTIONS, taken
@@ -213,3 +214,13 @@ def test_python_values_bake_and_the_command_says_them(tmp_path: Path) -> None:
 def test_targets_that_are_none_are_refused(targets: Any) -> None:
     with pytest.raises(gf_usd.UsageError, match=r"^targets is (3|None|\[3\]), of type"):
         gf_usd.fit("duck.usda", targets)
+
+
+def test_a_refusal_that_is_part_of_the_result_names_keywords(tmp_path: Path) -> None:
+    path = tmp_path / "block.usda"
+    path.write_text(BLOCK, encoding="utf-8")
+    far = {"metal": ((90, 90, 90), (91, 91, 91))}
+    refusal = gf_usd.inspect(path, particles=100, material_boxes=far).refusal
+    assert refusal is not None
+    assert refusal.message.startswith("material_boxes metal:90,90,90,91,91,91 contains none")
+    assert "--" not in str(refusal)
