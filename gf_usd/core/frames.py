@@ -116,6 +116,16 @@ class SurfaceSamples:
     body: Ints | None = None  # (n,) as in Particles
     cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
+    def some(self, rows: Ints) -> SurfaceSamples:
+        """Some of the samples."""
+        return SurfaceSamples(
+            X=self.X[rows],
+            area=self.area[rows],
+            normal=None if self.normal is None else self.normal[rows],
+            body=None if self.body is None else self.body[rows],
+            cell_copy=None if self.cell_copy is None else self.cell_copy[rows],
+        )
+
     def with_grains(self, particles: Particles, flows: Ints) -> SurfaceSamples:
         """Those of solid bodies, and every particle of the bodies (B,) that flow.
 

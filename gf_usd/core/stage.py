@@ -293,6 +293,9 @@ class ContactSetup:
     through_colliders: frozenset[tuple[int, int]] = frozenset()  # (body, collider)
     self_contact: frozenset[int] = frozenset()  # bodies that meet themselves
     flows: bool = False  # bodies meet what flows
+    # Bodies pass through each other before this frame, and where they are at rest says nothing of
+    # where they meet: characters on the way from their bind poses, which may overlap.
+    meet_from: int = 0
 
     def lowest(self, normal: Floats) -> float:
         """[m] of the lowest obstacle with an end along a normal (3,); inf where there is none."""
@@ -381,6 +384,7 @@ class Pin:
     sharp: bool = True
     rigid: bool = False  # whether it moves as a rigid body by the forces on it, and not as given
     patch: bool = False  # part of a surface: where no node is inside, the nearest ones are held
+    body: int | None = None  # the only body that it holds; None: any that is in the region
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -427,6 +431,9 @@ class Goals:
     moving: bool = True  # whether the pose changes
     limits: FleshLimits | None = None
     attached: AttachedPoints | None = None  # springs of single points, besides
+    # Bodies whose pose, rates and limits are not these but their own, by number.  All have limits,
+    # or none has.
+    of_body: Mapping[int, Goals] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,6 +29,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare.bodies.cages import cage_notes
+from gf_usd.prepare.bodies.characters import characters_of
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
     contact_setup,
@@ -155,10 +156,12 @@ def fill(
 
     owners = {path: body.owner for path, body in spec.bodies.items()}
     spacing = asked.spacing or float(np.cbrt(solid.volume / (asked.particles or 1)))
-    combine = request.combine or paper or request.flesh or request.solver == "ul"
+    characters, told = characters_of(asset, file) if request.flesh and file else ({}, ())
+    combine = request.combine or paper or request.solver == "ul"
+    combine = combine or (request.flesh and not characters)
     bodies, particles = plan_bodies(
-        asset, solid, spacing, sample, owners, combine=combine,
-        kinds=flow.first if mixed else None,
+        asset, solid, spacing, sample, characters or owners, combine=combine,
+        kinds=flow.first if mixed else None, characters=bool(characters),
     )  # fmt: skip
     mended += _count_note(wanted, len(particles))
     _require_one_body(request, bodies.count)
@@ -190,7 +193,7 @@ def fill(
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = tuple(more_pins(solid)) if more_pins else ()
     flesh = Flesh()
-    cycle = 0  # frames
+    cycle = meet_from = 0  # frames
     if file is not None:
         names = request.listed("pins")
         every = sampled(settings)
@@ -208,8 +211,12 @@ def fill(
             damping=request.goal_damping, squish=request.squish, stretch=request.stretch,
             lattice=particles.lattice, spacing=particles.spacing,
             cycle=cycle * settings.samples_per_frame, repeats=request.cycles.repeats,
+            bodies=bodies,
         )  # fmt: skip
         pins += flesh.pins
+        if characters:
+            repeated = cycle * settings.samples_per_frame * request.cycles.repeats
+            meet_from = animation.lead(sampled(settings), repeated)
     physics = spec.physics
     left_out = {*physics.attachments, *physics.soft_attachments} - {*attachments, *springs}
     if left_out:
@@ -286,6 +293,7 @@ def fill(
         contact_setup=contact_setup(
             solid, bodies, physics, spacing=particles.spacing,
             self_contact=False if paper or settings.solver == "ul" else request.self_contact,
+            meet_from=meet_from,
         ),
     )  # fmt: skip
     sunk: tuple[str, ...] = ()
@@ -340,7 +348,7 @@ def fill(
             *cage_notes(
                 solid.surfaces, particles.spacing, refined=request.max_edge_length is not None
             ),
-            *alone, *flesh.notes, *limbs.notes, *materials.notes, *weak,
+            *alone, *told, *flesh.notes, *limbs.notes, *materials.notes, *weak,
             *physics.notes,
             *unfilled, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +14,12 @@ from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
 from gf_usd.core.stage import AttachedPoints, Goals, Pin, Region, Skeleton
+from gf_usd.prepare.bodies.characters import character_paths
 from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
+    from gf_usd.prepare.bodies.plan import BodyPlan
 
 
 def make_pins(
@@ -147,10 +149,11 @@ def soft_attachment_goals(
         body=np.repeat([body.get(one.body, 0) for one in found], counts),
         cell_copy=np.concatenate(known) if len(known) == len(cells) else None,
     )
-    return Goals(
-        pose=lambda X: lambda frame: X, rate=lambda X: np.zeros(len(X)), moving=False,
-        attached=attached,
-    )  # fmt: skip
+    return replace(FREE, attached=attached)
+
+
+# Springs that pull nothing.
+FREE = Goals(pose=lambda X: lambda frame: X, rate=lambda X: np.zeros(len(X)), moving=False)
 
 
 def _require_hold(region: Region, asset: Asset, option: str) -> None:
@@ -240,6 +243,41 @@ def flesh_of(
     animation: Animation,
     file: Path,
     *,
+    bodies: BodyPlan,
+    **asked: Any,
+) -> Flesh:
+    """The cores of the bones of each body, and its springs; for the others see `_of_character`.
+
+    bodies : one for each character.
+    """
+    if bodies.count == 1:
+        return _of_character(asset, solid, X, samples, settings, animation, file, **asked)
+    every = []
+    for k, paths in enumerate(character_paths(bodies)):
+        own = replace(asset, surfaces=tuple(s for s in asset.surfaces if s.path in paths))
+        part = solid.part(np.flatnonzero(bodies.of_surface == k))
+        near = samples.some(np.flatnonzero(samples.body == k))
+        every.append(_of_character(own, part, X, near, settings, animation, file, **asked))
+    goals = None
+    if any(one.goals for one in every):
+        first, *others = (one.goals or FREE for one in every)
+        goals = replace(first, of_body=dict(enumerate(others, 1)))
+    return Flesh(
+        pins=tuple(replace(pin, body=k) for k, one in enumerate(every) for pin in one.pins),
+        goals=goals,
+        notes=tuple(dict.fromkeys(note for one in every for note in one.notes)),
+    )
+
+
+def _of_character(
+    asset: Asset,
+    solid: Solid,
+    X: Floats,
+    samples: SurfaceSamples,
+    settings: Settings,
+    animation: Animation,
+    file: Path,
+    *,
     share: float | None,
     frequency: float | None,
     damping: float | None,
@@ -250,7 +288,7 @@ def flesh_of(
     cycle: int = 0,
     repeats: int = 0,
 ) -> Flesh:
-    """The cores of the bones, and the springs that are asked for.
+    """The cores of the bones, and the springs that are asked for, of the surfaces of one body.
 
     X : (n, 3) [m] of the particles.  settings : as `sampled`.  share, frequency [Hz], damping,
     squish, stretch : of --bone-radius, --goal-frequency, --goal-damping, --squish and --stretch;
@@ -268,7 +306,7 @@ def flesh_of(
     from gf_usd.readers.usd_bake.settings import goals_vary, read_goals
 
     step = settings.time_codes_per_second / settings.fps
-    lead = round((animation.first - settings.start) / step) - cycle * repeats
+    lead = animation.lead(settings, cycle * repeats)
     frame = np.arange(settings.frames) - lead
     frame = np.where((frame > 0) & (cycle > 0), frame % max(cycle, 1), frame)
     times = animation.first + frame * step

@@ -177,6 +177,14 @@ class Animation:
         """Frames of a period, of so many from the first to the last."""
         return max(1, frames - 1 if self.closed else frames)
 
+    def lead(self, settings: Settings, repeated: int = 0) -> int:
+        """Frames from the bind pose to the first pose, of those that are simulated.
+
+        repeated : frames of cycles before the one that is written.
+        """
+        step = settings.time_codes_per_second / settings.fps
+        return round((self.first - settings.start) / step) - repeated
+
     def preroll(self, fps: float, time_scale: float) -> int:
         """Frames from the bind pose to the first pose.
 

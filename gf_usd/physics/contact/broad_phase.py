@@ -71,8 +71,10 @@ def schedule(
     for one, other in contact_setup.through:
         through.setdefault(max(one, other), []).append(min(one, other))
 
+    early = frame < contact_setup.meet_from
     for a, mine in enumerate(boxes):
         met = ~rests[:a] if rests[a] else np.ones(a, bool)
+        met &= not early
         met[through.get(a, [])] = False
         others = np.flatnonzero(met)
         apart = np.maximum(np.maximum(low[others] - mine.high, mine.low - high[others]), 0.0)

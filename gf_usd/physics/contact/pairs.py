@@ -228,9 +228,10 @@ class BodyContact:
             return self._own[body].offset
         if (body, other) not in self._apart:
             X, skin, most = self._X[self._members[body]], self._skins[other].skin, APART
-            seen = closest(X, skin.points, skin.triangles, (FACING + TRAVEL) * self._spacing)
             apart = np.full(len(X), most * self._spacing)
-            apart[seen.rows] = np.minimum(seen.gap, most * self._spacing)
+            if not self.contact_setup.meet_from:
+                seen = closest(X, skin.points, skin.triangles, (FACING + TRAVEL) * self._spacing)
+                apart[seen.rows] = np.minimum(seen.gap, most * self._spacing)
             self._apart[body, other] = apart
         return self._apart[body, other]
 

@@ -13,11 +13,13 @@ takes: with M~ >= m / l, waves of w dt <= 1 and springs of l K dt^2 <= 1 / 2 are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.stage import AttachedPoints, FleshLimits, Goals
 
@@ -37,6 +39,7 @@ class NodeGoals:
     """The goals of free nodes at X (n, 3) [m].
 
     dt : [s] the stable step; lightest : l, of M~.  attached : springs of single points.
+    body : (n,) of each node; None: all are of the first.
     """
 
     def __init__(
@@ -46,25 +49,35 @@ class NodeGoals:
         dt: float,
         lightest: float = 1.0,
         attached: NodeSprings | None = None,
+        body: Ints | None = None,
     ) -> None:
-        self._X, self._pose = X, goals.pose(X)
+        parts = _parts(goals, np.zeros(len(X), np.int64) if body is None else body)
+        self._X, self._poses = X, [(rows, one.pose(X[rows])) for one, rows in parts]
         self._stiffest, self._damping = STIFFEST / dt, goals.damping
-        self._rates = goals.rates(X) if goals.rates else None
-        self._still = self._of_rate(goals.rate(X))
+        self._rates = [(rows, one.rates(X[rows])) for one, rows in parts if one.rates]
+        self._rate = _filled(X, [(rows, one.rate(X[rows])) for one, rows in parts])
+        self._still = self._of_rate(self._rate)
         self._attached = attached
         self._more = np.zeros((len(X), 2))
         if attached is not None:
             self._more = np.minimum(attached.springs, [(STIFFEST / dt) ** 2, DAMPED / dt])
         self.springs = self._still + self._more  # (n, 2) k and c, before they change
-        self.moving = goals.moving or (attached is not None and attached.moving)
-        self._limits = _NodeLimits(goals.limits, X, HARDEST / (lightest * dt**2))
+        self.moving = any(one.moving for one, _ in parts)
+        self.moving = self.moving or (attached is not None and attached.moving)
+        limits = [(one.limits, rows) for one, rows in parts if one.limits]
+        self._limits = _NodeLimits(limits, X, HARDEST / (lightest * dt**2))
 
     def between(self, index: int, frame_time: float) -> NDArray[np.float64]:
         """(n GOAL,) the kernels' numbers for the way from frame `index` - 1 to `index`.
 
         frame_time : [s] between them.
         """
-        springs = self._more + (self._of_rate(self._rates(index)) if self._rates else self._still)
+        springs = self._more + self._still
+        if self._rates:
+            w = self._rate.copy()
+            for rows, rates in self._rates:
+                w[rows] = rates(index)
+            springs = self._more + self._of_rate(w)
         part = self._more[:, 0] / np.maximum(springs[:, 0], np.finfo(float).tiny)
         start, end = (self._way(frame, part) for frame in (index - 1, index))
         out = np.zeros((len(self._X), GOAL))
@@ -81,10 +94,26 @@ class NodeGoals:
 
     def _way(self, frame: int, part: Floats) -> NDArray[np.float64]:
         """(n, 3) [m] from each node to where it is drawn; part (n,) of k is that of points."""
-        way = self._pose(frame) - self._X
+        way = _filled(self._X, [(rows, pose(frame)) for rows, pose in self._poses]) - self._X
         if self._attached is None:
             return way
         return way + part[:, None] * (self._attached.way(frame) - way)
+
+
+def _parts(goals: Goals, body: Ints) -> list[tuple[Goals, Ints]]:
+    """Goals, and the nodes (k,) that are drawn to each; body : (n,) of the nodes."""
+    others = np.isin(body, list(goals.of_body))
+    found = [(goals, np.flatnonzero(~others))]
+    found += [(one, np.flatnonzero(body == number)) for number, one in goals.of_body.items()]
+    return [(one, rows) for one, rows in found if len(rows)]
+
+
+def _filled(X: Floats, parts: Sequence[tuple[Ints, Floats]]) -> NDArray[np.float64]:
+    """Values (n, ...) of the nodes X (n, 3) of values of some of them."""
+    out = np.zeros((len(X), *parts[0][1].shape[1:]) if parts else 0)
+    for rows, values in parts:
+        out[rows] = values
+    return out
 
 
 class NodeSprings:
@@ -118,27 +147,30 @@ class NodeSprings:
 
 
 class _NodeLimits:
-    """The limits' part of the numbers; hardest : [1/s^2] K."""
+    """The limits' part of the numbers, of nodes (k,) that have limits; hardest : [1/s^2] K."""
 
-    def __init__(self, limits: FleshLimits | None, X: Floats, hardest: float) -> None:
-        self.carried = limits.carried(X) if limits else None
+    def __init__(
+        self, limits: Sequence[tuple[FleshLimits, Ints]], X: Floats, hardest: float
+    ) -> None:
+        self._carried = [(rows, one.carried(X[rows])) for one, rows in limits]
         self._hardest = hardest
         self._rooms = np.zeros((len(X), 2))
-        if limits:
-            ways = np.stack([limits.away(X), limits.toward(X)], 1)
-            self._rooms = (1.0 - BEGIN) * np.where(np.isfinite(ways), ways, 0.0)
+        for one, rows in limits:
+            ways = np.stack([one.away(X[rows]), one.toward(X[rows])], 1)
+            self._rooms[rows] = (1.0 - BEGIN) * np.where(np.isfinite(ways), ways, 0.0)
 
     def fill(self, out: Floats, X: Floats, index: int, frame_time: float) -> None:
         """Set them in rows (n, GOAL)."""
-        if self.carried is None:
+        if not self._carried:
             return
-        (start, n0), (end, n1) = self.carried(index - 1), self.carried(index)
         out[:, HARD] = self._hardest
         out[:, AWAY : TOWARD + 1] = self._rooms
-        out[:, CARRIED : CARRIED + 3] = start - X
-        out[:, CARRIED + 3 : NORMAL] = (end - start) / frame_time
-        out[:, NORMAL : NORMAL + 3] = n0
-        out[:, NORMAL + 3 : GOAL] = (n1 - n0) / frame_time
+        for rows, carried in self._carried:
+            (start, n0), (end, n1) = carried(index - 1), carried(index)
+            out[rows, CARRIED : CARRIED + 3] = start - X[rows]
+            out[rows, CARRIED + 3 : NORMAL] = (end - start) / frame_time
+            out[rows, NORMAL : NORMAL + 3] = n0
+            out[rows, NORMAL + 3 : GOAL] = (n1 - n0) / frame_time
 
 
 def work_of(numbers: Floats) -> float:

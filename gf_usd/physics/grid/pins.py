@@ -98,14 +98,19 @@ class PinnedPoints:
         return PinnedPoints(axes=self.axes[rows])
 
 
-def pinned_by(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
-    """The first pin that holds each point X (n, 3) [m], and those after it that hold other axes."""
+def pinned_by(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> PinnedPoints:
+    """The first pin that holds each point X (n, 3) [m], and those after it that hold other axes.
+
+    body : (n,) of each point; None: all are of the first.
+    """
+    body = np.zeros(len(X), np.int64) if body is None else body
     out = np.full((len(X), 3), -1)
     for index, pin in enumerate(pins):
         if pin.rigid:  # nodes belong to it by their mass: see `rigid`
             continue
         axes = np.asarray(pin.axes, bool)
-        free = np.flatnonzero((out[:, axes] < 0).all(1))
+        mine = True if pin.body is None else body == pin.body
+        free = np.flatnonzero((out[:, axes] < 0).all(1) & mine)
         inside = free[np.asarray(pin.inside(X[free]), bool)]
         out[np.ix_(inside, axes)] = index
     return PinnedPoints(axes=out)
@@ -293,10 +298,16 @@ class PinConstraint:
 
     def check(self, nodes: PinnedPoints) -> None:
         """Raise InputError for a pin that holds no node of the grid; of cores, if none does."""
-        cores = [k for k, pin in enumerate(self.pins) if not pin.sharp and not pin.rigid]
-        if cores and not np.isin(nodes.axes, cores).any():
+        characters: dict[int | None, list[int]] = {}
+        for k, pin in enumerate(self.pins):
+            if not pin.sharp and not pin.rigid:
+                characters.setdefault(pin.body, []).append(k)
+        for cores in characters.values():
+            if np.isin(nodes.axes, cores).any():
+                continue
+            which = f", such as {self.pins[cores[0]].name}," if len(characters) > 1 else ""
             raise InputError(
-                f"none of the {len(cores)} bones of --flesh holds a node of the grid",
+                f"none of the {len(cores)} bones of --flesh{which} holds a node of the grid",
                 "use more particles (--particles), or a larger --bone-radius",
             )
         for index, pin in enumerate(self.pins):

@@ -368,13 +368,13 @@ def build_stencil(
     offset = shift[node_body]
     node_X = origin + h * node_ijk - offset
     pins = pin_constraint.pins if pin_constraint else ()
-    held = pinned_by(pins, node_X)
+    held = pinned_by(pins, node_X, node_body)
     held = given_nearby(pins, held, node_X, h)
     held = given_wholly(pins, held, mass, node_body, node_X)
     if copies is not None and held.any:
         # What a pin's region holds of places, it holds of the limb that is in it.
         inside = np.zeros(len(node_ijk), bool)
-        pinned = pinned_by(pins, X - shift[body])
+        pinned = pinned_by(pins, X - shift[body], body)
         inside[cell_nodes[cell[pinned.pin[order] >= 0]]] = True
         held = PinnedPoints(axes=np.where(((count > 1) & ~inside)[:, None], -1, held.axes))
     region = None

@@ -224,7 +224,12 @@ def build_body(
         regions=regions,
         goals=(
             NodeGoals(
-                goals, stencil.free_X, step.dt, mass.lightest, node_springs(goals, stencil, mass)
+                goals,
+                stencil.free_X,
+                step.dt,
+                mass.lightest,
+                node_springs(goals, stencil, mass),
+                stencil.node_body[: stencil.free_count],
             )
             if goals
             else None
@@ -347,13 +352,7 @@ def surface_contact(
     free = boundary_held(pins, samples.X).pin < 0
     if not free.any():
         return None
-    samples = SurfaceSamples(
-        X=samples.X[free],
-        area=samples.area[free],
-        normal=None if samples.normal is None else samples.normal[free],
-        body=None if samples.body is None else samples.body[free],
-        cell_copy=None if samples.cell_copy is None else samples.cell_copy[free],
-    )
+    samples = samples.some(free)
     bodies = bodies_of(particles, per["density"])
     body = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
     near = bodies.nearest(samples.X, particles.X, body)

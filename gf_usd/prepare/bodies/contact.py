@@ -100,11 +100,13 @@ def contact_setup(
     *,
     spacing: float,
     self_contact: bool | None,
+    meet_from: int = 0,
 ) -> ContactSetup:
     """Who meets whom, as the stage wants it.
 
     spacing : [m] of the particles.
     self_contact : bodies meet themselves; None: those that can, see `rounded`.
+    meet_from : frame from which bodies meet each other.
     """
     colliders = physics.obstacles
     body = {path: k for k, paths in enumerate(bodies.surfaces) for path in paths}
@@ -131,6 +133,7 @@ def contact_setup(
         through=frozenset(through),
         through_colliders=frozenset(through_colliders),
         self_contact=frozenset(meets),
+        meet_from=meet_from,
     )
 
 

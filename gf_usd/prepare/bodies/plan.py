@@ -49,11 +49,13 @@ def plan_bodies(
     *,
     combine: bool,
     kinds: Ints | None = None,
+    characters: bool = False,
 ) -> tuple[BodyPlan, Particles]:
     """The bodies of a solid, and the particles that fill them.
 
     spacing : [m] about that of the particles; sample : particles for the body (S,) of each surface;
-    owners : the physics body prim that a surface belongs to, by path; combine : one body in all;
+    owners : the physics body prim that a surface belongs to, by path, or the SkelRoot where bodies
+    are `characters` of --flesh; combine : one body in all;
     kinds : (S,) surfaces of two kinds are never one body; None: all are of one.
     """
     from gf_usd.geometry.connected.bodies import TOUCHING, find_bodies, overlapping
@@ -75,10 +77,13 @@ def plan_bodies(
     ]
     notes += _small(names, np.bincount(body))
     if len(names) > 1:
+        what = "characters" if characters else "bodies"
+        when = ", from the first frame of the animation on" if characters else ""
         notes.append(
-            f"{len(names)} bodies, which collide: {_listed(names)}; --combine makes them one body"
+            f"{len(names)} {what}, which collide{when}: {_listed(names)}; --combine makes them one"
+            " body"
         )
-    if len(names) > 1 and (pairs := overlapping(solid, spacing, of, owned)):
+    if len(names) > 1 and not characters and (pairs := overlapping(solid, spacing, of, owned)):
         one, two = (f"<{paths[k]}>" for k in pairs[0])
         more = f" (and {len(pairs) - 1} more pairs)" if len(pairs) > 1 else ""
         notes.append(
@@ -92,7 +97,7 @@ def plan_bodies(
         of_surface=of,
         radius=radius,
         surfaces=names,
-        embedded=_embedded(asset, dict(zip(paths, of.tolist())), particles, body),
+        embedded=_embedded(asset, dict(zip(paths, of.tolist())), particles, body, owners),
         notes=tuple(notes),
     )
     return plan, replace(particles, body=body if several else None)
@@ -182,15 +187,29 @@ def _fuse_small(
 
 
 def _embedded(
-    asset: Asset, filled: dict[str, int], particles: Particles, body: Ints
+    asset: Asset, filled: dict[str, int], particles: Particles, body: Ints, owners: dict[str, str]
 ) -> dict[str, int]:
-    """Body that each surface moves with: its own, or that which most of its points are nearest."""
-    tree, out = None, {}
+    """Body that each surface moves with: its own, or that which most of its points are nearest.
+
+    What has an owner moves with a body of that owner, if there is one.
+    """
+    of_owner: dict[str, set[int]] = {}
+    for path, k in filled.items():
+        of_owner.setdefault(owners.get(path, ""), set()).add(k)
+    every = set(filled.values())
+    trees: dict[frozenset[int], Any] = {}
+    out = {}
     for surface in asset.surfaces:
         if surface.path in filled:
             out[surface.path] = filled[surface.path]
             continue
-        if tree is None:
-            tree = kd_tree(particles.X)
-        out[surface.path] = int(np.bincount(body[tree.query(surface.points)[1]]).argmax())
+        owner = owners.get(surface.path, "")
+        mine = frozenset(of_owner.get(owner, every) if owner else every)
+        rows = np.flatnonzero(np.isin(body, list(mine)))
+        if not len(rows):  # its own body is too small for a particle
+            mine, rows = frozenset(every), np.arange(len(body))
+        if mine not in trees:
+            trees[mine] = kd_tree(particles.X[rows])
+        near = rows[trees[mine].query(surface.points)[1]]
+        out[surface.path] = int(np.bincount(body[near]).argmax())
     return out

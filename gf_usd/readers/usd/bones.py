@@ -107,6 +107,26 @@ def has_skeleton(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
         return any(one is not None and one[1].HasJointInfluences() for one in found)
 
 
+def skeletons(file: Path, paths: Sequence[str], facts: StageFacts) -> dict[str, tuple[str, str]]:
+    """The Skeleton that poses each of some meshes, and the nearest SkelRoot above it, by prim path.
+
+    Meshes that no skeleton poses are left out.
+    """
+    with reading(file):
+        stage, time = open_stage(file), Usd.TimeCode.EarliestTime()
+        skins = Skins(time, UsdGeom.XformCache(time), Notes(), bind=True)
+        out = {}
+        for path in paths:
+            found = skins.skeleton(named_prim(stage, facts.path, path))
+            if found is not None and found[1].HasJointInfluences():
+                above = found[0]
+                while above and not above.IsA(UsdSkel.Root):
+                    above = above.GetParent()
+                root = (above or found[0]).GetPath()
+                out[path] = str(found[0].GetPath()), str(root)
+        return out
+
+
 def lone_skeleton(file: Path) -> str:
     """Prim path of the only skeleton of a stage under a SkelRoot; "" where there is no such."""
     with reading(file):

@@ -302,6 +302,13 @@ def test_work_of_the_pins_is_what_the_energy_gains() -> None:
     assert sum(h.work for h in seen[:13]) == pytest.approx(gained, rel=0.02)
 
 
+def test_a_pin_of_one_body_holds_nothing_of_another_in_the_same_place() -> None:
+    X, body = np.zeros((2, 3)), np.array([0, 1])
+    own = replace(box("box:-1,-1,-1,1,1,1"), body=1)
+    assert pinned_by([own], X, body).pin.tolist() == [-1, 0]
+    assert pinned_by([replace(own, body=None)], X, body).pin.tolist() == [0, 0]
+
+
 def test_a_falling_body_without_pins_is_as_it_was() -> None:
     body = bar()
     s = settings(gravity=(0.0, -9.81, 0.0))

@@ -1,0 +1,68 @@
+"""The characters of a stage: what each skeleton poses is a body of its own with `--flesh`.
+
+Bind poses may overlap where the characters of a shot stand far enough apart, and one body would
+glue them together there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.neighbors import kd_tree
+
+if TYPE_CHECKING:
+    from gf_usd.prepare.bodies.plan import BodyPlan
+
+
+def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, ...]]:
+    """The SkelRoot of the character that each surface belongs to, by prim path, and notes.
+
+    Empty where there are fewer than two.  What no skeleton poses, such as a prop, belongs to the
+    character with which it has most of its path in common, of several to the nearest.
+    """
+    from gf_usd.readers.usd.bones import skeletons
+
+    posed_by = skeletons(file, [s.path for s in asset.surfaces], asset.facts)
+    found = {path: root for path, (_, root) in posed_by.items()}
+    notes = []
+    for root in dict.fromkeys(found.values()):
+        own = list(dict.fromkeys(one for one, above in posed_by.values() if above == root))
+        if len(own) > 1:
+            notes.append(
+                f"{len(own)} skeletons under the SkelRoot <{root}> are one character, and one body:"
+                f" <{own[0]}>, <{own[1]}>"
+                + (f" and {len(own) - 2} more" * (len(own) > 2))
+                + "; if they are several, bake them one by one (--prim)"
+            )
+    if len(set(found.values())) < 2:
+        return {}, tuple(notes)
+    posed = [s for s in asset.surfaces if s.path in found]
+    each = {s.path: found.get(s.path) or _nearest(s, posed, found) for s in asset.surfaces}
+    return each, tuple(notes)
+
+
+def _nearest(surface: Surface, posed: Sequence[Surface], found: dict[str, str]) -> str:
+    """The character that a surface which no skeleton poses goes with."""
+    shared = [_shared(surface.path, found[s.path]) for s in posed]
+    closest = [s for s, count in zip(posed, shared, strict=True) if count == max(shared)]
+    tree = kd_tree(surface.points)
+    gaps = [float(tree.query(s.points)[0].min()) for s in closest]
+    return found[closest[int(np.argmin(gaps))].path]
+
+
+def _shared(one: str, other: str) -> int:
+    """How many names two prim paths begin with alike."""
+    pairs = zip(one.split("/"), other.split("/"))
+    alike = [a == b for a, b in pairs]
+    return alike.index(False) if False in alike else len(alike)
+
+
+def character_paths(bodies: BodyPlan) -> list[list[str]]:
+    """The surfaces that move with each body, filled or not, by prim path."""
+    every = bodies.embedded.items()
+    return [[path for path, body in every if body == k] for k in range(bodies.count)]
