@@ -63,21 +63,23 @@ def block_sum(body: ti.template(), node, plain: ti.template()):
 
 @ti.func
 def follower_share(
-    body: ti.template(), follower, free, dt, filtering, plain: ti.template(), slides: ti.template()
-):
+    body: ti.template(), follower, free, dt, alpha, filtering, plain: ti.template(),
+    slides: ti.template(),
+):  # fmt: skip
     """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works.
 
-    filtering : 1: that is (B v - m v)_l, of which no pin works.
+    filtering : 1: that is (B v - m v)_l, and the impulse on the follower alpha times it.
     """
     f = block_sum(body, free + follower, plain)
+    impulse = dt
     if filtering > 0:
         f = less_momentum(body, free + follower, f)
-    else:
-        o = ANCHOR * follower
-        work = body.anchor[o + PIN_WORK]
-        for d in ti.static(range(3)):
-            work -= dt * f[d] * body.anchor[o + PIN_RATE + d]
-        body.anchor[o + PIN_WORK] = work
+        impulse = alpha
+    o = ANCHOR * follower
+    work = body.anchor[o + PIN_WORK]
+    for d in ti.static(range(3)):
+        work -= impulse * f[d] * body.anchor[o + PIN_RATE + d]
+    body.anchor[o + PIN_WORK] = work
     keep_share(body, free + follower, f, slides)
 
 

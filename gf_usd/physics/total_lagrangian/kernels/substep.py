@@ -220,7 +220,7 @@ def build(
         elif ti.static(part.name == "pair total"):
             pair_total(body, body.sample_active[1 + n], dt, options.driven)
         elif ti.static(part.work == "share"):
-            follower_share(body, n, free, dt, filtering, options.plain, options.slides)
+            follower_share(body, n, free, dt, alpha, filtering, options.plain, options.slides)
         elif ti.static(part.work == "move"):
             move_node(
                 body, n, active, g, dt, drift, keep, alpha, filtering, options.plain,
