@@ -32,6 +32,7 @@ def show_plan(
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
+    drop = f"{d['drop_m']:.3g} m" if drops(prepared.plan) else "none"
     too_long = d["estimated_seconds"] > 3600.0 * max_hours
     lines = [
         f"{d['source']}: {len(d['bodies'])} mesh(es), {d['volume_m3']:.4g} m^3,"
@@ -41,7 +42,7 @@ def show_plan(
         f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {d['start']:g}",
         "substeps    "
         + ", ".join(f"{n} per frame ({look})" for look, n in d["substeps_per_frame"].items()),
-        f"drop        {d['drop_m']:.3g} m, {landing_of(prepared.plan, d)}",
+        f"drop        {drop}, {landing_of(prepared.plan, d)}",
         f"time        {time_of(d)}"
         + (f": refused because it is more than --max-hours {max_hours:g}" if too_long else ""),
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
@@ -50,6 +51,12 @@ def show_plan(
         *(_told(prepared.plan, note) for note in (*d["notes"], *saved)),
     ]
     typer.echo("\n".join(lines), err=err)
+
+
+def drops(plan: Plan) -> bool:
+    """Whether a body falls on a floor: what bones or pins hold does if it was lifted."""
+    held = plan.held or plan.goals is not None
+    return plan.settings.floor is not None and (any(plan.settings.lift) or not held)
 
 
 def landing_of(plan: Plan, cost: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from gf_usd.cli.console import frames_of, landing_of
+from gf_usd.cli.console import drops, frames_of, landing_of
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -127,10 +127,11 @@ def _body(console: Console, seen: Inspection) -> None:
         return
     p, s = plan.particles, plan.settings
     told = {"frames": s.frames, **cost}
+    drop = f"drop {_length(plan.drop)}" if drops(plan) else "no drop"
     console.print(
         f"\n{len(p)} particles, {_length(p.spacing)} apart, fill {_volume(p.volume)}"
         f" (as much as a ball of radius {_length(p.radius)}); {frames_of(told)} at {s.fps:g} fps,"
-        f" drop {_length(plan.drop)}, {landing_of(plan, cost)}"
+        f" {drop}, {landing_of(plan, cost)}"
     )
     if (thick := seen.thickness) is not None:
         console.print(

@@ -83,6 +83,11 @@ class Solver(ABC):
     on_launch: Callable[[], None] | None = None
     takes_forces = False  # whether it has `push`
 
+    @property
+    def in_place(self) -> bool:
+        """Whether pins or goals say where the body is, so that it has no height to fall from."""
+        return False
+
     @abstractmethod
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move to frame `index` in so many substeps."""
@@ -170,7 +175,8 @@ class Solver(ABC):
         """What a person may do about a frame that cannot be had."""
         if self.settings.substeps:
             return "this preset uses the same few substeps for every frame: leave out --preset"
-        return "lower the impact (--drop), use a stiffer material or --law neoHookean"
+        gentler = "slow down what moves it" if self.in_place else "lower the impact (--drop)"
+        return f"{gentler}, use a stiffer material or --law neoHookean"
 
     def next(self, index: int, last: Health) -> Frame:
         """Move by a frame; where it fails, roll back and redo it with half the step.

@@ -67,6 +67,7 @@ from gf_usd.prepare.settings import (
     resolve,
     settled_frames,
 )
+from gf_usd.readers.notes import ANIMATED
 from gf_usd.readers.usd_bake.spec import read_motion
 
 if TYPE_CHECKING:
@@ -183,6 +184,7 @@ def fill(
     lowest = min(float((s.points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
     animation = read_animation(asset, file, request.start) if request.flesh and file else None
+    cached = animation is not None and animation.cached
     unread = request.flesh or request.solver == "ul"
     attachments = () if unread else spec.physics.attachments
     springs = () if unread else spec.physics.soft_attachments
@@ -274,6 +276,7 @@ def fill(
         asset.facts.path, [m for table in materials.tables for m in table],
         max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
         abs(float(np.dot(settings.gravity, asset.facts.up))),
+        carried=request.flesh or (settings.floor is None and not physics.colliders),
     )  # fmt: skip
     drawn = flow_of(solid, bodies, particles, materials.tables[0])
     choices, split = chosen(request, files, settings, asset, len(particles), open_end, drawn)
@@ -343,7 +346,8 @@ def fill(
         ),
         advice=advice,
         notes=(
-            *asset.facts.notes, *(one.note for one in advice),
+            *(note for note in asset.facts.notes if not (cached and note.endswith(ANIMATED))),
+            *(one.note for one in advice),
             *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *sunk,
             *cage_notes(
                 solid.surfaces, particles.spacing, refined=request.max_edge_length is not None

@@ -6,6 +6,8 @@ from collections.abc import Collection
 
 from gf_usd.core.asset import ASSUMED, FILE, OPTION
 
+ANIMATED = "is animated: the simulation starts from its pose at the first frame"
+
 
 class Notes:
     """Remarks in the order of their first appearance; the same words at many places are one."""

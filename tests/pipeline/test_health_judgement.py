@@ -168,6 +168,17 @@ def test_both_sides_of_a_limit(about: str) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("about", CASES)
+def test_only_what_falls_is_to_fall_from_a_lower_height(about: str) -> None:
+    """A body that bones or pins hold has no drop: --flesh refuses one."""
+    (held,) = health_warnings({**CASES[about][1], "falls": False}) or (None,)
+    assert held is None or "--drop" not in held.hint
+    if about in ("energy", "penetration", "overlap", "inside", "clamp"):
+        falls = {**CASES[about][1], "falls": True, "first_contact_frame": 1}
+        (warning,) = health_warnings(falls)
+        assert "lower the impact (--drop)" in warning.hint
+
+
 def test_friction_at_its_limit_is_how_a_sample_sticks() -> None:
     assert health_warnings(summary(Health(friction_capped=10**9))) == ()
 
@@ -205,7 +216,8 @@ def test_strict_passes_what_is_sound() -> None:
 
 def test_strict_names_every_warning_and_says_that_the_files_are_there() -> None:
     twice = Health(inverted=3, min_J=-0.5, penetration=0.2, kinetic=5.0)
-    unsound = result(summary(), summary(twice), summary(replace(twice, inverted=0, min_J=1.0)))
+    once = replace(twice, inverted=0, min_J=1.0)
+    unsound = result(summary(), summary(twice, falls=True), summary(once, falls=True))
     with pytest.raises(UnhealthyError) as caught:
         require_healthy(unsound, strict=True)
     error = caught.value

@@ -137,6 +137,11 @@ class TotalLagrangian(Solver):
         )
         self.partner: Partner | None = None  # advances with the body, and pushes it
 
+    @property
+    def in_place(self) -> bool:
+        """See `Solver`."""
+        return self.body.in_place
+
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
         return self.state.view().not_finite()

@@ -77,6 +77,11 @@ def plan_warnings(odd: str) -> tuple[HealthWarning, ...]:
 Said = tuple[str, str] | None
 
 
+def _gentler(h: HealthSummary) -> str:
+    """What makes everything less violent: a body that pins, bones or fields move has no drop."""
+    return "lower the impact (--drop)" if h["falls"] else "slow down what moves the body"
+
+
 def _energy(h: HealthSummary) -> Said:
     share = h["energy_gain_max_share"]
     if share <= ENERGY_GAIN:
@@ -84,7 +89,7 @@ def _energy(h: HealthSummary) -> Said:
     return (
         f"energy rose without a cause: {h['energy_gain_max_J']:.3g} J in one frame,"
         f" {100.0 * share:.2g} % of the energy scale of the body",
-        "lower the impact (--drop), or take a softer material",
+        f"{_gentler(h)}, or take a softer material",
     )
 
 
@@ -97,7 +102,7 @@ def _inverted(h: HealthSummary) -> Said:
     return (
         f"particles turned inside out: up to {h['inverted_max']} at once, from frame"
         f" {h['first_inverted_frame']} on, down to J = {h['min_J']:.2g}; {end}",
-        "lower the impact (--drop), use --law neoHookean, a stiffer material or more --particles",
+        f"{_gentler(h)}, use --law neoHookean, a stiffer material or more --particles",
     )
 
 
@@ -107,7 +112,7 @@ def _rollbacks(h: HealthSummary) -> Said:
     return (
         f"the step was too long {h['rollbacks']} times in {h['frames']} frames, which were redone"
         " with half of it",
-        "lower the impact (--drop), or use --law neoHookean",
+        f"{_gentler(h)}, or use --law neoHookean",
     )
 
 
@@ -117,7 +122,7 @@ def _clamped(h: HealthSummary) -> Said:
     return (
         f"stretches were clamped in {100.0 * h['clamped_share']:.2g} % of all particles and frames:"
         " there the material law does not hold",
-        "widen the limits (--clamp), or lower the impact (--drop)",
+        f"widen the limits (--clamp), or {_gentler(h)}",
     )
 
 
@@ -127,7 +132,7 @@ def _capped(h: HealthSummary) -> Said:
     return (
         f"stress was cut in {100.0 * h['stress_capped_share']:.2g} % of all particles and frames:"
         " there the material law does not hold",
-        "raise --stress-cap, or lower the impact (--drop)",
+        f"raise --stress-cap, or {_gentler(h)}",
     )
 
 
@@ -151,7 +156,7 @@ def _planes(h: HealthSummary) -> Said:
     return (
         f"contact put {share * h['energy_scale_J']:.3g} J into the bodies,"
         f" {100.0 * share:.2g} % of their energy scale",
-        "lower the impact (--drop), or take more --particles; if bodies overlap at the start, move"
+        f"{_gentler(h)}, or take more --particles; if bodies overlap at the start, move"
         " them apart in the asset",
     )
 
@@ -162,7 +167,7 @@ def _deep(h: HealthSummary) -> Said:
     return (
         f"the surface sank {h['deepest_penetration_spacings']:.2g} spacings"
         f" ({h['deepest_penetration_m']:.3g} m) into the floor",
-        "lower the impact (--drop)",
+        f"{_gentler(h)}, or take a stiffer material",
     )
 
 
@@ -172,7 +177,7 @@ def _overlap(h: HealthSummary) -> Said:
     return (
         f"bodies or obstacles overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
         f" ({h['deepest_overlap_m']:.3g} m)",
-        "lower the impact (--drop), or take more --particles; if bodies overlap at the start,"
+        f"{_gentler(h)}, or take more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
     )
 
@@ -184,7 +189,7 @@ def _let_go(h: HealthSummary) -> Said:
         f"{h['released_max']} contact points at once were deeper in another surface than they"
         f" can have moved, where it was folded or inverted, and were released: there the bodies"
         f" may overlap",
-        "lower the impact (--drop), take a stiffer material, or more --particles",
+        f"{_gentler(h)}, take a stiffer material, or more --particles",
     )
 
 
@@ -195,8 +200,8 @@ def _inside(h: HealthSummary) -> Said:
     return (
         f"{100.0 * share:.2g} % of the surface is half a spacing or more inside a body at the"
         f" end, up to {1000.0 * h['inside_at_end_m']:.3g} mm deep",
-        "take more --particles, a stiffer material or a lower impact (--drop), and do not use"
-        " --no-self-contact",
+        "take more --particles or a stiffer material,"
+        f" {_gentler(h)}, and do not use --no-self-contact",
     )
 
 
@@ -251,7 +256,9 @@ def _still(h: HealthSummary) -> Said:
         return None
     return (
         f"nothing moves in {h['frames']} frames",
-        "give the body a cause of motion: a height (--drop), gravity, moving pins or colliders",
+        "give the body a cause of motion: "
+        + ("a height (--drop), " if h["falls"] else "")
+        + "gravity, moving pins or colliders",
     )
 
 

@@ -96,12 +96,15 @@ def require_standing(
     materials: Sequence[Material],
     height: float,
     gravity: float,
+    *,
+    carried: bool = False,
 ) -> tuple[str, ...]:
     """Notes on materials that cannot carry bodies of this height.
 
     The weight of a column, rho g H, over Young's modulus E is the strain at its foot, were it
     small.  Jelly has 1.1 by design: it spreads on the floor and keeps a third of its height.
     height : H [m] of the tallest body along gravity [m/s^2].
+    carried : bones hold it, or nothing is below it: it spreads on no floor.
 
     Raises InputError where the ratio is FLAT and more.
     """
@@ -123,5 +126,6 @@ def require_standing(
                 f"take {change} or more, a preset such as jelly, whose stiffness grows with the"
                 " body, or check the unit (--meters-per-unit)",
             )
-        notes.append(f"{said}, so it spreads on the floor; {change} would keep its shape")
+        if not carried:
+            notes.append(f"{said}, so it spreads on the floor; {change} would keep its shape")
     return tuple(notes)

@@ -17,7 +17,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.readers.mesh.divide.cages import cage_of, limit_surface
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.primvars import Corners
 from gf_usd.readers.usd.shading import ShadingReader, colors
@@ -25,7 +25,7 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.solids.points import cover, widths
 from gf_usd.readers.usd.solids.poses import BrokenPose, bound_points
 from gf_usd.readers.usd.solids.tets import BrokenTets, Tets, surface_of
-from gf_usd.readers.usd.stage import ANIMATED, CHANGES, LeftAlone, Placement
+from gf_usd.readers.usd.stage import CHANGES, LeftAlone, Placement
 
 
 @dataclass(frozen=True, kw_only=True)

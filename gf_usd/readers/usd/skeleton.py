@@ -10,8 +10,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.matrices import signed_polar
-from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd.stage import ANIMATED, Placement
+from gf_usd.readers.notes import ANIMATED, Notes
+from gf_usd.readers.usd.stage import Placement
 
 PROXIES = Usd.TraverseInstanceProxies()
 

@@ -15,9 +15,9 @@ from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdVol, Vt
 from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Splats, tidy
 from gf_usd.core.errors import InputError
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
-from gf_usd.readers.usd.stage import ANIMATED, LeftAlone, Placement
+from gf_usd.readers.usd.stage import LeftAlone, Placement
 
 Types = Sdf.ValueTypeNames
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"

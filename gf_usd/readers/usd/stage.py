@@ -21,7 +21,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import ASSUMED, BAKES, FILE, LATEST, OPTION, StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.units import StageUnits
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.system.atomic_files import require_utf8
 
 MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
@@ -284,7 +284,6 @@ def _up_axis(stage: Usd.Stage, path: Path, notes: Notes, override: str | None) -
 FLAT = 1e-12
 
 # The note on a mesh whose own animation the simulation takes the place of.
-ANIMATED = "is animated: the simulation starts from its pose at the first frame"
 CHANGES = "its topology changes over time: that of the first frame is used"
 FOR_BAKES = (ANIMATED, CHANGES)  # notes that are no news for a picture
 

@@ -1,0 +1,63 @@
+"""What is told of a bake with --flesh: bones hold it, so nothing of a fall on a floor is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from arm import arm, cached, write
+from small_bakes import Done
+
+from gf_usd.physics.frame_loop import Solver
+from gf_usd.pipeline.prepared import prepare, solver_of
+from gf_usd.prepare.plan import Plan
+
+FEW = {"particles": 300, "preroll": 6, "flesh": True}
+
+
+def plan_of(path: Path, **options: object) -> Plan:
+    return prepare(path, **FEW, output=path.parent / "out.usda", **options).plan
+
+
+def solver(plan: Plan) -> Solver:
+    return solver_of(plan, plan.variants[0])
+
+
+def test_flesh_that_its_bones_carry_spreads_on_no_floor(tmp_path: Path) -> None:
+    """Jelly of the arm, 0.4 m high, weighs more than 3 times its Young's modulus at 8 g."""
+    path = write(tmp_path, arm(bend=(0.0, 0.0)))
+    options = {"material": "jelly", "gravity": "80"}
+    loose = prepare(path, particles=300, output=tmp_path / "out.usda", **options).plan
+    words = "cannot carry its own weight"
+    assert words in " ".join(loose.notes)
+    assert words not in " ".join(plan_of(path, **options).notes)
+
+
+def test_an_animation_that_is_followed_is_not_told_as_left(tmp_path: Path) -> None:
+    source = write(tmp_path, arm())
+    path = tmp_path / "cache.usda"
+    path.write_text(cached(source), encoding="utf-8")
+    words = "starts from its pose at the first frame"
+    assert words not in " ".join(plan_of(path).notes)
+    loose = prepare(path, particles=300, output=tmp_path / "out.usda").plan
+    assert words in " ".join(loose.notes)
+
+
+def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
+    write(here, arm())
+    few = ("arm.usda", "--particles", "300")
+    for command in (("inspect",), ("bake", "--dry-run")):
+        flesh, loose = gf_usd(*command, *few, "--flesh"), gf_usd(*command, *few)
+        assert (flesh.status, loose.status) == (0, 0)
+        told = [line for line in flesh.out.splitlines() if "first contact" in line]
+        assert len(told) == 1
+        assert "no drop, first contact" in told[0] or "drop        none, first" in told[0]
+        assert "no drop" not in loose.out
+        assert "none, first" not in loose.out
+
+
+def test_nobody_is_told_to_lower_a_drop_that_is_not_there(tmp_path: Path) -> None:
+    path = write(tmp_path, arm())
+    assert "--drop" not in solver(plan_of(path))._hint()
+    falls = prepare(path, particles=300, output=tmp_path / "out.usda").plan
+    assert "lower the impact (--drop)" in solver(falls)._hint()
