@@ -287,7 +287,7 @@ def fill(
         f"<{p}> is not filled: it moves with the nearest body and does not collide; {why}"
         for p, why in solid.embedded
     ]
-    left = [f"<{p}> is not baked: {why}" for p, why in asset.skipped]
+    left = [left_note(path, why) for path, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
     limbs = LimbPlan(
@@ -359,6 +359,19 @@ def fill(
         ),
     )  # fmt: skip
     return plan, solid
+
+
+def left_note(path: str, why: str) -> str:
+    """The note on a prim that is not baked, for a reason of the reader."""
+    from gf_usd.readers.usd.select import KINDS, REPEATED
+
+    stays = "keeps the place and motion of its source and does not follow what is baked"
+    ways = {
+        KINDS: f"; it {stays}: attach it to a baked mesh in another program, or convert it to one",
+        REPEATED: f"; it {stays}: attach its instances in another program, or make them prims",
+    }
+    more = next((said for end, said in ways.items() if why.endswith(end)), "")
+    return f"<{path}> is not baked: {why}{more}"
 
 
 def _scaled(vector: Triple | None, unit: float) -> Triple | None:

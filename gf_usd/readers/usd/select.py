@@ -25,8 +25,9 @@ from gf_usd.readers.usd.solids.points import is_body
 # Prims of an instance are read in place, as if it were not one.
 PROXIES = Usd.TraverseInstanceProxies()
 BAKED_PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
-# Why a prim is left out: the whole reason, how it begins, and how it ends.
+# Why a prim is left out: the whole reason, how it begins, and how two end.
 INVISIBLE, PURPOSE, REPEATED = "invisible", "purpose ", ": its instances are not made soft"
+KINDS = ": only meshes, solid shapes, points and splats are made soft"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +135,7 @@ def _why_not(prim: Usd.Prim, time: Usd.TimeCode) -> str:
         if not is_body(prim, time):
             return "Points without widths and without physics are not a body"
     elif not (has_surface(prim) or name == SPLAT_TYPE):
-        return f"{name}: only meshes, solid shapes, points and splats are made soft"
+        return f"{name}{KINDS}"
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
     return "" if purpose in BAKED_PURPOSES else f"{PURPOSE}{purpose}"
 

@@ -30,7 +30,11 @@ def test_a_collider_that_could_not_be_baked_is_called_an_obstacle(plan) -> None:
     assert [c.path for c in seen.contact_setup.colliders] == ["/Ground", "/Wall"]
     assert noted(seen, "</Wall> is not baked: it is a static collider: an obstacle")
     assert noted(seen, "</Ground> is not baked: it is a static collider: an obstacle")
-    assert noted(seen, "</Backdrop> is not baked: Plane: only meshes")
+    assert noted(
+        seen,
+        "</Backdrop> is not baked: Plane: only meshes, solid shapes, points and splats are made"
+        " soft; it keeps the place and motion of its source and does not follow what is baked:",
+    )
     assert not noted(seen, "</Ground> is not baked: Plane")
 
 
