@@ -385,6 +385,7 @@ class Pin:
     rigid: bool = False  # whether it moves as a rigid body by the forces on it, and not as given
     patch: bool = False  # part of a surface: where no node is inside, the nearest ones are held
     body: int | None = None  # the only body that it holds; None: any that is in the region
+    meshes: frozenset[str] = frozenset()  # prim paths of meshes all of whose points move with it
 
 
 @dataclass(frozen=True, kw_only=True)

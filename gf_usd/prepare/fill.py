@@ -200,8 +200,6 @@ def fill(
         names = request.listed("pins")
         every = sampled(settings)
         pins += make_pins(names, asset, solid, every, file, rest=request.start)
-        names = request.listed("rigid")
-        pins += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
         held, attached = attachment_pins(attachments, asset, solid, every, file, request.start)
         pins += held
         stated += attached
@@ -213,12 +211,16 @@ def fill(
             damping=request.goal_damping, squish=request.squish, stretch=request.stretch,
             lattice=particles.lattice, spacing=particles.spacing,
             cycle=cycle * settings.samples_per_frame, repeats=request.cycles.repeats,
-            bodies=bodies,
+            rigid=request.listed("rigid"), bodies=bodies,
         )  # fmt: skip
         pins += flesh.pins
         if characters:
             repeated = cycle * settings.samples_per_frame * request.cycles.repeats
             meet_from = animation.lead(sampled(settings), repeated)
+    if file is not None:
+        names = [name for name in request.listed("rigid") if name not in flesh.rigid]
+        every = sampled(settings)
+        pins += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
     physics = spec.physics
     left_out = {*physics.attachments, *physics.soft_attachments} - {*attachments, *springs}
     if left_out:

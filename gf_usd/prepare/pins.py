@@ -232,6 +232,7 @@ class Flesh:
     pins: tuple[Pin, ...] = ()  # the cores of bones
     goals: Goals | None = None  # springs to the skinned pose
     notes: tuple[str, ...] = ()
+    rigid: tuple[str, ...] = ()  # what of --rigid moves with its joints
 
 
 def flesh_of(
@@ -266,6 +267,7 @@ def flesh_of(
         pins=tuple(replace(pin, body=k) for k, one in enumerate(every) for pin in one.pins),
         goals=goals,
         notes=tuple(dict.fromkeys(note for one in every for note in one.notes)),
+        rigid=tuple(dict.fromkeys(name for one in every for name in one.rigid)),
     )
 
 
@@ -283,6 +285,7 @@ def _of_character(
     damping: float | None,
     squish: float | None = None,
     stretch: float | None = None,
+    rigid: Sequence[str] = (),
     lattice: float,
     spacing: float,
     cycle: int = 0,
@@ -292,11 +295,12 @@ def _of_character(
 
     X : (n, 3) [m] of the particles.  settings : as `sampled`.  share, frequency [Hz], damping,
     squish, stretch : of --bone-radius, --goal-frequency, --goal-damping, --squish and --stretch;
-    None: not said.  lattice : [m] half the edge of a cell; spacing : [m] of the samples.  cycle :
-    samples of a period, which comes
-    `repeats` times before it is written; 0: the animation is none.  Raises InputError as
+    None: not said.  rigid : names of --rigid.  lattice : [m] half the edge of a cell; spacing : [m]
+    of the samples.  cycle : samples of a period, which comes `repeats` times before it is written;
+    0: the animation is none.  Raises InputError as
     `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
     """
+    from gf_usd.geometry.flesh.carried import asked_for, carried_meshes, carried_pins
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
     from gf_usd.geometry.flesh.limits import flesh_limits
@@ -340,6 +344,19 @@ def _of_character(
             *notes,
         )
     pins = bone_pins(bones, cores)
+    carried = carried_meshes(skeleton)
+    kept = asked_for(rigid, carried, paths)
+    pins += carried_pins(kept, carried, skeleton, solid, 2.0 * lattice)
+    taken = {path for pin in pins for path in pin.meshes}
+    if soft := [f"<{path}>" for path in carried if path not in taken]:
+        left = len(soft) - 3
+        more = f" and {left} more mesh{'es' * (left > 1)}" if left > 0 else ""
+        moves, becomes = ("moves", "becomes") if len(soft) == 1 else ("move", "become")
+        notes = (
+            *notes,
+            f"{', '.join(soft[:3])}{more} {moves} with a single joint and {becomes} as soft as the"
+            f" rest; --rigid keeps a mesh rigid, such as --rigid {soft[0][1:-1]}",
+        )
     if not pins:
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
@@ -352,7 +369,7 @@ def _of_character(
         limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=2.0 * lattice)
     if frequency is None and not painted:
         if limits is None:
-            return Flesh(pins=pins, notes=notes)
+            return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
         frequency = 0.0  # limits alone: no springs
     elif frequency is None:
         frequency = GOAL_FREQUENCY
@@ -367,7 +384,7 @@ def _of_character(
         frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
         limits=limits,
     )  # fmt: skip
-    return Flesh(pins=pins, goals=goals, notes=notes)
+    return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept))
 
 
 def _at_frames(skeleton: Skeleton, rows: list[int]) -> Skeleton:

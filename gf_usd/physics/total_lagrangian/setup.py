@@ -170,6 +170,9 @@ def build_body(
     if pin_constraint:
         pin_constraint.check(stencil.held)
         held = {name: boundary_held(pins, X) for name, X in (embedded or {}).items()}
+        for index, pin in enumerate(pins):
+            for name in pin.meshes & held.keys():
+                held[name] = PinnedPoints(axes=np.full(held[name].axes.shape, index))
         held[""] = pin_constraint.particles
     regions = None
     if pin_constraint:

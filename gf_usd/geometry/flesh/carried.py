@@ -1,0 +1,69 @@
+"""Meshes that a single joint carries, such as shoes: rigid, where that is asked for.
+
+Nodes in such a mesh, and up to `WIDER` cells around it, move with the joint as those of its core
+do, and the points of the mesh follow the joint exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.stage import Pin, Skeleton
+from gf_usd.geometry.flesh.cores import WIDER
+from gf_usd.geometry.regions import Shape
+from gf_usd.geometry.solid import Solid
+
+
+def carried_meshes(skeleton: Skeleton) -> dict[str, int]:
+    """The bone of each mesh all of whose points have one joint, by prim path.
+
+    Empty where every mesh is such: what has no other is a body of parts, and none is attached.
+    """
+    found = {}
+    for path, weights in skeleton.weights.items():
+        bones = np.unique(weights.tocoo().col[weights.tocoo().data > 0.0])
+        whole = (np.diff(weights.indptr) > 0).all()
+        if len(bones) == 1 and whole:
+            found[path] = int(bones[0])
+    return found if len(found) < len(skeleton.weights) else {}
+
+
+def asked_for(names: Sequence[str], carried: Mapping[str, int], paths: Sequence[str]) -> list[str]:
+    """Those of some names that are of carried meshes, or of a prim that has no other meshes below.
+
+    paths : of all meshes.
+    """
+    below = {n: [p for p in paths if p == n or p.startswith(f"{n}/")] for n in names}
+    return [n for n, found in below.items() if found and all(p in carried for p in found)]
+
+
+def carried_pins(
+    names: Sequence[str], carried: Mapping[str, int], skeleton: Skeleton, solid: Solid, cell: float
+) -> tuple[Pin, ...]:
+    """A pin for each carried mesh that is one of the names or below; cell : [m] edge of a cell."""
+    mine = [p for p in carried if any(p == n or p.startswith(f"{n}/") for n in names)]
+    filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
+    return tuple(
+        Pin(
+            name=path,
+            inside=_around(Shape(*filled[path]), WIDER * cell) if path in filled else _nothing,
+            nearest=lambda X: X,
+            anchors=skeleton.bones[carried[path]].anchors,
+            path=skeleton.bones[carried[path]].path,
+            sharp=False,
+            meshes=frozenset([path]),
+        )
+        for path in mine
+    )
+
+
+def _around(shape: Shape, width: float) -> Callable[[Floats], Floats]:
+    return lambda X: np.asarray(shape.encloses(X) | (shape.closest(X)[0] < width))
+
+
+def _nothing(X: Floats) -> Floats:
+    """Of an open mesh, which holds no nodes."""
+    return np.zeros(len(X), bool)

@@ -1,0 +1,73 @@
+"""--flesh with meshes that a single joint carries, such as shoes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm import FIRST, LAST, arm, drawn, write
+from pxr import Usd
+
+import gf_usd
+from gf_usd.prepare.prepare import prepare
+
+FEW = {"particles": 400, "preroll": 6, "flesh": True, "material": "jelly"}
+CORNERS = np.array([[x, y, z] for x in (1.7, 2.1) for y in (-0.3, 0.3) for z in (-0.3, 0.3)])
+FACES = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+BOOT = f"""
+    def Mesh "Boot" ( prepend apiSchemas = ["SkelBindingAPI"] )
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points = [{", ".join(str(tuple(p)) for p in CORNERS.tolist())}]
+        int[] faceVertexCounts = {[4] * 6}
+        int[] faceVertexIndices = {FACES}
+        rel skel:skeleton = </Arm/Skel>
+        int[] primvars:skel:jointIndices = {[1] * 8} ( elementSize = 1; interpolation = "vertex" )
+        float[] primvars:skel:jointWeights = {[1] * 8} ( elementSize = 1; interpolation = "vertex" )
+    }}
+}}
+"""
+
+
+def booted(folder: Path) -> Path:
+    """The arm with a boot on its end, which joint B alone carries."""
+    return write(folder, arm().rstrip().removesuffix("}") + BOOT)
+
+
+def test_a_mesh_of_one_joint_is_named_with_the_way_to_keep_it_rigid(tmp_path: Path) -> None:
+    path, out = booted(tmp_path), tmp_path / "out.usda"
+    plan, _ = prepare(path, **FEW, output=out, draw=None)
+    words = "</Arm/Boot> moves with a single joint and becomes as soft as the rest; --rigid keeps"
+    assert words in " ".join(plan.notes)
+    kept, _ = prepare(path, **FEW, rigid=["/Arm/Boot"], output=out, draw=None)
+    assert words not in " ".join(kept.notes)
+    *bones, boot = kept.pins
+    assert (boot.name, boot.rigid, boot.meshes) == ("/Arm/Boot", False, {"/Arm/Boot"})
+    np.testing.assert_array_equal(boot.path, bones[1].path)
+    plain, _ = prepare(write(tmp_path, arm()), **FEW, output=out, draw=None)
+    assert "single joint" not in " ".join(plain.notes)
+
+
+def test_a_box_of_a_rigid_region_is_none_that_a_joint_carries(tmp_path: Path) -> None:
+    plan, _ = prepare(
+        booted(tmp_path), **FEW, rigid=["box:1.6,-1,-1,3,1,1"], output=tmp_path / "o.usda",
+        draw=None,
+    )  # fmt: skip
+    assert [pin.rigid for pin in plan.pins] == [False, False, True]
+
+
+@pytest.mark.slow
+def test_a_rigid_boot_moves_with_its_joint(tmp_path: Path) -> None:
+    """To single precision; what is soft is bent by more than a millimeter."""
+    path = booted(tmp_path)
+    for rigid in ([], ["/Arm/Boot"]):
+        out = tmp_path / f"out{len(rigid)}.usda"
+        gf_usd.bake(path, **FEW, rigid=rigid, output=out, progress=None)
+        stage = Usd.Stage.Open(str(out))
+        for code, angle in ((FIRST, 20.0), (LAST, 60.0)):
+            c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+            R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            posed = (CORNERS - [1.0, 0.0, 0.0]) @ R.T + [1.0, 0.0, 0.0]
+            away = np.abs(drawn(stage, code, "/Arm/Boot") - posed).max()
+            assert (away < 1e-5) if rigid else (away > 1e-3)
