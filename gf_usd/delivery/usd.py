@@ -208,17 +208,24 @@ def _hide_left_out(stage: Usd.Stage, bake: Path, variant: BakedVariant) -> None:
     """
     source = open_stage(bake)
     select_variant(source, bake, variant.name or None)
+    for root in source.GetPseudoRoot().GetChildren():
+        if target := stage.GetPrimAtPath(root.GetPath()):
+            # selected before a look at what is visible: other variants hide other meshes
+            with _variant_of(target, variant.name):
+                _hide_left_out_below(root, stage, variant)
+
+
+def _hide_left_out_below(root: Usd.Prim, stage: Usd.Stage, variant: BakedVariant) -> None:
     start = Usd.TimeCode(variant.time_codes[0])
-    for there in Usd.PrimRange.Stage(source, Usd.TraverseInstanceProxies()):
+    for there in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
         prim = stage.GetPrimAtPath(there.GetPath())
         if not has_surface(there) or not prim or not sometimes_visible(prim, start):
             continue
         if str(there.GetPath()) in variant.left_out or not sometimes_visible(there, start):
-            with _variant_of(stage.GetPrimAtPath(there.GetPath().GetPrefixes()[0]), variant.name):
-                _end_instances(stage, str(there.GetPath()))
-                visibility = UsdGeom.Imageable(stage.GetPrimAtPath(there.GetPath()))
-                visibility.GetVisibilityAttr().Clear()  # of samples, which a default is weaker than
-                visibility.GetVisibilityAttr().Set(UsdGeom.Tokens.invisible)
+            _end_instances(stage, str(there.GetPath()))
+            visibility = UsdGeom.Imageable(stage.GetPrimAtPath(there.GetPath()))
+            visibility.GetVisibilityAttr().Clear()  # of samples, which a default is weaker than
+            visibility.GetVisibilityAttr().Set(UsdGeom.Tokens.invisible)
 
 
 def _author_splats(stage: Usd.Stage, bake: Path, variant: BakedVariant, error: float) -> None:

@@ -13,6 +13,7 @@ import trimesh
 from delivered import gltf_vertices, world_points
 from mixed_stages import body, scene
 from pxr import Usd, UsdGeom
+from small_stages import open_with
 
 import gf_usd
 from gf_usd.core.errors import InputError
@@ -141,6 +142,24 @@ def test_usd_hides_what_particles_stand_for(tmp_path: Path, flatten: bool) -> No
         image = UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{name}"))
         for code in (1.0, 4.0):
             assert (image.ComputeVisibility(code) != "invisible") == shown
+
+
+def test_usd_hides_in_every_variant_what_particles_stand_for(tmp_path: Path) -> None:
+    blocks = scene(
+        tmp_path,
+        body("Block", "rubber", "0, 0.1, 0"),
+        body("Other", "rubber", "1, 0.3, 0"),
+    )
+    bake = gf_usd.bake(
+        blocks, frames=3, output=tmp_path / "bake.usda", particles=100, material="rubber,jelly",
+        conversions="/World/Block=honey@time:2",
+    )  # fmt: skip
+    done = deliver(bake.root, tmp_path / "out.usda", error=TOLERANCE)
+    for variant, block in (("rubber", False), ("jelly", False), ("none", True)):
+        stage = open_with(done.path, variant)
+        for name, shown in (("Block", block), ("Other", True)):
+            image = UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{name}"))
+            assert (image.ComputeVisibility(2.0) != "invisible") == shown
 
 
 def honey(folder: Path, **options: Any) -> Path:
