@@ -1,9 +1,10 @@
 """What a picture is fitted to: the motion, without what falls out of the scene.
 
 A body that misses or leaves the obstacles under it falls to the end of the bake, and a picture of
-all of its way shows the rest as a speck.  Fallen is what is below all that stays, to the end of the
-motion, and still sinks there: what lands on a floor is not.  Of bodies that consist of many parts,
-Gaussians, points and surfaces of what flows, each point counts by itself.
+all of its way shows the rest as a speck.  Fallen is what was above the bottom of all that stays, is
+below it to the end of the motion, and still sinks there: what lands on a floor is not, nor what
+hangs from a ceiling.  Of bodies that consist of many parts, Gaussians, points and surfaces of what
+flows, each point counts by itself.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats
@@ -85,6 +87,9 @@ class _Height:
     def top(self, box: Floats) -> float:
         return float((self.sign * box[:, self.axis]).max())
 
+    def middle(self, box: Floats) -> float:
+        return 0.5 * (self.bottom(box) + self.top(box))
+
 
 def _is_loose(prim: Usd.Prim) -> bool:
     if prim.IsA(UsdGeom.Points) or str(prim.GetTypeName()) == SPLAT_TYPE:
@@ -102,6 +107,8 @@ def _until_it_falls(
         end -= 1
     if end == len(own) or len(own) < 2:
         return own
+    if not any(height.middle(box) >= floor for box in own):
+        return own  # what stays is above it: a ceiling, which its top may touch
     size = float(np.ptp(own[-1], axis=0).max())
     if height.bottom(own[-2]) - height.bottom(own[-1]) <= SINKS * size:
         return own
@@ -115,11 +122,22 @@ def _without_fallen_points(
     own: list[Floats | None] = [boxes.each[i][number] for i in times]
     fallen = total = 0
     left = list(own)
+    was_above: NDArray[np.bool_] | None = np.zeros(0, bool)  # so far; None: all of them
     for k, i in enumerate(times):
         if height.bottom(boxes.each[i][number]) >= floor:
+            was_above = None
             continue
         points = boxes.points(number, i)
-        above = points[height.sign * points[:, height.axis] >= floor]
-        fallen, total = fallen + len(points) - len(above), total + len(points)
-        left[k] = np.stack([above.min(axis=0), above.max(axis=0)]) if len(above) else None
+        fell = height.sign * points[:, height.axis] < floor
+        if was_above is not None:
+            # of points that became more or fewer nobody knows which of them were above
+            same = len(was_above) == len(points)
+            was_above = ~fell | was_above if same else ~fell
+            fell = fell & was_above
+        fallen, total = fallen + int(fell.sum()), total + len(points)
+        if fell.all():
+            left[k] = None
+        elif fell.any():
+            rest = points[~fell]
+            left[k] = np.stack([rest.min(axis=0), rest.max(axis=0)])
     return left if fallen <= MOST * total else own

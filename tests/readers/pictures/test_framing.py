@@ -24,6 +24,14 @@ def Cube "Table" {
     uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
 }
 """
+CEILING = """
+def Cube "Ceiling" {
+    double size = 1
+    double3 xformOp:translate = (0, 8.6, 0)
+    float3 xformOp:scale = (12, 1, 4)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+}
+"""
 CAMERA = 'def Camera "Camera" {\n}\n'
 FALLS, LANDS = (1.0, 1.0, -3.0, -8.0, -15.0), (1.0, 1.0, -3.0, -8.0, -8.0)
 
@@ -48,6 +56,36 @@ def drops(falling: int) -> str:
         rows.append(f"{k + 1}: {points}")
     return f"""
 def Points "Drops" {{
+    point3f[] points.timeSamples = {{ {", ".join(rows)} }}
+    float[] widths = [0.0]
+}}
+"""
+
+
+def pendants(*ways: Sequence[float]) -> str:
+    """Cubes of 2 m, far apart, by their heights."""
+    cubes = []
+    for number, heights in enumerate(ways):
+        x = 8 * number - 4
+        way = ", ".join(f"{k + 1}: ({x}, {y}, 0)" for k, y in enumerate(heights))
+        cubes.append(f"""
+def Cube "Pendant{number}" {{
+    double size = 2
+    double3 xformOp:translate.timeSamples = {{ {way} }}
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}}
+""")
+    return "".join(cubes)
+
+
+def drips() -> str:
+    """Six points in the ceiling, and four that sink below it."""
+    rows = []
+    for k in range(5):
+        points = [(float(n - 5), 8.5 if n < 6 else 4.0 - 0.5 * k, 0.0) for n in range(10)]
+        rows.append(f"{k + 1}: {points}")
+    return f"""
+def Points "Drips" {{
     point3f[] points.timeSamples = {{ {", ".join(rows)} }}
     float[] widths = [0.0]
 }}
@@ -85,6 +123,21 @@ def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) ->
 )
 def test_all_of_any_other_motion_is_shown(write: Callable[..., Path], body: str) -> None:
     whole, shown, fell = fit(write, body)
+    assert shown == whole
+    assert fell == ()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        pendants((6.0, 5.5, 6.0, 5.5, 5.0), (6.0, 6.5, 6.0, 5.5, 6.0)),
+        pendants((5.0, 7.2, 6.0, 4.0, 1.0), (6.0, 6.0, 6.0, 6.0, 6.1)),
+        drips(),
+    ],
+    ids=["pendants", "one bumps its top", "drips"],
+)
+def test_what_hangs_from_a_ceiling_has_not_fallen(write: Callable[..., Path], body: str) -> None:
+    whole, shown, fell = fit(write, CEILING + body)
     assert shown == whole
     assert fell == ()
 
