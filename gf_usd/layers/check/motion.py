@@ -133,7 +133,7 @@ class Tally:
         moving = np.maximum(speed, said) > floor
         off = np.sqrt(((v2 - v4) ** 2).sum(0))
         smooth = moving & (off <= SMOOTH * np.maximum(speed, floor))
-        # An impact can leave both differences alike: what stops there has a kink of twice the speed.
+        # An impact may leave both differences alike: what stops has a kink of twice the speed.
         smooth &= kink <= KINK * np.maximum(speed, floor)
         self.moving += int(moving.sum())
         if smooth.sum() < MAJORITY * moving.sum():
