@@ -86,11 +86,17 @@ def resample(stage: Usd.Stage, layer: Sdf.Layer, warp: Warp, codes: Sequence[flo
 
 
 def sample_as_played(
-    layer: Sdf.Layer, attribute: Usd.Attribute, warp: Warp, codes: Sequence[float]
+    layer: Sdf.Layer,
+    path: Sdf.Path,
+    attribute: Usd.Attribute,
+    warp: Warp,
+    codes: Sequence[float],
 ) -> None:
     """Give an attribute samples in a layer: what USD interpolates at the times of the bake.
 
     Bodies hit what a source animates where USD has it, between its samples too.
+
+    path : of the samples, which can be in a variant.
     """
     values, power = [], RATES.get(attribute.GetName(), 0)
     for time, rate in map(warp, codes):
@@ -100,7 +106,7 @@ def sample_as_played(
         elif power and value is not None:
             value = _like(value, rate**power * _rows(value))
         values.append(Sdf.ValueBlock() if value is None else value)
-    _write(layer, attribute, codes, values)
+    _write(layer, attribute, codes, values, path)
 
 
 def most_samples(stage: Usd.Stage) -> list[float]:
@@ -114,11 +120,15 @@ def most_samples(stage: Usd.Stage) -> list[float]:
 
 
 def _write(
-    layer: Sdf.Layer, attribute: Usd.Attribute, codes: Sequence[float], values: Sequence[Any]
+    layer: Sdf.Layer,
+    attribute: Usd.Attribute,
+    codes: Sequence[float],
+    values: Sequence[Any],
+    elsewhere: Sdf.Path | None = None,
 ) -> None:
-    path = attribute.GetPath()
-    if layer.GetAttributeAtPath(path) is None:  # its samples are in value clips
-        prim = Sdf.CreatePrimInLayer(layer, path.GetPrimPath())
+    path = elsewhere or attribute.GetPath()
+    if layer.GetAttributeAtPath(path) is None:  # its samples are in value clips or other layers
+        prim = Sdf.CreatePrimInLayer(layer, path.GetPrimOrPrimVariantSelectionPath())
         Sdf.AttributeSpec(
             prim, attribute.GetName(), attribute.GetTypeName(), attribute.GetVariability()
         )

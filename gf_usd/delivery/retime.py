@@ -7,7 +7,7 @@ references to it, with keys, which are more than one speed, by samples in the ro
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from pxr import Sdf, Usd, UsdUtils
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.delivery.resample import SAME, Warp, most_samples, resample, sample_as_played
-from gf_usd.delivery.usd import NONE, VARIANTS, absolute, require_no_input
+from gf_usd.delivery.usd import VARIANTS, absolute, require_no_input
 from gf_usd.layers.flatten import export, write_placed
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.system.atomic_files import partial_path, publish
@@ -66,7 +66,7 @@ def retime(
         made = {cache: _named(target, name, len(caches)) for name, cache in caches.items()}
         require_no_input(bake, target, *made.values())
         if keys is not None:
-            _require_no_samples_in_variants(root, bake)
+            _require_no_samples_in_other_variants(root, bake)
         try:
             codes = [_retimed(cache, new, speed, keys) for cache, new in made.items()]
             span = min(each[0] for each in codes), max(each[-1] for each in codes)
@@ -218,48 +218,82 @@ def _retime_source(
 ) -> tuple[str, ...]:
     """Sample in a root layer what the source animates, at the times of the result; notes in words.
 
-    One offset on the references is one speed, which keys are not.
+    One offset on the references is one speed, which keys are not.  What a cache takes the place of
+    is sampled inside the variants without that cache: outside it would win over the cache too.
     """
     stage, warp = open_stage(bake), Warp(keys)
-    baked = _in_caches(caches.values())
-    inside: dict[str, None] = {}
+    baked = {variant: _in_cache(cache) for variant, cache in caches.items()}
+    own = set(_animated(layer))
+    held = {path for path in own if path.ContainsPrimVariantSelection()}
+    apart = {path.StripAllVariantSelections() for path in held}.union(*baked.values()) - own
+    written: set[Sdf.Path] = set()
+    inside: dict[str, list[str]] = {}  # variants in which it is
     stage.SetEditTarget(stage.GetSessionLayer())
-    for variant in (*caches, NONE):  # a cache hides what it takes the place of
+    variants = tuple(dict.fromkeys(variant.name for variant in _switches(layer)))
+    for variant in variants:
         for root in stage.GetPseudoRoot().GetChildren():
             if root.GetVariantSets().HasVariantSet(VARIANTS):
                 root.GetVariantSet(VARIANTS).SetVariantSelection(variant)
         for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
             for attribute in prim.GetAuthoredAttributes():
-                if attribute.GetNumTimeSamples() < 2 or attribute.GetPath() in baked:
+                path = attribute.GetPath()
+                if path in apart:
+                    retimed = path in baked.get(variant, ())
+                    path = _in_variant(layer, path, variant)
+                    if path is None or (retimed and path not in held):
+                        continue
+                if path in written and not prim.IsInstanceProxy():
+                    continue
+                if not attribute.ValueMightBeTimeVarying():  # by samples, or by a spline
                     continue
                 if prim.IsInstanceProxy():
-                    inside[str(prim.GetPath())] = None
+                    among = inside.setdefault(str(prim.GetPath()), [])
+                    among += [variant] if variant not in among else []
                     continue
-                sample_as_played(layer, attribute, warp, codes)
+                sample_as_played(layer, path, attribute, warp, codes)
+                written.add(path)
     return tuple(
-        f"{path}: its animation is inside an instance, where --keys cannot retime it; --speed can"
-        for path in inside
+        f"{path}: {_where(among, variants)}its animation is inside an instance, where --keys"
+        " cannot retime it; --speed can"
+        for path, among in inside.items()
     )
 
 
-def _in_caches(caches: Iterable[Path]) -> set[Sdf.Path]:
-    """Paths of the attributes that caches have, also of those whose samples are in value clips."""
-    found: set[Sdf.Path] = set()
-    for cache in dict.fromkeys(caches):
-        stage = open_stage(cache)
-        found.update(_paths(stage.GetRootLayer()))
-        for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
-            found.update(attribute.GetPath() for attribute in prim.GetAuthoredAttributes())
+def _where(among: Sequence[str], variants: Sequence[str]) -> str:
+    """In which variants, in words; nothing if in all."""
+    if len(among) == len(variants):
+        return ""
+    return f"in the variant{'s' if len(among) > 1 else ''} {', '.join(among)} "
+
+
+def _in_variant(layer: Sdf.Layer, path: Sdf.Path, variant: str) -> Sdf.Path | None:
+    """The path of an attribute inside a variant of the bake; None where its root lacks that one."""
+    root = path.GetPrefixes()[0]
+    inner = root.AppendVariantSelection(VARIANTS, variant)
+    if layer.GetObjectAtPath(inner):
+        return path.ReplacePrefix(root, inner)
+    spec = layer.GetPrimAtPath(root)
+    return None if spec and spec.variantSets.get(VARIANTS) else path
+
+
+def _in_cache(cache: Path) -> set[Sdf.Path]:
+    """Paths of the attributes that a cache has, also of those whose samples are in value clips."""
+    stage = open_stage(cache)
+    found = set(_paths(stage.GetRootLayer()))
+    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
+        found.update(attribute.GetPath() for attribute in prim.GetAuthoredAttributes())
     return found
 
 
-def _require_no_samples_in_variants(root: Sdf.Layer, bake: Path) -> None:
-    """Raise InputError where a variant in the root layer itself has samples."""
-    if own := [path for path in _sampled(root) if path.ContainsPrimVariantSelection()]:
-        raise InputError(
-            f"{bake}: <{own[0]}> is animated but not baked, and --keys cannot retime it",
-            "use --speed, which changes the speed of everything",
-        )
+def _require_no_samples_in_other_variants(root: Sdf.Layer, bake: Path) -> None:
+    """Raise InputError where the root layer itself has samples in variants not of the bake."""
+    for path in _animated(root):
+        inner = [one for one in path.GetPrefixes() if one.IsPrimVariantSelectionPath()]
+        if any(one.GetVariantSelection()[0] != VARIANTS for one in inner):
+            raise InputError(
+                f"{bake}: <{path}> is animated but not baked, and --keys cannot retime it",
+                "use --speed, which changes the speed of everything",
+            )
 
 
 def _paths(layer: Sdf.Layer) -> list[Sdf.Path]:
@@ -271,6 +305,16 @@ def _paths(layer: Sdf.Layer) -> list[Sdf.Path]:
 def _sampled(layer: Sdf.Layer) -> list[Sdf.Path]:
     """The attributes of a layer that have time samples in it."""
     return [path for path in _paths(layer) if layer.GetNumTimeSamplesForPath(path)]
+
+
+def _animated(layer: Sdf.Layer) -> list[Sdf.Path]:
+    """The attributes of a layer that have time samples or a spline in it."""
+    attributes = (layer.GetAttributeAtPath(path) for path in _paths(layer))
+    return [
+        one.path
+        for one in attributes
+        if one and (layer.GetNumTimeSamplesForPath(one.path) or one.HasInfo("spline"))
+    ]
 
 
 def _root(

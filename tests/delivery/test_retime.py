@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom
-from small_sources import MOVING, PLAIN, SEVERAL_ROOTS, SKINNED, Source
-from small_stages import CUBE, EPS, bake, motion, open_with, world
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from small_sources import INSTANCES, MOVING, PLAIN, SEVERAL_ROOTS, SKINNED, Source
+from small_stages import CUBE, CUBE_POINTS, EPS, bake, motion, open_with, world
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import Choices
+from gf_usd.delivery.resample import sample_as_played
 from gf_usd.delivery.retime import Retimed, retime
 from gf_usd.layers.check.run import check_file
 from gf_usd.system.atomic_files import partial_path
@@ -43,6 +45,15 @@ def Xform "duck"
     PLAIN.head,
 )
 """A body, and beside it what only the source animates."""
+
+GROWS = f"points.timeSamples = {{ 1: {CUBE_POINTS}, 9: {CUBE_POINTS.replace('1', '9')} }}"
+BLOB = Source(
+    f"""def Mesh "blob"
+{{ {CUBE.replace(f"points = {CUBE_POINTS}", GROWS)} }}
+""",
+    MOVING.head,
+)
+"""A body that is a root prim."""
 
 FLAGS = """
 def Xform "flag" (
@@ -269,6 +280,94 @@ def test_what_only_the_source_moves_follows_keys_between_its_samples(tmp_path: P
     assert backwards == pytest.approx([5.0 - 0.5 * k for k in range(11)])
 
 
+@pytest.mark.parametrize("source", [MOVING, BLOB], ids=["moving", "root mesh"])
+def test_without_a_bake_its_source_follows_keys(tmp_path: Path, source: Source) -> None:
+    """A cache has these points; the mesh kept its speed where there is none."""
+    before = baked(source, tmp_path)
+    done = retime(before, tmp_path / "ramp.usda", keys=[(1.0, 1.0), (5.0, 3.0)])
+    again = retime(done.path, tmp_path / "again.usda", keys=[(1.0, 5.0), (5.0, 1.0)])
+    assert done.notes == again.notes == ()
+    for variant in ("rubber", "none"):
+        old, new, back = (open_with(p, variant) for p in (before, done.path, again.path))
+        (mesh,) = [str(prim.GetPath()) for prim in old.Traverse() if prim.IsA(UsdGeom.Mesh)]
+        for code in (1.0, 3.0, 5.0):
+            wanted = world(old, mesh, "points", 1.0 + 0.5 * (code - 1.0))
+            assert world(new, mesh, "points", code) == pytest.approx(wanted, abs=1e-5)
+            assert world(back, mesh, "points", 6.0 - code) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_what_one_of_several_caches_has_follows_keys_in_all_variants(tmp_path: Path) -> None:
+    before = baked(PUSHED, tmp_path, looks=("rubber", "jelly"))
+    cache = Sdf.Layer.FindOrOpen(str(tmp_path / "duck.jelly.cache.usdc"))
+    wall = Sdf.CreatePrimInLayer(cache, "/duck/wall")
+    moved = Sdf.AttributeSpec(wall, "xformOp:translate", Sdf.ValueTypeNames.Double3)
+    for code in range(10, 17):
+        cache.SetTimeSample(moved.path, code, Gf.Vec3d(0.0, code - 10.0, 0.0))
+    cache.Save()
+    done = retime(before, tmp_path / "ramp.usda", keys=[(10.0, 10.0), (16.0, 13.0)])
+    for variant, axis in (("rubber", 0), ("jelly", 1), ("none", 0)):
+        stage = open_with(done.path, variant)
+        for code in (10.0, 12.0, 16.0):
+            at = values(stage, "xformOp:translate", code, "/duck/wall")
+            assert at == pytest.approx(0.5 * (code - 10.0) * np.eye(3)[axis])
+
+
+def test_samples_in_the_root_layer_that_win_over_a_cache_follow_keys(root: Path) -> None:
+    layer = Sdf.Layer.FindOrOpen(str(root))
+    body = Sdf.CreatePrimInLayer(layer, BODY)
+    box = Sdf.AttributeSpec(body, "extent", Sdf.ValueTypeNames.Float3Array)
+    for code in (10.0, 16.0):
+        layer.SetTimeSample(box.path, code, Vt.Vec3fArray(2, Gf.Vec3f(code)))
+    layer.Save()
+    done = retime(root, root.with_name("ramp.usda"), keys=[(10.0, 10.0), (16.0, 13.0)])
+    for variant in ("rubber", "none"):
+        stage = open_with(done.path, variant)
+        assert values(stage, "extent", 14.0) == pytest.approx(12.0)
+
+
+def test_splines_follow_keys(tmp_path: Path) -> None:
+    turning = PUSHED.body.replace(
+        "token visibility",
+        """double turn.spline = { bezier, 10: 0; post linear, 20: 10; post linear }
+        token visibility""",
+    )
+    before = baked(Source(turning, PUSHED.head), tmp_path)
+    done = retime(before, tmp_path / "ramp.usda", keys=[(10.0, 10.0), (16.0, 13.0)])
+    stage = Usd.Stage.Open(str(done.path))
+    for code in range(10, 17):
+        turn = stage.GetPrimAtPath("/duck/wall").GetAttribute("turn").Get(code)
+        assert turn == pytest.approx(0.5 * (code - 10.0))
+
+
+def test_each_attribute_of_the_source_is_sampled_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sampled: list[Sdf.Path] = []
+
+    def noted(layer: Sdf.Layer, path: Sdf.Path, *rest: Any) -> None:
+        sampled.append(path)
+        sample_as_played(layer, path, *rest)
+
+    monkeypatch.setattr("gf_usd.delivery.retime.sample_as_played", noted)
+    before = baked(PUSHED, tmp_path, looks=("rubber", "jelly"))
+    retime(before, tmp_path / "ramp.usda", keys=[(10.0, 10.0), (16.0, 13.0)])
+    assert sorted(path.name for path in sampled) == [
+        "velocities",
+        "visibility",
+        "xformOp:translate",
+    ]
+
+
+def test_samples_in_other_variants_are_refused(root: Path, tmp_path: Path) -> None:
+    layer = Sdf.Layer.FindOrOpen(str(root))
+    path = "/duck{gaussianFlesh=rubber}{display=mesh}geo"
+    shown = Sdf.AttributeSpec(Sdf.CreatePrimInLayer(layer, path), "x", Sdf.ValueTypeNames.Double)
+    layer.SetTimeSample(shown.path, 10.0, 1.0)
+    layer.Save()
+    refused(InputError, "is animated but not baked", root, tmp_path / "ramp.usda",
+            keys=[(10.0, 10.0), (16.0, 13.0)])  # fmt: skip
+
+
 def test_what_keys_cannot_retime_is_named(tmp_path: Path) -> None:
     done = retime(
         baked(Source(PUSHED.body + FLAGS, PUSHED.head), tmp_path), tmp_path / "ramp.usda",
@@ -276,6 +375,17 @@ def test_what_keys_cannot_retime_is_named(tmp_path: Path) -> None:
     )  # fmt: skip
     (note,) = done.notes
     assert note.startswith("/flag/cloth: its animation is inside an instance")
+
+
+def test_it_is_said_in_which_variants_keys_cannot_retime_something(tmp_path: Path) -> None:
+    """A cache ends the instances that it has points of."""
+    growing = INSTANCES.body.replace(f"points = {CUBE_POINTS}", GROWS)
+    growing = growing.replace("rel material:binding = </_materials/red>", "")  # ends them as well
+    before = baked(Source(growing, MOVING.head), tmp_path)
+    done = retime(before, tmp_path / "ramp.usda", keys=[(1.0, 1.0), (5.0, 3.0)])
+    assert [note.split(" inside ")[0] for note in done.notes] == [
+        f"/root/{side}/seat: in the variant none its animation is" for side in ("left", "right")
+    ]
 
 
 def test_a_full_disk_leaves_nothing_under_a_partial_name(
