@@ -20,17 +20,19 @@ sys.dont_write_bytecode = False
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give each test process cores of its own.
+    """Give each process of the quick tests cores of its own.
 
     The threads of a kernel wait for each other: where two processes share two cores, one with two
-    threads took seventy times as long as it does alone.
+    threads took seventy times as long as it does alone.  Slow tests compute for longer between
+    such moments, and the last of them use both cores.
     """
     worker = getattr(config, "workerinput", None)
-    if worker is not None and hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        if len(cores) >= worker["workercount"]:
-            mine = int(worker["workerid"][2:]) % worker["workercount"]
-            os.sched_setaffinity(0, set(cores[mine :: worker["workercount"]]))
+    if worker is None or not hasattr(os, "sched_setaffinity"):
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    if "not slow" in config.option.markexpr and len(cores) >= worker["workercount"]:
+        mine = int(worker["workerid"][2:]) % worker["workercount"]
+        os.sched_setaffinity(0, set(cores[mine :: worker["workercount"]]))
 
 
 @pytest.hookimpl(hookwrapper=True)
