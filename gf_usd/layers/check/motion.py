@@ -52,7 +52,6 @@ from gf_usd.layers.check.read import (
 
 # v4 is trusted where v2 is within 5 % of it.
 SMOOTH = 0.05
-KINK = 1.5  # of the speed: more between two samples is a stop or a bounce
 # 24 taken for 30 samples a second gives a factor of 0.8 or 1.25.  Lattices of springs dropped and
 # bouncing at 24 and 60 samples a second, radius 0.025 to 5, soft to stiff, undamped (so that every
 # vibration lasts), gave 0.98 to 1.01 for their own velocities: 0.12 lies between.
@@ -112,19 +111,11 @@ class Tally:
         self.travel = max(self.travel, step * float(np.sqrt((v * v).sum(0)).mean()))
 
     def add(
-        self,
-        v: Vectors,
-        v2: Vectors,
-        v4: Vectors,
-        floor: float,
-        noise: float,
-        range_: Vectors,
-        kink: Vectors,
+        self, v: Vectors, v2: Vectors, v4: Vectors, floor: float, noise: float, range_: Vectors
     ) -> None:
         """Count the points of one window; v, v2 and v4 are (3, n).
 
-        range_ : (n,) of each point in the window, over the time of a sample; kink : (n,) the speed
-        by which its motion after the middle differs from that before.  Nothing counts as
+        range_ : (n,) of each point in the window, over the time of a sample.  Nothing counts as
         moving below the speed ``floor``; positions that move at less than ``noise``, their rounding
         per sample, stand still.
         """
@@ -133,8 +124,6 @@ class Tally:
         moving = np.maximum(speed, said) > floor
         off = np.sqrt(((v2 - v4) ** 2).sum(0))
         smooth = moving & (off <= SMOOTH * np.maximum(speed, floor))
-        # An impact may leave both differences alike: what stops has a kink of twice the speed.
-        smooth &= kink <= KINK * np.maximum(speed, floor)
         self.moving += int(moving.sum())
         if smooth.sum() < MAJORITY * moving.sum():
             return
@@ -268,9 +257,7 @@ def _judge(
     v2, v4 = (weights @ x.reshape(WINDOW, -1)).reshape(2, 3, -1)
     tally.reach(x, v, step)
     range_ = np.sqrt((np.ptp(x, axis=0) ** 2).sum(0)) / step
-    pace = np.diff(x, axis=0) * (rate / np.diff(codes))[:, None, None]
-    kink = np.sqrt(((pace[MIDDLE] - pace[MIDDLE - 1]) ** 2).sum(0))
-    tally.add(v, v2, v4, max(STILL * size / step, noise), noise, range_, kink)
+    tally.add(v, v2, v4, max(STILL * size / step, noise), noise, range_)
 
 
 def _to_world(prim: Usd.Prim, code: float) -> Vectors:
