@@ -75,7 +75,7 @@ def test_a_cube_by_hand():
     # a cage is of second order: two levels leave a sixteenth of what it was off by
     assert found.volume == pytest.approx(volume, abs=(8.0 - volume) / 16.0)
     # of a fine cage nothing is said
-    assert limit_surface(fine.cage if not fine.levels else fine.levels[-1].cage, deep) is None
+    assert limit_surface(fine.last, deep) is None
 
 
 def test_a_plane_grid_is_a_bicubic_b_spline():

@@ -109,17 +109,21 @@ class RefinedCage:
 
     cage: Cage
     levels: tuple[Level, ...]
-    divided: int  # faces before
+
+    @property
+    def last(self) -> Cage:
+        """The cage that they end with."""
+        return self.levels[-1].cage if self.levels else self.cage
 
     @property
     def counts(self) -> Ints:
         """(P',) corners of each face."""
-        return (self.levels[-1].cage if self.levels else self.cage).counts
+        return self.last.counts
 
     @property
     def indices(self) -> Ints:
         """(C',) points of the corners."""
-        return (self.levels[-1].cage if self.levels else self.cage).indices
+        return self.last.indices
 
     @property
     def face(self) -> Ints:
@@ -143,7 +147,7 @@ class RefinedCage:
             elif elements == CORNERS and given.dtype.kind == "f":
                 out = level.corners(out)
             elif elements == CORNERS:
-                out = out[np.repeat(level.owner, 4)]
+                out = np.repeat(out, 4, axis=0)
             elif given.dtype.kind != "f":
                 out = out[level.first]
             else:
@@ -167,7 +171,7 @@ class RefinedCage:
 
     def author(self, mesh: UsdGeom.Mesh) -> None:
         """Write what is sharp after these levels, where anything was."""
-        last = self.levels[-1].cage if self.levels else self.cage
+        last = self.last
         if mesh.GetCreaseIndicesAttr().HasAuthoredValue():
             edges, sharpness = sharp_edges(last)
             mesh.GetCreaseIndicesAttr().Set(edges.astype(np.int32).ravel())
@@ -184,13 +188,13 @@ def refine_until(
 ) -> RefinedCage | None:
     """Refine a cage with points (V, 3) until its faces are short; None: more than `most` quads."""
     levels: list[Level] = []
-    now, faces = cage, len(cage.counts)
+    now = cage
     while not short(points, now.counts, now.indices):
         if len(now.indices) > most:
             return None
         levels.append(refine(now))
         points, now = levels[-1].points(points), levels[-1].cage
-    return RefinedCage(cage=cage, levels=tuple(levels), divided=faces)
+    return RefinedCage(cage=cage, levels=tuple(levels))
 
 
 def _creases(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:

@@ -87,8 +87,8 @@ class Level:
     middle: Weights  # (P, points) mean of the points of a face
     moved: Weights  # (points + E, points + P) the points before and those of edges
     first: Ints  # (points',) a point before at or beside each
-    corner: Ints  # (C', 3) corners before: own, next, previous; of each new one
-    owner: Ints  # (P',) the corner before that each quad is at
+    after: Ints  # (C,) the next corner of each of the cage before, in its face
+    before: Ints  # (C,) and the previous one; new face k is the quad at corner k
 
     def points(self, values: Floats) -> Floats:
         """Values (points, ...) of the refined points (points', ...)."""
@@ -104,8 +104,8 @@ class Level:
         counts = np.bincount(self.face, minlength=self.middle.count)
         start = np.cumsum(counts) - counts
         mean = np.add.reduceat(values, start) / counts.reshape(-1, *[1] * (values.ndim - 1))
-        own, after, before = (values[self.corner[::4, k]] for k in range(3))
-        four = (own, 0.5 * (own + after), mean[self.face], 0.5 * (own + before))
+        after, before = values[self.after], values[self.before]
+        four = (values, 0.5 * (values + after), mean[self.face], 0.5 * (values + before))
         return np.stack(four, 1).reshape(-1, *values.shape[1:])
 
 
@@ -114,9 +114,9 @@ def refine(cage: Cage, *, bilinear: bool = False) -> Level:
     counts, indices = cage.counts, cage.indices
     n_faces, n_corners = len(counts), len(indices)
     face = np.repeat(np.arange(n_faces), counts)
-    own, after = np.arange(n_corners), cage.after()
-    before = np.empty_like(own)
-    before[after] = own
+    after = cage.after()
+    before = np.empty_like(after)
+    before[after] = np.arange(n_corners)
     found = cage.edges()
     edges, edge, beside = found.ends, found.of, found.faces
     sharp = np.zeros(len(edges))
@@ -142,10 +142,9 @@ def refine(cage: Cage, *, bilinear: bool = False) -> Level:
     first = np.concatenate(
         [np.arange(cage.points), edges[:, 0], indices[np.cumsum(counts) - counts]]
     )
-    corner = np.repeat(np.stack([own, after, before], 1), 4, axis=0)
     return Level(
         cage=child, face=face, edges=edges, middle=middle, moved=moved, first=first,
-        corner=corner, owner=own,
+        after=after, before=before,
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import EDGE, signed_volume
 from gf_usd.readers.mesh.divide import skinned
-from gf_usd.readers.mesh.divide.cages import RefinedCage, cage_of, refine_until, unknown_rule
+from gf_usd.readers.mesh.divide.cages import FIRST, RefinedCage, cage_of, refine_until, unknown_rule
 from gf_usd.readers.mesh.divide.faces import (
     CORNERS,
     FACES,
@@ -96,10 +96,13 @@ def divided(
         for name in _author(prim, made, polygons):
             note(f"{name} does not fit the faces that were divided, and is left out", surface.path)
         skinned.author_skin(prim, made, len(surface.points))
-        cage = f"{count} faces of the subdivision cage have longer edges: it is refined"
-        faces = f"{made.divided} of {len(surface.face_counts)} faces are divided"
+        what = (
+            f"{count} faces of the subdivision cage have longer edges: it is refined"
+            if isinstance(made, RefinedCage)
+            else f"{made.divided} of {len(surface.face_counts)} faces are divided"
+        )
         note(
-            f"{cage if isinstance(made, RefinedCage) else faces}: no edge is longer"
+            f"{what}: no edge is longer"
             f" than {longest / unit:g} units, and there are {len(made.counts)} faces now",
             surface.path,
         )
@@ -172,7 +175,7 @@ def _author(
         change(attribute, POINTS, lambda values: made.values(values, POINTS))
     if normals:
         change(mesh.GetNormalsAttr(), normals, lambda values: _unit(made.values(values, normals)))
-    linear = str(mesh.GetFaceVaryingLinearInterpolationAttr().Get(Usd.TimeCode.EarliestTime()))
+    linear = str(mesh.GetFaceVaryingLinearInterpolationAttr().Get(FIRST))
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
         elements = ELEMENTS.get(str(primvar.GetInterpolation()))
         if elements is None or primvar.GetPrimvarName() in skinned.SKIN:
@@ -202,7 +205,7 @@ def _change_primvar(
     """
     elements, width = ELEMENTS[str(primvar.GetInterpolation())], primvar.GetElementSize()
     attribute = primvar.GetAttr()
-    value = attribute.Get(Usd.TimeCode.EarliestTime())
+    value = attribute.Get(FIRST)
     fraction = value is not None and np.asarray(value).dtype.kind == "f"
     if primvar.IsIndexed() and (elements == FACES or not fraction):
         return _change(primvar.GetIndicesAttr(), lambda at: made.values(at, elements), count)

@@ -9,10 +9,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.readers.mesh.divide.cages import RefinedCage
+from gf_usd.readers.mesh.divide.cages import FIRST, RefinedCage
 from gf_usd.readers.mesh.divide.faces import POINTS, DividedFaces
 
-FIRST = Usd.TimeCode.EarliestTime()
 BLOCK = 16  # joints whose weights are interpolated together
 INFLUENCES = 8  # joints of a point, where the points before had no more
 LEAST = 1e-4  # of a point's weights: less is left out
