@@ -1,4 +1,5 @@
-"""Arrays of a device, copied to NumPy and back without a launch where the CPU can reach them.
+"""Arrays of a device, copied to NumPy and back without a launch: in the CPU's memory, or by the
+CUDA driver.
 
 Taichi's own copies launch a kernel, some 100 microseconds each: with 30 of them a frame that is
 more than a small body's substeps.
@@ -22,7 +23,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.system.taichi_runtime import compiling
+from gf_usd.core.errors import GfUsdError
+from gf_usd.system.taichi_runtime import compiling, cuda_driver
 
 SEEN = "_gf_usd_memory"  # where an array keeps what was found of it
 
@@ -75,8 +77,48 @@ def clear(array: Any) -> None:
         seen[...] = 0
 
 
-def _memory(array: Any) -> Floats | None:
-    """The array's own memory; None where the CPU cannot reach it."""
+class _OnGpu:
+    """An array's memory on a GPU: copied by slices of its first rows."""
+
+    def __init__(self, address: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> None:
+        self._address, self._shape, self._kind = address, shape, kind
+
+    def _rows(self, where: Any) -> tuple[int, ...]:
+        """The shape of what is copied; where : a slice from the first row on, or `...`."""
+        if where is Ellipsis:
+            return self._shape
+        first, behind, step = where.indices(self._shape[0])
+        assert (first, step) == (0, 1)
+        return (behind, *self._shape[1:])
+
+    def __getitem__(self, where: Any) -> Floats:
+        out = np.empty(self._rows(where), self._kind)
+        self._ask("cuMemcpyDtoH_v2", out.ctypes.data, self._address, out.nbytes)
+        return out
+
+    def __setitem__(self, where: Any, new: Any) -> None:
+        shape = self._rows(where)
+        given = np.ascontiguousarray(np.broadcast_to(new, shape), self._kind)
+        self._ask("cuMemcpyHtoD_v2", self._address, given.ctypes.data, given.nbytes)
+
+    def copy(self) -> Floats:
+        """All of it."""
+        return self[...]
+
+    def _ask(self, name: str, to: int, of: int, size: int) -> None:
+        failed = getattr(cuda_driver(), name)(
+            ctypes.c_uint64(to), ctypes.c_uint64(of), ctypes.c_size_t(size)
+        )
+        if failed:
+            raise GfUsdError(
+                f"{size} bytes could not be copied from or to the GPU: error {failed} of the CUDA"
+                " driver",
+                "check with nvidia-smi that the driver sees the card, or use --device cpu",
+            )
+
+
+def _memory(array: Any) -> Any:
+    """The array's own memory; None where neither the CPU nor the CUDA driver can reach it."""
     seen = getattr(array, SEEN, None)
     if seen is None:
         seen = _look(array)
@@ -84,27 +126,30 @@ def _memory(array: Any) -> Floats | None:
             return None
         # It stays where it is as long as the array lives.
         setattr(array, SEEN, seen)
-    _wait()
+    wait()
     return seen
 
 
-def _look(array: Any) -> Floats | None:
+def _look(array: Any) -> Any:
     import taichi as ti
     from taichi.lang import impl
     from taichi.lang.util import to_numpy_type
 
     runtime = impl.get_runtime()
-    if impl.current_cfg().arch not in (ti.x64, ti.arm64):
+    arch = impl.current_cfg().arch
+    if arch not in (ti.x64, ti.arm64, ti.cuda):
         return None
     kind = np.dtype(to_numpy_type(array.dtype))
     shape = _shape(array)
     assert runtime.prog is not None
     address = runtime.prog.get_ndarray_data_ptr_as_int(array.arr)
+    if arch == ti.cuda:
+        return _OnGpu(address, shape, kind)
     raw: Any = (ctypes.c_byte * (math.prod(shape) * kind.itemsize)).from_address(address)
     return np.ndarray(shape, kind, raw)
 
 
-def _wait() -> None:
+def wait() -> None:
     """Until the kernels that were launched are done."""
     from taichi.lang import impl
 

@@ -328,9 +328,15 @@ def resident_blocks() -> int:
 
 
 @cache
+def cuda_driver() -> ctypes.CDLL:
+    """The CUDA driver that Taichi uses."""
+    return ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+
+
+@cache
 def _multiprocessors() -> int:
     """Of the first device that the driver shows, which is the one that Taichi takes."""
-    driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    driver = cuda_driver()
     device, count = ctypes.c_int(), ctypes.c_int()
     failed = (
         driver.cuInit(0)

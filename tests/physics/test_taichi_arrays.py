@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 import pytest
 
+from gf_usd.core.errors import GfUsdError
 from gf_usd.physics import taichi_arrays
 from gf_usd.system.taichi_runtime import import_taichi, init_taichi
 
@@ -49,3 +52,56 @@ def test_integers_keep_their_type() -> None:
     taichi_arrays.put(made, np.array([1, 2**31 - 1, -5], np.int32))
     assert taichi_arrays.values(made).dtype == np.int32
     np.testing.assert_array_equal(made.to_numpy(), [1, 2**31 - 1, -5])
+
+
+class Driver:
+    """A CUDA driver whose GPU is the CPU's memory."""
+
+    def __init__(self) -> None:
+        self.failed = 0
+        self.copied: list[int] = []
+
+    def _copy(self, to: ctypes.c_uint64, of: ctypes.c_uint64, size: ctypes.c_size_t) -> int:
+        ctypes.memmove(to.value or 0, of.value or 0, size.value)
+        self.copied.append(size.value)
+        return self.failed
+
+    cuMemcpyDtoH_v2 = cuMemcpyHtoD_v2 = _copy
+
+
+@pytest.fixture
+def on_gpu(monkeypatch: pytest.MonkeyPatch):
+    """An array of three rows of two numbers that stands on a GPU, and the driver."""
+    init_taichi()
+    driver = Driver()
+    monkeypatch.setattr(taichi_arrays, "cuda_driver", lambda: driver)
+    array = ti.ndarray(ti.types.vector(2, ti.f32), 3)
+    there = np.arange(6.0, dtype=np.float32).reshape(3, 2)
+    memory = taichi_arrays._OnGpu(there.ctypes.data, there.shape, there.dtype)
+    setattr(array, taichi_arrays.SEEN, memory)
+    return array, there, driver
+
+
+def test_the_driver_copies_what_is_on_a_gpu(on_gpu) -> None:
+    array, there, driver = on_gpu
+    seen = taichi_arrays.values(array)
+    np.testing.assert_array_equal(seen, there)
+    seen[:] = -1.0
+    assert there[0, 0] == 0.0
+    taichi_arrays.put(array, there + 10.0)
+    np.testing.assert_array_equal(there[2], [14.0, 15.0])
+    driver.copied.clear()
+    np.testing.assert_array_equal(taichi_arrays.first(array, 2), there[:2])
+    taichi_arrays.put_first(array, np.array([[7.0, 8.0]]))
+    assert driver.copied == [16, 8]
+    np.testing.assert_array_equal(there, [[7.0, 8.0], [12.0, 13.0], [14.0, 15.0]])
+    taichi_arrays.clear(array)
+    assert not there.any()
+
+
+def test_a_copy_that_the_driver_refuses_is_an_error(on_gpu) -> None:
+    array, _, driver = on_gpu
+    driver.failed = 700
+    with pytest.raises(GfUsdError, match=r"24 bytes could not be copied .* error 700") as caught:
+        taichi_arrays.values(array)
+    assert "--device cpu" in str(caught.value.hint)
