@@ -151,7 +151,7 @@ class Simulation(Iterator[SimulationFrame]):
         solver = self._pushed()
         wanted = self._rows("forces", forces)
         with guest():
-            solver.push(solver.body.mass.acceleration(solver.body.rows.W.T @ wanted))
+            solver.push(solver.body.mass.acceleration(solver.body.rows.combined.T @ wanted))
         self._disturbed = True
 
     def accelerate(self, acceleration: ArrayLike | Callable[[Array], ArrayLike]) -> None:

@@ -35,7 +35,7 @@ from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.coupled.parts import flowing_bodies, in_use, passing_obstacles
 from gf_usd.physics.coupled.solver import Coupled, refuse
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver, energy
-from gf_usd.physics.grid.embedding import gradient, placed
+from gf_usd.physics.grid.embedding import stretches
 from gf_usd.physics.laws.registry import GRADIENT, ParticleLaws
 from gf_usd.physics.taichi_arrays import Saved
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -333,8 +333,7 @@ def taken(solver: TotalLagrangian, body: int) -> Taken:
     made, now = solver.body, solver.state.view()
     rows = np.flatnonzero(made.particles.body_of == body)
     pose = now.particles
-    _, v = placed(made.rows, *now.nodes)
-    rate = gradient(made.rows, now.nodes[1]) - np.eye(3)
+    rate = stretches(made.rows, made.rows.nodes(now.nodes[1]))
     nodes = made.stencil.node_body[: made.stencil.free_count] == body
     p, x = now.momentum[nodes], now.x[nodes]
     law = made.law
@@ -344,7 +343,7 @@ def taken(solver: TotalLagrangian, body: int) -> Taken:
     return Taken(
         body=body,
         x=pose.x[rows],
-        v=v[rows],
+        v=pose.v[rows],
         F=pose.F[rows],
         elastic=now.elastic(pose.F)[rows],
         L=rate[rows] @ np.linalg.inv(pose.F[rows]),

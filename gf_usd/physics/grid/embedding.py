@@ -1,6 +1,7 @@
 """Embedded points: their poses, deformed normals and deformation gradients.
 
-Rows of the many points of a mesh or a capture that is embedded in a body, in little memory.
+Rows of the particles, or of the many points of a mesh or a capture that is embedded in a body, in
+little memory.
 
 Most of a surface lies on light nodes, each of which follows a dozen free ones.  A row over free
 nodes names them all, some hundred; a row over the 27 nodes around a point names those, once what
@@ -8,7 +9,9 @@ they do has been worked out:
 
     U = S u,   x = X + W U,   F = I + sum_b (G_b U) e_b
 
-with S the followers' combinations, and an affine fit for nodes that no particle reaches.
+with S the followers' combinations, and an affine fit for nodes that no particle reaches.  What is
+in W and the three of G follows from where a point is in its cell, and is worked out where it is
+used: kept, it would be a kilobyte a point.
 
 Sparse products shared among threads, rows in turns: SciPy lets go of the interpreter meanwhile.
 
@@ -18,7 +21,8 @@ Each row is a sum of its own, so that the result does not depend on how they are
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,52 +39,145 @@ if TYPE_CHECKING:
     from gf_usd.physics.grid.reference import Stencil
 
 
-def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
+NODES = len(OFFSETS)
+FEW = 4_096  # rows for each thread, at least: handing them out takes some 50 us
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplineRows:
+    """Rows of W and G of points over the 27 nodes of their cells, by where they are in these."""
+
+    X: Floats  # (n, 3) [m]
+    cell: Ints  # (n,) the row of `around` that has a point's nodes
+    around: Ints  # (K, 27) nodes, int32
+    fx: Floats  # (n, 3) distance from the first of them in cells
+    h: float  # [m]
+    spread: sparse.csr_matrix  # S, from what `Rows` stack to the nodes
+
+    def nodes(self, u: Floats) -> Floats:
+        """U = S u of a stack u (or v)."""
+        return self.spread @ u
+
+    @cached_property
+    def combined(self) -> sparse.csr_matrix:
+        """W S: the same rows over what `Rows` stack."""
+        return sparse.csr_matrix(self.W @ self.spread)
+
+    @cached_property
+    def W(self) -> sparse.csr_matrix:
+        """(n, M)."""
+        return self._over_nodes(lambda w, _: w)
+
+    @cached_property
+    def G(self) -> tuple[sparse.csr_matrix, ...]:
+        """Three, (n, M) [1/m] each."""
+        made = [self._over_nodes(lambda _, g, b=b: g[..., b]) for b in range(3)]
+        for one in made:
+            one.indices, one.indptr = self.W.indices, self.W.indptr
+        return tuple(made)
+
+    @cached_property
+    def slopes(self) -> sparse.csr_matrix:
+        """See `Rows`."""
+        return sparse.csr_matrix(sparse.vstack(self.G, format="csr"))
+
+    @property
+    def many(self) -> bool:
+        """Whether kernels are worth their loading; they run where the arrays are."""
+        return len(self.X) >= FEW and not resident_blocks()
+
+    def _over_nodes(self, part: Any) -> sparse.csr_matrix:
+        count = len(self.X)
+        values = np.empty((count, NODES))
+        for k in range(0, count, CHUNK):
+            some = slice(k, k + CHUNK)
+            values[some] = part(*weights(self.fx[some], self.h))
+        return sparse.csr_matrix(
+            (
+                values.ravel(),
+                np.ascontiguousarray(self.around[self.cell]).ravel(),
+                np.arange(0, NODES * count + 1, NODES),
+            ),
+            shape=(count, self.spread.shape[0]),
+            copy=False,
+        )
+
+
+def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
     """x = X + offset + W u,  v = W v_i,  F = I + sum_i u_i (x) grad w_i  (docs/physics.md).
 
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
     u, v = rows.nodes(u), rows.nodes(v)
-    if len(rows.X) >= FEW and rows.alike and not resident_blocks():
+    if isinstance(rows, SplineRows) and rows.many:
         return _in_one_pass(rows, u, v, offset)
     x, v = placed(rows, u, v)
     return Pose(x=rows.X + offset + x, v=v, F=_gradient(rows, u))
 
 
-def _in_one_pass(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
-    """The same, to the bit, in a third of the time."""
+def _in_one_pass(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
+    """The same, to rounding, in a third of the time."""
     ensure_running()
     from gf_usd.physics.grid.embedding_kernels import embed
 
     n = len(rows.X)
     x, rate, F = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 9))
     given = (np.ascontiguousarray(a, np.float64) for a in (rows.X, offset, u, v))
-    values = (np.ascontiguousarray(one.data, np.float64) for one in (rows.W, *rows.G))
-    embed(rows.W.indptr, rows.W.indices, *values, *given, x, rate, F)
+    embed(rows.cell, rows.around, rows.fx, 1.0 / rows.h, *given, x, rate, F)
     return Pose(x=x, v=rate, F=F.reshape(n, 3, 3))
 
 
-def placed(rows: Rows, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+def placed(rows: Rows | SplineRows, u: Floats, v: Floats) -> tuple[Floats, Floats]:
     """W u and W v of `Rows.nodes`, in one pass over W."""
     both = product(rows.W, np.concatenate([u, v], 1))
     return both[:, :3], np.ascontiguousarray(both[:, 3:])
 
 
-def gradient(rows: Rows, u: Floats) -> Floats:
+def gradient(rows: Rows | SplineRows, u: Floats) -> Floats:
     """F = I + sum_i u_i (x) grad w_i, (n, 3, 3)."""
     return _gradient(rows, rows.nodes(u))
 
 
-def _gradient(rows: Rows, u: Floats) -> Floats:
+def _gradient(rows: Rows | SplineRows, u: Floats) -> Floats:
+    F = stretches(rows, u)
+    F += np.eye(3)
+    return F
+
+
+def stretches(rows: Rows | SplineRows, u: Floats) -> Floats:
+    """sum_i u_i (x) grad w_i (n, 3, 3) of `Rows.nodes`."""
     n = len(rows.X)
+    if isinstance(rows, SplineRows) and rows.many:
+        ensure_running()
+        from gf_usd.physics.grid.embedding_kernels import stretch
+
+        out = np.empty((n, 9))
+        u = np.ascontiguousarray(u, np.float64)
+        stretch(rows.cell, rows.around, rows.fx, 1.0 / rows.h, u, out)
+        return out.reshape(n, 3, 3)
     F = np.empty((n, 3, 3))
     if n < FEW:
         F.transpose(2, 0, 1)[...] = (rows.slopes @ u).reshape(3, n, 3)
     else:
         for axis, G in enumerate(rows.G):
             F[:, :, axis] = product(G, u)
-    F += np.eye(3)
     return F
+
+
+def gathered(rows: SplineRows, P: Floats) -> Floats:
+    """sum_p P_p grad w_ip (M, 3) of P (n, 3, 3): the transpose of `stretches`."""
+    n, count = len(rows.X), rows.spread.shape[0]
+    if rows.many:
+        ensure_running()
+        from gf_usd.physics.grid.embedding_kernels import gather
+
+        out = np.zeros((count, 3))
+        P = np.ascontiguousarray(P, np.float64).reshape(n, 9)
+        gather(rows.cell, rows.around, rows.fx, 1.0 / rows.h, P, out)
+        return out
+    if n < FEW:
+        return rows.slopes.T @ np.moveaxis(P, 2, 0).reshape(3 * n, 3)
+    return sum((G.T @ P[:, :, b] for b, G in enumerate(rows.G)), np.zeros((count, 3)))
 
 
 def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
@@ -96,18 +193,29 @@ def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
     return np.where(length > 0.0, n / np.where(length > 0.0, length, 1.0), normals)
 
 
-NODES = len(OFFSETS)
+def particle_rows(stencil: Stencil, X: Floats) -> SplineRows:
+    """Rows of the particles that a stencil was made of, X (n, 3) [m]."""
+    cell, fx = np.empty(len(X), np.int32), np.empty_like(stencil.fx)
+    fx[stencil.order] = stencil.fx
+    cell[stencil.order] = np.repeat(
+        np.arange(len(stencil.cell_nodes), dtype=np.int32), np.diff(stencil.cell_start)
+    )
+    return SplineRows(
+        X=X, cell=cell, around=stencil.cell_nodes.astype(np.int32), fx=fx, h=stencil.h,
+        spread=stencil.extension(np.zeros((0, 3), int)),
+    )  # fmt: skip
 
 
-def embedded_rows(stencil: Stencil, X: Floats, body: Ints, cell_copy: Ints | None = None) -> Rows:
-    """Rows of points X (n, 3) [m], each on a body (n,), whose `spread` is S.
+def embedded_rows(
+    stencil: Stencil, X: Floats, body: Ints, cell_copy: Ints | None = None
+) -> SplineRows:
+    """Rows of points X (n, 3) [m], each on a body (n,).
 
     The same as `Stencil.rows` makes, to rounding.
     """
     count = len(X)
     at = np.empty((count, NODES), np.int32)
-    w = np.empty((count, NODES))
-    g = np.empty((3, count, NODES))
+    inside = np.empty((count, 3))
     lost, parts = [], []  # nodes that no particle reaches, chunk by chunk, and where they stand
     for k in range(0, count, CHUNK):
         some = slice(k, k + CHUNK)
@@ -117,10 +225,7 @@ def embedded_rows(stencil: Stencil, X: Floats, body: Ints, cell_copy: Ints | Non
         keys, inverse = np.unique(ijk[found < 0], axis=0, return_inverse=True)
         lost.append(keys)
         parts.append((some, found < 0, inverse.ravel()))
-        at[some] = found
-        w[some], slopes = weights(fx, stencil.h)
-        for axis in range(3):
-            g[axis, some] = slopes[..., axis]
+        at[some], inside[some] = found, fx
     columns = lost[0].shape[1] if lost else 3
     beyond, place = np.unique(np.concatenate([np.zeros((0, columns), int), *lost]), axis=0,
                               return_inverse=True)  # fmt: skip
@@ -129,21 +234,10 @@ def embedded_rows(stencil: Stencil, X: Floats, body: Ints, cell_copy: Ints | Non
         own = place.ravel()[first : first + len(keys)]
         at[some][missing] = stencil.node_count + own[inverse]
         first += len(keys)
-    spread = stencil.extension(beyond)
-    start = np.arange(0, NODES * count + 1, NODES)
-
-    def over_nodes(values: Floats) -> sparse.csr_matrix:
-        shape = (count, spread.shape[0])
-        return sparse.csr_matrix((values.ravel(), at.ravel(), start), shape=shape, copy=False)
-
-    W = over_nodes(w)
-    G = (over_nodes(g[0]), over_nodes(g[1]), over_nodes(g[2]))
-    for one in G:
-        one.indices, one.indptr = W.indices, W.indptr
-    return Rows(X=X, W=W, G=G, spread=spread)
-
-
-FEW = 4_096  # rows for each thread, at least: handing them out takes some 50 us
+    return SplineRows(
+        X=X, cell=np.arange(count, dtype=np.int32), around=at, fx=inside, h=stencil.h,
+        spread=stencil.extension(beyond),
+    )  # fmt: skip
 
 
 def product(M: Any, u: Floats) -> NDArray[np.float64]:

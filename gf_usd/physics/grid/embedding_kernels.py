@@ -1,44 +1,128 @@
-"""Position, velocity and deformation gradient of many embedded points in one pass over their rows.
+"""Position, velocity and deformation gradient of many points, by where they are in their cells.
 
-In double precision and in the order of SciPy's products, of which it takes four passes.
+In double precision.  Sums over the 27 nodes of a cell are taken axis by axis:
+
+    sum_ijk N_i(f_x) N_j(f_y) N_k(f_z) u_ijk = sum_i N_i sum_j N_j sum_k N_k u_ijk
+
+and alike with the slopes of one of the axes.
 """
 
 from gf_usd.system.taichi_runtime import import_taichi
 
 ti = import_taichi()
 
-Many = ti.types.ndarray(dtype=ti.f64, ndim=1)
 Rows = ti.types.ndarray(dtype=ti.f64, ndim=2)
+Numbers = ti.types.ndarray(dtype=ti.f64, ndim=1)
 Whole = ti.types.ndarray(dtype=ti.i32, ndim=1)
+Nodes = ti.types.ndarray(dtype=ti.i32, ndim=2)
+
+
+@ti.func
+def spline(f):
+    """N_i(f), i = 0, 1, 2: see `reference.bspline`."""
+    a, b, c = 1.5 - f, f - 1.0, f - 0.5
+    return 0.5 * a * a, 0.75 - b * b, 0.5 * c * c
+
+
+@ti.func
+def slope(f):
+    """dN_i/df."""
+    return f - 1.5, 2.0 - 2.0 * f, f - 0.5
+
+
+@ti.func
+def vector(values: ti.template(), i):
+    """Row i."""
+    return ti.Vector([values[i, 0], values[i, 1], values[i, 2]])
+
+
+@ti.func
+def sums(around: ti.template(), c, fx: ti.template(), p, u: ti.template()):
+    """sum_i w_ip u_i, and the same with the slope along each axis, per cell."""
+    wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
+    dx, dy, dz = slope(fx[p, 0]), slope(fx[p, 1]), slope(fx[p, 2])
+    zero = 0.0 * fx[p, 0]
+    value = ti.Vector([zero, zero, zero])
+    x, y, z = value, value, value
+    for i in ti.static(range(3)):
+        plane, plane_y, plane_z = 0.0 * value, 0.0 * value, 0.0 * value
+        for j in ti.static(range(3)):
+            line, line_z = 0.0 * value, 0.0 * value
+            for k in ti.static(range(3)):
+                one = vector(u, around[c, 9 * i + 3 * j + k])
+                line += wz[k] * one
+                line_z += dz[k] * one
+            plane += wy[j] * line
+            plane_y += dy[j] * line
+            plane_z += wy[j] * line_z
+        value += wx[i] * plane
+        x += dx[i] * plane
+        y += wx[i] * plane_y
+        z += wx[i] * plane_z
+    return value, x, y, z
+
+
+@ti.func
+def weighted(around: ti.template(), c, fx: ti.template(), p, v: ti.template()):
+    """sum_i w_ip v_i."""
+    wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
+    zero = 0.0 * fx[p, 0]
+    value = ti.Vector([zero, zero, zero])
+    for i in ti.static(range(3)):
+        plane = 0.0 * value
+        for j in ti.static(range(3)):
+            line = 0.0 * value
+            for k in ti.static(range(3)):
+                line += wz[k] * vector(v, around[c, 9 * i + 3 * j + k])
+            plane += wy[j] * line
+        value += wx[i] * plane
+    return value
 
 
 @ti.kernel
 def embed(
-    start: Whole, node: Whole, w: Many, g0: Many, g1: Many, g2: Many,
-    X: Rows, offset: Many, u: Rows, v: Rows, x: Rows, rate: Rows, F: Rows,
+    cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, X: Rows, offset: Numbers, u: Rows, v: Rows,
+    x: Rows, rate: Rows, F: Rows,
 ):  # fmt: skip
-    """x = X + offset + W u,  rate = W v,  F = I + sum_b (G_b u) e_b.
+    """x = X + offset + W u,  rate = W v,  F = I + sum_b (G_b u) e_b, (n, 9) row by row.
 
-    start (n + 1,), node (nnz,) : rows of W and of the three of G; w, g0, g1, g2 : their values;
-    F : (n, 9), row by row.
+    cell, around, fx : of `embedding.SplineRows`; ih : 1 / h.
     """
     for p in range(X.shape[0]):
-        zero = 0.0 * offset[0]
-        moved, speed = ti.Vector([zero, zero, zero]), ti.Vector([zero, zero, zero])
-        F0, F1, F2 = moved, moved, moved
-        for e in range(start[p], start[p + 1]):
-            i = node[e]
-            at = ti.Vector([u[i, 0], u[i, 1], u[i, 2]])
-            moved += w[e] * at
-            speed += w[e] * ti.Vector([v[i, 0], v[i, 1], v[i, 2]])
-            F0 += g0[e] * at
-            F1 += g1[e] * at
-            F2 += g2[e] * at
+        moved, F0, F1, F2 = sums(around, cell[p], fx, p, u)
+        speed = weighted(around, cell[p], fx, p, v)
         for a in ti.static(range(3)):
             x[p, a] = X[p, a] + offset[a] + moved[a]
             rate[p, a] = speed[a]
             for b, column in ti.static(((0, F0), (1, F1), (2, F2))):
-                one = zero
-                if ti.static(a == b):
-                    one = zero + 1.0
-                F[p, 3 * a + b] = column[a] + one
+                F[p, 3 * a + b] = ih * column[a] + ti.static(1.0 if a == b else 0.0)
+
+
+@ti.kernel
+def stretch(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, u: Rows, D: Rows):
+    """D = sum_i u_i (x) grad w_ip, (n, 9) row by row."""
+    for p in range(D.shape[0]):
+        _, F0, F1, F2 = sums(around, cell[p], fx, p, u)
+        for a in ti.static(range(3)):
+            for b, column in ti.static(((0, F0), (1, F1), (2, F2))):
+                D[p, 3 * a + b] = ih * column[a]
+
+
+@ti.kernel
+def gather(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, P: Rows, f: Rows):
+    """f_i += sum_p P_p grad w_ip of P (n, 9), point by point on one thread: in one order."""
+    ti.loop_config(serialize=True)
+    for p in range(P.shape[0]):
+        wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
+        dx, dy, dz = slope(fx[p, 0]), slope(fx[p, 1]), slope(fx[p, 2])
+        P0 = ih * ti.Vector([P[p, 0], P[p, 3], P[p, 6]])
+        P1 = ih * ti.Vector([P[p, 1], P[p, 4], P[p, 7]])
+        P2 = ih * ti.Vector([P[p, 2], P[p, 5], P[p, 8]])
+        for i in ti.static(range(3)):
+            for j in ti.static(range(3)):
+                across = wy[j] * (dx[i] * P0) + dy[j] * (wx[i] * P1)
+                along = wy[j] * (wx[i] * P2)
+                for k in ti.static(range(3)):
+                    node = around[cell[p], 9 * i + 3 * j + k]
+                    for a in ti.static(range(3)):
+                        f[node, a] = f[node, a] + wz[k] * across[a] + dz[k] * along[a]

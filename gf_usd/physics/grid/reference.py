@@ -67,25 +67,15 @@ class Rows:
     X: Floats  # (n, 3) [m]
     W: sparse.csr_matrix  # (n, M)
     G: tuple[sparse.csr_matrix, ...]  # three, (n, M) [1/m] each; (): nobody asks for gradients
-    spread: sparse.csr_matrix | None = None  # from u to what W and G are of: see `embedded_rows`
 
     @cached_property
     def slopes(self) -> sparse.csr_matrix:
         """The three of G one under the other, (3 n, M): for few points, instead of three calls."""
         return sparse.csr_matrix(sparse.vstack(self.G, format="csr"))
 
-    @cached_property
-    def alike(self) -> bool:
-        """Whether W and the three of G have entries at the same places, in 32-bit numbers."""
-        at, start = self.W.indices, self.W.indptr
-        same = len(self.G) == 3 and all(
-            one.indices is at or np.array_equal(one.indices, at) for one in self.G
-        )
-        return same and at.dtype == start.dtype == np.int32
-
     def nodes(self, u: Floats) -> Floats:
-        """What W and G are of, (M, 3), from a stack u (or v)."""
-        return u if self.spread is None else self.spread @ u
+        """What W and G are of, (M, 3), from a stack u (or v): see `embedding.SplineRows`."""
+        return u
 
 
 @dataclass(frozen=True, kw_only=True)

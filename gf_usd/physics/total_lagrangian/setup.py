@@ -21,11 +21,17 @@ from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pres
 from gf_usd.physics.contact.narrow_phase import pack_arrays
 from gf_usd.physics.grid.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
-from gf_usd.physics.grid.embedding import embedded_rows
+from gf_usd.physics.grid.embedding import (
+    SplineRows,
+    embedded_rows,
+    gathered,
+    particle_rows,
+    stretches,
+)
 from gf_usd.physics.grid.goals import GOAL, NodeGoals, NodeSprings
 from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held
-from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.grid.reference import Stencil, build_stencil
 from gf_usd.physics.grid.rigid import RigidRegions, rigid_regions
 from gf_usd.physics.grid.spectrum import largest_eigenvalue
 from gf_usd.physics.laws.registry import MODULI, ParticleLaws, convergence, particle_laws
@@ -54,8 +60,8 @@ class Body:
     h: float  # [m] edge of a cell
     stencil: Stencil
     mass: NodalMass  # of the free nodes
-    rows: Rows  # of the particles on the nodes
-    embedded: Mapping[str, Rows]  # of each set of embedded points
+    rows: SplineRows  # of the particles on the nodes
+    embedded: Mapping[str, SplineRows]  # of each set of embedded points
     pin_constraint: PinConstraint | None  # the pins
     regions: RigidRegions | None  # what moves as rigid bodies
     goals: NodeGoals | None  # springs that draw the free nodes to a pose
@@ -109,7 +115,9 @@ class Body:
         anchored = ("F0",) if self.options.anchored else ()
         return (*anchored, "history") if self.law.set.flows else anchored
 
-    def constrained(self, name: str, rows: Rows, free: Pose, index: int, offset: Floats) -> Pose:
+    def constrained(
+        self, name: str, rows: SplineRows, free: Pose, index: int, offset: Floats
+    ) -> Pose:
         """The pose of embedded points (or "", the particles) at a frame, as pins prescribe it.
 
         rows, free : of the embedded points; offset : (3,) [m] of the moving frame.
@@ -179,11 +187,11 @@ def build_body(
         regions = rigid_regions(stencil, m, pin_constraint.pins)
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
-    rows = stencil.rows(particles.X, particles.body, copies.of if copies else None)
+    rows = particle_rows(stencil, particles.X)
     frequency = None
     if not lumped:
-        seen = (rows,) if stencil.factors is None else axis_rows(stencil, particles, copies)
-        frequency = highest_frequency(seen, mass, stiffest, h, regions)
+        ways = (rows.spread,) if stencil.factors is None else axis_spreads(stencil)
+        frequency = highest_frequency(rows, ways, mass, stiffest, h, regions)
     on = embedded_body or {}
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     meets = contact_setup is not None and contact_setup.any
@@ -261,8 +269,8 @@ def node_springs(goals: Goals, stencil: Stencil, mass: NodalMass) -> NodeSprings
     if attached is None:
         return None
     rows = embedded_rows(stencil, attached.X, attached.body, attached.cell_copy)
-    W = rows.W if rows.spread is None else sparse.csr_matrix(rows.W @ rows.spread)
-    return NodeSprings(attached, sparse.csr_matrix(W[:, : stencil.free_count]), mass.lumped)
+    W = rows.combined[:, : stencil.free_count]
+    return NodeSprings(attached, sparse.csr_matrix(W), mass.lumped)
 
 
 def _copies(particles: Particles, h: float) -> CellCopies | None:
@@ -414,14 +422,14 @@ def largest_step(
     )
 
 
-def axis_rows(stencil: Stencil, particles: Particles, copies: CellCopies | None) -> list[Rows]:
-    """Rows of the particles for each axis of u, where pins slide."""
-    of = copies.of if copies else None
-    return [stencil.along(axis).rows(particles.X, particles.body, of) for axis in range(3)]
+def axis_spreads(stencil: Stencil) -> list[sparse.csr_matrix]:
+    """`SplineRows.spread` for each axis of u, where pins slide."""
+    return [stencil.along(axis).extension(np.zeros((0, 3), int)) for axis in range(3)]
 
 
 def highest_frequency(
-    rows: Sequence[Rows],
+    rows: SplineRows,
+    spreads: Sequence[sparse.csr_matrix],
     mass: NodalMass,
     per: Mapping[str, Floats],
     h: float,
@@ -431,33 +439,27 @@ def highest_frequency(
 
     That of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, e the
     symmetric part of sum_i u_i (x) G_ip.
-    rows : of the particles; one for all axes of u, or one for each.
+    rows : of the particles; spreads : S of `SplineRows`, one for all axes of u or one for each.
     regions : that move rigidly: u has two rows for each, the translation and the turn.
     """
     n = len(mass.lumped)
-    parts = [slice(None)] if len(rows) == 1 else [slice(a, a + 1) for a in range(len(rows))]
-    columns = rows[0].W.shape[1] if regions else n
-    G = [[g[:, :columns] for g in one.G] for one in rows]
-    back = [[g.T.tocsr() for g in one] for one in G]
+    columns = spreads[0].shape[1] if regions else n
+    onto = [one[:, :columns] for one in spreads]
+    back = [one.T.tocsr() for one in onto]
     shear, bulk = (per["V0"] * per[name] for name in ("mu", "lam"))
 
-    def whole(u: Floats) -> Floats:
-        return np.concatenate([u[:n], regions.spread(u[n:], columns - n)]) if regions else u
+    def over(operators: list[sparse.csr_matrix], u: Floats) -> Floats:
+        if len(operators) == 1:
+            return operators[0] @ u
+        return np.stack([one @ u[:, a] for a, one in enumerate(operators)], 1)
 
     def stiffness(u: Floats) -> Floats:
-        u = whole(u)
-        D = np.concatenate(
-            [np.stack([g @ u[:, a] for g in one], -1) for a, one in zip(parts, G)], 1
-        )  # (N, 3, 3)
+        if regions:
+            u = np.concatenate([u[:n], regions.spread(u[n:], columns - n)])
+        D = stretches(rows, over(onto, u))
         P = shear[:, None, None] * (D + D.swapaxes(1, 2))
         P[:, range(3), range(3)] += (bulk * np.einsum("naa->n", D))[:, None]
-        f = np.concatenate(
-            [
-                sum((g @ P[:, a, b] for b, g in enumerate(one)), np.zeros_like(u[:, a]))
-                for a, one in zip(parts, back)
-            ],
-            1,
-        )
+        f = over(back, gathered(rows, P))
         return np.concatenate([f[:n], regions.gathered(f[n:])]) if regions else f
 
     def acceleration(f: Floats) -> Floats:

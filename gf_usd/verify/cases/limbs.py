@@ -65,7 +65,7 @@ def swing(which: tuple[int, ...], gap: float, device: str) -> tuple[Floats, list
     # Particles know which way a tooth goes: where a node stands says nothing of it.
     way = (-1.0) ** tooth * np.maximum(0.0, 1.0 - body.X[:, 1] / LENGTH) ** 2
     nodes = solver.body.stencil
-    W = solver.body.rows.W[:, : nodes.free_count]
+    W = solver.body.rows.combined[:, : nodes.free_count]
     v = np.zeros((nodes.node_count, 3))
     v[: nodes.free_count, 0] = SPEED * OMEGA * (W.T @ (solver.body.m * way)) / nodes.mass
     v[nodes.free_count :] = nodes.follow @ v[: nodes.free_count]

@@ -119,7 +119,7 @@ def swung(particles, skin, copy, *, plain=False, frames=8, gravity=(0.0, 0.0, 0.
     way = np.where(particles.X[:, 0] > WIDTH + 0.5 * GAP, 1.0, -1.0) * along
     v = np.zeros((nodes.node_count, 3))
     free = nodes.free_count
-    v[:free, 0] = (solver.body.rows.W.T @ (solver.body.m * way)) / nodes.mass
+    v[:free, 0] = (solver.body.rows.combined.T @ (solver.body.m * way)) / nodes.mass
     v[free:] = nodes.follow @ v[:free]
     solver.state.load({**solver.state.save(), "v": v})
     return solver

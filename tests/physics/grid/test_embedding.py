@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from random_turns import random_turns
-from scipy import sparse
 from solids import ball
 
 from gf_usd.core.matrices import cofactors, entries
 from gf_usd.physics.grid import embedding
-from gf_usd.physics.grid.embedding import deform_normals, pose
-from gf_usd.physics.grid.reference import Rows, build_stencil
+from gf_usd.physics.grid.embedding import (
+    deform_normals,
+    embedded_rows,
+    gathered,
+    particle_rows,
+    pose,
+    stretches,
+)
+from gf_usd.physics.grid.reference import build_stencil
 
 # Rows are sums of some hundred f64 terms whose affine fits carry 1e-11 at most (test_stencil.py).
 ROUNDING = 1e-10
@@ -132,22 +138,52 @@ def test_a_rigid_turn_of_the_body_turns_every_normal(body):
     np.testing.assert_allclose(turned, n @ R.T, atol=2.0 * ROUNDING / made.h)
 
 
-def test_many_points_are_embedded_in_one_pass_to_the_bit(monkeypatch):
-    """The kernel and SciPy's products."""
-    rng = np.random.default_rng(3)
-    W = sparse.random(70, 40, 0.3, format="csr", rng=rng)
-    G = []
-    for _ in range(3):
-        one = W.copy()
-        one.data = rng.normal(size=len(W.data))
-        G.append(one)
-    rows = Rows(X=rng.normal(size=(70, 3)), W=W, G=tuple(G))
-    assert rows.alike
-    u, v, offset = rng.normal(size=(40, 3)), rng.normal(size=(40, 3)), np.array([0.1, -2.0, 3.0])
-    plain = pose(rows, u, v, offset)
+@pytest.fixture(scope="module")
+def spline_rows(body):
+    """Rows of points in and near the ball, some of whose nodes no particle reaches."""
+    made, X = body
+    return embedded_rows(made, X, np.zeros(len(X), int))
+
+
+@pytest.fixture
+def nodal(spline_rows):
+    """u and v of what the rows stack."""
+    return np.random.default_rng(5).normal(size=(2, spline_rows.spread.shape[1], 3))
+
+
+def test_many_points_are_embedded_in_one_pass(spline_rows, nodal, monkeypatch):
+    """The kernel and SciPy's products: sums of 27 terms below 1 / h in another order."""
+    offset = np.array([0.1, -2.0, 3.0])
+    plain = pose(spline_rows, *nodal, offset)
+    assert not spline_rows.many
     monkeypatch.setattr(embedding, "FEW", 1)
-    once = pose(rows, u, v, offset)
+    assert spline_rows.many
+    once = pose(spline_rows, *nodal, offset)
+    most = np.abs(spline_rows.nodes(nodal[0])).max()
     for name in ("x", "v", "F"):
-        assert np.array_equal(getattr(plain, name), getattr(once, name)), name
-    G[1] = sparse.random(70, 40, 0.3, format="csr", rng=rng)
-    assert not Rows(X=rows.X, W=W, G=tuple(G)).alike
+        off = np.abs(getattr(plain, name) - getattr(once, name)).max()
+        assert off < 27 * 1e-15 * max(most, 3.0) / spline_rows.h, name
+    D = stretches(spline_rows, spline_rows.nodes(nodal[0]))
+    np.testing.assert_allclose(D, once.F - np.eye(3), atol=1e-14 * most / spline_rows.h)
+
+
+@pytest.mark.parametrize("few", [1, 10_000], ids=["kernel", "products"])
+def test_what_is_gathered_is_the_transpose_of_what_stretches(spline_rows, nodal, few, monkeypatch):
+    monkeypatch.setattr(embedding, "FEW", few)
+    U = spline_rows.nodes(nodal[0])
+    P = np.random.default_rng(6).normal(size=(len(spline_rows.X), 3, 3))
+    D, f = stretches(spline_rows, U), gathered(spline_rows, P)
+    assert (P * D).sum() == pytest.approx((f * U).sum(), rel=1e-12, abs=1e-10)
+
+
+def test_particles_have_the_rows_of_any_points_where_they_are():
+    particles, _ = ball(300)
+    m = np.full(len(particles), 0.1)
+    made = build_stencil(particles.X, m, 2.0 * particles.lattice, particles.corner)
+    ours, any_points = particle_rows(made, particles.X), made.rows(particles.X)
+    assert abs(ours.combined - any_points.W).max() < 1e-12
+    u = np.random.default_rng(7).normal(size=(made.free_count, 3))
+    np.testing.assert_allclose(
+        stretches(ours, ours.nodes(u)), np.stack([G @ u for G in any_points.G], -1),
+        atol=1e-11 / made.h,
+    )  # fmt: skip

@@ -115,7 +115,7 @@ def stretch(cells: int, device: str) -> tuple[float, float]:
     # Weight at the particles, brought to the nodes: those at the plane hang on both halves.
     pull = np.zeros((len(body), 3))
     pull[:, 1] = solver.body.m * np.where(body.X[:, 1] < 0.0, -G, G)
-    solver.state.accelerate(solver.body.mass.acceleration(solver.body.rows.W.T @ pull))
+    solver.state.accelerate(solver.body.mass.acceleration(solver.body.rows.combined.T @ pull))
     times, tips = [], []
     for frame in solver.frames():
         times.append(frame.time)

@@ -103,7 +103,7 @@ def error(cells: int, device: str) -> float:
         real=np.float64,
     )  # fmt: skip
     X, normals = faces(cells)
-    inner, outer = solver.body.rows.W.T, solver.body.stencil.rows(X).W.T
+    inner, outer = solver.body.rows.combined.T, solver.body.stencil.rows(X).W.T
     patch = 0.25 * h * h  # [m^2] a Gauss point stands for
     nodes = solver.body.stencil.node_X
     put(solver, place(nodes, 0.0) - nodes, velocity(nodes, 0.0))
@@ -114,7 +114,7 @@ def error(cells: int, device: str) -> float:
         f += outer @ (patch * np.einsum("nij,nj->ni", stress(X, t, made), normals))
         solver.state.accelerate(solver.body.mass.acceleration(f))
         solver.advance(index, 1)
-        u = solver.body.rows.W @ solver.state.view().u + solver.state.offset
+        u = solver.body.rows.combined @ solver.state.view().u + solver.state.offset
         off = body.X + u - place(body.X, solver.state.time)
         worst = max(worst, float(np.sqrt((off**2).sum(1).mean())))
     return worst / G

@@ -81,7 +81,7 @@ def error(cells: int, device: str) -> float:
     s = settings(device, frames=steps + 1, fps=steps / (PERIODS * period), substeps=1)
     X, normals = faces(cells)
     solver = TotalLagrangian(body, [made], s, real=np.float64)
-    inner, outer = solver.body.rows.W.T, solver.body.stencil.rows(X).W.T
+    inner, outer = solver.body.rows.combined.T, solver.body.stencil.rows(X).W.T
     patch = 0.25 * h * h  # [m^2] a Gauss point stands for
     put(solver, exact.u(solver.body.stencil.node_X, 0.0), exact.v(solver.body.stencil.node_X, 0.0))
     worst = 0.0
@@ -91,7 +91,7 @@ def error(cells: int, device: str) -> float:
         f += outer @ (patch * normals * exact.P(X, t))
         solver.state.accelerate(solver.body.mass.acceleration(f))
         solver.advance(index, 1)
-        u = solver.body.rows.W @ solver.state.view().u + solver.state.offset
+        u = solver.body.rows.combined @ solver.state.view().u + solver.state.offset
         off = u - exact.u(body.X, solver.state.time)
         worst = max(worst, float(np.sqrt((off**2).sum(1).mean())))
     return worst / G

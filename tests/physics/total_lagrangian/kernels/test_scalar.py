@@ -134,7 +134,7 @@ def test_one_substep_is_the_sum_that_numpy_makes(plain, mass):
     u = u + 0.5 * dt * v
     lost = filtered(stencil, v, solver.body.m) - stencil.mass[:, None] * v
     v = v + M.acceleration(lost) / M.lightest
-    G = solver.body.rows.G
+    G = [G @ solver.body.rows.spread for G in solver.body.rows.G]
     F, D = (np.stack([g @ q for g in G], -1) for q in (u, v))
     F = F + np.eye(3)
     E = np.einsum("pba,pbc->pac", F, D)

@@ -24,7 +24,7 @@ def test_forces_are_the_plain_sum_over_particles():
     free = solver.body.stencil.free_count
     u[free:] = solver.body.stencil.follow @ u[:free]
     solver.state.arrays["u"].from_numpy(u.ravel())
-    G = solver.body.rows.G
+    G = [G @ solver.body.rows.spread for G in solver.body.rows.G]
     F = np.eye(3) + np.stack([g @ u[:free] for g in G], -1)
     mu, lam = solver.body.per["mu"][0], solver.body.per["lam"][0]
     assert mu == shear_modulus()
