@@ -94,8 +94,9 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     node, _ = node_copies(apart, links, whole)
     full = np.unique(of)
     place = apart[full][:, None, :] + np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), -1)
-    seen = np.unique(np.c_[node[full].ravel(), place.reshape(-1, 3)], axis=0)
-    extra = len(seen) - len(np.unique(seen[:, 1:], axis=0))
+    place -= place.min((0, 1))
+    key = np.ravel_multi_index(tuple(np.moveaxis(place, 2, 0)), tuple(place.max((0, 1)) + 1))
+    extra = len(np.unique(node[full])) - len(np.unique(key))  # a node is in one place
     if not extra:
         return None
     return Limbs(

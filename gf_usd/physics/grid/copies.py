@@ -126,7 +126,8 @@ class NodeCopies:
             at = reach.tocoo()
             nodes = self.nodes[at.col]
             use = (nodes >= 0) & counts[nodes]
-            pairs = np.unique(np.stack([np.repeat(at.row, 27)[use.ravel()], nodes[use]], 1), axis=0)
+            row = np.repeat(at.row.astype(np.int64), 27)[use.ravel()]
+            pairs = np.stack(divmod(np.unique(row * len(counts) + nodes[use]), len(counts)), 1)
             full = np.bincount(pairs[:, 0], minlength=len(left)) >= ENOUGH
             if reach.nnz == before:  # this is all there is
                 full[:] = True
