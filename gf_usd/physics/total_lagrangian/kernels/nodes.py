@@ -45,32 +45,59 @@ from gf_usd.physics.total_lagrangian.layout import (
 )
 from gf_usd.physics.total_lagrangian.limits import NO_GOALS, SPRINGS
 
+# Entries of a row that a thread of a GPU asks for before it adds the first of them: to wait for
+# memory is most of what a row takes there, and it waits for all of them at once.
+AHEAD = 8
+
 
 @ti.func
-def block_sum(body: ti.template(), node, plain: ti.template()):
+def block_sum(body: ti.template(), node, options: ti.template()):
     """Sum of what the node's cells hold for it, in a fixed order; `node_force` has summed it."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
-    if ti.static(plain):
+    first, behind = body.node_slot_start[node], body.node_slot_start[node + 1]
+    if ti.static(options.plain):
         for a in ti.static(range(3)):
             f[a] = number(body.block, 0, 3, node, a)
+    elif ti.static(options.cells):
+        for turn in range(turns(first, behind)):
+            for k in ti.static(range(AHEAD)):
+                e, on = entry(first + turn * AHEAD + k, behind)
+                f += on * slot(body, e)
     else:
-        for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
-            o = body.node_slot[e] >> LANE_BITS
-            lane = body.node_slot[e] & (LANES - 1)
-            f += ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
+        for e in range(first, behind):
+            f += slot(body, e)
     return f
 
 
 @ti.func
+def slot(body: ti.template(), e):
+    """What a cell holds for a node."""
+    o = body.node_slot[e] >> LANE_BITS
+    lane = body.node_slot[e] & (LANES - 1)
+    return ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
+
+
+@ti.func
+def turns(first, behind):
+    """How many times AHEAD entries there are, the last ones perhaps in part."""
+    return (behind - first + AHEAD - 1) // AHEAD
+
+
+@ti.func
+def entry(e, behind):
+    """Entry e and 1; the last one and 0 where e is behind it."""
+    return ti.min(e, behind - 1), int(e < behind)
+
+
+@ti.func
 def follower_share(
-    body: ti.template(), follower, free, dt, alpha, filtering, plain: ti.template(),
-    slides: ti.template(),
+    body: ti.template(), follower, free, dt, alpha, filtering, options: ti.template()
 ):  # fmt: skip
     """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works.
 
     filtering : 1: that is (B v - m v)_l, and the impulse on the follower alpha times it.
     """
-    f = block_sum(body, free + follower, plain)
+    f = block_sum(body, free + follower, options)
     impulse = dt
     if filtering > 0:
         f = less_momentum(body, free + follower, f)
@@ -80,7 +107,7 @@ def follower_share(
     for d in ti.static(range(3)):
         work -= impulse * f[d] * body.anchor[o + PIN_RATE + d]
     body.anchor[o + PIN_WORK] = work
-    keep_share(body, free + follower, f, slides)
+    keep_share(body, free + follower, f, options.slides)
 
 
 @ti.func
@@ -94,15 +121,15 @@ def keep_share(body: ti.template(), node, f, slides: ti.template()):
 
 
 @ti.func
-def node_sum(body: ti.template(), node, filtering, plain: ti.template()):
+def node_sum(body: ti.template(), node, filtering, options: ti.template()):
     """What the cells hold for a free node and for those that follow it: (E^T f)_i.
 
     filtering : 1: E^T (B - M) E v, with what the followers kept of it.
     """
-    f = block_sum(body, node, plain)
+    f = block_sum(body, node, options)
     if filtering > 0:
         f = less_momentum(body, node, f)
-    return f + leader_sum(body, node)
+    return f + leader_sum(body, node, options)
 
 
 @ti.func
@@ -113,22 +140,26 @@ def less_momentum(body: ti.template(), node, p):
 
 
 @ti.func
-def leader_sum(body: ti.template(), node):
+def leader_sum(body: ti.template(), node, options: ti.template()):
     """sum_l e_li of what the followers kept."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
-    for e in range(body.leader_start[node], body.leader_start[node + 1]):
-        o = body.leader_follower[e] * 3
-        f += body.leader_weight[e] * ti.Vector(
-            [body.share[o], body.share[o + 1], body.share[o + 2]]
-        )
+    first, behind = body.leader_start[node], body.leader_start[node + 1]
+    if ti.static(options.cells):
+        for turn in range(turns(first, behind)):
+            for k in ti.static(range(AHEAD)):
+                e, on = entry(first + turn * AHEAD + k, behind)
+                f += (on * body.leader_weight[e]) * row(body.share, 3 * body.leader_follower[e])
+    else:
+        for e in range(first, behind):
+            f += body.leader_weight[e] * row(body.share, 3 * body.leader_follower[e])
     return f
 
 
 @ti.func
-def follow(body: ti.template(), follower, free, drift, slides: ti.template()):
+def follow(body: ti.template(), follower, free, drift, options: ti.template()):
     """u_l = sum_j e_lj u_j + c_l, and v likewise; c moves on by drift at its rate.
 
-    slides : the sum has a factor of each axis.
+    Where pins slide the sum has a factor of each axis.
     """
     a = ANCHOR * follower
     rate = ti.Vector([body.anchor[a + 3], body.anchor[a + 4], body.anchor[a + 5]])
@@ -138,20 +169,33 @@ def follow(body: ti.template(), follower, free, drift, slides: ti.template()):
         body.anchor[a + d] = u[d]
     k = ti.Vector([drift * 0.0 + 1.0, drift * 0.0 + 1.0, drift * 0.0 + 1.0])
     o = 3 * (free + follower)
-    if ti.static(slides):
+    if ti.static(options.slides):
         k = ti.Vector([body.slide[o], body.slide[o + 1], body.slide[o + 2]])
-    for e in range(body.follow_start[free + follower], body.follow_start[free + follower + 1]):
-        j = body.follow_node[e] * 3
-        w = body.follow_weight[e]
-        if ti.static(slides):
-            u += w * k * ti.Vector([body.u[j], body.u[j + 1], body.u[j + 2]])
-            v += w * k * ti.Vector([body.v[j], body.v[j + 1], body.v[j + 2]])
-        else:
-            u += w * ti.Vector([body.u[j], body.u[j + 1], body.u[j + 2]])
-            v += w * ti.Vector([body.v[j], body.v[j + 1], body.v[j + 2]])
+    first, behind = body.follow_start[free + follower], body.follow_start[free + follower + 1]
+    if ti.static(options.cells):
+        for turn in range(turns(first, behind)):
+            for m in ti.static(range(AHEAD)):
+                e, on = entry(first + turn * AHEAD + m, behind)
+                j, w = 3 * body.follow_node[e], on * body.follow_weight[e]
+                u += scaled_row(w, k, body.u, j, options)
+                v += scaled_row(w, k, body.v, j, options)
+    else:
+        for e in range(first, behind):
+            j, w = 3 * body.follow_node[e], body.follow_weight[e]
+            u += scaled_row(w, k, body.u, j, options)
+            v += scaled_row(w, k, body.v, j, options)
     for d in ti.static(range(3)):
         body.u[o + d] = u[d]
         body.v[o + d] = v[d]
+
+
+@ti.func
+def scaled_row(w, k, field: ti.template(), j, options: ti.template()):
+    """w k u of the node whose numbers begin at j; k counts where pins slide."""
+    out = w * row(field, j)
+    if ti.static(options.slides):
+        out = w * k * row(field, j)
+    return out
 
 
 @ti.func
@@ -162,17 +206,15 @@ def drift_node(body: ti.template(), node, drift):
 
 
 @ti.func
-def force(
-    body: ti.template(), node, contact, dt, filtering, plain: ti.template(), goals: ti.template()
-):
+def force(body: ti.template(), node, contact, dt, filtering, options: ti.template()):
     """The force of the cells, of contact and of its goal on a free node; filtering : see
     `node_sum`.
     """
-    f = node_sum(body, node, filtering, plain)
+    f = node_sum(body, node, filtering, options)
     if filtering == 0:
-        if ti.static(goals > NO_GOALS):
+        if ti.static(options.goals > NO_GOALS):
             f += goal_force(body, node)
-        if ti.static(goals > SPRINGS):
+        if ti.static(options.goals > SPRINGS):
             f += limit_pull(body, node) / body.node_mass[MASS * node + INVERSE]
         if contact > 0:
             f += contact_force(body, node, dt)
@@ -278,33 +320,43 @@ def keep_raw(body: ti.template(), node, f, share):
 
 
 @ti.func
-def inverse(body: ti.template(), node, share, slides: ti.template()):
+def inverse(body: ti.template(), node, share, options: ti.template()):
     """(M~^-1 f)_i = r_i + (k_i r_i + sum_j k_ij (r_i - r_j)) / m_i of the r = f / m that were kept.
 
     Differences: the force in a spring is equal and opposite at its ends, to the last bit.
-    share : of 1 / m, as in `keep_raw`.  slides : springs have a strength along each axis.
+    share : of 1 / m, as in `keep_raw`.  Where pins slide springs have a strength along each axis.
     """
     o = node * 3
-    r = ti.Vector([body.share[o], body.share[o + 1], body.share[o + 2]])
+    r = row(body.share, o)
     s = body.node_mass[MASS * node + GROUND] * r
-    if ti.static(slides):
-        s = ti.Vector([body.slide[o], body.slide[o + 1], body.slide[o + 2]]) * r
-    for e in range(body.follow_start[node], body.follow_start[node + 1]):
-        o = body.follow_node[e] * 3
-        way = r - ti.Vector([body.share[o], body.share[o + 1], body.share[o + 2]])
-        if ti.static(slides):
-            a = 3 * e
-            k = ti.Vector([body.springs[a], body.springs[a + 1], body.springs[a + 2]])
-            s += k * way
-        else:
-            s += body.follow_weight[e] * way
+    if ti.static(options.slides):
+        s = row(body.slide, o) * r
+    first, behind = body.follow_start[node], body.follow_start[node + 1]
+    if ti.static(options.cells):
+        for turn in range(turns(first, behind)):
+            for m in ti.static(range(AHEAD)):
+                e, on = entry(first + turn * AHEAD + m, behind)
+                s += on * spring(body, r, e, options)
+    else:
+        for e in range(first, behind):
+            s += spring(body, r, e, options)
     return r + share * s * body.node_mass[MASS * node + INVERSE]
 
 
 @ti.func
+def spring(body: ti.template(), r, e, options: ti.template()):
+    """k_ij (r_i - r_j) of an entry."""
+    way = r - row(body.share, 3 * body.follow_node[e])
+    out = body.follow_weight[e] * way
+    if ti.static(options.slides):
+        out = row(body.springs, 3 * e) * way
+    return out
+
+
+@ti.func
 def move_node(
-    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, plain: ti.template(),
-    coupled: ti.template(), slides: ti.template(), goals: ti.template(),
+    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering,
+    options: ti.template(),
 ):  # fmt: skip
     """v += dt (M~^-1 f + g + b), u += drift v; the forces are kept already where coupled.
 
@@ -312,14 +364,14 @@ def move_node(
     X x m v, and E carries both, so the momenta of M~ are kept to rounding; B <= M in the sense of
     forms, so no motion can grow while alpha M~^-1 M <= 1.
     """
-    share = goal_share(body, node, dt, filtering, goals)
+    share = goal_share(body, node, dt, filtering, options.goals)
     before = ti.Vector([body.v[3 * node], body.v[3 * node + 1], body.v[3 * node + 2]])
     r = before * 0.0
-    if ti.static(coupled):
-        r = inverse(body, node, share, slides)
+    if ti.static(options.coupled):
+        r = inverse(body, node, share, options)
     else:
         r = (
-            force(body, node, contact, dt, filtering, plain, goals)
+            force(body, node, contact, dt, filtering, options)
             * body.node_mass[MASS * node + INVERSE]
             * share
         )
@@ -331,9 +383,9 @@ def move_node(
         for d in ti.static(range(3)):
             a[d] += share * body.acceleration[3 * node + d]
             body.v[3 * node + d] = body.v[3 * node + d] + dt * a[d]
-        if ti.static(goals > NO_GOALS):
-            goal_work(body, node, before, dt, goals)
-            drift_goal(body, node, drift, goals)
+        if ti.static(options.goals > NO_GOALS):
+            goal_work(body, node, before, dt, options.goals)
+            drift_goal(body, node, drift, options.goals)
         for d in ti.static(range(3)):
             v = body.v[3 * node + d] * keep
             body.v[3 * node + d] = v

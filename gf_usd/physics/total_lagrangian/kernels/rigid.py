@@ -101,9 +101,7 @@ def open_region(body: ti.template(), k, drift, regions: ti.template()):
 
 
 @ti.func
-def filter_region(
-    body: ti.template(), k, free, alpha, plain: ti.template(), regions: ti.template()
-):
+def filter_region(body: ti.template(), k, free, alpha, options: ti.template()):
     """Change the momenta by alpha times what a transfer to particles and back changes."""
     o = ROW * k
     q = quaternion(body, o)
@@ -111,20 +109,19 @@ def filter_region(
     T = F
     first, behind = nodes_of(body, k)
     for e in range(first, behind):
-        node = free + body.rigid_nodes[regions + 1 + e]
-        p = less_momentum(body, node, block_sum(body, node, plain))
+        node = free + body.rigid_nodes[options.rigid + 1 + e]
+        p = less_momentum(body, node, block_sum(body, node, options))
         F += p
-        T += turned(q, row(body.rigid, ROW * regions + NODE * e + RHO)).cross(p)
+        T += turned(q, row(body.rigid, ROW * options.rigid + NODE * e + RHO)).cross(p)
     for a in ti.static(range(3)):
         body.rigid[o + V + a] = body.rigid[o + V + a] + alpha * F[a] / body.rigid[o + M]
         body.rigid[o + L + a] = body.rigid[o + L + a] + alpha * T[a]
-    pose_region(body, k, 0.0 * alpha, regions)
+    pose_region(body, k, 0.0 * alpha, options.rigid)
 
 
 @ti.func
 def move_region(
-    body: ti.template(), k, free, contact, g, dt, drift, keep, plain: ti.template(),
-    regions: ti.template(),
+    body: ti.template(), k, free, contact, g, dt, drift, keep, options: ti.template()
 ):  # fmt: skip
     """V += dt (F / M + g), L += dt T of what acts on the nodes; then drift."""
     o = ROW * k
@@ -133,15 +130,15 @@ def move_region(
     T = 0.0 * g
     first, behind = nodes_of(body, k)
     for e in range(first, behind):
-        node = free + body.rigid_nodes[regions + 1 + e]
-        f = block_sum(body, node, plain)
+        node = free + body.rigid_nodes[options.rigid + 1 + e]
+        f = block_sum(body, node, options)
         if contact > 0:
             f += contact_force(body, node, dt)
         F += f
-        T += turned(q, row(body.rigid, ROW * regions + NODE * e + RHO)).cross(f)
+        T += turned(q, row(body.rigid, ROW * options.rigid + NODE * e + RHO)).cross(f)
     for a in ti.static(range(3)):
         v = body.rigid[o + V + a] + dt * (F[a] / body.rigid[o + M] + g[a])
         body.rigid[o + V + a] = keep * v
         body.rigid[o + L + a] = keep * (body.rigid[o + L + a] + dt * T[a])
     drift_region(body, k, drift)
-    pose_region(body, k, drift, regions)
+    pose_region(body, k, drift, options.rigid)

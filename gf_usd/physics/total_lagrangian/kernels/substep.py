@@ -197,7 +197,7 @@ def build(
             if ti.static(options.goals > NO_GOALS):
                 drift_goal(body, n, 0.5 * dt, options.goals)
         elif ti.static(part.work == "follow"):
-            follow(body, n, free, way, options.slides)
+            follow(body, n, free, way, options)
         elif ti.static(part.name == "momentum" and options.plain):
             particle_velocity(body, n, nodes)
         elif ti.static(part.name == "momentum" and options.cells):
@@ -223,21 +223,18 @@ def build(
         elif ti.static(part.name == "pair total"):
             pair_total(body, body.sample_active[1 + n], dt, options.driven)
         elif ti.static(part.work == "share"):
-            follower_share(body, n, free, dt, alpha, filtering, options.plain, options.slides)
+            follower_share(body, n, free, dt, alpha, filtering, options)
         elif ti.static(part.work == "move"):
-            move_node(
-                body, n, active, g, dt, drift, keep, alpha, filtering, options.plain,
-                options.coupled, options.slides, options.goals,
-            )  # fmt: skip
+            move_node(body, n, active, g, dt, drift, keep, alpha, filtering, options)
         elif ti.static(part.work == "move lumped"):
-            f = force(body, n, active, dt, filtering, options.plain, options.goals)
+            f = force(body, n, active, dt, filtering, options)
             keep_raw(body, n, f, goal_share(body, n, dt, filtering, options.goals))
         elif ti.static(part.name == "open rigid"):
             open_region(body, n, 0.5 * dt, options.rigid)
         elif ti.static(part.name == "filter rigid"):
-            filter_region(body, n, free, alpha, options.plain, options.rigid)
+            filter_region(body, n, free, alpha, options)
         elif ti.static(part.name == "move rigid"):
-            move_region(body, n, free, active, g, dt, drift, keep, options.plain, options.rigid)
+            move_region(body, n, free, active, g, dt, drift, keep, options)
 
     @ti.func
     def is_in(step, steps: ti.template()):
