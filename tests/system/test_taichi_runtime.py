@@ -148,6 +148,27 @@ def test_kernels_of_hundreds_of_bakes_stay_in_the_cache():
     assert config.offline_cache_max_size_of_files >= 1000 * 600e3
 
 
+def test_only_the_kernel_asked_for_is_compiled_without_merging() -> None:
+    taichi_runtime.init_taichi()
+    config = importlib.import_module("taichi").lang.impl.get_runtime().prog.config()
+    seen = []
+
+    def kernel(number: int) -> None:
+        seen.append((number, config.opt_level))
+        if number == 2:
+            raise ValueError
+
+    kernel._primal = kernel  # type: ignore[attr-defined]  (as Taichi has it)
+    before = config.opt_level
+    launch = taichi_runtime.without_merging(kernel)
+    launch(1)
+    with pytest.raises(ValueError):
+        launch(2)
+    assert seen == [(1, 0), (2, 0)]
+    assert config.opt_level == before > 0
+    assert launch._primal is kernel  # type: ignore[attr-defined]
+
+
 @pytest.mark.slow
 def test_what_outlives_a_restart_is_not_freed_by_its_address(monkeypatch) -> None:
     import taichi as ti

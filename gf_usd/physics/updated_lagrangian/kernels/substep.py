@@ -49,6 +49,7 @@ from gf_usd.physics.updated_lagrangian.kernels.transfer import (
     trial,
 )
 from gf_usd.physics.updated_lagrangian.kernels.walls import add_given, move_walled_node
+from gf_usd.system.taichi_runtime import without_merging
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 
@@ -124,10 +125,12 @@ def build(
             if active > 0:
                 for p in range(n):
                     push_particle(body, p)
+            # Taichi moves what does not change out of loops, one by one, but never out of an `if`.
             for cell in range(body.grid[CELLS]):
-                scatter_cell(
-                    body, cell, laws, damped, capped, cap, active, dt, ih, phase, converged
-                )
+                if body.cell_count[cell] > 0:
+                    scatter_cell(
+                        body, cell, laws, damped, capped, cap, active, dt, ih, phase, converged
+                    )
             for node in range(body.grid[NODES]):
                 if ti.static(walled):
                     move_walled_node(
@@ -138,7 +141,8 @@ def build(
             if ti.static(walled):
                 add_given(body)
             for cell in range(body.grid[CELLS]):
-                gather_cell(body, cell, laws, drift, ih, phase)
+                if body.cell_count[cell] > 0:
+                    gather_cell(body, cell, laws, drift, ih, phase)
             if ti.static(clamp):
                 for p in range(n):
                     clamp_particle(body, p, laws, low, high)
@@ -209,7 +213,7 @@ def build(
             ids = in_order(b, n)
             q, which = current(body, ids, laws)
             psi = energy_density(laws, which, trial(body, ids, laws), q, converged)
-            psi = psi * pick(body.V0, ids, 1, 0)
+            psi = psi * pick(body.V0, ids, 0)
             for lane in ti.static(range(LANES)):
                 out[ids[lane]] = psi[lane]
 
@@ -226,6 +230,7 @@ def build(
             for lane in ti.static(range(LANES)):
                 out[ids[lane]] = value[lane]
 
-    return SimpleNamespace(
-        serial=serial, parallel=parallel, start=start, energy=energy, stress=stress
-    )
+    kernels = {
+        "serial": serial, "parallel": parallel, "start": start, "energy": energy, "stress": stress,
+    }  # fmt: skip
+    return SimpleNamespace(**{name: without_merging(one) for name, one in kernels.items()})

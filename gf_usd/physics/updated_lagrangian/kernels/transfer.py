@@ -27,19 +27,20 @@ it writes back to its particle is what that particle's own lane writes.
 """
 
 import taichi as ti
+from taichi.lang.matrix import make_matrix
 
 from gf_usd.physics.laws import stress
 from gf_usd.physics.laws.registry import GRADIENT
-from gf_usd.physics.laws.simd3x3 import LANES, double_dot, product
-from gf_usd.physics.total_lagrangian.kernels.simd import lane_sum
+from gf_usd.physics.laws.simd3x3 import LANES, at, double_dot, let, product, put, unrolled
 from gf_usd.physics.updated_lagrangian.kernels.particles import vector
 
 
-@ti.func
-def values(body: ti.template(), ids: ti.template(), laws: ti.template()):
+@unrolled
+def values(body, ids, laws):
     """The values q of eight particles' laws, and which law each has."""
-    q = [pick(body.constants, ids, laws.constants, k) for k in ti.static(range(laws.values))]
-    return q, pick(body.constants, ids, laws.constants, laws.which)
+    row = rows(ids, laws.constants)
+    q = [pick(body.constants, row, k) for k in range(laws.values)]
+    return q, pick(body.constants, row, laws.which)
 
 
 @ti.func
@@ -47,22 +48,35 @@ def current(body: ti.template(), ids: ti.template(), laws: ti.template()):
     """`values` with the moduli as what has happened to the particles has made them."""
     q, which = values(body, ids, laws)
     if ti.static(laws.hardens):
-        a = [
-            pick(body.history, ids, laws.history, GRADIENT + k)
-            for k in ti.static(range(laws.internals))
-        ]
-        h = stress.hardness(laws, which, q, a)
+        h = stress.hardness(laws, which, q, internals(body, ids, laws))
         q[0] = q[0] * h
         q[1] = q[1] * h
     return q, which
 
 
-@ti.func
-def trial(body: ti.template(), ids: ti.template(), laws: ti.template()):
+@unrolled
+def trial(body, ids, laws):
     """The gradients that the stress is taken of, before what is due to flow has flowed."""
-    if ti.static(laws.flows):
-        return [pick(body.history, ids, laws.history, k) for k in ti.static(range(GRADIENT))]
-    return matrix(body.F, ids)
+    if laws.flows:
+        return gradients(body.history, rows(ids, laws.history))
+    return gradients(body.F, rows(ids, 9))
+
+
+@unrolled
+def internals(body, ids, laws):
+    """The internal variables of eight particles."""
+    row = rows(ids, laws.history)
+    return [pick(body.history, row, GRADIENT + k) for k in range(laws.internals)]
+
+
+@unrolled
+def keep_flow(body, ids, laws, E, A, loss):
+    """What has flowed into the particles' history."""
+    row = rows(ids, laws.history)
+    for k, x in enumerate([*E, *A]):
+        write(body.history, row, k, x)
+    last = laws.history - 1
+    write(body.history, row, last, pick(body.history, row, last) + pick(body.V0, ids, 0) * loss)
 
 
 @ti.func
@@ -75,19 +89,9 @@ def admissible(
     if ti.static(not laws.flows):
         return F
     q, which = values(body, ids, laws)
-    a = [
-        pick(body.history, ids, laws.history, GRADIENT + k)
-        for k in ti.static(range(laws.internals))
-    ]
-    E, A, loss = stress.flowed(laws, which, F, q, a, dt, converged)
+    E, A, loss = stress.flowed(laws, which, F, q, internals(body, ids, laws), dt, converged)
     if ti.static(acts):
-        for k in ti.static(range(GRADIENT)):
-            put(body.history, ids, laws.history, k, E[k])
-        for k in ti.static(range(laws.internals)):
-            put(body.history, ids, laws.history, GRADIENT + k, A[k])
-        last = laws.history - 1
-        lost = pick(body.history, ids, laws.history, last) + pick(body.V0, ids, 1, 0) * loss
-        put(body.history, ids, laws.history, last, lost)
+        keep_flow(body, ids, laws, E, A, loss)
     return E
 
 
@@ -100,18 +104,8 @@ def piola(
     q, which = current(body, ids, laws)
     P = stress.piola(laws, which, F, q, converged)
     if ti.static(damped):
-        # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), dF/dt = L F.
-        L = matrix(body.L, ids)
-        D = product(L, F)
-        k = pick(body.viscosity, ids, 2, 0)
-        for a in ti.static(range(3)):
-            for c in ti.static(range(3)):
-                s = 0.5 * k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c])
-                # s_ac enters sym twice: F (s + s^T).
-                for r in ti.static(range(3)):
-                    P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * s
-                    P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * s
-        pressure, cof = stress.shock(F, D, 1.0, pick(body.viscosity, ids, 2, 1), dt)
+        D = add_viscous(body, ids, P, F)
+        pressure, cof = stress.shock(F, D, 1.0, pick(body.viscosity, rows(ids, 2), 1), dt)
         for a in ti.static(range(9)):
             P[a] = P[a] + pressure * cof[a]
     if ti.static(capped):
@@ -125,6 +119,22 @@ def piola(
     return P
 
 
+@unrolled
+def add_viscous(body, ids, P, F):
+    """Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), in place; returns dF/dt = L F."""
+    L = gradients(body.L, rows(ids, 9))
+    D = let(product(L, F))
+    k = let(0.5 * pick(body.viscosity, rows(ids, 2), 0))
+    for a in range(3):
+        for c in range(3):
+            s = let(k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c]))
+            # s_ac enters sym twice: F (s + s^T).
+            for r in range(3):
+                put(P[3 * r + c], P[3 * r + c] + F[3 * r + a] * s)
+                put(P[3 * r + a], P[3 * r + a] + F[3 * r + c] * s)
+    return D
+
+
 @ti.func
 def scatter_cell(
     body: ti.template(), cell, laws: ti.template(), damped: ti.template(), capped: ti.template(),
@@ -133,57 +143,77 @@ def scatter_cell(
     """Mass and momentum of one cell's particles into the cell's block."""
     corner = cell_corner(body, cell)
     for b in range(batches(body, cell)):
-        i0, i1, i2, i3, i4, i5, i6, i7 = members(body, cell, b)
-        ids = [i0, i1, i2, i3, i4, i5, i6, i7]
-        w0, z0, d0 = stencil(body, ids, 0, corner, ih, phase)
-        w1, z1, d1 = stencil(body, ids, 1, corner, ih, phase)
-        w2, z2, d2 = stencil(body, ids, 2, corner, ih, phase)
-        m = live(body, cell, b, pick(body.m, ids, 1, 0))
-        volume = live(body, cell, b, pick(body.V0, ids, 1, 0))
+        ids = members(body, cell, b)
+        axes = stencils(body, ids, corner, ih, phase)
+        alive = living(body, cell, b)
+        m = live(alive, pick(body.m, ids, 0))
+        volume = live(alive, pick(body.V0, ids, 0))
         F = admissible(body, ids, laws, dt, converged, True)
         P = piola(body, ids, F, laws, damped, capped, cap, dt, converged)
-        for i in ti.static(range(3)):
-            for j in ti.static(range(3)):
-                for k in ti.static(range(3)):
-                    o = cell * 108 + (9 * i + 3 * j + k) * 4
-                    deposit(body, o, m * (w0[i] * w1[j] * w2[k]), b)
-        s = (0.0 - dt * ih) * volume
-        r = m / ih
-        for d in ti.static(range(3)):
-            p = m * pick(body.v, ids, 3, d)
-            A0 = r * pick(body.C, ids, 9, 3 * d)
-            A1 = r * pick(body.C, ids, 9, 3 * d + 1)
-            A2 = r * pick(body.C, ids, 9, 3 * d + 2)
-            T0 = s * (P[3 * d] * F[0] + P[3 * d + 1] * F[1] + P[3 * d + 2] * F[2])
-            T1 = s * (P[3 * d] * F[3] + P[3 * d + 1] * F[4] + P[3 * d + 2] * F[5])
-            T2 = s * (P[3 * d] * F[6] + P[3 * d + 1] * F[7] + P[3 * d + 2] * F[8])
-            if contact > 0:
-                p += dt * live(body, cell, b, pick(body.push, ids, 12, d))
-                T0 += dt * ih * live(body, cell, b, pick(body.push, ids, 12, 3 + 3 * d))
-                T1 += dt * ih * live(body, cell, b, pick(body.push, ids, 12, 4 + 3 * d))
-                T2 += dt * ih * live(body, cell, b, pick(body.push, ids, 12, 5 + 3 * d))
-            for i in ti.static(range(3)):
-                a = w0[i] * p + z0[i] * A0 + d0[i] * T0
-                a1 = w0[i] * A1
-                t1 = w0[i] * T1
-                a2 = w0[i] * A2
-                t2 = w0[i] * T2
-                for j in ti.static(range(3)):
-                    e = w1[j] * a + z1[j] * a1 + d1[j] * t1
-                    e2 = w1[j] * a2
-                    f2 = w1[j] * t2
-                    for k in ti.static(range(3)):
-                        o = cell * 108 + (9 * i + 3 * j + k) * 4 + 1 + d
-                        deposit(body, o, w2[k] * e + z2[k] * e2 + d2[k] * f2, b)
+        moments = carried(body, ids, m, (0.0 - dt * ih) * volume, ih, P, F)
+        if contact > 0:
+            add_push(body, ids, alive, dt, ih, moments)
+        deposit(body, cell, b, m, moments, axes)
 
 
-@ti.func
-def deposit(body: ti.template(), o, x, batch):
-    """Add the sum of the lanes to a cell's own block (cleared by its first batch)."""
-    s = lane_sum(x)
-    if batch > 0:
-        s += body.block[o]
-    body.block[o] = s
+@unrolled
+def carried(body, ids, m, s, ih, P, F):
+    """Along each axis momentum m v, its slope m C / ih and -dt ih V0 tau, in cells: 3 x 7."""
+    row, affine = rows(ids, 3), rows(ids, 9)
+    r = let(m / ih)
+    out = []
+    for d in range(3):
+        out += [m * pick(body.v, row, d)]
+        out += [r * pick(body.C, affine, 3 * d + k) for k in range(3)]
+        out += [s * (P[3 * d] * F[k] + P[3 * d + 1] * F[k + 1] + P[3 * d + 2] * F[k + 2])
+                for k in (0, 3, 6)]  # fmt: skip
+    return out
+
+
+@unrolled
+def add_push(body, ids, alive, dt, ih, moments):
+    """What the floor does to particles, added to what `carried` returns."""
+    row = rows(ids, 12)
+    for d in range(3):
+        o = 7 * d
+        put(moments[o], moments[o] + dt * live(alive, pick(body.push, row, d)))
+        for k in range(3):
+            moment = live(alive, pick(body.push, row, 3 + 3 * d + k))
+            put(moments[o + 4 + k], moments[o + 4 + k] + dt * ih * moment)
+
+
+@unrolled
+def deposit(body, cell, batch, m, moments, axes):
+    """Add the sums of the lanes to a cell's own block, which its first batch fills."""
+    (w0, z0, d0), (w1, z1, d1), (w2, z2, d2) = axes
+    o, more = let(cell * 108), let(batch > 0)
+
+    def add(n, x):
+        x, place = let(x), at(body.block, o + n)
+        put(place, lane_sum(x) + ti.select(more, place, 0.0))
+
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                add((9 * i + 3 * j + k) * 4, m * (w0[i] * w1[j] * w2[k]))
+    for d in range(3):
+        p, A0, A1, A2, T0, T1, T2 = moments[7 * d : 7 * d + 7]
+        for i in range(3):
+            a = let(w0[i] * p + z0[i] * A0 + d0[i] * T0)
+            a1, t1, a2, t2 = (let(w0[i] * x) for x in (A1, T1, A2, T2))
+            for j in range(3):
+                e = let(w1[j] * a + z1[j] * a1 + d1[j] * t1)
+                e2, f2 = let(w1[j] * a2), let(w1[j] * t2)
+                for k in range(3):
+                    n = (9 * i + 3 * j + k) * 4 + 1 + d
+                    add(n, w2[k] * e + z2[k] * e2 + d2[k] * f2)
+
+
+@unrolled
+def lane_sum(x):
+    """Sum of eight lanes, in pairs."""
+    a = [at(x, lane) for lane in range(LANES)]
+    return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]))
 
 
 @ti.func
@@ -191,65 +221,64 @@ def gather_cell(body: ti.template(), cell, laws: ti.template(), drift, ih, phase
     """Motion of the nodes back to one cell's particles, which move by `drift` seconds."""
     corner = cell_corner(body, cell)
     for b in range(batches(body, cell)):
-        i0, i1, i2, i3, i4, i5, i6, i7 = members(body, cell, b)
-        ids = [i0, i1, i2, i3, i4, i5, i6, i7]
-        w0, z0, d0 = stencil(body, ids, 0, corner, ih, phase)
-        w1, z1, d1 = stencil(body, ids, 1, corner, ih, phase)
-        w2, z2, d2 = stencil(body, ids, 2, corner, ih, phase)
-        F = matrix(body.F, ids)
-        E = trial(body, ids, laws)
-        zero = F[0] * 0.0
-        for d in ti.static(range(3)):
-            v = zero
-            c0 = zero
-            c1 = zero
-            c2 = zero
-            l0 = zero
-            l1 = zero
-            l2 = zero
-            for i in ti.static(range(3)):
-                t = zero
-                tz1 = zero
-                td1 = zero
-                tz2 = zero
-                td2 = zero
-                for j in ti.static(range(3)):
-                    o = 27 * cell + 9 * i + 3 * j
-                    q0 = body.node_v[3 * body.cell_nodes[o] + d]
-                    q1 = body.node_v[3 * body.cell_nodes[o + 1] + d]
-                    q2 = body.node_v[3 * body.cell_nodes[o + 2] + d]
-                    s = w2[0] * q0 + w2[1] * q1 + w2[2] * q2
-                    t += w1[j] * s
-                    tz1 += z1[j] * s
-                    td1 += d1[j] * s
-                    tz2 += w1[j] * (z2[0] * q0 + z2[1] * q1 + z2[2] * q2)
-                    td2 += w1[j] * (d2[0] * q0 + d2[1] * q1 + d2[2] * q2)
-                v += w0[i] * t
-                c0 += z0[i] * t
-                c1 += w0[i] * tz1
-                c2 += w0[i] * tz2
-                l0 += d0[i] * t
-                l1 += w0[i] * td1
-                l2 += w0[i] * td2
-            x = pick(body.x, ids, 3, d)
-            put(body.v, ids, 3, d, v)
-            # With distances in cells one h of 4/h^2 cancels.
-            put(body.C, ids, 9, 3 * d, 4.0 * ih * c0)
-            put(body.C, ids, 9, 3 * d + 1, 4.0 * ih * c1)
-            put(body.C, ids, 9, 3 * d + 2, 4.0 * ih * c2)
-            l0 = ih * l0
-            l1 = ih * l1
-            l2 = ih * l2
-            put(body.L, ids, 9, 3 * d, l0)
-            put(body.L, ids, 9, 3 * d + 1, l1)
-            put(body.L, ids, 9, 3 * d + 2, l2)
-            for a in ti.static(range(3)):
-                f = F[3 * d + a] + drift * (l0 * F[a] + l1 * F[3 + a] + l2 * F[6 + a])
-                put(body.F, ids, 9, 3 * d + a, f)
-                if ti.static(laws.flows):
-                    e = E[3 * d + a] + drift * (l0 * E[a] + l1 * E[3 + a] + l2 * E[6 + a])
-                    put(body.history, ids, laws.history, 3 * d + a, e)
-            put(body.x, ids, 3, d, x + drift * v)
+        ids = members(body, cell, b)
+        axes = stencils(body, ids, corner, ih, phase)
+        move(body, cell, ids, laws, drift, ih, axes)
+
+
+@unrolled
+def move(body, cell, ids, laws, drift, ih, axes):
+    """v, C and L of eight particles from their nodes; x, F and the gradient that flows go on."""
+    row, square, flowing = rows(ids, 3), rows(ids, 9), rows(ids, laws.history)
+    F = gradients(body.F, square)
+    E = gradients(body.history, flowing) if laws.flows else F
+    ih, drift = every(ih), every(drift)
+    ih4 = let(4.0 * ih)  # with distances in cells one h of 4/h^2 cancels
+    first = let(27 * cell)
+    nodes = let([3 * at(body.cell_nodes, first + n) for n in range(27)])
+    for d in range(3):
+        v, C, L = interpolated([every(at(body.node_v, n + d)) for n in nodes], axes)
+        write(body.v, row, d, v)
+        for k in range(3):
+            write(body.C, square, 3 * d + k, ih4 * C[k])
+            put(L[k], ih * L[k])
+            write(body.L, square, 3 * d + k, L[k])
+        for a in range(3):
+            write(body.F, square, 3 * d + a, F[3 * d + a] + drift * along(L, F, a))
+            if laws.flows:
+                write(body.history, flowing, 3 * d + a, E[3 * d + a] + drift * along(L, E, a))
+        write(body.x, row, d, pick(body.x, row, d) + drift * v)
+
+
+@unrolled
+def along(L, F, a):
+    """A row of L times column a of F."""
+    return L[0] * F[a] + L[1] * F[3 + a] + L[2] * F[6 + a]
+
+
+@unrolled
+def interpolated(q, axes):
+    """v, and rows of C h^2 / 4 and L in cells, of 27 numbers q at the nodes."""
+    (w0, z0, d0), (w1, z1, d1), (w2, z2, d2) = axes
+    sums = [[] for _ in range(7)]
+    for i in range(3):
+        lines = []
+        for j in range(3):
+            x = let(q[9 * i + 3 * j : 9 * i + 3 * j + 3])
+            lines.append([let(dot(w2, x)), let(dot(z2, x)), let(dot(d2, x))])
+        s, z, f = zip(*lines)
+        t = let(dot(w1, s))
+        terms = (w0, t), (z0, t), (w0, dot(z1, s)), (w0, dot(w1, z)), (d0, t), (w0, dot(d1, s))
+        for sum_, (w, x) in zip(sums, (*terms, (w0, dot(w1, f)))):
+            sum_.append(let(w[i] * x))
+    v, c0, c1, c2, l0, l1, l2 = let([a + b + c for a, b, c in sums])
+    return v, [c0, c1, c2], [l0, l1, l2]
+
+
+@unrolled
+def dot(a, b):
+    """Sum of three products."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @ti.func
@@ -258,73 +287,70 @@ def batches(body: ti.template(), cell):
     return (body.cell_start[cell + 1] - body.cell_start[cell] + LANES - 1) // LANES
 
 
-@ti.func
-def members(body: ti.template(), cell, b):
+@unrolled
+def members(body, cell, b):
     """The eight particles of batch b of a cell."""
-    first = body.cell_start[cell] + LANES * b
-    last = body.cell_start[cell + 1] - 1
-    i0 = body.order[first]
-    i1 = body.order[ti.min(first + 1, last)]
-    i2 = body.order[ti.min(first + 2, last)]
-    i3 = body.order[ti.min(first + 3, last)]
-    i4 = body.order[ti.min(first + 4, last)]
-    i5 = body.order[ti.min(first + 5, last)]
-    i6 = body.order[ti.min(first + 6, last)]
-    i7 = body.order[ti.min(first + 7, last)]
-    return i0, i1, i2, i3, i4, i5, i6, i7
+    first = let(at(body.cell_start, cell) + LANES * b)
+    last = let(at(body.cell_start, cell + 1) - 1)
+    return [at(body.order, ti.min(first + lane, last)) for lane in range(LANES)]
 
 
-@ti.func
+@unrolled
 def in_order(b, n):
     """The eight particles of batch b of all n, as they are numbered."""
-    o = b * LANES
-    last = n - 1
-    return [
-        o, ti.min(o + 1, last), ti.min(o + 2, last), ti.min(o + 3, last), ti.min(o + 4, last),
-        ti.min(o + 5, last), ti.min(o + 6, last), ti.min(o + 7, last),
-    ]  # fmt: skip
+    o, last = let(b * LANES), let(n - 1)
+    return [ti.min(o + lane, last) for lane in range(LANES)]
 
 
-@ti.func
-def live(body: ti.template(), cell, b, x):
+@unrolled
+def living(body, cell, b):
+    """Which lanes of batch b of a cell are no repetition."""
+    left = let(at(body.cell_start, cell + 1) - at(body.cell_start, cell) - LANES * b)
+    return lanes([0.5 + lane for lane in range(LANES)]) < every(left)
+
+
+@unrolled
+def live(alive, x):
     """x in the lanes that are no repetition, 0 in the others."""
-    left = x[0] * 0.0 + (body.cell_start[cell + 1] - body.cell_start[cell] - LANES * b)
-    lane = ti.Vector([0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5])
-    return ti.select(lane < left, x, x * 0.0)
+    return ti.select(alive, x, 0.0)
 
 
-@ti.func
-def pick(A: ti.template(), ids: ti.template(), stride: ti.template(), a: ti.template()):
-    """Entry a of rows of `stride` of eight particles."""
-    return ti.Vector(
-        [
-            A[ids[0] * stride + a], A[ids[1] * stride + a], A[ids[2] * stride + a],
-            A[ids[3] * stride + a], A[ids[4] * stride + a], A[ids[5] * stride + a],
-            A[ids[6] * stride + a], A[ids[7] * stride + a],
-        ]
-    )  # fmt: skip
+@unrolled
+def every(x):
+    """The same number in each lane."""
+    return lanes([let(x)] * LANES)
 
 
-@ti.func
-def put(A: ti.template(), ids: ti.template(), stride: ti.template(), a: ti.template(), x):
-    """Write entry a of rows of `stride` of eight particles."""
-    for lane in ti.static(range(LANES)):
-        A[ids[lane] * stride + a] = x[lane]
+@unrolled
+def rows(ids, stride):
+    """Where the rows of `stride` numbers of eight particles begin."""
+    return ids if stride == 1 else let([i * stride for i in ids])
 
 
-@ti.func
-def matrix(A: ti.template(), ids: ti.template()):
+@unrolled
+def pick(A, row, a):
+    """Entry a of rows of eight particles."""
+    return lanes([at(A, o + a) for o in row])
+
+
+@unrolled
+def lanes(numbers):
+    """A lane vector of these numbers, as a variable."""
+    return let(make_matrix(numbers))  # of a ti.Vector `let` only makes another expression
+
+
+@unrolled
+def write(A, row, a, x):
+    """x to entry a of rows of eight particles."""
+    x = let(x)
+    for lane, o in enumerate(row):
+        put(at(A, o + a), at(x, lane))
+
+
+@unrolled
+def gradients(A, row):
     """Nine lane vectors of eight particles' matrices."""
-    a0 = pick(A, ids, 9, 0)
-    a1 = pick(A, ids, 9, 1)
-    a2 = pick(A, ids, 9, 2)
-    a3 = pick(A, ids, 9, 3)
-    a4 = pick(A, ids, 9, 4)
-    a5 = pick(A, ids, 9, 5)
-    a6 = pick(A, ids, 9, 6)
-    a7 = pick(A, ids, 9, 7)
-    a8 = pick(A, ids, 9, 8)
-    return [a0, a1, a2, a3, a4, a5, a6, a7, a8]
+    return [pick(A, row, k) for k in range(9)]
 
 
 @ti.func
@@ -333,19 +359,15 @@ def cell_corner(body: ti.template(), cell):
     return vector(body.cell_at, 3 * cell)
 
 
-@ti.func
-def stencil(body: ti.template(), ids: ti.template(), d: ti.template(), corner, ih, phase):
-    """Along one axis w, w times the distance to the node and dw, of three nodes, in cells."""
-    f = pick(body.x, ids, 3, d) * ih - (phase[d] + corner[d])
-    a = 1.5 - f
-    b = f - 1.0
-    c = f - 0.5
-    w0 = 0.5 * a * a
-    w1 = 0.75 - b * b
-    w2 = 0.5 * c * c
-    z0 = (0.0 - f) * w0
-    z1 = (1.0 - f) * w1
-    z2 = (2.0 - f) * w2
-    d0 = 0.0 - a
-    d1 = (0.0 - 2.0) * b
-    return [w0, w1, w2], [z0, z1, z2], [d0, d1, c]
+@unrolled
+def stencils(body, ids, corner, ih, phase):
+    """Along each axis w, w times the distance to the node and dw, of three nodes, in cells."""
+    row = rows(ids, 3)
+    out = []
+    for d in range(3):
+        f = let(pick(body.x, row, d) * ih - (at(phase, d) + at(corner, d)))
+        a, b, c = let(1.5 - f), let(f - 1.0), let(f - 0.5)
+        w = let([0.5 * a * a, 0.75 - b * b, 0.5 * c * c])
+        z = let([(0.0 - f) * w[0], (1.0 - f) * w[1], (2.0 - f) * w[2]])
+        out.append([w, z, let([0.0 - a, -2.0 * b, c])])
+    return out
