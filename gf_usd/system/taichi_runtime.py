@@ -213,9 +213,9 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     off; with it off a kernel must build vectors by hand and never load one from a ``Vector.field``.
     For CUDA Taichi has no square root of a vector: there it is on.
     ``fast_math`` is off so that a result does not depend on how a loop was vectorised.
-    In 64 bits all kernels are compiled as by `without_merging`: they are those of tests and of
-    verification, most of whose time is compiling.  In 32 bits a substep of the Total Lagrangian
-    solver would take 1 to 2 % more.
+    In 64 bits, and for CUDA, all kernels are compiled as by `without_merging`: they are those of
+    tests and of verification, most of whose time is compiling, or have scalars for vectors.  In 32
+    bits on the CPU a substep of the Total Lagrangian solver would take 1 to 2 % more.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             offline_cache_max_size_of_files=KERNEL_CACHE,
             real_matrix_scalarize=device == "cuda",
             fast_math=False,
-            opt_level=MERGES_NOTHING if f64 else MERGES,
+            opt_level=MERGES_NOTHING if f64 or device == "cuda" else MERGES,
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
             log_level=ti.ERROR,
         )
