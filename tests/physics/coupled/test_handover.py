@@ -129,8 +129,9 @@ def test_what_stays_solid_goes_on_as_it_was() -> None:
 
 def test_bodies_leave_one_by_one_and_a_flow_is_joined() -> None:
     run = converting(
-        ("rubber", "dry-sand", "rubber"), {0: at(2.0), 2: at(4.0, "honey")}, particles=120, frames=7
-    )
+        ("rubber", "powder-snow", "rubber"), {0: at(2.0), 2: at(4.0, "honey")},
+        particles=120, frames=7,
+    )  # fmt: skip
     body = np.asarray(run.particles.body)
     kinds, seen = [], []
     for frame in run.frames():
