@@ -24,7 +24,13 @@ THREADS = 8  # that kernels are compiled for, at least
 # [bytes] Taichi's own limit of 100 MB holds 175 kernels: a few laws, mass matrices and precisions
 # in turn remove each other's, and each bake compiles them again.
 KERNEL_CACHE = 1 << 30
-MERGES_NOTHING, MERGES = 0, 1  # Taichi's `opt_level`: see `without_merging`
+# Numbers of Taichi's configuration by whether it searches for statements that are written twice:
+# see `without_merging`.  Its pass that keeps what a loop does not change relies on that search: a
+# sum over a loop into one number of an array is wrong without it (docs/upstream.md).
+MERGING = {
+    True: {"opt_level": 1, "cache_loop_invariant_global_vars": True},
+    False: {"opt_level": 0, "cache_loop_invariant_global_vars": False},
+}
 CACHE_FOLDER = "TI_OFFLINE_CACHE_FILE_PATH"  # variable of the environment: where they are
 
 FORKED = "this process was forked from one that had started Taichi, which does not run in it"
@@ -260,9 +266,9 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             offline_cache_max_size_of_files=KERNEL_CACHE,
             real_matrix_scalarize=device == "cuda",
             fast_math=False,
-            opt_level=MERGES_NOTHING if f64 or device == "cuda" else MERGES,
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
             log_level=ti.ERROR,
+            **MERGING[not f64 and device == "cpu"],
         )
     _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
@@ -282,11 +288,14 @@ def without_merging(kernel: Callable[..., None]) -> Callable[..., None]:
     @wraps(kernel)  # with what Taichi keeps at it
     def launch(*values: Any) -> None:
         config = importlib.import_module("taichi").lang.impl.get_runtime().prog.config()
-        before, config.opt_level = config.opt_level, MERGES_NOTHING
+        before = {name: getattr(config, name) for name in MERGING[False]}
         try:
+            for name, value in MERGING[False].items():
+                setattr(config, name, value)
             kernel(*values)
         finally:
-            config.opt_level = before
+            for name, value in before.items():
+                setattr(config, name, value)
 
     return launch
 

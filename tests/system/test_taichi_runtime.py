@@ -8,6 +8,7 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from small_bakes import BLOCK
 from solids import CUBE_POINTS, CUBE_TRIANGLES
@@ -167,6 +168,16 @@ def test_only_the_kernel_asked_for_is_compiled_without_merging() -> None:
     assert seen == [(1, 0), (2, 0)]
     assert config.opt_level == before > 0
     assert launch._primal is kernel  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("f64", [False, True])
+def test_a_sum_over_a_loop_into_one_number_is_right_without_merging(f64: bool) -> None:
+    from sum_kernel import sum_kernel
+
+    taichi_runtime.init_taichi(f64=f64)
+    values, out = np.arange(1.0, 11.0, dtype=np.float32), np.zeros(1, np.float32)
+    taichi_runtime.without_merging(sum_kernel())(values, out, len(values))
+    assert out[0] == 2 * values.sum()
 
 
 @pytest.mark.slow

@@ -1,10 +1,8 @@
 """Substeps as launches of kernels.
 
 A launch has the substeps of `LAUNCH_SECONDS`.  On the CPU threads take pieces of its stages from a
-queue.  On a GPU every thread of a small body has its items of each stage, and waits for the others
-between stages; the stages of a large body are loops that are launched one after the other, which
-takes longer than to wait (28 us each), but each loop has as many threads as the GPU holds of it.
-All take the same sums in the same order: how substeps are cut into launches, and among threads,
+queue; on a GPU every thread has its items of each stage, and waits for the others between stages.
+Both take the same sums in the same order: how substeps are cut into launches, and among threads,
 changes no bit.
 
 How many threads share a launch, and how many substeps it takes.
@@ -18,14 +16,14 @@ share the following launches.  No result depends on it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gf_usd.core.errors import GfUsdError
-from gf_usd.physics.taichi_arrays import Launcher, wait
+from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.total_lagrangian.layout import LANES
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS, STUCK
@@ -39,8 +37,7 @@ FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 class Launches:
     """The launches of a body's substeps.
 
-    kernel : "queued", as on the CPU, "resident" or "staged", as on a GPU; None: what the device and
-        the size of the body ask for.
+    kernel : "queued", as on the CPU, or "resident", as on a GPU; None: what the device asks for.
     """
 
     def __init__(self, body: Body, state: State, kernel: str | None = None) -> None:
@@ -51,16 +48,9 @@ class Launches:
         self._vectors = tuple(
             vector([float(v) for v in values]) for values in (s.gravity, s.normal)
         )
-        kernel = kernel or self._fitting_kernel(body)
+        kernel = kernel or ("queued" if s.device == "cpu" else "resident")
         self._body, self.thread_count = body, None
-        self._kernel: Any = None
-        self._staged: dict[str, Launcher] = {}
-        if kernel == "staged":
-            self._staged = {
-                when: Launcher(made, state.pack) for when, made in vars(body.kernels.staged).items()
-            }
-        else:
-            self._kernel = Launcher(getattr(body.kernels, kernel), state.pack)
+        self._kernel = Launcher(getattr(body.kernels, kernel), state.pack)
         self._pace = GUESS * len(body.particles)
         if kernel == "queued":
             self.thread_count = ThreadCount(s.threads or cores(), len(body.particles))
@@ -89,21 +79,12 @@ class Launches:
             if self.thread_count:
                 tail = (many, ends, *when, *numbers)
                 self.thread_count.launch(partial(self._draw, counts, tail), many)
-            elif self._staged:
-                self._in_turn(counts, many, ends, when, numbers)
             else:
                 self._stay(state, (*counts, self._blocks(counts)), (many, ends, *when, *numbers))
             done += many
             if on_launch:
                 on_launch()
         state.done += substeps
-
-    @staticmethod
-    def _fitting_kernel(body: Body) -> str:
-        """The kernel that a body's device asks for, and its size."""
-        if body.settings.device == "cpu":
-            return "queued"
-        return "staged" if LANES * body.layout.groups >= MANY_CELLS else "resident"
 
     def _fitting(self, substeps: int) -> int:
         """How many of so many substeps the next launch takes."""
@@ -128,39 +109,8 @@ class Launches:
             )
         self._pace = (time.perf_counter() - began) / tail[0]
 
-    def _in_turn(
-        self,
-        counts: tuple[int, ...],
-        many: int,
-        ends: int,
-        when: tuple[int, int],
-        numbers: tuple[Any, ...],
-    ) -> None:
-        """So many substeps, whose stages are launched one after the other."""
-        *head, dt, keep = numbers
-        began = time.perf_counter()
-        for name, drift, way in in_turn(many, ends, *when):
-            self._staged[name](*counts, *head, dt, drift * dt, way * dt, keep)
-        wait()
-        self._pace = (time.perf_counter() - began) / many
-
     def _draw(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
         self._kernel(*counts, threads, *tail)
-
-
-def in_turn(substeps: int, ends: int, every: int, phase: int) -> Iterator[tuple[str, float, float]]:
-    """The launches of so many substeps whose stages are loops: which kernel, and what nodes and
-    followers drift for, in substeps.
-
-    every, phase : as in `kernels.substep`.
-    """
-    if ends & OPENS:
-        yield "opening", 1.0, 0.5
-    for s in range(substeps):
-        if every and (s + phase) % every == 0:
-            yield "filtering", 1.0, 0.0
-        drift = 0.5 if ends & CLOSES and s == substeps - 1 else 1.0
-        yield "substep", drift, drift
 
 
 def filter_of(rate: float, dt: float) -> tuple[int, float]:
@@ -174,7 +124,6 @@ def filter_of(rate: float, dt: float) -> tuple[int, float]:
 
 
 LAUNCH_SECONDS = 0.1  # [s] of a launch; Ctrl-C and a change of the thread count wait for its end
-MANY_CELLS = 60_000  # from so many on a GPU works at a stage for longer than its launch takes
 FEW = 1_500  # particles for each thread, at least: with fewer they wait more than they work
 GUESS = 1e-7  # [s] of a particle and substep, until one is measured
 BUSY = 0.75  # of the time that passed: threads that ran for less lacked a core

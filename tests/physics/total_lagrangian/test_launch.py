@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gf_usd.physics.total_lagrangian import launch as thread_count
-from gf_usd.physics.total_lagrangian.launch import ThreadCount, in_turn
-from gf_usd.physics.total_lagrangian.stages import CLOSES, OPENS
+from gf_usd.physics.total_lagrangian.launch import ThreadCount
 
 
 class Machine:
@@ -110,20 +109,3 @@ def test_a_launch_takes_as_many_substeps_as_last_a_moment() -> None:
     assert team.fitting(3) == 3
     machine.launch(team, wall=5.0, cores=2.0, substeps=1)
     assert team.fitting(1000) == 1
-
-
-def test_launches_in_turn_open_a_frame_filter_where_it_is_due_and_close_by_half() -> None:
-    assert list(in_turn(5, OPENS | CLOSES, 3, 2)) == [
-        ("opening", 1.0, 0.5),
-        ("substep", 1.0, 1.0),
-        ("filtering", 1.0, 0.0),
-        ("substep", 1.0, 1.0),
-        ("substep", 1.0, 1.0),
-        ("substep", 1.0, 1.0),
-        ("filtering", 1.0, 0.0),
-        ("substep", 0.5, 0.5),
-    ]
-
-
-def test_a_launch_within_a_frame_neither_opens_nor_closes_it() -> None:
-    assert list(in_turn(2, 0, 0, 0)) == [("substep", 1.0, 1.0)] * 2

@@ -74,7 +74,6 @@ from gf_usd.physics.total_lagrangian.limits import (
     Options,
 )
 from gf_usd.physics.total_lagrangian.stages import (
-    ALWAYS,
     BLOCK,
     CLOSES,
     FILTERING,
@@ -91,7 +90,6 @@ from gf_usd.physics.total_lagrangian.stages import (
     works,
 )
 
-WAVES = 8  # blocks of a staged loop for each that a GPU holds with the most registers
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: groups, which are few, are spread
 
 
@@ -138,7 +136,6 @@ def build(
     vec = ti.types.vector(3, real)
     table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
     numbered, work = tuple(enumerate(table)), works(table)
-    spread = max(1, WAVES * held * BLOCK)
 
     @ti.func
     def size(part: ti.template(), groups, free, followers, active, paired):
@@ -339,34 +336,6 @@ def build(
                                 barriers += 1
                                 wait_for_all(body.queue, z, barriers * blocks)
 
-    def staged(*whens):
-        """A kernel of the stages that are due then: every stage is a loop of its own, whose threads
-        have no more registers than its parts need.
-        """
-        rows = tuple(stage for stage in table if stage.when in whens)
-        filtering = int(FILTERING in whens)
-
-        @ti.kernel
-        def in_turn(
-            body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
-            alpha: real, g: vec, up: vec, lift: real, dt: real, drift: real, way: real, keep: real,
-        ):  # fmt: skip
-            """way : [s] that followers move on for."""
-            for stage in ti.static(rows):
-                ti.loop_config(block_dim=BLOCK)
-                for z in range(ti.static(spread)):
-                    paired = body.sample_active[0]
-                    for part in ti.static(stage.parts):
-                        n = z
-                        while n < size(part, groups, free, followers, active, paired):
-                            act(
-                                part, body, n, free, free + followers, active, alpha, g, up, lift,
-                                dt, drift, way, keep, ti.static(filtering),
-                            )  # fmt: skip
-                            n += ti.static(spread)
-
-        return in_turn
-
     @ti.kernel
     def energy(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
         """out[cell] = sum_p V0 psi(F_p); of each particle where they are plain."""
@@ -402,9 +371,6 @@ def build(
     return SimpleNamespace(
         queued=queued,
         resident=resident,
-        staged=SimpleNamespace(
-            opening=staged(OPENING), filtering=staged(FILTERING), substep=staged(ALWAYS, TOUCHING)
-        ),
         energy=energy,
         stress=stress,
         held=held,
