@@ -12,7 +12,8 @@ import pytest
 
 # USD reads its schemas once: whichever test comes first, ours must be known before a stage opens.
 import gf_usd.system.usd_schema  # noqa: F401
-from gf_usd.system.taichi_fast_start import quick_import, quicken, restore
+from gf_usd.system.fast_start.imports import quick_import
+from gf_usd.system.fast_start.kernels import quicken, restore
 
 # Two hundred programs are started: each would compile the package again, a quarter of its time.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

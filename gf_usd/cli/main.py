@@ -41,6 +41,7 @@ from gf_usd.cli.worker import follow, forked_readers, make_ready
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, Unfinished
 from gf_usd.system.atomic_files import require_working_folder
+from gf_usd.system.fast_start.imports import install
 from gf_usd.system.processes import end_with_parent
 
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -125,7 +126,8 @@ def run() -> NoReturn:
         signal.signal(number, _stop)
     end_with_parent()
     # Nearly all that a command makes lives as long as it: less often looked through for cycles.
-    gc.set_threshold(100_000, 20, 20)
+    gc.set_threshold(300_000, 20, 20)
+    install()
     leave(execute(sys.argv[1:]))
 
 

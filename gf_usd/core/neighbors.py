@@ -14,6 +14,12 @@ and the derivative of least norm is used, which is 0 in that direction.
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+from functools import cache
+from importlib.machinery import ExtensionFileLoader, PathFinder
+from importlib.util import module_from_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,9 +40,31 @@ WAY = np.array([0.532, 0.311, 0.788])  # of that line: askew, since meshes love 
 
 def kd_tree(points: Floats) -> cKDTree:
     """SciPy's k-d tree of points (n, 3)."""
-    from scipy.spatial import cKDTree
+    return _tree()(points)
 
-    return cKDTree(points)
+
+TREE = "scipy.spatial._ckdtree"
+
+
+@cache
+def _tree() -> type[cKDTree]:
+    """Without the rest of `scipy.spatial`, where SciPy has the tree in this module of its own.
+
+    The rest are transforms and distances, and with these linear algebra and special functions.
+    """
+    folders = [
+        os.path.join(folder, "spatial") for folder in importlib.import_module("scipy").__path__
+    ]
+    spec = None if TREE in sys.modules else PathFinder.find_spec(TREE, folders)
+    if spec is None or not isinstance(spec.loader, ExtensionFileLoader):
+        return importlib.import_module("scipy.spatial").cKDTree
+    module = sys.modules[TREE] = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        if not hasattr(module, "cKDTree"):
+            del sys.modules[TREE]
+    return module.cKDTree
 
 
 def nearest(points: Floats, at: Floats, k: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

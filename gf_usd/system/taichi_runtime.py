@@ -16,7 +16,8 @@ from types import ModuleType
 from typing import Any
 
 from gf_usd.core.errors import GfUsdError, UsageError
-from gf_usd.system.taichi_fast_start import quick_import, quicken, restore
+from gf_usd.system.fast_start.imports import quick_import
+from gf_usd.system.fast_start.kernels import quicken, restore
 
 DEVICES = ("cpu", "cuda")
 MULTIPROCESSOR_COUNT = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT of the CUDA driver's interface

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_matrix
@@ -69,3 +72,18 @@ def test_parts_are_those_of_scipy_under_the_same_numbers(nodes: int, edges: int)
     parts, part = neighbors.components(graph)
     assert parts == wanted[0]
     np.testing.assert_array_equal(part, wanted[1])
+
+
+@pytest.mark.slow
+def test_the_tree_is_that_of_scipy_without_the_rest() -> None:
+    code = (
+        "import sys, numpy as np\n"
+        "from gf_usd.core.neighbors import kd_tree\n"
+        "tree = kd_tree(np.eye(3))\n"
+        "print('scipy.spatial' in sys.modules, 'scipy.linalg' in sys.modules)\n"
+        "from scipy.spatial import KDTree, cKDTree\n"
+        "assert type(tree) is cKDTree and KDTree(np.eye(3)).query(np.ones(3))[1] == 0\n"
+        "print(len(tree.query_pairs(1.5)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["False False", "3"]

@@ -203,10 +203,12 @@ CONVEX = 0.9  # of the volume of its convex hull: a body that fills as much of i
 STOUT = 3.0  # ... and is at most so many times as long as thick cannot be folded onto itself
 
 
+ROWS = 256  # triangles whose products with all points are worked out at a time
+MANY = 1 << 25  # triangles times points, from where a hull is found sooner than its bound
+
+
 def rounded(skin: Skin) -> bool:
     """Whether a body is one shell, so nearly convex and so stout that it cannot meet itself."""
-    from scipy.spatial import ConvexHull, QhullError
-
     representative, _ = weld(skin.points)
     used, triangles = np.unique(representative[skin.triangles], return_inverse=True)
     if shells(triangles.reshape(-1, 3)).max(initial=0) > 0:
@@ -216,11 +218,43 @@ def rounded(skin: Skin) -> bool:
     length = np.ptp(center @ np.linalg.svd(center, full_matrices=False)[2].T, axis=0)
     if length.max() > STOUT * length.min():
         return False
+    volume, triangles = signed_volume(skin.points, skin.triangles), triangles.reshape(-1, 3)
+    if len(points) * len(triangles) < MANY and volume >= CONVEX * hull_bound(points, triangles):
+        return True
+    from scipy.spatial import ConvexHull, QhullError  # takes longer to import than all of this
+
     try:
         hull = ConvexHull(points).volume
     except QhullError:  # flat to rounding
         return False
-    return signed_volume(skin.points, skin.triangles) >= CONVEX * hull
+    return volume >= CONVEX * hull
+
+
+def hull_bound(points: Floats, triangles: Ints) -> float:
+    """[m^3] that the convex hull of one closed shell has at most; inf where this does not say.
+
+    Cones from the middle c over the triangles fill space where c is d_i > 0 behind the planes of
+    all of them.  No point is more than h_i before plane i, hence nothing of the hull, so that
+
+        V <= sum_i V_i (1 + h_i / d_i)^3
+
+    with V_i = A_i d_i / 3 of a triangle's cone.  points : (V, 3) [m]; triangles : (T, 3), facing
+    outward.
+    """
+    ends = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    sides = np.sort(ends[:, 0] * len(points) + ends[:, 1])
+    if len(sides) % 2 or (sides[::2] != sides[1::2]).any() or (sides[2::2] == sides[1:-1:2]).any():
+        return np.inf  # it is open, or more than two triangles meet at an edge
+    X = points - 0.5 * (points.min(0) + points.max(0))
+    a, b, c = np.moveaxis(X[triangles], 1, 0)
+    normal = np.cross(b - a, c - a)  # 2 A_i long
+    behind = np.einsum("ta,ta->t", normal, a)  # 6 V_i
+    if (behind <= 0.0).any():
+        return np.inf
+    most = np.concatenate(
+        [(normal[k : k + ROWS] @ X.T).max(1) for k in range(0, len(triangles), ROWS)]
+    )
+    return float((behind * (most / behind) ** 3).sum() / 6.0)
 
 
 def file_obstacles(

@@ -7,10 +7,12 @@ import pytest
 from contact_scenes import bricks
 from physics_stages import head, mesh, prim
 from planned import at, cubes, noted, plan_fixture  # noqa: F401
+from scipy.spatial import ConvexHull
+from trimesh.creation import icosphere
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.stage import Skin
-from gf_usd.prepare.bodies.contact import rounded
+from gf_usd.prepare.bodies.contact import hull_bound, rounded
 
 COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
 
@@ -177,3 +179,15 @@ def test_options_that_know_one_body_refuse_two(plan, options) -> None:
     with pytest.raises(UsageError, match="supports one body, but there are 2"):
         plan(cubes(), **options)
     assert plan(cubes(), combine=True, **options).bodies.count == 1
+
+
+def test_a_hull_has_no_more_than_its_bound() -> None:
+    body = icosphere(3)
+    points, triangles = np.asarray(body.vertices), np.asarray(body.faces)
+    assert hull_bound(points, triangles) == pytest.approx(ConvexHull(points).volume, rel=1e-12)
+    rough = points * np.random.default_rng(0).uniform(0.9, 1.1, (len(points), 1))
+    assert ConvexHull(rough).volume < hull_bound(rough, triangles) < 2.5 * ConvexHull(rough).volume
+    assert hull_bound(points, triangles[1:]) == np.inf, "it is open"
+    assert hull_bound(points, triangles[:, ::-1]) == np.inf, "it is inside out"
+    fin = np.concatenate([triangles, triangles[:1, ::-1], triangles[:1]])
+    assert hull_bound(points, fin) == np.inf, "more than two triangles meet at an edge"

@@ -15,14 +15,13 @@ builds the same, to the bit of the key, and says the same where Taichi complains
   every sum to choose one of: here that is looked up.
 
 All of this replaces private parts of Taichi 1.7.4.  With any other version, or with the environment
-variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `quicken`,
-`restore` and `quick_import` are called by `taichi_runtime`, and nothing else knows this file.
+variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `quicken` and
+`restore` are called by `taichi_runtime`.
 """
 
 from __future__ import annotations
 
 import ast
-import contextlib
 import gc
 import importlib
 import linecache
@@ -31,10 +30,8 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache, lru_cache, partial
-from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from importlib.metadata import version
 from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
@@ -63,63 +60,6 @@ def restore() -> None:
     _replaced.clear()
 
 
-KERNELS = "taichi.lang.kernel_impl"
-
-
-@contextlib.contextmanager
-def quick_import() -> Iterator[None]:
-    """Within the block Taichi, of this version, is imported without searches for modules.
-
-    Taichi announces 93 functions of its own, and searches through all modules for the frame of
-    each: a third of a CPU second where a thousand are loaded, more than the rest of the import.
-    """
-    wanted = ".".join(map(str, VERSION))
-    if os.environ.get(SWITCH) == "0" or "taichi" in sys.modules or version("taichi") != wanted:
-        yield
-        return
-    finder = _Finder()
-    sys.meta_path.insert(0, finder)
-    try:
-        yield
-    finally:
-        sys.meta_path.remove(finder)
-        finder.restore()
-
-
-class _Finder:
-    """Finds the module of kernels, in which `_inside_class` is replaced as soon as it is there."""
-
-    def __init__(self) -> None:
-        self._loader: _Loader | None = None
-
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        """See `importlib.abc.MetaPathFinder`; None for all other modules."""
-        found = PathFinder.find_spec(name, path, target) if name == KERNELS else None
-        if found is None or not isinstance(found.loader, SourceFileLoader):
-            return None
-        found.loader = self._loader = _Loader(found.loader.name, found.loader.path)
-        return found
-
-    def restore(self) -> None:
-        """Give the module back what was replaced."""
-        if self._loader and self._loader.replaced:
-            module, old = self._loader.replaced
-            module._inside_class = old
-
-
-class _Loader(SourceFileLoader):
-    """Loads the module of kernels."""
-
-    replaced: tuple[Any, Callable[[int], bool]] | None = None
-
-    def exec_module(self, module: Any) -> None:
-        """See `importlib.abc.Loader`."""
-        super().exec_module(module)
-        self.replaced = module, module._inside_class
-        words = tuple(module._KERNEL_CLASS_STACKFRAME_STMT_RES)
-        module._inside_class = _asked_of_files(module._inside_class, words)
-
-
 @cache
 def _parts() -> tuple[Part, ...]:
     """All that is replaced, made once of Taichi as it was imported."""
@@ -142,7 +82,7 @@ def _parts() -> tuple[Part, ...]:
         (kernels, "transform_tree", trees.transform),
         (kernels, "getsourcelines", cache(_up_to_its_end(kernels.getsourcelines))),
         (kernels, "getsourcefile", cache(kernels.getsourcefile)),
-        (kernels, "_inside_class", _asked_of_files(kernels._inside_class, statements)),
+        (kernels, "_inside_class", asked_of_files(kernels._inside_class, statements)),
     )
     # as they stand in their owners: a static method is not what it looks up to
     return tuple((owner, name, vars(owner)[name], value) for owner, name, value in new)
@@ -163,7 +103,7 @@ def _briefly(self: Any, node: Any) -> str:
     return said
 
 
-def _asked_of_files(
+def asked_of_files(
     inside: Callable[[int], bool], words: tuple[re.Pattern[str], ...]
 ) -> Callable[[int], bool]:
     """`inside(level)`, whether the line that a frame is at begins with one of these words.

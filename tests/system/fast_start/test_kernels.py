@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
-from gf_usd.system import taichi_fast_start
+from gf_usd.system.fast_start import kernels
 from gf_usd.system.taichi_runtime import import_taichi, init_taichi
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 KERNEL = """
 from gf_usd.system.taichi_runtime import import_taichi, init_taichi
 
@@ -97,7 +97,7 @@ def test_the_same_kernel_comes_of_a_source_and_under_the_same_key(tmp_path: Path
         cache = tmp_path / way
         environment = {
             **os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(cache),
-            taichi_fast_start.SWITCH: "0" if way == "plain" else "1",
+            kernels.SWITCH: "0" if way == "plain" else "1",
         }  # fmt: skip
         done = subprocess.run(
             [sys.executable, str(script)],
@@ -131,7 +131,7 @@ def test_a_tree_serves_one_call_at_a_time_and_none_outlives_its_kernel() -> None
             seen.append(inner := trees.parse(source))
             trees.transform(inner, context)
 
-    trees = taichi_fast_start.Trees(transform)
+    trees = kernels.Trees(transform)
     assert gc.isenabled()
     kernel = SimpleNamespace(is_kernel=True, is_real_function=False)
     trees.transform(trees.parse("def k(): pass"), kernel)
@@ -153,7 +153,7 @@ def test_lines_of_source_are_filled_as_textwrap_does() -> None:
         "ä = 'é'",
     ):
         filled = textwrap.fill(line, tabsize=4, width=30)
-        assert taichi_fast_start._filled(line, tabsize=4, width=30) == filled, repr(line)
+        assert kernels._filled(line, tabsize=4, width=30) == filled, repr(line)
 
 
 def test_a_fault_in_a_kernel_is_still_placed() -> None:
@@ -178,10 +178,10 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
 
 
 def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
-    kernels = sys.modules["taichi.lang.kernel_impl"]
+    taichis = sys.modules["taichi.lang.kernel_impl"]
     asked: list[int] = []
-    words = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
-    inside = taichi_fast_start._asked_of_files(lambda level: bool(asked.append(level)), words)
+    words = tuple(taichis._KERNEL_CLASS_STACKFRAME_STMT_RES)
+    inside = kernels.asked_of_files(lambda level: bool(asked.append(level)), words)
 
     class Here:
         found = inside(2)  # from the body of a class to what is at its first line
@@ -189,14 +189,14 @@ def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
     assert Here.found
     assert not inside(0)
     assert asked == []
-    unknown = taichi_fast_start._asked_of_files(lambda level: bool(asked.append(level)), ())
+    unknown = kernels.asked_of_files(lambda level: bool(asked.append(level)), ())
     assert not unknown(0)
     assert asked == [1], "this frame is of a file, one level further up for the one who looks"
     code = compile("found = inside(1)", "<nowhere>", "exec")
     exec(code, space := {"inside": inside})
     assert space["found"] is False
     assert asked == [1]
-    assert kernels._inside_class.__name__ == "inside_class"
+    assert taichis._inside_class.__name__ == "inside_class"
 
 
 def long_signature(
@@ -231,7 +231,7 @@ def branch_at_the_end(a: int) -> None:
 
 @pytest.mark.parametrize("function", [long_signature, text_at_the_end, branch_at_the_end])
 def test_a_function_is_read_up_to_its_end(function: Any) -> None:
-    lines, first = taichi_fast_start._up_to_its_end(inspect.getsourcelines)(function)
+    lines, first = kernels._up_to_its_end(inspect.getsourcelines)(function)
     complete, known = inspect.getsourcelines(function)
     assert first == known
     assert ast.dump(ast.parse("".join(lines))) == ast.dump(ast.parse("".join(complete)))
@@ -241,7 +241,7 @@ def test_a_function_without_a_file_is_left_to_inspect() -> None:
     space: dict[str, Any] = {}
     exec("def nowhere(): return 1", space)
     with pytest.raises(OSError, match="source"):
-        taichi_fast_start._up_to_its_end(inspect.getsourcelines)(space["nowhere"])
+        kernels._up_to_its_end(inspect.getsourcelines)(space["nowhere"])
 
 
 @pytest.mark.parametrize("version", [(1, 7, 3), (1, 7, 5), (1, 8, 0), (2, 0, 0)])
@@ -251,11 +251,11 @@ def test_another_version_of_taichi_is_left_alone(
     import_taichi()
     taichi = ModuleType("taichi")
     taichi.__version__ = version
-    kernels = sys.modules["taichi.lang.kernel_impl"]
-    before = dict(vars(kernels))
-    monkeypatch.setattr(taichi_fast_start.importlib, "import_module", None)  # would be called
-    taichi_fast_start.quicken(taichi)
-    assert dict(vars(kernels)) == before
+    taichis = sys.modules["taichi.lang.kernel_impl"]
+    before = dict(vars(taichis))
+    monkeypatch.setattr(kernels.importlib, "import_module", None)  # would be called
+    kernels.quicken(taichi)
+    assert dict(vars(taichis)) == before
 
 
 @pytest.mark.slow
@@ -271,11 +271,11 @@ def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_pat
     )
 
     def bake(switch: str) -> tuple[str, dict[str, bytes], set[str]]:
-        here, kernels = tmp_path / switch, tmp_path / f"kernels-{switch}"
+        here, cached = tmp_path / switch, tmp_path / f"kernels-{switch}"
         (here / "out").mkdir(parents=True)
         environment = {
-            **os.environ, taichi_fast_start.SWITCH: switch,
-            "TI_OFFLINE_CACHE_FILE_PATH": str(kernels),
+            **os.environ, kernels.SWITCH: switch,
+            "TI_OFFLINE_CACHE_FILE_PATH": str(cached),
         }  # fmt: skip
         done = subprocess.run(
             [sys.executable, "-c", script, str(ROOT / "samples" / "sphere.usda")],
@@ -285,7 +285,7 @@ def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_pat
             file.name: re.sub(rb'("seconds": )[0-9.e-]+', rb"\1", file.read_bytes())
             for file in sorted((here / "out").iterdir())
         }
-        return done.stdout.strip(), files, {file.name for file in kernels.rglob("*.tic")}
+        return done.stdout.strip(), files, {file.name for file in cached.rglob("*.tic")}
 
     on, off = bake("1"), bake("0")
     assert (on[0], off[0]) == ("SimpleNamespace", "module"), "else nothing is compared"
