@@ -37,6 +37,27 @@ from gf_usd.physics.total_lagrangian.kernels.simd import (
 
 
 @unrolled
+def each_difference(q):
+    """`differences` of each of three components."""
+    for d in range(3):
+        differences(q[d::3])
+
+
+@unrolled
+def each_transposed(q):
+    """`differences_transposed` of each of three components."""
+    for d in range(3):
+        differences_transposed(q[d::3])
+
+
+@unrolled
+def each_filtered(q, f, m, out):
+    """`filter_batch` of each of three components."""
+    for d in range(3):
+        filter_batch(q[d::3], f, m, out[d::3])
+
+
+@unrolled
 def lane_rows(array, first, lane, count):
     """`count` numbers of a lane from vector `first` on, each a vector of one lane."""
     return let([ti.Vector([at(at(array, first + k), lane)]) for k in range(count)])
@@ -142,10 +163,10 @@ def stress_cell(
     """-V0 P G of the particles of cell z into its part of the block: `simd.stress_group`."""
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)
-    differences(u)
+    each_difference(u)
     rate = gather_cell(body, body.v, group, lane) if ti.static(damped) else u
     if ti.static(damped):
-        differences(rate)
+        each_difference(rate)
     out = zeros(u)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle_cell(body, b, lane)
@@ -167,7 +188,7 @@ def stress_cell(
             assign(P, product(P, transposed(Pi)))
         k = (0.0 - 0.5 * ih) * ti.Vector([body.V0[b][lane]])
         spread(scaled(k, P), s, h, out)
-    differences_transposed(out)
+    each_transposed(out)
     put_lane_rows(body.block, 81 * group, lane, out)
 
 
@@ -179,7 +200,7 @@ def filter_cell(body: ti.template(), z):
     out = zeros(q)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         f = lane_rows(body.fx, 3 * b, lane, 3)
-        filter_batch(q, f, ti.Vector([body.m[b][lane]]), out)
+        each_filtered(q, f, ti.Vector([body.m[b][lane]]), out)
     put_lane_rows(body.block, 81 * group, lane, out)
 
 
@@ -188,7 +209,7 @@ def cell_energy(body: ti.template(), z, laws: ti.template(), ih, converged, opti
     """sum_p V0 psi(F_p) of cell z, before what is due to flow has flowed."""
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)
-    differences(u)
+    each_difference(u)
     total = u[0] * 0.0
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle_cell(body, b, lane)
@@ -211,7 +232,7 @@ def cell_von_mises(
     """out[8 b + lane] = von Mises of each particle of cell z."""
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)
-    differences(u)
+    each_difference(u)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle_cell(body, b, lane)
         F = strain_cell(body, b, lane, u, s, h, ih, options)

@@ -107,11 +107,8 @@ def stress_group(
     options: ti.template(),
 ):  # fmt: skip
     """-V0 P G of the particles of eight cells into their block."""
-    u = gather(body, body.u, group)
-    differences(u)
-    rate = gather(body, body.v, group) if ti.static(damped) else u
-    if ti.static(damped):
-        differences(rate)
+    u = moments(body, body.u, group)
+    rate = moments(body, body.v, group) if ti.static(damped) else u
     out = zeros(u)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
@@ -135,8 +132,11 @@ def stress_group(
             assign(P, product(P, transposed(Pi)))
         k = (0.0 - 0.5 * ih) * body.V0[b]
         spread(scaled(k, P), s, h, out)
-    differences_transposed(out)
     put_block(body.block, group, out)
+    for d in range(3):
+        q = component(body.block, group, d)
+        differences_transposed(q)
+        put_component(body.block, group, d, q)
 
 
 @unrolled
@@ -171,42 +171,45 @@ def filter_group(body: ti.template(), group):
 
     v_p = sum w v_i and C_p = 4/h^2 sum w v_i (x) dX; with dX in cells the h cancels.
     """
-    q = gather(body, body.v, group)
-    out = zeros(q)
-    for b in range(body.group_batch[group], body.group_batch[group + 1]):
-        f = [body.fx[3 * b], body.fx[3 * b + 1], body.fx[3 * b + 2]]
-        filter_batch(q, f, body.m[b], out)
-    put_block(body.block, group, out)
+    gather(body, body.v, group)
+    for d in range(3):
+        q = component(body.block, group, d)
+        out = zeros(q)
+        for b in range(body.group_batch[group], body.group_batch[group + 1]):
+            f = [body.fx[3 * b], body.fx[3 * b + 1], body.fx[3 * b + 2]]
+            filter_batch(q, f, body.m[b], out)
+        put_component(body.block, group, d, out)
 
 
 @unrolled
 def filter_batch(q, f, m, out):
-    """Add m (v_p + C_p dX) of the particles at f cells, of mass m, to out, from nodal v in q."""
+    """Add a component of m (v_p + C_p dX) of the particles at f cells, of mass m, to out (27); q :
+    that component of nodal v.
+    """
     w = let([spline(f[a]) for a in range(3)])
     g = let([[w[a][i] * (float(i) - f[a]) for i in range(3)] for a in range(3)])  # w dX
-    for d in range(3):
-        t, t1, t2 = [], [], []
-        for i in range(3):
-            rows = [[q[27 * i + 9 * j + 3 * k + d] for k in range(3)] for j in range(3)]
-            s = let([dot(w[2], row) for row in rows])
-            s2 = [dot(g[2], row) for row in rows]
-            t.append(let(dot(w[1], s)))
-            t1.append(dot(g[1], s))
-            t2.append(dot(w[1], s2))
-        v = let(m * dot(w[0], t))
-        c0 = let(4.0 * m * dot(g[0], t))
-        c1 = let(4.0 * m * dot(w[0], t1))
-        c2 = let(4.0 * m * dot(w[0], t2))
-        for i in range(3):
-            a = let(w[0][i] * v + g[0][i] * c0)
-            b1 = let(w[0][i] * c1)
-            b2 = let(w[0][i] * c2)
-            for j in range(3):
-                p = let(w[1][j] * a + g[1][j] * b1)
-                r = let(w[1][j] * b2)
-                for k in range(3):
-                    n = 27 * i + 9 * j + 3 * k + d
-                    put(out[n], out[n] + w[2][k] * p + g[2][k] * r)
+    t, t1, t2 = [], [], []
+    for i in range(3):
+        rows = [[q[9 * i + 3 * j + k] for k in range(3)] for j in range(3)]
+        s = let([dot(w[2], row) for row in rows])
+        s2 = [dot(g[2], row) for row in rows]
+        t.append(let(dot(w[1], s)))
+        t1.append(dot(g[1], s))
+        t2.append(dot(w[1], s2))
+    v = let(m * dot(w[0], t))
+    c0 = let(4.0 * m * dot(g[0], t))
+    c1 = let(4.0 * m * dot(w[0], t1))
+    c2 = let(4.0 * m * dot(w[0], t2))
+    for i in range(3):
+        a = let(w[0][i] * v + g[0][i] * c0)
+        b1 = let(w[0][i] * c1)
+        b2 = let(w[0][i] * c2)
+        for j in range(3):
+            p = let(w[1][j] * a + g[1][j] * b1)
+            r = let(w[1][j] * b2)
+            for k in range(3):
+                n = 9 * i + 3 * j + k
+                put(out[n], out[n] + w[2][k] * p + g[2][k] * r)
 
 
 @unrolled
@@ -221,8 +224,7 @@ def group_energy(
     options: ti.template(),
 ):  # fmt: skip
     """out[8 group + lane] = sum_p V0 psi(F_p) of a cell, before what is due to flow has flowed."""
-    q = gather(body, body.u, group)
-    differences(q)
+    q = moments(body, body.u, group)
     total = q[0] * 0.0
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
@@ -245,8 +247,7 @@ def group_von_mises(
     options: ti.template(),
 ):  # fmt: skip
     """out[8 b + lane] = von Mises of each particle of eight cells."""
-    u = gather(body, body.u, group)
-    differences(u)
+    u = moments(body, body.u, group)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
         F = strain(body, b, u, s, h, ih, options)
@@ -261,11 +262,12 @@ def group_von_mises(
             out[b * LANES + lane] = value[lane]
 
 
-# Component d of node (i, j, k) is number 27 i + 9 j + 3 k + d.
-STEPS = (27, 9, 3)
-# The three along each line of each axis: numbers, since sums of them cost at every start.
+# Component d of node (i, j, k) is number 27 i + 9 j + 3 k + d of a block, 9 i + 3 j + k of the
+# component's.  The three along each line of each axis: numbers, since sums of them cost at every
+# start.
+STEPS = (9, 3, 1)
 LINES = tuple(
-    tuple((n, n + step, n + 2 * step) for n in range(81) if n // step % 3 == 0) for step in STEPS
+    tuple((n, n + step, n + 2 * step) for n in range(27) if n // step % 3 == 0) for step in STEPS
 )
 
 
@@ -294,7 +296,7 @@ def middle(body: ti.template(), b):
 
 @ti.func
 def gather(body: ti.template(), field: ti.template(), group):
-    """A nodal vector field at the 27 nodes of eight cells: 27 x 3 lane vectors, node by node."""
+    """A nodal vector field at the 27 nodes of eight cells into their block, node by node."""
     for n in range(27 * group, 27 * group + 27):
         o = n * LANES
         i0 = body.group_nodes[o]
@@ -310,7 +312,34 @@ def gather(body: ti.template(), field: ti.template(), group):
                 [field[i0 + d], field[i1 + d], field[i2 + d], field[i3 + d],
                  field[i4 + d], field[i5 + d], field[i6 + d], field[i7 + d]]
             )  # fmt: skip
+
+
+@ti.func
+def moments(body: ti.template(), field: ti.template(), group):
+    """The `differences` of a nodal vector field at the 27 nodes of eight cells, 27 x 3 lane
+    vectors; what is alike for the three components stands in the kernel once.
+    """
+    gather(body, field, group)
+    for d in range(3):
+        q = component(body.block, group, d)
+        differences(q)
+        put_component(body.block, group, d, q)
     return block(body.block, group)
+
+
+@unrolled
+def component(array, group, d):
+    """The 27 lane vectors of component d of a group's block."""
+    o = let(81 * group + d)
+    return let([at(array, o + 3 * n) for n in range(27)])
+
+
+@unrolled
+def put_component(array, group, d, q):
+    """27 lane vectors q as component d of a group's block."""
+    o = let(81 * group + d)
+    for n in range(27):
+        put(at(array, o + 3 * n), q[n])
 
 
 @unrolled
@@ -338,7 +367,7 @@ def evaluate(a, b, c, s, h):
 
 @unrolled
 def differences(q):
-    """a, b, c along each axis instead of the 27 values q, for each of three components."""
+    """a, b, c along each axis instead of the 27 values q of a component, in place."""
     for lines in LINES:
         for i, j, k in lines:
             b = let(q[k] - q[i])
