@@ -1,4 +1,4 @@
-"""Per-particle kernels of a frame: rotation, stretches, Gaussian, radiance.
+"""Per-particle kernels of a frame: rotation, stretches, radiance.
 
 A particle stays in registers and threads share the particles; with arrays in NumPy each of some two
 hundred operations would walk through memory, on one core.  In double precision, but for the
@@ -27,7 +27,6 @@ ti = import_taichi()
 
 NEWTON = 12  # steps of the polar iteration, enough for stretches of 1/100 to 100
 SETTLED = 1e-9  # change after which an iterate is exact to rounding
-SWEEPS = 6  # Jacobi converges quadratically: f64 digits are used up well before
 
 Many = ti.types.ndarray(dtype=ti.f64, ndim=1)
 Flags = ti.types.ndarray(dtype=ti.i32, ndim=1)
@@ -58,22 +57,6 @@ def strains(F: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     s, J = np.empty((len(F), 3)), np.empty(len(F))
     _stretches(_flat(F), s.reshape(-1), J)
     return s, J
-
-
-def carried(
-    F: Floats, rest: Floats, R: Floats, turn: Floats, axes: Floats, last: Floats
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Axes (N, 3, 3), quaternions (N, 4) and scales (N, 3) of Gaussians after a frame.
-
-    F, and R its rotations; rest : Q0 diag(s0); turn, axes (N, 3, 3), last (N, 4): of the frame
-    before.
-    """
-    ensure_running()
-    axes_now, q, scales = np.empty(F.shape), np.empty((len(F), 4)), np.empty((len(F), 3))
-    given = (_flat(a) for a in (F, rest, R, turn, axes, last))
-    made = (a.reshape(-1) for a in (axes_now, q, scales))
-    _carry(*given, *made, len(F))
-    return axes_now, q, scales
 
 
 def _flat(values: Floats) -> NDArray[np.float64]:
@@ -167,114 +150,6 @@ def root(x):
     """sqrt(x), 0 where rounding made x negative; what is no number stays none."""
     x = let(x)
     return ti.sqrt(ti.select(x < 0.0, 0.0 * x, x))
-
-
-@unrolled
-def quaternion(R):
-    """Unit quaternion [w, x, y, z] of a rotation R."""
-    a, b, c = R[0], R[4], R[8]
-    wx, wy, wz = R[7] - R[5], R[2] - R[6], R[3] - R[1]
-    xy, xz, yz = R[3] + R[1], R[2] + R[6], R[7] + R[5]
-    # The largest of four squared components is at least a quarter: divide by that one.
-    q = let([1 + a + b + c, wx, wy, wz])
-    most = q[0]
-    for k, row in enumerate(
-        (
-            [wx, 1 + a - b - c, xy, xz],
-            [wy, xy, 1 - a + b - c, yz],
-            [wz, xz, yz, 1 - a - b + c],
-        ),
-        1,
-    ):
-        row = let(row)
-        larger = let(row[k] > most)
-        most = let(ti.select(larger, row[k], most))
-        q = [let(ti.select(larger, row[i], q[i])) for i in range(4)]
-    length = let(ti.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]))
-    return [one / length for one in q]
-
-
-@ti.func
-def diagonalize(S: ti.template()):
-    """S <- Q^T S Q, diagonal, for a symmetric S of which the upper half is read and changed.
-
-    Returns Q, det Q = 1, near the identity: cyclic rotations (Jacobi 1846).
-    """
-    Q = identity()
-    # Below rounding an off-diagonal says nothing, and turning by it would be noise.
-    least = 1e-14 * ti.max(S[0] + S[4] + S[8], 1e-300)
-    sweep = 0
-    moved = 1
-    while sweep < SWEEPS and moved == 1:
-        moved = 0
-        for a, b in ti.static(((0, 1), (0, 2), (1, 2))):
-            if ti.abs(S[3 * a + b]) > least:
-                moved = 1
-                turn_plane(S, Q, a, b)
-        sweep += 1
-    return Q
-
-
-@unrolled
-def identity():
-    return [ti.cast(1.0 if a % 4 == 0 else 0.0, ti.f64) for a in range(9)]
-
-
-@unrolled
-def turn_plane(S, Q, a, b):
-    """Make S_ab 0 by a rotation of at most 45 degrees in the plane of a and b, a < b."""
-    off = let(S[3 * a + b])
-    tau = let((S[4 * b] - S[4 * a]) / (2.0 * off))
-    t = let(ti.select(tau >= 0.0, 1.0, -1.0) / (ti.abs(tau) + ti.sqrt(1.0 + tau * tau)))
-    c = let(1.0 / ti.sqrt(1.0 + t * t))
-    s = let(t * c)
-    put(S[4 * a], S[4 * a] - t * off)
-    put(S[4 * b], S[4 * b] + t * off)
-    put(S[3 * a + b], 0.0)
-    other = 3 - a - b
-    places = [(3 * min(a, other) + max(a, other), 3 * min(b, other) + max(b, other))]
-    for M, first, second in (
-        *((S, i, j) for i, j in places),
-        *((Q, 3 * i + a, 3 * i + b) for i in range(3)),
-    ):
-        x, y = let(M[first]), let(M[second])
-        put(M[first], c * x - s * y)
-        put(M[second], s * x + c * y)
-
-
-@ti.kernel
-def _carry(
-    F: Many, rest: Many, R: Many, turn: Many, axes: Many, last: Many, new_axes: Many,
-    new_last: Many, scales: Many, count: ti.i32,
-):  # fmt: skip
-    """A frame of `gaussians.GaussianTrack`, of which turn, axes and last are the state.
-
-    rest : Q0 diag(s0); R : rotations of F, the next turn.
-    """
-    for p in range(count):
-        turned = product(matrix(R, p), transposed(matrix(turn, p)))
-        start = product(turned, matrix(axes, p))
-        A = product(matrix(F, p), matrix(rest, p))
-        B = product(transposed(start), A)
-        S = product(B, transposed(B))
-        spin = diagonalize(S)
-        Q = product(start, spin)
-        keep(new_axes, p, Q)
-        keep_gaussian(new_last, scales, last, p, S, quaternion(Q))
-
-
-@unrolled
-def keep_gaussian(new_last, scales, last, p, S, q):
-    """Write the roots of S_aa, and of q and -q, which are one rotation, the one near the last."""
-    q = let(q)
-    for a in range(3):
-        put(at(scales, 3 * p + a), root(S[4 * a]))
-    along = q[0] * at(last, 4 * p)
-    for a in range(1, 4):
-        along = along + q[a] * at(last, 4 * p + a)
-    sign = let(ti.select(along < 0.0, -1.0, 1.0))
-    for a in range(4):
-        put(at(new_last, 4 * p + a), sign * q[a])
 
 
 _terms = ti.func(terms)

@@ -158,6 +158,17 @@ def wait() -> None:
     program.synchronize()
 
 
+def aligned(rows: int, lanes: int) -> Floats:
+    """(rows, lanes) numbers for kernels that take rows as vectors, unset.
+
+    A vector is read at once, from a multiple of its size; NumPy only sees to multiples of 16 bytes.
+    """
+    size = 8 * lanes
+    raw = np.empty((rows + 1) * lanes)
+    first = -raw.__array_interface__["data"][0] % size // 8
+    return raw[first : first + rows * lanes].reshape(rows, lanes)
+
+
 def to_device(values: Mapping[str, Floats], real: type) -> dict[str, Any]:
     """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64).
 

@@ -30,7 +30,8 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import SplatPose, Splats
 from gf_usd.core.frames import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
-from gf_usd.physics.per_particle import carried, nearest_rotation, rotated
+from gf_usd.physics.output.gaussian_kernels import carry, from_lanes, to_lanes
+from gf_usd.physics.per_particle import nearest_rotation, rotated
 
 
 class GaussianTrack:
@@ -40,30 +41,39 @@ class GaussianTrack:
     """
 
     def __init__(self, rest_orientation: Floats, rest_scale: Floats) -> None:
-        self._axes = matrix_from_quaternion(rest_orientation)
-        self._rest = self._axes * np.asarray(rest_scale, float)[:, None, :]  # Q0 diag(s0)
-        self._turn = np.broadcast_to(np.eye(3), self._rest.shape)
-        self._last = np.asarray(rest_orientation, float)
+        axes = matrix_from_quaternion(rest_orientation)
+        self._count = len(axes)
+        self._rest = to_lanes(axes * np.asarray(rest_scale, float)[:, None, :])  # Q0 diag(s0)
+        turn = np.broadcast_to(np.eye(3), axes.shape)
+        self._lanes = tuple(to_lanes(a) for a in (turn, axes, np.asarray(rest_orientation, float)))
 
     @property
     def turn(self) -> NDArray[np.float64]:
         """(N, 3, 3) rotation of the body at the last pose."""
-        return self._turn
+        return from_lanes(self._lanes[0], self._count, 3, 3)
 
     def state(self) -> dict[str, Floats]:
         """What the next frame starts from: axes and turn (N, 3, 3), quaternions (N, 4)."""
-        return {"axes": self._axes, "turn": np.array(self._turn), "last": self._last}
+        _, axes, last = self._lanes
+        return {
+            "axes": from_lanes(axes, self._count, 3, 3),
+            "turn": self.turn,
+            "last": from_lanes(last, self._count, 4),
+        }
 
     def load(self, state: Mapping[str, Floats]) -> None:
         """Go on from `state`."""
-        self._axes, self._turn, self._last = state["axes"], state["turn"], state["last"]
+        self._lanes = tuple(to_lanes(state[name]) for name in ("turn", "axes", "last"))
 
     def advance(self, pose: Pose) -> GaussianPose:
         """The Gaussians at a pose; call once a frame, in order."""
-        R = nearest_rotation(pose.F)
-        self._axes, q, s = carried(pose.F, self._rest, R, self._turn, self._axes, self._last)
-        self._turn, self._last = R, q
-        return GaussianPose(positions=pose.x, velocities=pose.v, orientations=q, scales=s)
+        *self._lanes, scales = carry(to_lanes(pose.F), self._count, (self._rest, *self._lanes))
+        return GaussianPose(
+            positions=pose.x,
+            velocities=pose.v,
+            orientations=from_lanes(self._lanes[2], self._count, 4),
+            scales=from_lanes(scales, self._count, 3),
+        )
 
 
 STRETCH = (

@@ -240,3 +240,27 @@ def test_a_sheared_prim_is_judged_by_its_motion_in_the_world(tmp_path: Path) -> 
         prim.GetAttribute("velocities").Set(vec3(v @ back), code)
         prim.GetAttribute("extent").Set(box(x @ back), code)
     assert [f for f in check_stage(stage).findings if f.rule == "velocities"] == []
+
+
+@pytest.mark.parametrize("other", ["nothing", "velocities", "places"])
+def test_a_twin_is_judged_once_and_only_one_that_is_alike(
+    monkeypatch: pytest.MonkeyPatch, other: str
+) -> None:
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetTimeCodesPerSecond(RATE)
+    for path in ("/One", "/Two"):
+        points = UsdGeom.Points.Define(stage, path)
+        off = 1.0 if path == "/Two" and other == "places" else 0.0
+        factor = 2.0 if path == "/Two" and other == "velocities" else 1.0
+        for code in np.arange(20.0):
+            x, v = motion(GRID, code)
+            points.GetPointsAttr().Set(vec3(x + off), code)
+            points.GetVelocitiesAttr().Set(vec3(factor * v), code)
+    judged = []
+    tally_of = motion_rule.tally_of
+    monkeypatch.setattr(
+        motion_rule, "tally_of", lambda *given: judged.append(1) or tally_of(*given)
+    )
+    found = list(motion_rule.velocities(stage))
+    assert len(judged) == (1 if other == "nothing" else 2)
+    assert len(found) == (1 if other == "velocities" else 0)

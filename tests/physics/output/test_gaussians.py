@@ -7,8 +7,17 @@ from scipy.spatial.transform import Rotation
 
 from gf_usd.core.frames import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
+from gf_usd.physics.output.gaussian_kernels import (
+    Lanes,
+    diagonalize,
+    from_lanes,
+    keep,
+    numbers,
+    quaternion,
+    to_lanes,
+)
 from gf_usd.physics.output.gaussians import GaussianTrack
-from gf_usd.physics.per_particle import diagonalize, keep, matrix, nearest_rotation, quaternion
+from gf_usd.physics.per_particle import nearest_rotation
 from gf_usd.system.taichi_runtime import ensure_running, import_taichi
 
 ti = import_taichi()
@@ -16,38 +25,33 @@ ti = import_taichi()
 DISC = np.array([0.15, 0.6, 0.6])  # (sigma_r, sigma_t, sigma_t), the rest shape of the sampler
 
 
-Many = ti.types.ndarray(dtype=ti.f64, ndim=1)
+@ti.kernel
+def each_quaternion(R: Lanes, q: Lanes, groups: ti.i32):
+    for g in range(groups):
+        keep(q, g, groups, quaternion(numbers(R, g, groups, 9)))
 
 
 @ti.kernel
-def each_quaternion(R: Many, q: Many):
-    for p in range(q.shape[0] // 4):
-        one = quaternion(matrix(R, p))
-        for a in ti.static(range(4)):
-            q[4 * p + a] = one[a]
-
-
-@ti.kernel
-def each_diagonal(S: Many, D: Many, Q: Many):
-    for p in range(S.shape[0] // 9):
-        diagonal = matrix(S, p)
-        keep(Q, p, diagonalize(diagonal))
-        keep(D, p, diagonal)
+def each_diagonal(S: Lanes, Q: Lanes, groups: ti.i32):
+    for g in range(groups):
+        diagonal = numbers(S, g, groups, 9)
+        keep(Q, g, groups, diagonalize(diagonal))
+        keep(S, g, groups, diagonal)
 
 
 def quaternion_from_matrix(R: np.ndarray) -> np.ndarray:
     ensure_running()
-    q = np.empty((len(R), 4))
-    each_quaternion(np.ascontiguousarray(R).reshape(-1), q.reshape(-1))
-    return q
+    lanes, q = to_lanes(R), to_lanes(np.empty((len(R), 4)))
+    each_quaternion(lanes, q, len(q) // 4)
+    return from_lanes(q, len(R), 4)
 
 
 def jacobi(S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ensure_running()
-    D, Q = np.empty(S.shape), np.empty(S.shape)
-    each_diagonal(np.ascontiguousarray(S).reshape(-1), D.reshape(-1), Q.reshape(-1))
-    upper = np.triu(D)
-    return upper + np.triu(upper, 1).swapaxes(1, 2), Q
+    D, Q = to_lanes(S), to_lanes(S)
+    each_diagonal(D, Q, len(D) // 9)
+    upper = np.triu(from_lanes(D, len(S), 3, 3))
+    return upper + np.triu(upper, 1).swapaxes(1, 2), from_lanes(Q, len(S), 3, 3)
 
 
 def quaternions(n: int, seed: int) -> np.ndarray:
@@ -224,3 +228,32 @@ def test_the_nearest_rotation_is_proper_even_for_inverted_maps():
         w = np.random.default_rng(seed).normal(scale=0.1, size=3)
         other = Rotation.from_rotvec(w).as_matrix() @ R
         assert (np.linalg.norm(F - other, axis=(1, 2)) >= near).all()
+
+
+def test_lanes_hold_what_they_are_given_and_begin_where_vectors_do():
+    for count in (1, 4, 7):
+        given = np.random.default_rng(count).normal(size=(count, 3, 3))
+        lanes = to_lanes(given)
+        assert lanes.shape == (9 * -(-count // 4), 4)
+        assert lanes.ctypes.data % 32 == 0
+        np.testing.assert_array_equal(from_lanes(lanes, count, 3, 3), given)
+
+
+def test_a_particle_does_not_depend_on_those_beside_it():
+    # Some take other sweeps and steps than others, and those inverted or flat take the SVD.
+    n = 61
+    q, scale = quaternions(n, 11), np.random.default_rng(12).uniform(0.1, 1.0, (n, 3))
+    F = (
+        np.eye(3)
+        + np.random.default_rng(13).normal(size=(n, 3, 3)) * np.linspace(0, 1, n)[:, None, None]
+    )
+    F[7] = np.diag([1.0, 1e-9, 1.0])
+    assert (np.linalg.det(F) < 0.0).sum() > 5
+    track = GaussianTrack(q, scale)
+    together = [track.advance(at(F)), track.advance(at(F @ F))][-1]
+    for p in range(n):
+        alone = GaussianTrack(q[p : p + 1], scale[p : p + 1])
+        alone.advance(at(F[p : p + 1]))
+        out = alone.advance(at(F[p : p + 1] @ F[p : p + 1]))
+        np.testing.assert_array_equal(out.orientations[0], together.orientations[p])
+        np.testing.assert_array_equal(out.scales[0], together.scales[p])
