@@ -35,6 +35,12 @@ def values(array: Any) -> Floats:
     return array.to_numpy() if seen is None else seen.copy()
 
 
+def look(array: Any) -> Floats:
+    """The numbers of a ti.ndarray, not to be changed, nor kept beyond the next launch."""
+    seen = _memory(array)
+    return array.to_numpy() if seen is None else seen
+
+
 def put(array: Any, new: Floats) -> None:
     """Fill a ti.ndarray.  Raises ValueError where the shapes differ."""
     shape = _shape(array)
@@ -167,6 +173,13 @@ def aligned(rows: int, lanes: int) -> Floats:
     raw = np.empty((rows + 1) * lanes)
     first = -raw.__array_interface__["data"][0] % size // 8
     return raw[first : first + rows * lanes].reshape(rows, lanes)
+
+
+def widened(rows: Floats, lanes: int) -> Floats:
+    """`aligned` rows (n, k) with zeros after the k numbers of each."""
+    wide = aligned(len(rows), lanes)
+    wide[:, : rows.shape[1]], wide[:, rows.shape[1] :] = rows, 0.0
+    return wide
 
 
 def to_device(values: Mapping[str, Floats], real: type) -> dict[str, Any]:

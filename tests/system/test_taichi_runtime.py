@@ -90,7 +90,7 @@ def test_starting_says_nothing_on_the_way(stdout):
 
 KERNEL = (
     "from gf_usd.system import taichi_runtime as own; own.init_taichi();"
-    "from gf_usd.physics.grid import embedding_kernels;"
+    "from gf_usd.physics.grid import row_kernels;"
     "import taichi as ti; x = ti.field(ti.f32, 3); x.fill(1.0);"  # compiles a kernel
     "print(*own.kernel_cache_notes())"
 )

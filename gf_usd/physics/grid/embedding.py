@@ -33,6 +33,7 @@ from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.frames import Pose
 from gf_usd.core.matrices import cofactors, entries
 from gf_usd.physics.grid.reference import CHUNK, OFFSETS, Rows, weights
+from gf_usd.physics.taichi_arrays import aligned, widened
 from gf_usd.system.taichi_runtime import ensure_running, resident_blocks, threads
 
 if TYPE_CHECKING:
@@ -118,12 +119,13 @@ def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
 def _in_one_pass(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
     """The same, to rounding, in a third of the time."""
     ensure_running()
-    from gf_usd.physics.grid.embedding_kernels import embed
+    from gf_usd.physics.grid.row_kernels import LANES, embed
 
     n = len(rows.X)
     x, rate, F = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 9))
-    given = (np.ascontiguousarray(a, np.float64) for a in (rows.X, offset, u, v))
-    embed(rows.cell, rows.around, rows.fx, 1.0 / rows.h, *given, x, rate, F)
+    given = (np.ascontiguousarray(a, np.float64) for a in (rows.X, offset))
+    wide = (widened(a, LANES) for a in (u, v))
+    embed(rows.cell, rows.around, rows.fx, 1.0 / rows.h, *given, *wide, x, rate, F)
     return Pose(x=x, v=rate, F=F.reshape(n, 3, 3))
 
 
@@ -149,11 +151,10 @@ def stretches(rows: Rows | SplineRows, u: Floats) -> Floats:
     n = len(rows.X)
     if isinstance(rows, SplineRows) and rows.many:
         ensure_running()
-        from gf_usd.physics.grid.embedding_kernels import stretch
+        from gf_usd.physics.grid.row_kernels import LANES, stretch
 
         out = np.empty((n, 9))
-        u = np.ascontiguousarray(u, np.float64)
-        stretch(rows.cell, rows.around, rows.fx, 1.0 / rows.h, u, out)
+        stretch(rows.cell, rows.around, rows.fx, 1.0 / rows.h, widened(u, LANES), out)
         return out.reshape(n, 3, 3)
     F = np.empty((n, 3, 3))
     if n < FEW:
@@ -169,12 +170,13 @@ def gathered(rows: SplineRows, P: Floats) -> Floats:
     n, count = len(rows.X), rows.spread.shape[0]
     if rows.many:
         ensure_running()
-        from gf_usd.physics.grid.embedding_kernels import gather
+        from gf_usd.physics.grid.row_kernels import LANES, gather
 
-        out = np.zeros((count, 3))
+        out = aligned(count, LANES)
+        out[...] = 0.0
         P = np.ascontiguousarray(P, np.float64).reshape(n, 9)
         gather(rows.cell, rows.around, rows.fx, 1.0 / rows.h, P, out)
-        return out
+        return out[:, :3]
     if n < FEW:
         return rows.slopes.T @ np.moveaxis(P, 2, 0).reshape(3 * n, 3)
     return sum((G.T @ P[:, :, b] for b, G in enumerate(rows.G)), np.zeros((count, 3)))

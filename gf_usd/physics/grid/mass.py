@@ -26,6 +26,7 @@ that the inertia of each body is that of its particles.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,9 +36,12 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.grid.reference import CHUNK, Stencil, bspline
 from gf_usd.physics.grid.spectrum import ACCURACY, largest_eigenvalue
+from gf_usd.physics.taichi_arrays import widened
+from gf_usd.system.taichi_runtime import ensure_running, resident_blocks
 
 WEAK = 5e-3  # of sqrt(M_i M_j): springs below this are left out
 SOLVED = 1e-13  # residual of M~ v, relative
+MANY = 1000  # nodes, from where a kernel is worth its loading
 PASSES = 4  # of `balanced`: each leaves a hundredth of the error
 STIFFEST, SOFTEST = 2.0, 0.5  # times its own value that a spring may become there
 RIDGE = 1e-2  # a direction that few springs have is left as it is
@@ -117,13 +121,12 @@ class NodalMass:
         steps = int(np.ceil(np.log(2.0 / SOLVED) / -np.log(fall)))
         last = np.inf
         while True:
-            for _ in range(steps):
-                r -= S @ d
+            shrink, grow = np.empty(steps), np.empty(steps)
+            for k in range(steps):
                 after = 1.0 / (2.0 * middle / half - rho)
-                d *= after * rho
-                d += (2.0 * after / half) * r
-                z += d
+                shrink[k], grow[k] = after * rho, 2.0 * after / half
                 rho = after
+            r, d, z = _iterated(S, shrink, grow, r, d, z)
             left = ((r - S @ d) ** 2).sum(0)
             # what is left is rounding where it falls no longer
             if (left <= least).all() or not left.sum() < last:
@@ -140,6 +143,34 @@ class NodalMass:
         start = np.random.default_rng(0).normal(size=len(self.lumped))
         inverse = 1.0 / self.lumped
         return 1.0 + largest_eigenvalue(lambda f: inverse * f, lambda a: self.laplacian @ a, start)
+
+
+def _iterated(
+    S: sparse.csr_matrix, shrink: Floats, grow: Floats, *fields: Floats
+) -> tuple[Floats, ...]:
+    """Residual r, direction d and solution z (n, ...) after steps of Chebyshev's iteration."""
+    many = len(fields[0]) >= MANY and fields[0].shape[1:] == (3,)
+    if many and S.indices.dtype == np.int32 and not resident_blocks():
+        return _in_one_call(S, shrink, grow, fields)
+    r, d, z = fields
+    for a, b in zip(shrink, grow):
+        r -= S @ d
+        d *= a
+        d += b * r
+        z += d
+    return r, d, z
+
+
+def _in_one_call(
+    S: sparse.csr_matrix, shrink: Floats, grow: Floats, fields: Sequence[Floats]
+) -> tuple[Floats, ...]:
+    """The same, to the bit, in a third of the time."""
+    ensure_running()
+    from gf_usd.physics.grid.row_kernels import LANES, iterate
+
+    wide = [widened(a, LANES) for a in fields]
+    iterate(S.indptr, S.indices, S.data, shrink, grow, *wide)
+    return tuple(a[:, :3] for a in wide)
 
 
 def per_row(values: Floats, like: Floats) -> Floats:

@@ -21,7 +21,7 @@ from gf_usd.physics.grid.embedding import gradient, pose
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
-from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.taichi_arrays import DeviceState, look
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.layout import ANCHOR, PIN_RATE, PIN_WORK
 from gf_usd.physics.total_lagrangian.setup import Body, arrays, viscosities
@@ -205,8 +205,9 @@ class State(DeviceState):
         names = (*names, "sample_spring")
         if self._body.law.set.flows:
             names = (*names, "history")
-        given = (*(self.get(name) for name in names), self.offset.copy())
-        if self._view is None or not self._view.is_of(given):
+        seen = (*(look(self.arrays[name]) for name in names), self.offset)
+        if self._view is None or not self._view.is_of(seen):
+            given = tuple(a.copy() for a in seen)
             self._view = StateView(self._body, self.rest, self._weigh, given)
         return self._view
 

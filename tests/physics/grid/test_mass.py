@@ -8,6 +8,7 @@ from scipy import sparse
 from solids import ball
 
 from gf_usd.core.stage import Pin
+from gf_usd.physics.grid import mass as grid_mass
 from gf_usd.physics.grid.mass import (
     cell_springs,
     consistent_mass,
@@ -86,6 +87,15 @@ def test_momentum_is_the_inverse_of_acceleration():
     assert (v * p).sum() < made.mass @ (v**2).sum(1)
     still = mass.momentum(np.zeros_like(v))
     np.testing.assert_array_equal(still, 0.0)
+
+
+def test_many_nodes_have_the_same_momentum_to_the_bit(monkeypatch):
+    _, _, made, mass = of_ball()
+    v = np.random.default_rng(3).normal(size=(made.free_count, 3))
+    monkeypatch.setattr(grid_mass, "MANY", len(v) + 1)
+    few = mass.momentum(v)
+    monkeypatch.setattr(grid_mass, "MANY", 1)
+    np.testing.assert_array_equal(mass.momentum(v), few)
 
 
 @pytest.mark.parametrize("even", [True, False])

@@ -1,16 +1,23 @@
-"""Position, velocity and deformation gradient of many points, by where they are in their cells.
+"""Sums over nodes in double precision, three components at once.
 
-In double precision.  Sums over the 27 nodes of a cell are taken axis by axis:
+Position, velocity and deformation gradient of many points, by where they are in their cells: sums
+over the 27 nodes of a cell are taken axis by axis,
 
     sum_ijk N_i(f_x) N_j(f_y) N_k(f_z) u_ijk = sum_i N_i sum_j N_j sum_k N_k u_ijk
 
-and alike with the slopes of one of the axes.
+and alike with the slopes of one of the axes.  And sums over the rows of a sparse matrix, in the
+order of SciPy's products.
+
+The components are a vector, with a fourth that says nothing, since processors have vectors of four.
 """
 
 from gf_usd.system.taichi_runtime import import_taichi
 
 ti = import_taichi()
 
+LANES = 4
+
+Lanes = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 Rows = ti.types.ndarray(dtype=ti.f64, ndim=2)
 Numbers = ti.types.ndarray(dtype=ti.f64, ndim=1)
 Whole = ti.types.ndarray(dtype=ti.i32, ndim=1)
@@ -31,25 +38,19 @@ def slope(f):
 
 
 @ti.func
-def vector(values: ti.template(), i):
-    """Row i."""
-    return ti.Vector([values[i, 0], values[i, 1], values[i, 2]])
-
-
-@ti.func
 def sums(around: ti.template(), c, fx: ti.template(), p, u: ti.template()):
     """sum_i w_ip u_i, and the same with the slope along each axis, per cell."""
     wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
     dx, dy, dz = slope(fx[p, 0]), slope(fx[p, 1]), slope(fx[p, 2])
     zero = 0.0 * fx[p, 0]
-    value = ti.Vector([zero, zero, zero])
+    value = ti.Vector([zero, zero, zero, zero])
     x, y, z = value, value, value
     for i in ti.static(range(3)):
         plane, plane_y, plane_z = 0.0 * value, 0.0 * value, 0.0 * value
         for j in ti.static(range(3)):
             line, line_z = 0.0 * value, 0.0 * value
             for k in ti.static(range(3)):
-                one = vector(u, around[c, 9 * i + 3 * j + k])
+                one = u[around[c, 9 * i + 3 * j + k]]
                 line += wz[k] * one
                 line_z += dz[k] * one
             plane += wy[j] * line
@@ -67,13 +68,13 @@ def weighted(around: ti.template(), c, fx: ti.template(), p, v: ti.template()):
     """sum_i w_ip v_i."""
     wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
     zero = 0.0 * fx[p, 0]
-    value = ti.Vector([zero, zero, zero])
+    value = ti.Vector([zero, zero, zero, zero])
     for i in ti.static(range(3)):
         plane = 0.0 * value
         for j in ti.static(range(3)):
             line = 0.0 * value
             for k in ti.static(range(3)):
-                line += wz[k] * vector(v, around[c, 9 * i + 3 * j + k])
+                line += wz[k] * v[around[c, 9 * i + 3 * j + k]]
             plane += wy[j] * line
         value += wx[i] * plane
     return value
@@ -81,8 +82,8 @@ def weighted(around: ti.template(), c, fx: ti.template(), p, v: ti.template()):
 
 @ti.kernel
 def embed(
-    cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, X: Rows, offset: Numbers, u: Rows, v: Rows,
-    x: Rows, rate: Rows, F: Rows,
+    cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, X: Rows, offset: Numbers, u: Lanes,
+    v: Lanes, x: Rows, rate: Rows, F: Rows,
 ):  # fmt: skip
     """x = X + offset + W u,  rate = W v,  F = I + sum_b (G_b u) e_b, (n, 9) row by row.
 
@@ -99,7 +100,7 @@ def embed(
 
 
 @ti.kernel
-def stretch(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, u: Rows, D: Rows):
+def stretch(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, u: Lanes, D: Rows):
     """D = sum_i u_i (x) grad w_ip, (n, 9) row by row."""
     for p in range(D.shape[0]):
         _, F0, F1, F2 = sums(around, cell[p], fx, p, u)
@@ -109,20 +110,48 @@ def stretch(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, u: Rows, D: Rows):
 
 
 @ti.kernel
-def gather(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, P: Rows, f: Rows):
+def gather(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, P: Rows, f: Lanes):
     """f_i += sum_p P_p grad w_ip of P (n, 9), point by point on one thread: in one order."""
     ti.loop_config(serialize=True)
     for p in range(P.shape[0]):
         wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
         dx, dy, dz = slope(fx[p, 0]), slope(fx[p, 1]), slope(fx[p, 2])
-        P0 = ih * ti.Vector([P[p, 0], P[p, 3], P[p, 6]])
-        P1 = ih * ti.Vector([P[p, 1], P[p, 4], P[p, 7]])
-        P2 = ih * ti.Vector([P[p, 2], P[p, 5], P[p, 8]])
+        zero = 0.0 * ih
+        P0 = ih * ti.Vector([P[p, 0], P[p, 3], P[p, 6], zero])
+        P1 = ih * ti.Vector([P[p, 1], P[p, 4], P[p, 7], zero])
+        P2 = ih * ti.Vector([P[p, 2], P[p, 5], P[p, 8], zero])
         for i in ti.static(range(3)):
             for j in ti.static(range(3)):
                 across = wy[j] * (dx[i] * P0) + dy[j] * (wx[i] * P1)
                 along = wy[j] * (wx[i] * P2)
                 for k in ti.static(range(3)):
                     node = around[cell[p], 9 * i + 3 * j + k]
-                    for a in ti.static(range(3)):
-                        f[node, a] = f[node, a] + wz[k] * across[a] + dz[k] * along[a]
+                    f[node] = f[node] + wz[k] * across + dz[k] * along
+
+
+@ti.kernel
+def iterate(
+    start: Whole,
+    node: Whole,
+    S: Numbers,
+    shrink: Numbers,
+    grow: Numbers,
+    r: Lanes,
+    d: Lanes,
+    z: Lanes,
+):
+    """r <- r - S d,  d <- shrink d + grow r,  z <- z + d, as often as there are numbers of both.
+
+    start (n + 1,), node (nnz,), S : rows and values of a matrix (n, n).
+    """
+    ti.loop_config(serialize=True)
+    for s in range(shrink.shape[0]):
+        for p in range(r.shape[0]):
+            zero = 0.0 * shrink[s]
+            row = ti.Vector([zero, zero, zero, zero])
+            for e in range(start[p], start[p + 1]):
+                row += S[e] * d[node[e]]
+            r[p] = r[p] - row
+        for p in range(r.shape[0]):
+            d[p] = shrink[s] * d[p] + grow[s] * r[p]
+            z[p] = z[p] + d[p]
