@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import MIXED, sampled, written
-from gf_usd.core.scene import Scene
 from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
 from gf_usd.pipeline.cost.budget import (
     Cost,
@@ -33,6 +32,7 @@ from gf_usd.prepare.settings import REST_SECONDS, REST_WORK, shot_frames
 from gf_usd.system.taichi_runtime import watching
 
 if TYPE_CHECKING:
+    from gf_usd.core.scene import Scene
     from gf_usd.physics.frame_loop import Solver
     from gf_usd.readers.mesh.to_usd import MeshSource
 

@@ -10,7 +10,7 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,12 +18,14 @@ from gf_usd.core.asset import Asset, Surface, Texture
 from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.physical import PHYSICAL
-from gf_usd.core.scene import RenderMesh, Scene
 from gf_usd.core.stage import Advice, StageSpec, Subject
 from gf_usd.prepare.advice import AUTO, Auto, Question
 
+if TYPE_CHECKING:
+    from gf_usd.core.scene import RenderMesh, Scene
+
 PICTURE = (512, 512)  # pixels of what an advisor sees: what vision models take in one tile
-Draw = Callable[[Scene, tuple[int, int]], Any]  # scene, size -> pixels (height, width, 3)
+Draw = Callable[["Scene", tuple[int, int]], Any]  # scene, size -> pixels (height, width, 3)
 GRAY, ROUGHNESS = 0.5, 0.5  # where nothing says a color; of all surfaces in the picture
 
 
@@ -127,6 +129,8 @@ def picture(asset: Asset, draw: Draw) -> bytes:
     """A PNG of the asset at rest, drawn as by ``gf-usd preview``, PICTURE pixels large."""
     from PIL import Image
 
+    from gf_usd.core.scene import Scene
+
     x, y, z = (float(u) for u in asset.facts.up)
     meshes = tuple(_mesh(surface) for surface in asset.surfaces)
     pixels = draw(Scene(up=(x, y, z), meshes=meshes), PICTURE)
@@ -137,6 +141,8 @@ def picture(asset: Asset, draw: Draw) -> bytes:
 
 def _mesh(surface: Surface) -> RenderMesh:
     """The triangles of a surface in their diffuse colors or textures."""
+    from gf_usd.core.scene import RenderMesh
+
     count = len(surface.triangles)
     colors = np.full((count, 3, 3), GRAY)
     if surface.triangle_colors is not None:

@@ -12,10 +12,9 @@ from pxr import Usd, UsdGeom, UsdSkel
 from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Bounds, to_frame
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.skeleton import Skins
-from gf_usd.readers.usd.stage import LeftAlone, Placement
+from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_ours
 
 SAMPLED_TIMES = (
     48  # times at which a longer motion is looked at, evenly spread, first and last included

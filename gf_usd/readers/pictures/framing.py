@@ -18,7 +18,7 @@ from pxr import Usd, UsdGeom
 from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Bounds
 from gf_usd.readers.pictures.extent import MotionBoxes, fitted, near_boxes
-from gf_usd.readers.pictures.prims import SPLAT_TYPE
+from gf_usd.readers.usd.stage import SPLAT_TYPE
 
 BELOW = 0.1  # of the longest side of the rest: so much of a fall is in the picture
 WORTH = 1.1  # times as large at least is the box of all: else the picture has all of it

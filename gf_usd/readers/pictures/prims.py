@@ -17,19 +17,13 @@ from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.core.scene import Harmonics, RenderEllipsoids, RenderMesh, RenderSplats
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd.stage import LeftAlone, Placement
+from gf_usd.readers.usd.stage import LeftAlone, Placement, is_ours
 
 LEFT_OUT = "not drawn: "  # a note, with a type
-SPLAT_TYPE = "ParticleField3DGaussianSplat"
 Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
 
 
 GRAY = 0.5  # linear, where nothing says a color
-
-
-def is_ours(prim: Usd.Prim) -> bool:
-    """True for particles that a bake wrote: their colors are albedo, to be lit."""
-    return bool(prim.HasAttribute("gaussianFlesh:restPositions"))
 
 
 def stands_for_meshes(prim: Usd.Prim) -> bool:

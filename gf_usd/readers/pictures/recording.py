@@ -24,8 +24,6 @@ from gf_usd.readers.pictures.extent import (
     sometimes_visible,
 )
 from gf_usd.readers.pictures.prims import (
-    SPLAT_TYPE,
-    is_ours,
     placed_prims,
     read_splats,
     stands_for_meshes,
@@ -38,8 +36,10 @@ from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
     FOR_BAKES,
+    SPLAT_TYPE,
     LeftAlone,
     Placement,
+    is_ours,
     open_stage,
     reading,
     stage_facts,

@@ -35,9 +35,7 @@ from gf_usd.readers.pictures.extent import (
 )
 from gf_usd.readers.pictures.framing import framed
 from gf_usd.readers.pictures.prims import (
-    SPLAT_TYPE,
     as_ellipsoids,
-    is_ours,
     placed_prims,
     read_points,
     read_splats,
@@ -51,8 +49,10 @@ from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
     FOR_BAKES,
+    SPLAT_TYPE,
     LeftAlone,
     Placement,
+    is_ours,
     open_stage,
     reading,
     stage_facts,

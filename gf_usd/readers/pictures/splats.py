@@ -11,9 +11,17 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.scene import RenderSplats
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import sample_times
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, placed_prims, read_splats
+from gf_usd.readers.pictures.prims import placed_prims, read_splats
 from gf_usd.readers.pictures.recording import PURPOSES, select_variant, variants_of
-from gf_usd.readers.usd.stage import LeftAlone, Placement, open_stage, reading, stage_facts
+from gf_usd.readers.usd.stage import (
+    SPLAT_TYPE,
+    LeftAlone,
+    Placement,
+    is_ours,
+    open_stage,
+    reading,
+    stage_facts,
+)
 
 
 class SplatMotion:

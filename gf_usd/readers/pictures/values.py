@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import Quantity
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
+from gf_usd.readers.usd.stage import SPLAT_TYPE, is_ours
 
 GRADIENTS = "gaussianFlesh:deformationGradients"
 

@@ -18,9 +18,9 @@ from pathlib import Path
 from pxr import Pcp, Sdf, Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
 from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.solids.points import is_body
+from gf_usd.readers.usd.stage import SPLAT_TYPE, is_ours
 
 # Prims of an instance are read in place, as if it were not one.
 PROXIES = Usd.TraverseInstanceProxies()

@@ -16,8 +16,7 @@ from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Splats, tidy
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import ANIMATED, Notes
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
-from gf_usd.readers.usd.stage import LeftAlone, Placement
+from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_ours
 
 Types = Sdf.ValueTypeNames
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"

@@ -27,6 +27,12 @@ from gf_usd.system.atomic_files import require_utf8
 MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
 NO_TEXT = "it holds bytes that are not UTF-8"
 RATES = ("timeCodesPerSecond", "framesPerSecond")
+SPLAT_TYPE = "ParticleField3DGaussianSplat"
+
+
+def is_ours(prim: Usd.Prim) -> bool:
+    """True for particles that a bake wrote: their colors are albedo, to be lit."""
+    return bool(prim.HasAttribute("gaussianFlesh:restPositions"))
 
 
 @contextmanager

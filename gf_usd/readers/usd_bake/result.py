@@ -19,11 +19,17 @@ from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import sample_times
-from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
 from gf_usd.readers.pictures.recording import VARIANTS, select_variant, variants_of, world_points
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.solids.tets import boundary
-from gf_usd.readers.usd.stage import Placement, open_stage, reading, stage_facts
+from gf_usd.readers.usd.stage import (
+    SPLAT_TYPE,
+    Placement,
+    is_ours,
+    open_stage,
+    reading,
+    stage_facts,
+)
 
 Array = NDArray[np.float64]
 NAMESPACE = "gaussianFlesh:"
