@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.carriers import cross
 from gf_usd.physics.contact.narrow_phase import Obstacle
@@ -35,7 +35,8 @@ class Box:
         mean = v.mean(0)
         off = v - mean
         fastest = float(np.sqrt(np.einsum("na,na->n", off, off).max()))
-        return cls(low=x.min(0), high=x.max(0), mean=mean, spread=fastest)
+        low, high = corners(x)
+        return cls(low=low, high=high, mean=mean, spread=fastest)
 
 
 def schedule(
@@ -282,18 +283,13 @@ class Patches:
         size = np.cumsum(self._count[self._a[pairs]] * self._count[self._b[pairs]])
         return pairs[size <= most]
 
-    def around(self, judged: Judged, some: Ints, far: float) -> tuple[Ints, Ints]:
+    def around(self, judged: Judged, some: Ints) -> Ints:
         """(n,) whether samples are of patches that may be near one, or of those of samples `some`
-        (n,); and whether they are of patches less than `far` [m] from these.
-        """
+        (n,)."""
         looks = np.zeros(len(self._count), bool)
         looks[self._of[some]] = True
         looks[self._a[judged.near]] = looks[self._b[judged.near]] = True
-        close = judged.gap < far
-        a, b = self._a[close], self._b[close]
-        there = looks.copy()
-        there[a[looks[b]]] = there[b[looks[a]]] = True
-        return looks[self._of], there[self._of]
+        return looks[self._of]
 
     def samples(self, pairs: Ints) -> tuple[Ints, Ints, Ints]:
         """Every pair (m,), (m,) of samples of pairs (k,) of patches, and where each (k,) begins."""

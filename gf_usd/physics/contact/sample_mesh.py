@@ -32,7 +32,7 @@ EPS = 1e-9  # of a spacing: the shortest edge of the graph, where vertices coinc
 
 @dataclass(frozen=True, kw_only=True)
 class SampleMesh:
-    """Triangles of the samples of one body."""
+    """Triangles of the samples of one body, in 32 bits for kernels."""
 
     triangles: Ints  # (T, 3) samples, counter-clockwise seen from outside
     around: Ints  # (n, k) triangles of each sample; -1: no more
@@ -69,7 +69,9 @@ def triangulate(skin: Skin, X: Floats, spacing: float) -> SampleMesh:
     made = np.unique(np.take_along_axis(made, (turn + np.arange(3)) % 3, 1), axis=0)
     longest = np.linalg.norm(X[made] - X[np.roll(made, 1, axis=1)], axis=2).max(1, initial=0.0)
     made = made[longest <= WIDE * spacing]
-    return SampleMesh(triangles=made, around=incident(made, len(X)))
+    return SampleMesh(
+        triangles=made.astype(np.int32), around=incident(made, len(X)).astype(np.int32)
+    )
 
 
 def weld(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
@@ -175,6 +177,9 @@ class Neighbors:
         self._n = n
         self._near = np.sort(np.concatenate([_keys(reached, n), through]), kind="stable")
         self._wide = _keys(reached @ step, n)
+        start = np.searchsorted(self._near, np.arange(n + 1) * n)
+        # Where the list of what is near each sample begins, and the last one ends; then the lists.
+        self.lists = np.concatenate([n + 1 + start, self._near % n]).astype(np.int32)
 
     def near(self, a: Ints, b: Ints) -> Ints:
         """Whether samples a and b are near."""

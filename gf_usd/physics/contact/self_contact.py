@@ -19,22 +19,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.stage import Skin
 from gf_usd.physics.contact.broad_phase import Judged, Patches, closing, differences, dot
+from gf_usd.physics.contact.distance.closest import (
+    FOUND,
+    LEAST,
+    PSEUDO,
+    SEED,
+    TIES,
+    TRIANGLE,
+    WEIGHTS,
+    WHICH,
+)
 from gf_usd.physics.contact.sample_mesh import Neighbors, SampleMesh, triangulate
+from gf_usd.system.taichi_runtime import ensure_running
 
 HOPS = 4  # edges of the sample mesh, from where on a body meets itself
 THICK = 4.0  # [spacings] that two sides of a limb are apart which never meet each other
 SEE = 2.0  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
-SEEDS = 3  # samples facing one whose triangles are looked at
 STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
 ASIDE = 0.5  # cosine of a sample's normal with those of triangles next to what it faces
 TURN = 3.0  # [spacings] that a normal turned by a radian is as far as
 # [spacings] from a sample to what it may face: as far as two normals that are alike let it look.
 WIDEST = float(np.hypot(2.0 * SEE, 2.0**0.5 * TURN))
-LOOKED = 8  # samples of which SEEDS are chosen
+CELLS = 8  # of the grid in which samples are found, for each of them at most
 AHEAD = 1.5  # speeds may grow by this factor until the next detection
 FEW = 8_000  # pairs of samples that are looked at one by one
 CLEAR = 0.75  # [spacings] that is left when what was farther off is looked for again
@@ -154,117 +163,57 @@ class SelfContact:
         if len(mesh.triangles) == 0:
             return _nothing()
         known = gap < reach
-        looks = scene = np.ones(len(x), bool)
-        if judged is not None:
-            looks, scene = self._patches.around(judged, known, 2.0 * SEE * self._spacing)
-        normals = _normals(x, mesh, looks)
-        rows = self._ahead(x, normals[2], looks, scene, known)
-        if len(rows) == 0:
-            return _nothing()
-        if judged is not None:
-            wanted = np.zeros(len(x), bool)
-            wanted[rows] = True
-            scene = self._patches.around(judged, wanted, WIDEST * self._spacing)[1]
-            normals = _normals(x, mesh, scene)
-        normal = normals[2]
-        seeds = self._seeds(rows, x, normal, np.flatnonzero(scene))
-        rows, seeds = rows[seeds[:, 0] >= 0], seeds[seeds[:, 0] >= 0]
-        if len(rows) == 0:
-            return _nothing()
+        looks = np.ones(len(x), bool) if judged is None else self._patches.around(judged, known)
         s = self._spacing
-        distance = np.linalg.norm(x[rows] - x[seeds[:, 0]], axis=1)
-        speed = np.linalg.norm(v[rows] - v[seeds[:, 0]], axis=1)
-        close = distance < reach + s
-        until = (distance[~close] - CLEAR * s) / np.maximum(AHEAD * speed[~close], 1e-30)
-        hold = float(until.min(initial=np.inf))
-        if not close.any():
+        found, which = self._faced(x, looks, known, reach + s)
+        rows = np.flatnonzero(which[:, SEED] >= 0)
+        seeds = which[rows, SEED]
+        distance = lengths(x[rows] - x[seeds])
+        until = (distance - CLEAR * s) / np.maximum(AHEAD * lengths(v[rows] - v[seeds]), 1e-30)
+        hold = float(until[distance >= reach + s].min(initial=np.inf))
+        rows = rows[which[rows, TRIANGLE] >= 0]
+        rows = rows[found[rows, LEAST] < reach]
+        if not len(rows):
             return replace(_nothing(), hold=hold)
-        found = self._closest(rows[close], seeds[close], x, reach, before, gap, normals)
-        return replace(found, hold=hold)
+        return replace(self._sided(rows, found[rows], which[rows], x, before, gap), hold=hold)
 
-    def _ahead(self, x: Floats, normal: Floats, looks: Ints, scene: Ints, known: Ints) -> Ints:
-        """Samples before which something is that is not near at rest, with what is there.
+    def _faced(self, x: Floats, looks: Ints, known: Ints, reach: float) -> tuple[Floats, Ints]:
+        """(n, 10), (n, 3) what each sample that is `known`, or that looks and sees something ahead
+        that is not near at rest, faces: of `faced_kernels.find_faced`.
 
-        looks, scene, known : (n,) whether samples look ahead, may be seen, and are wanted anyway.
+        looks, known : (n,); reach : [m] to the nearest sample that it faces.
         """
-        radius, neighbors = SEE * self._spacing, self._mesh[1]
-        looks, scene = np.flatnonzero(looks), np.flatnonzero(scene)
-        center = x[looks] + radius * normal[looks]
-        distance, at = kd_tree(x[scene]).query(
-            center, k=min(LOOKED, len(scene)), distance_upper_bound=radius * (1.0 - 1e-6)
-        )
-        there = np.isfinite(distance)
-        who = np.broadcast_to(looks[:, None], at.shape)[there]
-        other = scene[at[there]]
-        far = ~neighbors.near(who, other)
-        wanted = known.copy()
-        wanted[who[far]] = True
-        wanted[other[far]] = True
-        # A crease is full of neighbors, which may hide what is far.
-        wanted[looks[there.all(1)]] = True
-        return np.flatnonzero(wanted)
+        ensure_running()
+        from gf_usd.physics.contact.distance.faced_kernels import find_faced
 
-    def _seeds(self, rows: Ints, x: Floats, normal: Floats, scene: Ints) -> Ints:
-        """(k, SEEDS) the samples of a scene nearest to each of rows that face it and are not near;
-        -1: no.
-        """
-        out, neighbors = np.full((len(rows), SEEDS), -1), self._mesh[1]
-        if len(rows) == 0:
-            return out
-        # Facing is near in space and in minus the normal: what is next to it is as far as `wide`.
-        wide = TURN * self._spacing
-        at = kd_tree(np.hstack([x[scene], wide * normal[scene]])).query(
-            np.hstack([x[rows], -wide * normal[rows]]), k=min(LOOKED, len(scene)),
-            distance_upper_bound=np.hypot(2.0 * SEE * self._spacing, 2.0**0.5 * wide),
-        )[1].reshape(len(rows), -1)  # fmt: skip
-        a, j = np.nonzero(at < len(scene))
-        b = scene[at[a, j]]
-        facing = np.einsum("na,na->n", normal[rows[a]], normal[b]) < 0.0
-        facing[facing] = ~neighbors.near(rows[a[facing]], b[facing])
-        a, b = a[facing], b[facing]
-        distance = np.linalg.norm(x[rows[a]] - x[b], axis=1)
-        order = np.lexsort((b, distance, a))
-        a, b = a[order], b[order]
-        rank = np.arange(len(a)) - np.searchsorted(a, a)
-        few = rank < SEEDS
-        out[a[few], rank[few]] = b[few]
-        return out
-
-    def _closest(
-        self, rows: Ints, seeds: Ints, x: Floats, reach: float, before: Floats, gap: Floats,
-        normals: tuple[Floats, Floats, Floats],
-    ) -> Facing:  # fmt: skip
-        """The closest places of the triangles about the seeds (k, SEEDS) of each of rows (k,)."""
         mesh, neighbors = self._mesh
-        face, angle, normal = normals
-        t = np.where((seeds >= 0)[:, :, None], mesh.around[seeds], -1).reshape(len(rows), -1)
-        t.sort(axis=1)
-        t[:, 1:][t[:, 1:] == t[:, :-1]] = -1
-        i, j = np.nonzero(t >= 0)
-        at = t[i, j]
-        s = rows[i]
-        keep = np.einsum("na,na->n", normal[s], face[at]) < ASIDE
-        corners = mesh.triangles[at]
-        keep &= ~neighbors.near(s[:, None], corners).any(1)
-        i, at, s, corners = i[keep], at[keep], s[keep], corners[keep]
-        if len(i) == 0:
-            return _nothing()
-        weights = closest_weights(x[s], x[corners])
+        s, n = self._spacing, len(x)
+        x = np.ascontiguousarray(x, np.float64)
+        low, extent, edge = x.min(0), np.ptp(x, axis=0), SEE * s
+        while (size := np.floor(extent / edge) + 1.0).prod() > CELLS * n:
+            edge *= 2.0
+        size = size.astype(int)
+        flags = np.stack([looks, known], 1).astype(np.int32)
+        found, which = np.empty((n, FOUND)), np.empty((n, WHICH), np.int32)
+        find_faced(
+            x, mesh.triangles, mesh.around, neighbors.lists, flags,
+            np.empty(size.prod() + 1 + 2 * n, np.int32), np.empty((len(mesh.triangles), 6)),
+            found, which, low, edge, size, SEE * s, TURN * s, WIDEST * s, reach, ASIDE, 1e-6 * s,
+            1.0 - 1e-9,
+        )  # fmt: skip
+        return found, which
+
+    def _sided(
+        self, rows: Ints, found: Floats, which: Ints, x: Floats, before: Floats, gap: Floats
+    ) -> Facing:
+        """The places found (k, 10), which (k, 3) of rows (k,), with their signs, where these are
+        believed."""
+        mesh, neighbors = self._mesh
+        s, corners = rows, mesh.triangles[which[:, TRIANGLE]]
+        weights, pseudo = found[:, WEIGHTS:PSEUDO], found[:, PSEUDO:LEAST]
+        least, seen = found[:, LEAST], which[:, TIES]
         q = np.einsum("nk,nka->na", weights, x[corners])
         away = x[s] - q
-        distance = np.sqrt(np.einsum("na,na->n", away, away))
-        start = np.flatnonzero(np.r_[True, i[1:] != i[:-1]])
-        group = np.cumsum(np.r_[True, i[1:] != i[:-1]]) - 1
-        least = np.minimum.reduceat(distance, start)
-        tie = distance <= least[group] + 1e-6 * self._spacing
-        # Pseudo-normal: faces and edges by their faces, vertices by the angles of their faces.
-        vertex = weights.max(1) > 1.0 - 1e-9
-        share = np.where(vertex, angle[at, weights.argmax(1)], 1.0) * tie
-        pseudo = np.add.reduceat(share[:, None] * face[at], start)
-        seen = np.add.reduceat(tie.astype(int), start)
-        first = np.flatnonzero(tie)[np.searchsorted(np.flatnonzero(tie), start)]
-        i, s, q, away = i[first], s[first], q[first], away[first]
-        weights, corners, at = weights[first], corners[first], at[first]
         side = np.where((away * pseudo).sum(1) < 0.0, -1.0, 1.0)
         now = side * least
         # On the rim of what is admitted the closest place may be beyond it.
@@ -289,7 +238,7 @@ class SelfContact:
         outer = (gap[s] >= 0.0) & (height >= 0.0) & (along >= 0.0)
         was = np.where(same, gap[s], np.where(outer, came, np.inf))
         believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
-        keep = (least < reach) & ~rim & believed
+        keep = ~rim & believed
         return Facing(
             rows=s[keep], gap=now[keep], normal=n[keep], point=q[keep],
             carriers=corners[keep], weights=weights[keep],
@@ -317,78 +266,3 @@ def _nothing() -> Facing:
         rows=whole, gap=np.zeros(0), normal=three, point=three,
         carriers=np.zeros((0, 3), np.int64), weights=three,
     )  # fmt: skip
-
-
-def _normals(x: Floats, mesh: SampleMesh, there: Ints) -> tuple[Floats, Floats, Floats]:
-    """Unit normals (T, 3) of triangles, their angles (T, 3), unit normals (n, 3) of vertices.
-
-    there : the vertices whose normals are wanted, and those of the triangles at them, as numbers or
-    flags (n,).
-    """
-    some = np.zeros(len(mesh.triangles), bool)
-    at = mesh.around[there]
-    some[at[at >= 0]] = True
-    some = np.flatnonzero(some)
-    i, j, k = mesh.triangles.take(some, 0).T
-    u, v, w = differences(x, i, j), differences(x, j, k), differences(x, k, i)
-    n = (
-        u[2] * w[1] - u[1] * w[2],
-        u[0] * w[2] - u[2] * w[0],
-        u[1] * w[0] - u[0] * w[1],
-    )
-    length = np.sqrt(dot(n, n))
-    divisor = np.where(length > 0.0, length, 1.0)
-    n = tuple(one / divisor for one in n)
-    # tan of an angle = |cross| / dot of its two edges
-    angles = [np.arctan2(length, -dot(p, q)) for p, q in ((w, u), (u, v), (v, w))]
-    out = list(np.zeros((3, len(x))))
-    for corner, angle in zip((i, j, k), angles):
-        for axis in range(3):
-            out[axis] += np.bincount(corner, angle * n[axis], minlength=len(x))
-    size = np.sqrt(dot(out, out))
-    vertices = np.stack(out, 1) / np.where(size > 0.0, size, 1.0)[:, None]
-    faces, corners = np.zeros((2, len(mesh.triangles), 3))
-    for axis in range(3):
-        faces[some, axis], corners[some, axis] = n[axis], angles[axis]
-    return faces, corners, vertices
-
-
-def closest_weights(p: Floats, corners: Floats) -> Floats:
-    """(n, 3) barycentric of the point of each triangle (n, 3, 3) closest to p (n, 3).
-
-    By the regions of Ericson, Real-Time Collision Detection (2005), section 5.1.5.
-    """
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac, ap = b - a, c - a, p - a
-    bp, cp = p - b, p - c
-
-    def dot(u: Floats, v: Floats) -> Floats:
-        return np.einsum("na,na->n", u, v)
-
-    d1, d2, d3, d4, d5, d6 = (dot(edge, away) for away in (ap, bp, cp) for edge in (ab, ac))
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    total = va + vb + vc
-    total = np.where(total != 0.0, total, 1.0)
-    out = np.stack([va, vb, vc], 1) / total[:, None]
-
-    def put(where: Floats, *w: Floats | float) -> None:
-        for k, value in enumerate(w):
-            out[where, k] = value[where] if isinstance(value, np.ndarray) else value
-
-    def ratio(one: Floats, other: Floats) -> Floats:
-        whole = one + other
-        return one / np.where(whole != 0.0, whole, 1.0)
-
-    on_bc = (va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0)
-    t = ratio(d4 - d3, d5 - d6)
-    put(on_bc, 0.0, 1.0 - t, t)
-    on_ac = (vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0)
-    t = ratio(d2, -d6)
-    put(on_ac, 1.0 - t, 0.0, t)
-    on_ab = (vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0)
-    t = ratio(d1, -d3)
-    put(on_ab, 1.0 - t, t, 0.0)
-    put((d6 >= 0.0) & (d5 <= d6), 0.0, 0.0, 1.0)
-    put((d3 >= 0.0) & (d4 <= d3), 0.0, 1.0, 0.0)
-    put((d1 <= 0.0) & (d2 <= 0.0), 1.0, 0.0, 0.0)
-    return out

@@ -16,6 +16,11 @@ from gf_usd.core.arrays import Floats, Ints
 
 ON_SURFACE = 1e-6  # of the reach: nearer, the direction to the surface is rounding
 
+# What `faced_kernels` finds of each sample: columns of numbers, and of whole ones.
+NORMAL, WEIGHTS, PSEUDO, LEAST, FOUND = 0, 3, 6, 9, 10
+SEED, TRIANGLE, TIES, WHICH = 0, 1, 2, 3
+LOOKS, WANTED = 0, 1  # and of what it is asked
+
 
 @dataclass(frozen=True, kw_only=True)
 class Closest:
