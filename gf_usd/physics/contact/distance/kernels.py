@@ -127,10 +127,13 @@ def nearest_in_leaf(points: ti.template(), corners: ti.template(), first, behind
     for t in range(first, behind):
         a, b = vector(points, corners[t, 0]), vector(points, corners[t, 1])
         c = vector(points, corners[t, 2])
-        weights = closest_on_triangle(p, a, b, c)
-        square = (p - weights[0] * a - weights[1] * b - weights[2] * c).norm_sqr()
-        if square < best:
-            best, at, w = square, t, weights
+        # Most triangles of a leaf are farther off than what was found, by their own boxes.
+        low, high = ti.min(a, ti.min(b, c)), ti.max(a, ti.max(b, c))
+        if ti.max(ti.max(low - p, p - high), 0.0 * p).norm_sqr() < best:
+            weights = closest_on_triangle(p, a, b, c)
+            square = (p - weights[0] * a - weights[1] * b - weights[2] * c).norm_sqr()
+            if square < best:
+                best, at, w = square, t, weights
     return best, at, w
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.distance.closest import ON_SURFACE, Closest, none_seen
 
-LEAF = 4  # triangles of a leaf, at most
+LEAF = 8  # triangles of a leaf, at most
 
 
 class SurfaceTree:
