@@ -23,6 +23,16 @@ def lengths(rows: Floats) -> np.ndarray:
     return np.sqrt(squares[0] + squares[1] + squares[2])
 
 
+def row_dots(a: Floats, b: Floats) -> np.ndarray:
+    """a . b (n,) of rows (n, 3), to the bit what `(a * b).sum(1)` says."""
+    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+
+
+def nonzero_rows(rows: Floats) -> Ints:
+    """Which of rows (n, 3) are not 0."""
+    return np.flatnonzero((rows[:, 0] != 0.0) | (rows[:, 1] != 0.0) | (rows[:, 2] != 0.0))
+
+
 def corners(rows: Floats) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest (3,) of rows (n, 3)."""
     of = columns(rows)

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Protocol
 
 import numpy as np
@@ -68,6 +69,25 @@ def first(array: Any, count: int) -> Floats:
     """A copy of the first numbers of a flat ti.ndarray."""
     seen = _memory(array)
     return (array.to_numpy() if seen is None else seen)[:count].copy()
+
+
+def part(array: Any, width: int, first: int, behind: int) -> Floats:
+    """A copy of columns `first` to `behind` of a ti.ndarray with rows of `width`."""
+    seen = _memory(array)
+    whole = array.to_numpy() if seen is None else seen[...]
+    return whole.reshape(-1, width)[:, first:behind].copy()
+
+
+@contextmanager
+def written(array: Any, width: int) -> Generator[Floats, None, None]:
+    """A ti.ndarray as (n, width) to write into: its own memory where the CPU can reach it."""
+    seen = _memory(array)
+    whole = array.to_numpy() if seen is None else seen[...]
+    yield whole.reshape(-1, width)
+    if seen is None:
+        array.from_numpy(whole)
+    elif isinstance(seen, _OnGpu):
+        seen[...] = whole
 
 
 def _shape(array: Any) -> tuple[int, ...]:
@@ -242,6 +262,14 @@ class DeviceState:
         """A copy of an array in float64, (n, width)."""
         return self.get(name).astype(float).reshape(-1, width)
 
+    def part(self, name: str, width: int, first: int, behind: int) -> Floats:
+        """A copy of columns `first` to `behind` of rows of `width`, in float64."""
+        return part(self.arrays[name], width, first, behind).astype(float)
+
+    def written(self, name: str, width: int) -> AbstractContextManager[Floats]:
+        """An array as (n, width), to write parts of it."""
+        return written(self.arrays[name], width)
+
     def put(self, name: str, new: Any) -> None:
         """Fill an array; `new` may have another shape.  Raises ValueError for another size."""
         array, new = self.arrays[name], np.asarray(new)
@@ -253,6 +281,10 @@ class DeviceState:
         whole = np.zeros(self.arrays[name].shape, np.asarray(new).dtype)
         whole[: len(new)] = new
         self.put(name, whole)
+
+    def put_head(self, name: str, new: Any) -> None:
+        """Fill the beginning of a flat array; what follows, which nothing reads, stays."""
+        put_first(self.arrays[name], new)
 
     def clear(self, *names: str) -> None:
         """Fill arrays with zeros."""

@@ -95,6 +95,10 @@ def test_the_driver_copies_what_is_on_a_gpu(on_gpu) -> None:
     taichi_arrays.put_first(array, np.array([[7.0, 8.0]]))
     assert driver.copied == [16, 8]
     np.testing.assert_array_equal(there, [[7.0, 8.0], [12.0, 13.0], [14.0, 15.0]])
+    np.testing.assert_array_equal(taichi_arrays.part(array, 2, 1, 2), there[:, 1:])
+    with taichi_arrays.written(array, 2) as rows:
+        rows[:, 1] = -3.0
+    np.testing.assert_array_equal(there, [[7.0, -3.0], [12.0, -3.0], [14.0, -3.0]])
     taichi_arrays.clear(array)
     assert not there.any()
 
@@ -105,3 +109,19 @@ def test_a_copy_that_the_driver_refuses_is_an_error(on_gpu) -> None:
     with pytest.raises(GfUsdError, match=r"24 bytes could not be copied .* error 700") as caught:
         taichi_arrays.values(array)
     assert "--device cpu" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize("reached", [True, False])
+def test_parts_of_rows_are_read_and_written(monkeypatch, reached) -> None:
+    init_taichi()
+    state = taichi_arrays.DeviceState({"rows": np.arange(12.0)}, np.float32, (), np.zeros(3))
+    if not reached:  # as on a device that nothing reaches
+        monkeypatch.setattr(taichi_arrays, "_memory", lambda array: None)
+    seen = state.part("rows", 4, 1, 3)
+    np.testing.assert_array_equal(seen, [[1.0, 2.0], [5.0, 6.0], [9.0, 10.0]])
+    seen[:] = -1.0
+    with state.written("rows", 4) as rows:
+        rows[:, 1] = 0.0
+    state.put_head("rows", np.array([7.0]))
+    whole = state.arrays["rows"].to_numpy()
+    np.testing.assert_array_equal(whole, [7, 0, 2, 3, 4, 0, 6, 7, 8, 0, 10, 11])

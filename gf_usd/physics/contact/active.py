@@ -101,9 +101,9 @@ class ActiveSamples:
             self._active = samples, paired
             of_nodes = self._body.contact.nodes[samples].T.tocsr()  # sorted by counting
             others = np.setdiff1d(samples, paired, assume_unique=True)
-            state.put_first("sample_active", np.concatenate([[len(paired)], paired, others]))
-            state.put_first("node_sample", samples[of_nodes.indices])
-            state.put_first("node_sample_weight", of_nodes.data)
+            state.put_head("sample_active", np.concatenate([[len(paired)], paired, others]))
+            state.put_head("node_sample", samples[of_nodes.indices])
+            state.put_head("node_sample_weight", of_nodes.data)
             state.put("node_sample_start", of_nodes.indptr)
         return len(samples)
 

@@ -17,19 +17,19 @@ power of the four forces is that of the spring between them.
 
 from __future__ import annotations
 
-from itertools import combinations
+from collections.abc import Sequence
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.system.taichi_runtime import ensure_running
 
 NEAR = 6  # samples of which three are chosen
 # Of the area of an equilateral triangle with the same sum of squared edges: below it a triangle is
 # so thin that a moment about its long axis asks for large forces.
 FAT = 0.3
 SPREAD = 0.1  # weight of the triangle's size against how far its point is from what carries it
-TRIPLES = np.array(list(combinations(range(NEAR), 3)))  # (20, 3)
 
 
 class Triples:
@@ -38,50 +38,34 @@ class Triples:
     def __init__(self, X: Floats) -> None:
         self._X, self._tree = X, kd_tree(X)
 
-    def __call__(self, places: Floats) -> tuple[Ints, Floats]:
-        """Samples (k, 3) and weights (k, 3), the largest first, for places (k, 3) [m] at rest.
-
-        Of the triangles of the nearest samples the one with the least sum of
-        |w_k| |X_k - X| + distance from its plane, over its fatness.
-        Where the body has fewer than three samples one of them carries alone.
-        """
+    def near(self, places: Floats) -> Ints:
+        """(k, NEAR) the samples nearest to places (k, 3) [m] at rest; -1: no more."""
         count = min(NEAR, len(self._X))
-        near = self._tree.query(places, k=list(range(1, count + 1)))[1].reshape(-1, count)
-        if count < 3:
-            alone = np.tile([1.0, 0.0, 0.0], (len(places), 1))
-            return np.repeat(near[:, :1], 3, 1), alone
-        chosen = TRIPLES[(count > TRIPLES).all(1)]
-        away = self._X[near] - places[:, None]  # (k, near, 3)
-        dots = away @ away.swapaxes(1, 2)
-        weights, height, fatness = triangle(dots, chosen)
-        far = np.sqrt(np.einsum("nkk->nk", dots))[:, chosen]
-        cost = (np.abs(weights) * far).sum(2) + height + SPREAD * far.mean(2)
-        cost = cost / np.where(fatness > FAT, fatness, 1e-3 * fatness + 1e-12)
-        row, best = np.arange(len(places)), cost.argmin(1)
-        samples, w = near[row[:, None], chosen[best]], weights[row, best]
-        order = np.argsort(-w, axis=1, kind="stable")
-        return np.take_along_axis(samples, order, 1), np.take_along_axis(w, order, 1)
+        out = np.full((len(places), NEAR), -1, np.int32)
+        found = self._tree.query(places, k=list(range(1, count + 1)))[1]
+        out[:, :count] = found.reshape(-1, count)
+        return out
+
+    def __call__(self, places: Floats) -> tuple[Ints, Floats]:
+        """Samples (k, 3) and weights (k, 3), the largest first, for places (k, 3) [m] at rest."""
+        return chosen(self._X, places, self.near(places))
 
 
-def triangle(dots: Floats, corners: Ints) -> tuple[Floats, Floats, Floats]:
-    """Of triangles (t, 3) of points: weights (k, t, 3) of the origin, its height [m], the fatness.
+def chosen(X: Floats, places: Floats, near: Ints) -> tuple[Ints, Floats]:
+    """Samples (k, 3) of X (n, 3) [m] and weights (k, 3), the largest first, for places (k, 3) [m].
 
-    dots : (k, n, n) [m^2] products of the points, from the origin.  The weights are barycentric of
-    the origin's projection; where a triangle has no area, the first corner's is 1.  Fatness is 1
-    for an equilateral triangle, 0 for a line.
+    near : (k, NEAR) the samples nearest to each; -1: no more.  Of the triangles of these the one
+    with the least sum of |w_k| |X_k - X| + distance from its plane, over its fatness.  Where there
+    are fewer than three samples one of them carries alone.
     """
-    a, b, c = corners.T
-    aa, ab, ac = dots[:, a, a], dots[:, a, b], dots[:, a, c]
-    u, v = dots[:, b, b] - 2.0 * ab + aa, dots[:, c, c] - 2.0 * ac + aa
-    uv = dots[:, b, c] - ab - ac + aa
-    pu, pv = aa - ab, aa - ac
-    square = np.maximum(u * v - uv * uv, 0.0)
-    safe = np.where(square > 0.0, square, np.inf)
-    s, t = (v * pu - uv * pv) / safe, (u * pv - uv * pu) / safe
-    height = np.sqrt(np.maximum(aa - s * pu - t * pv, 0.0))
-    edges = 2.0 * (u + v - uv)
-    fatness = 2.0 * np.sqrt(3.0 * square) / np.where(edges > 0.0, edges, 1.0)
-    return np.stack([1.0 - s - t, s, t], -1), height, fatness
+    ensure_running()
+    from gf_usd.physics.contact.distance.triple_kernels import choose_triples
+
+    samples, weights = np.empty((len(places), 3), np.int32), np.empty((len(places), 3))
+    if len(places):
+        X, places = (np.ascontiguousarray(a, np.float64) for a in (X, places))
+        choose_triples(X, places, near, FAT, SPREAD, samples, weights)
+    return samples.astype(np.int64), weights
 
 
 FLAT = 1e-4  # of det J / (tr J)^3, at most 1/32: below it three samples lie on a line
@@ -89,22 +73,43 @@ FLAT = 1e-4  # of det J / (tr J)^3, at most 1/32: below it three samples lie on 
 
 def spin(x: Floats, v: Floats) -> Floats:
     """omega (k, 3) [1/s] of triples at x (k, 3, 3) [m] with v (k, 3, 3) [m/s]; 0 on a line."""
-    r = x - x.mean(1, keepdims=True)
-    return turn(r, cross(r.reshape(-1, 3), v.reshape(-1, 3)).reshape(-1, 3, 3).sum(1))
+    x, y, z = _from_centroid(x)
+    u, v, w = np.ascontiguousarray(np.moveaxis(v, 2, 0))
+    return _turn((x, y, z), (_sum(y * w - z * v), _sum(z * u - x * w), _sum(x * v - y * u)))
 
 
 def turn(r: Floats, moment: Floats) -> Floats:
     """alpha (k, 3) with J alpha = moment (k, 3), of triples at r (k, 3, 3) [m] from their centroid;
     0 on a line."""
-    products = r.swapaxes(1, 2) @ r
-    size = 2.0 * np.trace(products, axis1=1, axis2=2)
+    x, y, z = np.moveaxis(r, 2, 0)
+    return _turn((x, y, z), (moment[:, 0], moment[:, 1], moment[:, 2]))
+
+
+def _turn(r: Sequence[Floats], moment: Sequence[Floats]) -> Floats:
+    """The same of columns: r 3 x (k, 3), moment 3 x (k,).  By the cofactors of J / (2 tr J)."""
+    x, y, z = r
+    xx, yy, zz = _sum(x * x), _sum(y * y), _sum(z * z)
+    size = 2.0 * (xx + yy + zz)
     scale = np.where(size > 0.0, size, 1.0)
-    J = (0.5 * size)[:, None, None] * np.eye(3) - products
-    J /= scale[:, None, None]
-    fit = np.linalg.det(J) > FLAT
-    J[~fit] = np.eye(3)
-    alpha = np.linalg.solve(J, (moment / scale[:, None])[..., None])[..., 0]
-    return np.where(fit[:, None], alpha, 0.0)
+    a, b, c = (yy + zz) / scale, (zz + xx) / scale, (xx + yy) / scale
+    d, e, f = -_sum(y * z) / scale, -_sum(z * x) / scale, -_sum(x * y) / scale
+    A, B, C = b * c - d * d, c * a - e * e, a * b - f * f
+    D, E, F = e * f - a * d, f * d - b * e, d * e - c * f
+    det = a * A + f * F + e * E
+    over = np.where(det > FLAT, 1.0 / (np.where(det > FLAT, det, 1.0) * scale), 0.0)
+    p, q, s = (over * one for one in moment)
+    return np.stack([A * p + F * q + E * s, F * p + B * q + D * s, E * p + D * q + C * s], 1)
+
+
+def _from_centroid(x: Floats) -> Floats:
+    """3 x (k, 3) of corners x (k, 3, 3), by axis."""
+    r = np.ascontiguousarray(np.moveaxis(x, 2, 0))
+    return r - (_sum(r) / 3.0)[..., None]
+
+
+def _sum(three: Floats) -> Floats:
+    """Over the last axis, of length three: NumPy reduces that with a loop per row."""
+    return three[..., 0] + three[..., 1] + three[..., 2]
 
 
 NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each

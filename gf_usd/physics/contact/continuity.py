@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, nonzero_rows, row_dots
 from gf_usd.physics.contact.narrow_phase import ContactPlanes, along
 
 EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
@@ -45,7 +45,7 @@ class Stored:
     def energy(self) -> float:
         """[J] of all springs."""
         xi = self.planes.spring
-        return float(self.normal_energy.sum() + 0.5 * self.stiffness @ (xi * xi).sum(1))
+        return float(self.normal_energy.sum() + 0.5 * self.stiffness @ row_dots(xi, xi))
 
 
 def continued(old: Stored, true: Stored, *, ease: float, budget: float) -> Stored:
@@ -77,7 +77,8 @@ def continued(old: Stored, true: Stored, *, ease: float, budget: float) -> Store
 def _kept(old: Stored, new: Stored) -> Floats:
     """(n, 3) [m] springs of friction with their energy, along the new planes."""
     xi = old.planes.spring
-    kept = np.flatnonzero(xi.any(1) & (old.pair == new.pair) & (new.pair >= 0))
+    kept = nonzero_rows(xi)
+    kept = kept[(old.pair[kept] == new.pair[kept]) & (new.pair[kept] >= 0)]
     out = np.zeros_like(xi)
     if len(kept):
         turned = along(xi[kept], new.planes.normal[kept])

@@ -13,14 +13,14 @@ Where the numbers of a contact between bodies stand in the kernels' arrays.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, lengths, nonzero_rows, row_dots
 from gf_usd.core.stage import Collider, Skin
-from gf_usd.physics.contact.carriers import Triples, cross, spin
+from gf_usd.physics.contact.carriers import NEAR, Triples, chosen, cross, spin
 from gf_usd.physics.contact.distance.closest import Closest, above_plane
 from gf_usd.physics.contact.distance.tree import SurfaceTree
 from gf_usd.physics.contact.distance.winding import outside_where_unwound, shell
@@ -74,18 +74,27 @@ class ContactPlanes:
         start = np.searchsorted(carriers[order], np.arange(len(self.partner) + 1))
         return start, entries[order]
 
+    @property
+    def facing(self) -> Ints:
+        """Samples that face something."""
+        return np.flatnonzero(self.partner != NOBODY)
+
+    def of(self, rows: Ints) -> ContactPlanes:
+        """What some of the samples, rows (k,), face; carriers keep their numbers."""
+        return ContactPlanes(**{name: getattr(self, name)[rows] for name in ARRAYS})
+
     def interpolated(self, values: Floats) -> Floats:
-        """Values (n, 3) of the samples, interpolated to the planes: sum_k w_k; 0 for obstacles."""
-        out, who = np.zeros_like(values), self.carried
+        """Values (n, 3) of all samples, interpolated to the planes: sum_k w_k; 0 for obstacles."""
+        out, who = np.zeros((len(self.partner), 3)), self.carried
         out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
         return out
 
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
-        active = np.flatnonzero(self.partner != NOBODY)
-        q = self.point + self.interpolated(x) + elapsed * self.velocity
-        out = np.zeros(len(x))
-        out[active] = np.maximum(0.0, ((q - x)[active] * self.normal[active]).sum(1))
+        active = self.facing
+        f, out = self.of(active), np.zeros(len(x))
+        q = f.point + f.interpolated(x) + elapsed * f.velocity
+        out[active] = np.maximum(0.0, row_dots(q - x[active], f.normal))
         return out
 
 
@@ -110,24 +119,28 @@ def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPl
     slip of their samples.
     """
     p, who = planes, planes.carried
-    turn = np.zeros_like(x)
     normal, point, spring = p.normal.copy(), p.point.copy(), p.spring.copy()
+    stuck = nonzero_rows(spring)
+    turn = np.zeros_like(x) if len(stuck) else None
     if len(who):
         carriers = p.carriers[who]
-        turn[who] = time * spin(x[carriers], v[carriers])
-        turned = normal[who] + cross(turn[who], normal[who])
-        normal[who] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-        point[who] += cross(turn[who], point[who])
-    if (stuck := np.flatnonzero(spring.any(1))).size:
-        way = time * (v - p.interpolated(v) - p.velocity) - cross(turn, x - p.interpolated(x))
-        spring[stuck] += (way + cross(turn, spring))[stuck]
-        spring[stuck] = along(spring[stuck], normal[stuck])
+        turns = time * spin(x[carriers], v[carriers])
+        turned = normal[who] + cross(turns, normal[who])
+        normal[who] = turned / lengths(turned)[:, None]
+        point[who] += cross(turns, point[who])
+        if turn is not None:
+            turn[who] = turns
+    if turn is not None:
+        f, turns = p.of(stuck), turn[stuck]
+        way = time * (v[stuck] - f.interpolated(v) - f.velocity)
+        way -= cross(turns, x[stuck] - f.interpolated(x))
+        spring[stuck] = along(f.spring + (way + cross(turns, f.spring)), normal[stuck])
     return replace(p, normal=normal, point=point, spring=spring)
 
 
 def along(vectors: Floats, normal: Floats) -> Floats:
     """(n, 3) what of vectors lies in the planes of unit normals."""
-    return vectors - (vectors * normal).sum(1, keepdims=True) * normal
+    return vectors - row_dots(vectors, normal)[:, None] * normal
 
 
 class ContactSearch:
@@ -146,6 +159,9 @@ class ContactSearch:
         self.gap = np.full(len(x), reach)
         self.planes = nothing(len(x))
         self._gone = np.zeros(len(x), bool)
+        # Of those that face a place whose carriers are not known yet: its body, -1: none, and where
+        # it is at rest.
+        self._owner, self._rest = np.full(len(x), -1), np.zeros((len(x), 3))
 
     @property
     def released(self) -> int:
@@ -162,12 +178,8 @@ class ContactSearch:
         gap : (k,) [m]; point : (k, 3) [m] on it; carriers, weights : (k, 3), see `BodySkin`; None:
         an obstacle's, that moves with velocity (k, 3) [m/s].  sure : how they came there is known.
         """
-        likely = np.full(len(rows), True) if sure else gap >= self._least[rows]
-        self._gone[rows[~likely]] = True
-        nearer = likely & (gap < self.gap[rows])
+        nearer = self._take(rows, gap, normal, obstacle, sure=sure)
         rows, f = rows[nearer], self.planes
-        self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
-        f.obstacle[rows], f.velocity[rows] = obstacle, 0.0
         if carriers is None or weights is None:
             f.partner[rows], f.point[rows] = OBSTACLE, point[nearer]
             f.carriers[rows], f.weights[rows] = NOBODY, 0.0
@@ -177,6 +189,45 @@ class ContactSearch:
         who, w = carriers[nearer], weights[nearer]
         f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
         f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, self.x[who])
+
+    def offer_places(
+        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: int, rest: Floats
+    ) -> None:
+        """Offer samples `rows` (k,) planes at places of a body, rest (k, 3) [m] at rest.
+
+        `carry` has to follow, which finds the samples that carry those that are faced in the end.
+        """
+        nearer = self._take(rows, gap, normal, -1, sure=False)
+        rows = rows[nearer]
+        self.planes.point[rows] = point[nearer]
+        self._owner[rows], self._rest[rows] = body, rest[nearer]
+
+    def _take(self, rows: Ints, gap: Floats, normal: Floats, obstacle: int, *, sure: bool) -> Ints:
+        """(k,) which of what is offered is believed and nearer than what was; takes what all planes
+        have of it."""
+        likely = np.full(len(rows), True) if sure else gap >= self._least[rows]
+        self._gone[rows[~likely]] = True
+        nearer = likely & (gap < self.gap[rows])
+        rows, f = rows[nearer], self.planes
+        self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
+        f.obstacle[rows], f.velocity[rows] = obstacle, 0.0
+        self._owner[rows] = -1
+        return nearer
+
+    def carry(self, skins: Mapping[int, BodySkin], X: Floats) -> None:
+        """Find the samples that carry places of the skins; X : (n, 3) [m] of all at rest."""
+        rows = np.flatnonzero(self._owner >= 0)
+        if not len(rows):
+            return
+        rest, owner, f = self._rest[rows], self._owner[rows], self.planes
+        near = np.empty((len(rows), NEAR), np.int32)
+        for body in np.unique(owner):
+            some = owner == body
+            near[some] = skins[body].nearest(rest[some])
+        who, w = chosen(X, rest, near)
+        f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
+        f.point[rows] -= np.einsum("nk,nka->na", w, self.x[who])
+        self._owner[rows] = -1
 
 
 def pair_values(
@@ -253,6 +304,11 @@ class BodySkin:
             return np.zeros((0, 3), np.int64), np.zeros((0, 3))
         at, weights = self._triples(places)
         return self.samples[at], weights
+
+    def nearest(self, places: Floats) -> Ints:
+        """(k, NEAR) contact samples nearest to places (k, 3) [m] at rest; -1: no more."""
+        near = self._triples.near(places)
+        return np.where(near >= 0, self.samples[near], -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,3 +409,15 @@ def pack_arrays(n: int) -> dict[str, Floats]:
         "pair": np.zeros(ROW * max(1, n)),
         "links": np.full(LINKS * (n + 1), NOBODY),
     }
+
+
+def links(planes: ContactPlanes) -> Ints:
+    """(n + 1, LINKS) the whole numbers of n samples: see above."""
+    start, order = planes.lists()
+    out = np.full((len(start), LINKS), NOBODY)
+    out[:-1, :START], out[:, START] = planes.carriers, start
+    out[:-1, PARTNER] = planes.partner
+    entries = np.zeros((len(start), 3), np.int64)
+    entries.flat[: len(order)] = order
+    out[:, PAIR_FACING:] = entries
+    return out

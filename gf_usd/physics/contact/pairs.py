@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+from weakref import ref
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, corners, lengths, row_dots
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.physics.contact import narrow_phase
@@ -71,19 +72,13 @@ class BodyContact:
         self._of, self._members = of, [np.flatnonzero(of == k) for k in range(len(skins))]
         self._spacing = body.particles.spacing
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
-        self._skins = [
-            BodySkin(
-                skin,
-                body.stencil.rows(skin.points, np.full(len(skin.points), k), skin.cell_copy),
-                m,
-                samples.X[m],
-            )
-            for k, (skin, m) in enumerate(zip(skins, self._members))
-        ]  # fmt: skip
+        self._skins: dict[int, BodySkin] = {}  # see `_skin`, of bodies that others came near
         g, r = float(np.linalg.norm(body.settings.gravity)), body.particles.radius
         self._budget = BUDGET * g * r * float(body.m.sum()) / time_scale(r)  # [W]
         self._apart: dict[tuple[int, int], Floats] = {}  # see `_offsets`, of bodies that met
         self._sunk: dict[int, Floats] = {}  # see `_sunk_in`, of obstacles
+        self._placed: tuple[ref[StateView], Floats, Floats] | None = None  # `motion` of a view
+        self._found_offset: tuple[Ints, Floats] | None = None  # `_offset` of planes that face so
         self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
@@ -105,6 +100,15 @@ class BodyContact:
     def _meets(self, body: int) -> bool:
         """Whether a body meets itself; one without samples, or all of which is held, does not."""
         return body in self.contact_setup.self_contact and len(self._members[body]) > 0
+
+    def _skin(self, body: int) -> BodySkin:
+        """Made once something comes near: most bodies that are alone never need it."""
+        if body not in self._skins:
+            skin, m = self.contact_setup.skins[body], self._members[body]
+            of = np.full(len(skin.points), body)
+            rows = self._body.stencil.rows(skin.points, of, skin.cell_copy)
+            self._skins[body] = BodySkin(skin, rows, m, self._X[m])
+        return self._skins[body]
 
     def _itself(self, body: int, samples: SurfaceSamples) -> SelfContact:
         m = self._members[body]
@@ -136,9 +140,8 @@ class BodyContact:
     def begin(self, state: State) -> None:
         """Count from zero."""
         self.injected, self.released, self._overlap = 0.0, 0, 0.0
-        pair = state.rows("pair", narrow_phase.ROW)
-        pair[:, narrow_phase.DEPTH] = pair[:, narrow_phase.WORK] = 0.0
-        state.put("pair", pair)
+        with state.written("pair", narrow_phase.ROW) as pair:
+            pair[:, narrow_phase.DEPTH] = pair[:, narrow_phase.WORK] = 0.0
 
     def energy(self, now: StateView, time: float) -> float:
         """[J] in the springs of the planes last detected, at a time [s]."""
@@ -180,21 +183,25 @@ class BodyContact:
             away = (FACING + TRAVEL) * self._spacing
             self._gap[self._members[k]] = self._own_gap[self._members[k]] = away
             self.planes.forget(self._members[k])
+            self._found_offset = None
         self._detected = time
 
     @property
     def _offset(self) -> Floats:
         """(n,) [m] from the body it faces at which each sample begins to be pushed."""
+        partner, at = self.planes.partner, self.planes.obstacle
+        if self._found_offset is not None and self._found_offset[0] is partner:
+            return self._found_offset[1]
         out = np.zeros(len(self._of))
         facing = self.planes.carried
-        theirs = self._of[self.planes.partner[facing]]
+        theirs = self._of[partner[facing]]
         for other in np.unique(theirs):
             rows = facing[theirs == other]
             out[rows] = self._offset_from(rows, int(other))
-        at = self.planes.obstacle
         for which in np.unique(at[at >= 0]):
             rows = np.flatnonzero(at == which)
             out[rows] = self._sunk_in(int(which))[rows]
+        self._found_offset = partner, out  # planes that move keep what they face
         return out
 
     def _sunk_in(self, which: int) -> Floats:
@@ -227,7 +234,7 @@ class BodyContact:
         if body == other:
             return self._own[body].offset
         if (body, other) not in self._apart:
-            X, skin, most = self._X[self._members[body]], self._skins[other].skin, APART
+            X, skin, most = self._X[self._members[body]], self.contact_setup.skins[other], APART
             apart = np.full(len(X), most * self._spacing)
             if not self.contact_setup.meet_from:
                 seen = closest(X, skin.points, skin.triangles, (FACING + TRAVEL) * self._spacing)
@@ -237,13 +244,13 @@ class BodyContact:
 
     def _note_overlap(self, state: State) -> float:
         """Count how deep samples were under the present planes; returns the deepest so far [m]."""
-        depth = state.rows("pair", narrow_phase.ROW)[:, narrow_phase.DEPTH]
+        depth = _column(state, narrow_phase.DEPTH)
         self._overlap = max(self._overlap, float((depth - self._offset).max()))
         return self._overlap
 
     def totals(self, state: State) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by detections [J] and deepest overlap [m]."""
-        work = state.rows("pair", narrow_phase.ROW)[:, narrow_phase.WORK]
+        work = _column(state, narrow_phase.WORK)
         return float(work.sum()), self.injected, self._note_overlap(state)
 
     @property
@@ -262,17 +269,22 @@ class BodyContact:
     ) -> tuple[Closest, Ints, Floats]:
         """What points see of a body: `BodySkin.near`, and the contact samples (k, 3) that carry the
         places seen, with weights (k, 3)."""
-        seen, rest = self._skins[body].near(X, known, u, offset, reach)
-        return seen, *self._skins[body].carriers(rest)
+        skin = self._skin(body)
+        seen, rest = skin.near(X, known, u, offset, reach)
+        return seen, *skin.carriers(rest)
 
     def motion(self, now: StateView) -> tuple[Floats, Floats]:
-        """x [m] and v [m/s] of the samples, (n, 3)."""
+        """x [m] and v [m/s] of the samples, (n, 3), not to be changed."""
+        if self._placed is not None and self._placed[0]() is now:
+            return self._placed[1:]
         constants = self.contact.constants
         x, rate = placed(self.contact.rows, now.u, now.v)
         x += self._X + now.offset
         if constants is not None:
             c, c_rate = now.constants
             x, rate = x + constants @ c, rate + constants @ c_rate
+        x.flags.writeable = rate.flags.writeable = False
+        self._placed = ref(now), x, rate
         return x, rate
 
     def set_friction(self, contact: FloorContact) -> None:
@@ -313,6 +325,7 @@ class BodyContact:
                 continue
             self._face_body(search, near, other, now.nodes[0], now.offset)
         hold = min(hold, self._face_themselves(search, v, left * dt, whole=done == 0))
+        search.carry(self._skins, self._X)
         if not len(old.planes.active) and not len(search.planes.active):
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
@@ -354,13 +367,13 @@ class BodyContact:
 
     def _untouched(self, v: Floats) -> float:
         """[s] for which no sample touches what it faces, at the speeds v (n, 3) [m/s] and more."""
-        f = self.planes
-        gap = self._gap - self._offset - NEARLY * self._spacing
-        closing = -((v - f.interpolated(v) - f.velocity) * f.normal).sum(1)
-        faces = f.partner != narrow_phase.NOBODY
-        if (gap[faces] <= 0.0).any():
+        faces = self.planes.facing
+        gap = (self._gap - self._offset)[faces] - NEARLY * self._spacing
+        if (gap <= 0.0).any():
             return 0.0
-        comes = faces & (closing > 0.0)
+        f = self.planes.of(faces)
+        closing = -row_dots(v[faces] - f.interpolated(v) - f.velocity, f.normal)
+        comes = closing > 0.0
         return float((gap[comes] / (AHEAD * closing[comes])).min(initial=np.inf))
 
     def _shorter(
@@ -390,9 +403,9 @@ class BodyContact:
 
     def _sliding(self, v: Floats) -> float:
         """[s] until a sample has slid too far along what it faces; what is off may go farther."""
-        f = self.planes
-        near = f.partner != narrow_phase.NOBODY
-        speed = np.linalg.norm(v - f.interpolated(v) - f.velocity, axis=1)[near]
+        near = self.planes.facing
+        f = self.planes.of(near)
+        speed = lengths(v[near] - f.interpolated(v) - f.velocity)
         way = TRAVEL * self._spacing + WAIT * np.maximum(self._gap[near], 0.0)
         return float((way / np.maximum(speed, 1e-30)).min(initial=np.inf))
 
@@ -419,10 +432,14 @@ class BodyContact:
 
     def _candidates(self, search: ContactSearch, near: Sequence[int], theirs: Floats) -> Ints:
         """Samples of bodies `near` so close to `theirs` that they may reach that body's surface."""
-        low, high = theirs.min(0) - search.reach, theirs.max(0) + search.reach
+        low, high = corners(theirs)
+        low, high = low - search.reach, high + search.reach
         members = np.concatenate([self._members[k] for k in near])
-        x = search.x[members]
-        return members[((x >= low) & (x <= high)).all(1)]
+        there = np.ones(len(members), bool)
+        for axis in range(3):
+            x = search.x[members, axis]
+            there &= (x >= low[axis]) & (x <= high[axis])
+        return members[there]
 
     def _face_body(
         self, search: ContactSearch, near: Sequence[int], other: int, nodes: Floats, offset: Floats
@@ -437,10 +454,10 @@ class BodyContact:
         gap, faced = self._gap[rows], self.planes.partner[rows]
         was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == other)
         known = np.where(was, gap - EASE * self._spacing, 0.0)
-        found, *carriers = self.surface(other, search.x[rows], known, nodes, offset, search.reach)
+        found, rest = self._skin(other).near(search.x[rows], known, nodes, offset, search.reach)
         mine = rows[found.rows]
         point = found.point + self._offset_from(mine, other)[:, None] * found.normal
-        search.offer(mine, found.gap, found.normal, point, *carriers)
+        search.offer_places(mine, found.gap, found.normal, point, other, rest)
 
     def _face_themselves(
         self, search: ContactSearch, v: Floats, span: float, *, whole: bool
@@ -486,7 +503,7 @@ class BodyContact:
         f, offset = self.planes, self._offset
         unseen = (depth > 0.0) & (search.planes.partner == narrow_phase.NOBODY) & (f.partner >= 0)
         rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
-        point = (f.interpolated(search.x) + f.point)[rows]
+        point = f.of(rows).interpolated(search.x) + f.point[rows]
         away = search.x[rows] - point
         aside = away + depth[rows, None] * f.normal[rows]
         near = np.linalg.norm(aside, axis=1) < STAY * self._spacing
@@ -522,36 +539,29 @@ class BodyContact:
         f: ContactPlanes,
     ) -> None:
         constants = self.contact.driven
-        pair = state.rows("pair", narrow_phase.ROW)
-        pair[:, narrow_phase.REST : narrow_phase.RATE] = 0.0
-        pair[:, narrow_phase.REST : narrow_phase.DRIFT] = self._X
-        if constants is not None:
-            c, rate = now.constants
-            pair[:, narrow_phase.REST : narrow_phase.DRIFT] += constants @ (c + 0.5 * dt * rate)
-            pair[:, narrow_phase.DRIFT : narrow_phase.PLACE] = constants @ rate
         point = f.point - 0.5 * dt * f.velocity
         point[f.partner == narrow_phase.OBSTACLE] -= now.offset
-        pair[:, narrow_phase.FORCE : narrow_phase.POINT] = 0.0
-        pair[:, narrow_phase.DEPTH] = 0.0
-        pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT] = f.spring
-        pair[:, narrow_phase.WEIGHT : narrow_phase.REACTION] = f.weights
-        pair[:, narrow_phase.REACTION : narrow_phase.HARDENING] = 0.0
-        pair[:, narrow_phase.POINT : narrow_phase.STIFFNESS] = np.hstack(
-            [point, f.normal, f.velocity]
-        )
-        pair[:, narrow_phase.HARDENING] = self._hardening
-        pair[:, narrow_phase.STIFFNESS : narrow_phase.DEPTH] = np.stack(
-            [values["stiffness"], values["damping"], values["friction"]], 1
-        )
-        start, order = f.lists()
-        links = np.full((len(start), narrow_phase.LINKS), narrow_phase.NOBODY)
-        links[:-1, : narrow_phase.START], links[:, narrow_phase.START] = f.carriers, start
-        links[:-1, narrow_phase.PARTNER] = f.partner
-        entries = np.zeros((len(start), 3), np.int64)
-        entries.flat[: len(order)] = order
-        links[:, narrow_phase.PAIR_FACING :] = entries
-        state.put("pair", pair)
-        state.put("links", links)
+        with state.written("pair", narrow_phase.ROW) as pair:
+            pair[:, narrow_phase.DRIFT : narrow_phase.RATE] = 0.0
+            pair[:, narrow_phase.REST : narrow_phase.DRIFT] = self._X
+            if constants is not None:
+                c, rate = now.constants
+                rest = self._X + constants @ (c + 0.5 * dt * rate)
+                pair[:, narrow_phase.REST : narrow_phase.DRIFT] = rest
+                pair[:, narrow_phase.DRIFT : narrow_phase.PLACE] = constants @ rate
+            pair[:, narrow_phase.FORCE : narrow_phase.POINT] = 0.0
+            pair[:, narrow_phase.DEPTH] = 0.0
+            pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT] = f.spring
+            pair[:, narrow_phase.WEIGHT : narrow_phase.REACTION] = f.weights
+            pair[:, narrow_phase.REACTION : narrow_phase.HARDENING] = 0.0
+            pair[:, narrow_phase.POINT : narrow_phase.NORMAL] = point
+            pair[:, narrow_phase.NORMAL : narrow_phase.VELOCITY] = f.normal
+            pair[:, narrow_phase.VELOCITY : narrow_phase.STIFFNESS] = f.velocity
+            pair[:, narrow_phase.HARDENING] = self._hardening
+            pair[:, narrow_phase.STIFFNESS] = values["stiffness"]
+            pair[:, narrow_phase.DAMPING] = values["damping"]
+            pair[:, narrow_phase.FRICTION] = values["friction"]
+        state.put("links", narrow_phase.links(f))
 
     def follow(self, state: State, dt: float, closed: bool) -> bool:
         """Take the planes as substeps of dt [s] left them; closed : they ended a frame.
@@ -563,12 +573,11 @@ class BodyContact:
         x, v = self.motion(state.view())
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             return False
-        pair, f = state.rows("pair", narrow_phase.ROW), self.planes
-        who = f.carried
+        f, who = self.planes, self.planes.carried
         normal, point = f.normal.copy(), f.point.copy()
-        normal[who] = pair[who, narrow_phase.NORMAL : narrow_phase.VELOCITY]
-        point[who] = pair[who, narrow_phase.POINT : narrow_phase.NORMAL]
-        spring = pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT]
+        places = state.part("pair", narrow_phase.ROW, narrow_phase.POINT, narrow_phase.VELOCITY)
+        point[who], normal[who] = places[who, :3], places[who, 3:]
+        spring = state.part("pair", narrow_phase.ROW, narrow_phase.SPRING, narrow_phase.WEIGHT)
         # By what the bodies moved since their last forces.
         self.planes = moved(
             replace(f, normal=normal, point=point, spring=spring),
@@ -577,3 +586,8 @@ class BodyContact:
             0.5 * dt if closed else dt,
         )
         return True
+
+
+def _column(state: State, column: int) -> Floats:
+    """(n,) one number of each sample."""
+    return state.part("pair", narrow_phase.ROW, column, column + 1)[:, 0]

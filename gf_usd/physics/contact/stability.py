@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, row_dots
 from gf_usd.physics.contact.broad_phase import CHANGE
 from gf_usd.physics.contact.carriers import cross, turn
 from gf_usd.physics.contact.floor import FloorContact
-from gf_usd.physics.contact.narrow_phase import CLOSER, NOBODY, ContactPlanes
+from gf_usd.physics.contact.narrow_phase import CLOSER, ContactPlanes
 from gf_usd.physics.contact.self_contact import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
@@ -87,13 +87,12 @@ class PairSprings:
     def _touching(self, x: Floats, v: Floats, span: float, fall: float) -> tuple[Ints, Floats]:
         """Samples (m,) that may touch within a span [s]; (m,) >= 1 how much harder their springs
         may become: 1 + 3 (d / a)^2 times as stiff against more as against little."""
-        f = self.planes
-        faces = np.flatnonzero(f.partner != NOBODY)
-        away, speed = (
-            (f.interpolated(x) + f.point - x)[faces], (f.interpolated(v) + f.velocity - v)[faces]
-        )  # fmt: skip
-        depth, closing = ((a * f.normal[faces]).sum(1) for a in (away, speed))
-        fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt((speed * speed).sum(1))) + fall
+        faces = self.planes.facing
+        f = self.planes.of(faces)
+        away = f.interpolated(x) + f.point - x[faces]
+        speed = f.interpolated(v) + f.velocity - v[faces]
+        depth, closing = row_dots(away, f.normal), row_dots(speed, f.normal)
+        fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed))) + fall
         coming = coming_depth(
             depth, fastest, span, self.k[faces], self.values["mass"][faces], self.hardening
         )

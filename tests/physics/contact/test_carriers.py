@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from gf_usd.core.arrays import Floats
-from gf_usd.physics.contact.carriers import FAT, Triples, spin, triangle
+from gf_usd.physics.contact.carriers import FAT, NEAR, SPREAD, Triples, spin
 
 
 def sheet(seed: int = 0) -> Floats:
@@ -24,8 +26,34 @@ def test_weights_are_barycentric_and_the_largest_comes_first() -> None:
     assert (np.diff(weights, axis=1) <= 0.0).all()
     assert np.abs(weights).max() < 2.0
     corners = X[samples]
-    fatness = triangle(corners @ corners.swapaxes(1, 2), np.array([[0, 1, 2]]))[2]
-    assert (fatness > FAT).all()
+    sides = corners - np.roll(corners, 1, axis=1)
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    assert (2.0 * 3.0**0.5 * area > FAT * (sides**2).sum((1, 2))).all()
+
+
+def test_of_the_six_nearest_the_triangle_that_costs_least_carries() -> None:
+    rng = np.random.default_rng(4)
+    X, places = rng.normal(size=(40, 3)), rng.normal(size=(30, 3))
+    samples, weights = Triples(X)(places)
+    for place, got, w in zip(places, samples, weights):
+        near = np.argsort(np.linalg.norm(X - place, axis=1))[:NEAR]
+        least = np.inf
+        for corners in map(list, combinations(near, 3)):
+            a, b, c = X[corners]
+            plane = np.stack([b - a, c - a], 1)
+            st = np.linalg.lstsq(plane, place - a, rcond=None)[0]
+            share = np.array([1.0 - st.sum(), *st])
+            far = np.linalg.norm(X[corners] - place, axis=1)
+            height = np.linalg.norm(a + plane @ st - place)
+            area = np.linalg.norm(np.cross(b - a, c - a))
+            sides = sum(((p - q) ** 2).sum() for p, q in ((a, b), (b, c), (c, a)))
+            fat = 2.0 * 3.0**0.5 * area / sides
+            cost = np.abs(share) @ far + height + SPREAD * far.mean()
+            cost /= fat if fat > FAT else 1e-3 * fat + 1e-12
+            if cost < least:
+                least, best = cost, dict(zip(corners, share))
+        assert set(got) == set(best)
+        np.testing.assert_allclose(w, [best[s] for s in got], atol=1e-9)
 
 
 def test_a_sample_carries_its_own_place() -> None:

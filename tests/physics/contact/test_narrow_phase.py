@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from gf_usd.core.arrays import Ints
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.narrow_phase import CLOSER, NOBODY, OBSTACLE, TRAVEL, ContactSearch
 
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -46,3 +48,38 @@ def test_at_the_first_detection_anything_may_be() -> None:
     seen = ContactSearch(HERE, 2.0, np.array([-np.inf]))
     offer(seen, -1.9)
     assert (seen.planes.partner[0], seen.released) == (OBSTACLE, 0)
+
+
+class Skin:
+    """A flat one, whose samples are all near."""
+
+    def __init__(self, samples: Ints) -> None:
+        self.samples = samples
+
+    def nearest(self, places: Floats) -> Ints:
+        return np.tile(self.samples, (len(places), 1))
+
+
+def test_places_are_carried_only_where_they_are_faced_in_the_end() -> None:
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    X = np.array([*corners, [0.2, 0.2, 0.5], [0.3, 0.4, 0.5]])
+    x, rows, up = X + [5.0, 0.0, 0.0], np.array([3, 4]), np.repeat(UP, 2, 0)
+    seen = ContactSearch(x, 2.0, np.full(5, -np.inf))
+    point = x[rows] * [1.0, 1.0, 0.0]
+    seen.offer(rows, np.array([0.9, 0.4]), up, point + [0.0, 0.0, -0.4], obstacle=0)
+    seen.offer_places(rows, np.array([0.5, 0.5]), up, point, 0, point - [5.0, 0.0, 0.0])
+    skins: Any = {0: Skin(np.array([2, 0, 1, -1, -1, -1]))}
+    seen.carry(skins, X)
+    f = seen.planes
+    assert f.partner.tolist() == [NOBODY, NOBODY, NOBODY, 0, OBSTACLE]
+    assert f.obstacle.tolist() == [-1, -1, -1, -1, 0]
+    np.testing.assert_array_equal(np.sort(f.carriers[3]), [0, 1, 2])
+    np.testing.assert_allclose(f.weights[3], [0.6, 0.2, 0.2], atol=1e-12)
+    np.testing.assert_allclose(f.interpolated(x)[3] + f.point[3], point[0], atol=1e-12)
+    # What is nearer afterwards takes the place of what is to be carried.
+    seen = ContactSearch(x, 2.0, np.full(5, -np.inf))
+    seen.offer_places(rows, np.array([0.5, 0.5]), up, point, 0, point - [5.0, 0.0, 0.0])
+    seen.offer(rows[:1], np.array([0.1]), UP, point[:1], obstacle=0)
+    seen.carry(skins, X)
+    assert seen.planes.partner.tolist()[3:] == [OBSTACLE, int(seen.planes.carriers[4, 0])]
+    assert seen.planes.carriers[3].tolist() == [NOBODY] * 3
