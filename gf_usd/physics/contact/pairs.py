@@ -106,7 +106,7 @@ class BodyContact:
         if body not in self._skins:
             skin, m = self.contact_setup.skins[body], self._members[body]
             of = np.full(len(skin.points), body)
-            rows = self._body.stencil.rows(skin.points, of, skin.cell_copy)
+            rows = self._body.stencil.rows(skin.points, of, skin.cell_copy, gradients=False)
             self._skins[body] = BodySkin(skin, rows, m, self._X[m])
         return self._skins[body]
 
