@@ -256,7 +256,7 @@ class UpdatedLagrangian(Solver):
             s.stress_cap or 0.0, low, high, body.converged,
             *(whole(a.tolist()) for a in (planes.first, planes.last, planes.stuck)),
         )  # fmt: skip
-        if n < SERIAL_BELOW:
+        if n < SERIAL_BELOW and s.device == "cpu":
             if self._launcher is None or self._launcher[0] is not state.pack:
                 self._launcher = state.pack, Launcher(body.kernels.serial, state.pack)
             self._launcher[1](n, active, *capacities, substeps, *tail)
