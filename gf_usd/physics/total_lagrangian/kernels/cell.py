@@ -27,27 +27,13 @@ from gf_usd.physics.total_lagrangian.kernels.scalar import clip_matrix, cut_matr
 from gf_usd.physics.total_lagrangian.kernels.simd import (
     add_pressure,
     add_viscous,
-    differences,
-    differences_transposed,
+    each_difference,
+    each_transposed,
     filter_batch,
     gradient,
     spread,
     zeros,
 )
-
-
-@unrolled
-def each_difference(q):
-    """`differences` of each of three components."""
-    for d in range(3):
-        differences(q[d::3])
-
-
-@unrolled
-def each_transposed(q):
-    """`differences_transposed` of each of three components."""
-    for d in range(3):
-        differences_transposed(q[d::3])
 
 
 @unrolled

@@ -132,11 +132,8 @@ def stress_group(
             assign(P, product(P, transposed(Pi)))
         k = (0.0 - 0.5 * ih) * body.V0[b]
         spread(scaled(k, P), s, h, out)
+    each_transposed(out)
     put_block(body.block, group, out)
-    for d in range(3):
-        q = component(body.block, group, d)
-        differences_transposed(q)
-        put_component(body.block, group, d, q)
 
 
 @unrolled
@@ -316,15 +313,29 @@ def gather(body: ti.template(), field: ti.template(), group):
 
 @ti.func
 def moments(body: ti.template(), field: ti.template(), group):
-    """The `differences` of a nodal vector field at the 27 nodes of eight cells, 27 x 3 lane
-    vectors; what is alike for the three components stands in the kernel once.
+    """The `differences` of a nodal vector field at the 27 nodes of eight cells, 27 x 3 lane vectors.
+
+    For one component after the other, as in `filter_group`, they would stand in the kernel once;
+    100,000 particles then took 1.04 times as long.
     """
     gather(body, field, group)
+    q = block(body.block, group)
+    each_difference(q)
+    return q
+
+
+@unrolled
+def each_difference(q):
+    """`differences` of each of three components."""
     for d in range(3):
-        q = component(body.block, group, d)
-        differences(q)
-        put_component(body.block, group, d, q)
-    return block(body.block, group)
+        differences(q[d::3])
+
+
+@unrolled
+def each_transposed(q):
+    """`differences_transposed` of each of three components."""
+    for d in range(3):
+        differences_transposed(q[d::3])
 
 
 @unrolled
