@@ -313,7 +313,7 @@ def gather(body: ti.template(), field: ti.template(), group):
 
 @ti.func
 def moments(body: ti.template(), field: ti.template(), group):
-    """The `differences` of a nodal vector field at the 27 nodes of eight cells, 27 x 3 lane vectors.
+    """`differences` of a nodal vector field at the 27 nodes of eight cells, 27 x 3 lane vectors.
 
     For one component after the other, as in `filter_group`, they would stand in the kernel once;
     100,000 particles then took 1.04 times as long.
