@@ -17,6 +17,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import threading
 from functools import cache
 from importlib.machinery import ExtensionFileLoader, PathFinder
 from importlib.util import module_from_spec
@@ -51,7 +52,10 @@ def _tree() -> type[cKDTree]:
     """Without the rest of `scipy.spatial`, where SciPy has the tree in this module of its own.
 
     The rest are transforms and distances, and with these linear algebra and special functions.
+    Another thread could find the module half loaded: only where there is none.
     """
+    if threading.active_count() > 1 or os.environ.get("GF_USD_FAST_START") == "0":
+        return importlib.import_module("scipy.spatial").cKDTree
     folders = [
         os.path.join(folder, "spatial") for folder in importlib.import_module("scipy").__path__
     ]

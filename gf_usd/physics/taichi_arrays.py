@@ -39,7 +39,7 @@ def values(array: Any) -> Floats:
 def look(array: Any) -> Floats:
     """The numbers of a ti.ndarray, not to be changed, nor kept beyond the next launch."""
     seen = _memory(array)
-    return array.to_numpy() if seen is None else seen
+    return array.to_numpy() if seen is None else seen[...]
 
 
 def put(array: Any, new: Floats) -> None:
@@ -108,6 +108,8 @@ class _OnGpu:
 
     def __init__(self, address: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> None:
         self._address, self._shape, self._kind = address, shape, kind
+        self._context = ctypes.c_void_p()
+        cuda_driver().cuCtxGetCurrent(ctypes.byref(self._context))
 
     def _rows(self, where: Any) -> tuple[int, ...]:
         """The shape of what is copied; where : a slice from the first row on, or `...`."""
@@ -132,7 +134,10 @@ class _OnGpu:
         return self[...]
 
     def _ask(self, name: str, to: int, of: int, size: int) -> None:
-        failed = getattr(cuda_driver(), name)(
+        driver = cuda_driver()
+        if self._context:  # a thread has none of its own
+            driver.cuCtxSetCurrent(self._context)
+        failed = getattr(driver, name)(
             ctypes.c_uint64(to), ctypes.c_uint64(of), ctypes.c_size_t(size)
         )
         if failed:

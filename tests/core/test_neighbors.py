@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -87,3 +88,23 @@ def test_the_tree_is_that_of_scipy_without_the_rest() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["False False", "3"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("switch", ["1", "0"])
+def test_the_tree_is_imported_as_ever_where_there_are_threads_or_it_is_asked_for(
+    switch: str,
+) -> None:
+    code = (
+        "import os, sys, threading, numpy as np\n"
+        "from gf_usd.core.neighbors import kd_tree\n"
+        "end = threading.Event()\n"
+        "if os.environ['GF_USD_FAST_START'] == '1': threading.Thread(target=end.wait).start()\n"
+        "kd_tree(np.eye(3)); end.set()\n"
+        "print('scipy.spatial' in sys.modules)\n"
+    )
+    environment = {**os.environ, "GF_USD_FAST_START": switch}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    assert done.stdout.strip() == "True"

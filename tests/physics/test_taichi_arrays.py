@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,6 +61,15 @@ class Driver:
     def __init__(self) -> None:
         self.failed = 0
         self.copied: list[int] = []
+        self.current = 7
+
+    def cuCtxGetCurrent(self, out: Any) -> int:
+        out._obj.value = self.current
+        return 0
+
+    def cuCtxSetCurrent(self, context: ctypes.c_void_p) -> int:
+        self.current = context.value or 0
+        return 0
 
     def _copy(self, to: ctypes.c_uint64, of: ctypes.c_uint64, size: ctypes.c_size_t) -> int:
         ctypes.memmove(to.value or 0, of.value or 0, size.value)
@@ -84,6 +94,9 @@ def on_gpu(monkeypatch: pytest.MonkeyPatch):
 
 def test_the_driver_copies_what_is_on_a_gpu(on_gpu) -> None:
     array, there, driver = on_gpu
+    driver.current = 0  # as in another thread
+    np.testing.assert_array_equal(taichi_arrays.look(array), there)
+    assert driver.current == 7
     seen = taichi_arrays.values(array)
     np.testing.assert_array_equal(seen, there)
     seen[:] = -1.0

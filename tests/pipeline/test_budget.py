@@ -256,3 +256,15 @@ def test_bodies_in_flight_and_those_that_meet_only_themselves_are_cheap(plan: Pl
     assert seconds(crowd=False) < seconds(crowd=True)
     assert seconds(fall=10.0) > seconds(fall=0.0), "a hard landing takes more substeps"
     assert seconds(fall=10.0) < budget.MOST * seconds(fall=0.0)
+
+
+# Peaks [MB] of `python -m tools.bench.scale --case particles N`, 26 November 2026.
+@pytest.mark.parametrize(("n", "peak"), [(100_000, 508), (1_000_000, 2057), (10_000_000, 16_471)])
+def test_memory_is_estimated_above_what_was_measured_but_not_far(
+    plan: Plan, n: int, peak: float
+) -> None:
+    found = budget.estimate(
+        plan.settings, plan.materials, [100], particles=n, vertices=10_000, paired=0,
+        frame_bytes=0.0, first_contact=None,
+    )["estimated_memory_bytes"]  # fmt: skip
+    assert 1.0 <= found / (1e6 * peak) < 1.25

@@ -32,6 +32,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from hashlib import sha256
 from typing import NamedTuple
 
 import numpy as np
@@ -168,7 +169,7 @@ class Tally:
 @rule("velocities", "velocities match the motion of the points, in units per second")
 def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
     rate = stage.GetTimeCodesPerSecond()
-    judged: list[tuple[Usd.Attribute, Usd.Attribute, Tally]] = []
+    judged: dict[Key, list[tuple[Usd.Attribute, Usd.Attribute, Tally]]] = {}
     for prim in prims(stage):
         position = position_attribute(prim)
         if position is None:
@@ -185,9 +186,10 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
         if count < WINDOW:
             yield speak.skip(f"{name}: {count} samples of motion; this check needs {WINDOW}")
             continue
-        alike = (said for *both, said in judged if _alike(both, (position, velocity)))
+        near = judged.setdefault(_key(position), [])
+        alike = (said for *both, said in near if _alike(both, (position, velocity)))
         tally = next(alike, None) or tally_of(position, velocity, rate)
-        judged.append((position, velocity, tally))
+        near.append((position, velocity, tally))
         if not tally.moving:
             continue
         fix = f"author stage units per second; this stage has {rate:g} time codes per second"
@@ -218,6 +220,23 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
                 f"(over {tally.smooth} places)",
                 fix,
             )
+
+
+Key = tuple[float | int | bytes | str, ...]
+
+
+def _key(position: Usd.Attribute) -> Key:
+    """Of which a prim has its own unless it may be `_alike` another."""
+    codes = position.GetTimeSamples()
+    x = vectors(position, Usd.TimeCode(codes[0]))
+    first = (b"", "") if x is None else (sha256(x.tobytes()).digest(), x.dtype.str)
+    return (
+        len(codes),
+        codes[0],
+        codes[-1],
+        *first,
+        _to_world(position.GetPrim(), codes[0]).tobytes(),
+    )
 
 
 def _alike(one: Sequence[Usd.Attribute], other: Sequence[Usd.Attribute]) -> bool:

@@ -39,17 +39,19 @@ def to_lanes(values: Floats) -> NDArray[np.float64]:
 
     The last group is filled up with the last particle.
     """
-    count, width = len(values), values[0].size
-    lanes = aligned(width * -(-count // LANES), LANES)
-    wide = lanes.reshape(width, -1)
-    wide[:, :count] = values.reshape(count, -1).T
+    count, width = len(values), int(np.prod(values.shape[1:]))
+    groups = -(-count // LANES)
+    lanes = aligned(width * groups, LANES)
+    wide = lanes.reshape(width, LANES * groups)
+    wide[:, :count] = values.reshape(count, width).T
     wide[:, count:] = wide[:, count - 1 : count]
     return lanes
 
 
 def from_lanes(lanes: Floats, count: int, *shape: int) -> NDArray[np.float64]:
     """(N, ...) what `to_lanes` was given."""
-    wide = lanes.reshape(int(np.prod(shape)), -1)[:, :count]
+    width = int(np.prod(shape))
+    wide = lanes.reshape(width, lanes.size // width)[:, :count]
     return np.ascontiguousarray(wide.T).reshape(count, *shape)
 
 
@@ -67,6 +69,8 @@ def carry(
     ensure_running()
     groups = len(F) // 9
     made, done = tuple(aligned(k * groups, LANES) for k in (9, 9, 4, 3)), aligned(groups, LANES)
+    if not groups:
+        return made
     done[...] = 1.0
     if R is not None:
         made[0][...] = R

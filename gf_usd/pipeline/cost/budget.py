@@ -103,9 +103,10 @@ PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's sk
 CONTACT_PAIR_SECONDS = 1e-6
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
-# [bytes] a particle, by solver: mostly the rows of W and G, which what flows has none of
-PARTICLE_MEMORY = {"tl": 4400.0, "ul": 3000.0, MIXED: 4400.0}
-VERTEX_MEMORY = 2200.0  # [bytes] a vertex: the surface, its rows, a frame
+# [bytes] a particle, by solver, measured with 100,000 to 10 million of them: 1,880 to 1,615
+PARTICLE_MEMORY = {"tl": 1900.0, "ul": 3000.0, MIXED: 3000.0}
+ROWS_MEMORY = 1000.0  # [bytes] a particle of W and G, which are kept where a GPU computes
+VERTEX_MEMORY = 2200.0  # [bytes] a vertex: the surface, its nodes, a frame
 CONTACT_PAIR_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
 
 
@@ -148,10 +149,9 @@ def estimate(
     n, frames, samples = particles, settings.frames, settings.samples_per_frame
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are dear to build
-    memory = (
-        PROCESS_MEMORY + PARTICLE_MEMORY[settings.solver] * n * waiting + VERTEX_MEMORY * vertices
-    )
     on_gpu = settings.solver == "tl" and settings.device == "cuda"
+    each = PARTICLE_MEMORY[settings.solver] + (ROWS_MEMORY if on_gpu else 0.0)
+    memory = PROCESS_MEMORY + each * n * waiting + VERTEX_MEMORY * vertices
     fixed, each = GPU_SUBSTEP_SECONDS if on_gpu else SUBSTEP_SECONDS[settings.solver]
     substep = CONTACT * (fixed + each * n)
     if paired:

@@ -17,6 +17,7 @@ import contextlib
 import importlib
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from importlib.abc import Loader
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
@@ -103,10 +104,11 @@ class _Finder:
 
     def __init__(self, loads: dict[str, Loads], later: Any) -> None:
         self._loads, self._later = loads, later
+        self._thread = threading.get_ident()  # others import what `later` names as ever
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """See `importlib.abc.MetaPathFinder`; None for all other modules."""
-        if name in self._later:
+        if name in self._later and threading.get_ident() == self._thread:
             return ModuleSpec(name, _Postponed())
         found = PathFinder.find_spec(name, path, target) if name in self._loads else None
         if found is None or not isinstance(found.loader, SourceFileLoader):

@@ -264,3 +264,22 @@ def test_a_twin_is_judged_once_and_only_one_that_is_alike(
     found = list(motion_rule.velocities(stage))
     assert len(judged) == (1 if other == "nothing" else 2)
     assert len(found) == (1 if other == "velocities" else 0)
+
+
+def test_prims_that_differ_are_not_compared_sample_by_sample(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetTimeCodesPerSecond(RATE)
+    for k in range(6):  # each at a place or in a frame of its own
+        points = UsdGeom.Points.Define(stage, f"/P{k}")
+        if k % 2:
+            points.AddRotateXOp().Set(10.0 * k)
+        for code in np.arange(20.0):
+            x, v = motion(GRID, code)
+            points.GetPointsAttr().Set(vec3(x + k - k % 2), code)
+            points.GetVelocitiesAttr().Set(vec3(v), code)
+    compared = []
+    monkeypatch.setattr(motion_rule, "_alike", lambda *given: compared.append(1))
+    assert list(motion_rule.velocities(stage)) == []
+    assert not compared

@@ -257,3 +257,9 @@ def test_a_particle_does_not_depend_on_those_beside_it():
         out = alone.advance(at(F[p : p + 1] @ F[p : p + 1]))
         np.testing.assert_array_equal(out.orientations[0], together.orientations[p])
         np.testing.assert_array_equal(out.scales[0], together.scales[p])
+
+
+def test_no_gaussians_at_all():
+    track = GaussianTrack(np.zeros((0, 4)), np.zeros((0, 3)))
+    pose = track.advance(Pose(x=np.zeros((0, 3)), v=np.zeros((0, 3)), F=np.zeros((0, 3, 3))))
+    assert (pose.orientations.shape, pose.scales.shape) == ((0, 4), (0, 3))
