@@ -40,14 +40,13 @@ def half_of_apic(q, f, m, out):
     filter_batch(q, f, m, out)
     w = let([simd.spline(f[a]) for a in range(3)])
     g = let([[w[a][i] * (float(i) - f[a]) for i in range(3)] for a in range(3)])  # w dX
-    for d in range(3):
-        column = [simd.dot(w[2], [q[27 * i + 9 * j + 3 * k + d] for k in range(3)])
-                  for i in range(3) for j in range(3)]  # fmt: skip
-        c = let(2.0 * m * simd.dot(w[0], [simd.dot(g[1], column[3 * i : 3 * i + 3])
-                                          for i in range(3)]))  # fmt: skip
-        for n in range(d, 81, 3):
-            i, j, k = n // 27, n // 9 % 3, n // 3 % 3
-            put(out[n], out[n] - w[0][i] * g[1][j] * w[2][k] * c)
+    column = [simd.dot(w[2], [q[9 * i + 3 * j + k] for k in range(3)])
+              for i in range(3) for j in range(3)]  # fmt: skip
+    c = let(2.0 * m * simd.dot(w[0], [simd.dot(g[1], column[3 * i : 3 * i + 3])
+                                      for i in range(3)]))  # fmt: skip
+    for n in range(27):
+        i, j, k = n // 9, n // 3 % 3, n % 3
+        put(out[n], out[n] - w[0][i] * g[1][j] * w[2][k] * c)
 
 
 @ti.func
@@ -62,25 +61,17 @@ def corotated_with_half_mu(F, q, converged):
 
 @ti.func
 def move_upward(
-    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, plain: ti.template(),
-    coupled: ti.template(), slides: ti.template(), goals: ti.template(),
-):  # fmt: skip
-    move_node(
-        body, node, contact, 0.0 - g, dt, drift, keep, alpha, filtering, plain, coupled, slides,
-        goals,
-    )  # fmt: skip
+    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, options: ti.template()
+):
+    move_node(body, node, contact, 0.0 - g, dt, drift, keep, alpha, filtering, options)
 
 
 @ti.func
 def move_without_body_force(
-    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, plain: ti.template(),
-    coupled: ti.template(), slides: ti.template(), goals: ti.template(),
-):  # fmt: skip
+    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, options: ti.template()
+):
     b = ti.Vector([body.acceleration[3 * node + d] for d in range(3)])
-    move_node(
-        body, node, contact, g - b, dt, drift, keep, alpha, filtering, plain, coupled, slides,
-        goals,
-    )  # fmt: skip
+    move_node(body, node, contact, g - b, dt, drift, keep, alpha, filtering, options)
 
 
 @ti.func
@@ -89,8 +80,8 @@ def floor_without_damping(body: ti.template(), s, d, v, up, dt):
 
 
 @ti.func
-def sum_without_followers(body: ti.template(), node, filtering, plain: ti.template()):
-    return block_sum(body, node, plain)
+def sum_without_followers(body: ti.template(), node, filtering, options: ti.template()):
+    return block_sum(body, node, options)
 
 
 @dataclass(frozen=True)
