@@ -115,14 +115,16 @@ def across(d: Floats) -> tuple[Floats, Floats]:
 
 def matrix_from_quaternion(q: Floats) -> NDArray[np.float64]:
     """(N, 3, 3) rotation of unit quaternions (N, 4), (w, x, y, z)."""
-    w, x, y, z = np.asarray(q, float).T
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        -2,
+    return np.stack([np.stack(row, -1) for row in rotation_rows(np.asarray(q, float).T)], -2)
+
+
+def rotation_rows(q: Floats) -> tuple[tuple[Floats, Floats, Floats], ...]:
+    """The entries (N,), row by row, of the rotations of unit quaternions w, x, y, z (4, N)."""
+    w, x, y, z = q
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
 
 

@@ -157,7 +157,7 @@ def _memory(array: Any) -> Any:
             return None
         # It stays where it is as long as the array lives.
         setattr(array, SEEN, seen)
-    wait()
+    _wait()
     return seen
 
 
@@ -180,7 +180,7 @@ def _look(array: Any) -> Any:
     return np.ndarray(shape, kind, raw)
 
 
-def wait() -> None:
+def _wait() -> None:
     """Until the kernels that were launched are done."""
     from taichi.lang import impl
 

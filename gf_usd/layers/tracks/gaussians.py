@@ -22,6 +22,7 @@ from gf_usd.core.arrays import Floats, columns, corners
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import GaussianPose, Particles, Settings
 from gf_usd.core.materials.laws import law_internals
+from gf_usd.core.matrices import rotation_rows
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import box, f32, xyzw
 from gf_usd.layers.tracks.accuracy import HALF_SHAPE, shape_errors
@@ -203,12 +204,7 @@ class SplatTrack:
 
 def _variances(wxyz: Floats, scales: Floats) -> np.ndarray:
     """Diagonal (N, 3) of R diag(s^2) R' for quaternions (w, x, y, z)."""
-    w, x, y, z = columns(np.asarray(wxyz, np.float64))
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
+    rows = rotation_rows(columns(np.asarray(wxyz, np.float64)))
     a, b, c = columns(scales**2)
     return np.stack([p * p * a + r * r * c + q * q * b for p, q, r in rows], -1)
 

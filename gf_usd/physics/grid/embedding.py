@@ -67,15 +67,19 @@ class SplineRows:
     @cached_property
     def W(self) -> sparse.csr_matrix:
         """(n, M)."""
-        return self._over_nodes(lambda w, _: w)
+        values = np.empty((len(self.X), NODES))
+        for some in self._chunks():
+            values[some] = weights(self.fx[some], self.h)[0]
+        places = np.ascontiguousarray(self.around[self.cell]).ravel()
+        return self._over_nodes(values, places, np.arange(0, values.size + 1, NODES))
 
     @cached_property
     def G(self) -> tuple[sparse.csr_matrix, ...]:
         """Three, (n, M) [1/m] each."""
-        made = [self._over_nodes(lambda _, g, b=b: g[..., b]) for b in range(3)]
-        for one in made:
-            one.indices, one.indptr = self.W.indices, self.W.indptr
-        return tuple(made)
+        values = np.empty((3, len(self.X), NODES))
+        for some in self._chunks():
+            values[:, some] = np.moveaxis(weights(self.fx[some], self.h)[1], 2, 0)
+        return tuple(self._over_nodes(one, self.W.indices, self.W.indptr) for one in values)
 
     @cached_property
     def slopes(self) -> sparse.csr_matrix:
@@ -87,21 +91,17 @@ class SplineRows:
         """Whether kernels are worth their loading; they run where the arrays are."""
         return len(self.X) >= FEW and not resident_blocks()
 
-    def _over_nodes(self, part: Any) -> sparse.csr_matrix:
-        count = len(self.X)
-        values = np.empty((count, NODES))
-        for k in range(0, count, CHUNK):
-            some = slice(k, k + CHUNK)
-            values[some] = part(*weights(self.fx[some], self.h))
-        return sparse.csr_matrix(
-            (
-                values.ravel(),
-                np.ascontiguousarray(self.around[self.cell]).ravel(),
-                np.arange(0, NODES * count + 1, NODES),
-            ),
-            shape=(count, self.spread.shape[0]),
-            copy=False,
-        )
+    @property
+    def cells(self) -> tuple[Any, ...]:
+        """What the kernels know points by."""
+        return self.cell, self.around, self.fx, 1.0 / self.h
+
+    def _chunks(self) -> list[slice]:
+        return [slice(k, k + CHUNK) for k in range(0, len(self.X), CHUNK)]
+
+    def _over_nodes(self, values: Floats, places: Ints, start: Ints) -> sparse.csr_matrix:
+        shape = (len(self.X), self.spread.shape[0])
+        return sparse.csr_matrix((values.ravel(), places, start), shape=shape, copy=False)
 
 
 def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
@@ -125,7 +125,7 @@ def _in_one_pass(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose
     x, rate, F = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 9))
     given = (np.ascontiguousarray(a, np.float64) for a in (rows.X, offset))
     wide = (widened(a, LANES) for a in (u, v))
-    embed(rows.cell, rows.around, rows.fx, 1.0 / rows.h, *given, *wide, x, rate, F)
+    embed(*rows.cells, *given, *wide, x, rate, F)
     return Pose(x=x, v=rate, F=F.reshape(n, 3, 3))
 
 
@@ -154,7 +154,7 @@ def stretches(rows: Rows | SplineRows, u: Floats) -> Floats:
         from gf_usd.physics.grid.row_kernels import LANES, stretch
 
         out = np.empty((n, 9))
-        stretch(rows.cell, rows.around, rows.fx, 1.0 / rows.h, widened(u, LANES), out)
+        stretch(*rows.cells, widened(u, LANES), out)
         return out.reshape(n, 3, 3)
     F = np.empty((n, 3, 3))
     if n < FEW:
@@ -175,7 +175,7 @@ def gathered(rows: SplineRows, P: Floats) -> Floats:
         out = aligned(count, LANES)
         out[...] = 0.0
         P = np.ascontiguousarray(P, np.float64).reshape(n, 9)
-        gather(rows.cell, rows.around, rows.fx, 1.0 / rows.h, P, out)
+        gather(*rows.cells, P, out)
         return out[:, :3]
     if n < FEW:
         return rows.slopes.T @ np.moveaxis(P, 2, 0).reshape(3 * n, 3)

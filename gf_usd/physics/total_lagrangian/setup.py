@@ -491,14 +491,12 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
     """
     stencil, batches, per, contact = body.stencil, body.layout, body.per, body.contact
     law = body.law_at(0)
-    fx = np.empty_like(stencil.fx)
-    fx[stencil.order] = stencil.fx
     height = np.zeros(1)
     if contact:
         height = contact.rows.X @ body.settings.normal - floor_height(body.settings)
     followers = max(1, stencil.node_count - stencil.free_count)
     return {
-        "fx": layout.lanes(batches, fx, fill=True),
+        "fx": layout.lanes(batches, body.rows.fx, fill=True),
         "V0": layout.lanes(batches, per["V0"]),
         "m": layout.lanes(batches, per["density"] * per["V0"]),
         "constants": layout.law_lanes(batches, law.constants),

@@ -150,8 +150,8 @@ def estimate(
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are dear to build
     on_gpu = settings.solver == "tl" and settings.device == "cuda"
-    each = PARTICLE_MEMORY[settings.solver] + (ROWS_MEMORY if on_gpu else 0.0)
-    memory = PROCESS_MEMORY + each * n * waiting + VERTEX_MEMORY * vertices
+    particle = PARTICLE_MEMORY[settings.solver] + (ROWS_MEMORY if on_gpu else 0.0)
+    memory = PROCESS_MEMORY + particle * n * waiting + VERTEX_MEMORY * vertices
     fixed, each = GPU_SUBSTEP_SECONDS if on_gpu else SUBSTEP_SECONDS[settings.solver]
     substep = CONTACT * (fixed + each * n)
     if paired:
