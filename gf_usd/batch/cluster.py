@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0  # [s] for the child of a worker that died: it looks for its parent twice a second
 CONNECT = 20.0  # [s] to find the scheduler
+# A result is lost with the worker that holds it; the scheduler has its task done again by another.
+PENDING = ("pending", "lost")
 HINT = (
     "start one with dask scheduler, and run dask worker ADDRESS --nthreads 1 for each"
     " concurrent bake"
@@ -104,7 +106,7 @@ def _follow(
             continue
         except queue.Empty:
             yield None
-        for future in [future for future in left if future.status != "pending"]:
+        for future in [future for future in left if future.status not in PENDING]:
             yield finished_event(_outcome(future, left.pop(future)))
         if stopping and client.status != "running":
             for job in left.values():
@@ -116,8 +118,8 @@ def _outcome(future: Future, job: Job) -> Outcome:
     """What came of a job whose future has ended."""
     if future.status == "finished":
         return Outcome.of(future.result())
-    if future.status in ("canceled", "lost"):
-        return _lost(job, "crashed", f"the scheduler lost it ({future.status})")
+    if future.status == "cancelled":
+        return _lost(job, "crashed", "its task was canceled on the scheduler")
     error: Any = future.exception()
     return unforeseen(job, error)
 

@@ -8,15 +8,21 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pytest
 from small_bakes import BLOCK
 
+from gf_usd.batch.cluster import run_there
+from gf_usd.batch.job import Job
+from gf_usd.batch.task import Limits
 from gf_usd.layers.check.run import check_file
+from gf_usd.system.processes import Children
 
 pytestmark = [
     pytest.mark.slow,
@@ -60,17 +66,26 @@ def batch(folder: Path, address: str, *words: str) -> subprocess.Popen[str]:
 def test_a_dead_workers_job_is_done_by_another(
     here: Path, block: Path, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:
+    from distributed import Client
+
     block.with_name("cut.usda").write_text(BLOCK[:500], encoding="utf-8")
     words = ("-m", "rubber", "--seed", "0,1", "--particles", "300", "--frames", "40")
-    process = batch(here, address, str(block), str(block.with_name("cut.usda")), *words)
-    assert process.stdout is not None
     told: list[dict[str, Any]] = []
-    for line in process.stdout:
-        told.append(json.loads(line))
-        if told[-1]["event"] == "frame" and workers[0].poll() is None:
-            workers[0].kill()
-            workers[0].wait()
-    assert process.wait() == 1
+    with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+        pids = client.run(os.getpid)
+        process = batch(here, address, str(block), str(block.with_name("cut.usda")), *words)
+        assert process.stdout is not None
+        for line in process.stdout:
+            told.append(json.loads(line))
+            if told[-1]["event"] == "frame" and all(worker.poll() is None for worker in workers):
+                baking = [pids[worker] for worker, keys in client.processing().items()
+                          if any(key.startswith(told[-1]["job"]) for key in keys)]  # fmt: skip
+                for worker in workers:
+                    if worker.pid in baking:
+                        worker.kill()
+                        worker.wait()
+        assert process.wait() == 1
     ends = {e["job"]: e for e in told if e["event"] == "finished"}
     assert {name: e["state"] for name, e in ends.items()} == {
         "block.rubber.seed0": "done", "block.rubber.seed1": "done",
@@ -101,6 +116,60 @@ def test_sigterm_ends_the_bakes_on_the_workers(
     assert all(worker.poll() is None for worker in workers), "the cluster is not ours to end"
     assert not [p for p in (here / "out").glob("*.usda") if ".partial" not in p.name]
     assert not _bakes(here / "out")
+
+
+@pytest.fixture
+def cut(block: Path) -> Job:
+    """A job that is refused, because its asset ends in the middle."""
+    asset = block.with_name("cut.usda")
+    asset.write_text(BLOCK[:500], encoding="utf-8")
+    return Job(name="cut", asset=asset, root=block.with_name("soft.usda"), options={})
+
+
+def test_a_result_lost_with_its_worker_is_computed_again(
+    cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
+) -> None:
+    """The scheduler calls a task lost until another worker has done it."""
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+        events = run_there([cut], Limits(), address=address, resources=[], children=Children())
+        next(events)
+        while not (held := {key: who for key, who in client.who_has().items() if who}):
+            time.sleep(0.05)
+        [(key, [holder])] = held.items()
+        pids = client.run(os.getpid)
+        # without a worker the result stays lost for as long as one looks
+        for worker in sorted(workers, key=lambda worker: worker.pid == pids[holder]):
+            worker.kill()
+            worker.wait()
+        while client.who_has()[key]:
+            time.sleep(0.05)
+        assert not [event for event in islice(events, 8) if event and event["event"] == "finished"]
+        command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-nanny",
+                   "--no-dashboard", "--nthreads", "1"]  # fmt: skip
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as another:
+            ends = [event for event in events if event and event["event"] == "finished"]
+            another.kill()
+    assert [end["state"] for end in ends] == ["refused"]
+
+
+def test_a_task_that_is_canceled_is_told(
+    cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
+) -> None:
+    from distributed import Client, Future
+
+    with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+        nowhere = ["licenses=1"]  # of which no worker has any
+        events = run_there([cut], Limits(), address=address, resources=nowhere, children=Children())
+        next(events)
+        while not (keys := client.run_on_scheduler(lambda dask_scheduler: [*dask_scheduler.tasks])):
+            time.sleep(0.05)
+        client.cancel([Future(key, client) for key in keys], force=True)
+        [end] = [event for event in events if event and event["event"] == "finished"]
+    assert (end["state"], end["message"]) == ("crashed", "its task was canceled on the scheduler")
 
 
 def _bakes(folder: Path) -> list[str]:
