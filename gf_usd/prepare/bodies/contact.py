@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, row_dots
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles, SurfaceSamples
@@ -204,6 +204,7 @@ STOUT = 3.0  # ... and is at most so many times as long as thick cannot be folde
 
 
 ROWS = 256  # triangles whose products with all points are worked out at a time
+SIDE = 6  # parts of an octahedron's edges: 146 directions, which hold 0.98 of a ball
 MANY = 1 << 25  # triangles times points, from where a hull is found sooner than its bound
 
 
@@ -221,6 +222,8 @@ def rounded(skin: Skin) -> bool:
     volume, triangles = signed_volume(skin.points, skin.triangles), triangles.reshape(-1, 3)
     if len(points) * len(triangles) < MANY and volume >= CONVEX * hull_bound(points, triangles):
         return True
+    if volume < CONVEX * hull_least(points):
+        return False
     from scipy.spatial import ConvexHull, QhullError  # takes longer to import than all of this
 
     try:
@@ -255,6 +258,46 @@ def hull_bound(points: Floats, triangles: Ints) -> float:
         [(normal[k : k + ROWS] @ X.T).max(1) for k in range(0, len(triangles), ROWS)]
     )
     return float((behind * (most / behind) ** 3).sum() / 6.0)
+
+
+def hull_least(points: Floats) -> float:
+    """[m^3] that the convex hull of points (V, 3) [m] has at least; 0 where this does not say.
+
+    The points that are farthest in directions on a sphere, joined as the directions are, make a
+    surface within the hull.  Seen from the middle c of the hull's box it hides all directions once
+    if its solid angles O_i sum to 4 pi, or k + 1 times where k triangles face inward.  With V_i the
+    signed volumes of the cones over its triangles, and R from c to the farthest point,
+
+        V >= sum_i V_i - 1/3 R^3 sum_{O_i < 0} |O_i|
+
+    The solid angle is that of van Oosterom and Strackee (1983).
+    """
+    directions, triangles = _octahedron(SIDE)
+    X = points - 0.5 * (points.min(0) + points.max(0))
+    corners = X[(directions @ X.T).argmax(1)][triangles]
+    a, b, c = np.moveaxis(corners, 1, 0)
+    la, lb, lc = np.moveaxis(np.linalg.norm(corners, axis=2), 1, 0)
+    cone = row_dots(np.cross(a, b), c)  # 6 V_i
+    below = la * lb * lc + row_dots(a, b) * lc + row_dots(b, c) * la + row_dots(c, a) * lb
+    angle = 2.0 * np.arctan2(cone, below)
+    if abs(angle.sum() - 4.0 * np.pi) > 1e-6:
+        return 0.0
+    farthest = max(la.max(), lb.max(), lc.max())
+    return max(0.0, float(cone.sum() / 6.0 + np.minimum(angle, 0.0).sum() * farthest**3 / 3.0))
+
+
+def _octahedron(side: int) -> tuple[Floats, Ints]:
+    """Directions (d, 3) to the vertices of an octahedron whose edges are divided into `side` parts,
+    and its triangles (8 side^2, 3), facing outward."""
+    at = np.indices((side, side, side)).reshape(3, -1).T
+    up, down = (at[at.sum(1) == side - k] for k in (1, 2))
+    eye = np.eye(3, dtype=int)
+    one = np.concatenate([up[:, None] + eye, down[:, None] + (1 - eye)[[2, 0, 1]]])
+    octants = []
+    for signs in np.stack(np.meshgrid(*[[1, -1]] * 3), -1).reshape(-1, 3):
+        octants.append((one * signs)[:, :: int(signs.prod())])
+    corners, triangles = np.unique(np.concatenate(octants).reshape(-1, 3), axis=0, return_inverse=1)
+    return corners / np.linalg.norm(corners, axis=1)[:, None], triangles.reshape(-1, 3)
 
 
 def file_obstacles(

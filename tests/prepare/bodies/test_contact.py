@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import sys
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from contact_scenes import bricks
@@ -10,9 +14,10 @@ from planned import at, cubes, noted, plan_fixture  # noqa: F401
 from scipy.spatial import ConvexHull
 from trimesh.creation import icosphere
 
+from gf_usd.core.arrays import Floats, lengths
 from gf_usd.core.errors import UsageError
 from gf_usd.core.stage import Skin
-from gf_usd.prepare.bodies.contact import hull_bound, rounded
+from gf_usd.prepare.bodies.contact import hull_bound, hull_least, rounded
 
 COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
 
@@ -191,3 +196,32 @@ def test_a_hull_has_no_more_than_its_bound() -> None:
     assert hull_bound(points, triangles[:, ::-1]) == np.inf, "it is inside out"
     fin = np.concatenate([triangles, triangles[:1, ::-1], triangles[:1]])
     assert hull_bound(points, fin) == np.inf, "more than two triangles meet at an edge"
+
+
+def clouds() -> Iterator[Floats]:
+    """Points of any shape, stretched, within a corner, on a sphere, and few."""
+    random = np.random.default_rng(0)
+    for count, stretch in itertools.product((4, 9, 400), ((1, 1, 1), (3, 1, 0.5), (1, 1, 0.02))):
+        normal = random.normal(size=(count, 3))
+        for X in (normal, np.abs(normal), normal / lengths(normal)[:, None]):
+            yield X * stretch
+
+
+def test_the_bound_of_a_hull_from_below() -> None:
+    """It never exceeds Qhull's volume, and holds nearly all of what is round or a box."""
+    for X in clouds():
+        assert hull_least(X) <= ConvexHull(X).volume * (1.0 + 1e-12)
+    box = np.indices((2, 2, 2)).reshape(3, -1).T.astype(float)
+    assert hull_least(box) == pytest.approx(1.0)
+    ball = np.random.default_rng(0).normal(size=(4000, 3))
+    ball /= lengths(ball)[:, None]
+    # directions are up to 0.226 from the middles of triangles: cos^3 of that is left
+    assert hull_least(ball) > 0.92 * ConvexHull(ball).volume
+    assert hull_least(box * [1, 1, 0]) == 0.0, "flat"
+    assert hull_least(box[:1]) == 0.0
+
+
+def test_what_is_clearly_not_convex_needs_no_hull(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.spatial", None)  # imports of it fail
+    assert not rounded(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
+    assert rounded(lumps(10, 10, 10))
