@@ -296,7 +296,9 @@ def _octahedron(side: int) -> tuple[Floats, Ints]:
     octants = []
     for signs in np.stack(np.meshgrid(*[[1, -1]] * 3), -1).reshape(-1, 3):
         octants.append((one * signs)[:, :: int(signs.prod())])
-    corners, triangles = np.unique(np.concatenate(octants).reshape(-1, 3), axis=0, return_inverse=1)
+    corners, triangles = np.unique(
+        np.concatenate(octants).reshape(-1, 3), axis=0, return_inverse=True
+    )
     return corners / np.linalg.norm(corners, axis=1)[:, None], triangles.reshape(-1, 3)
 
 
