@@ -47,7 +47,7 @@ from gf_usd.prepare.materials.conversion import with_conversions
 from gf_usd.prepare.materials.flowing import dispatch, require_dispatched, require_outside
 from gf_usd.prepare.materials.over_time import with_value_keys
 from gf_usd.prepare.materials.table import Authored
-from gf_usd.prepare.options.choices import chosen, require_stored
+from gf_usd.prepare.options.choices import chosen, require_resolved, require_stored
 from gf_usd.prepare.options.implied import stated_values, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
@@ -193,6 +193,7 @@ def fill(
         stated_fields=spec.physics.fields, attached=bool(attachments or springs),
     )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
+    require_resolved(request, settings, gap, particles.spacing)
     pins = tuple(more_pins(solid)) if more_pins else ()
     flesh = Flesh()
     cycle = meet_from = 0  # frames

@@ -55,7 +55,11 @@ bake {asset} --collider .
 bake {asset} --collider
 bake {asset} --pin paint:nothing
 bake {asset} --pin joint:
+bake {asset} --drop 1e9
 bake {asset} --floor under
+bake {asset} --floor 1e300
+bake {asset} --floor -1e20
+bake {asset} --floor 1e20 --pin box:-9,-9,-9,9,9,9
 bake {asset} --floor 0:1,2
 bake {asset} --floor 0:0,0,0
 bake {asset} --drag -1

@@ -102,6 +102,7 @@ def split_again(
     return replace(choices, clip_frames=length), (*notes[:at], *now, *notes[at + 1 :])
 
 
+LOST = 0.1  # of the spacing of particles, from where rounding shows in what is drawn
 SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
 
 
@@ -120,3 +121,26 @@ def require_stored(precision: Precision | None, particles: Particles, settings: 
             " origin",
             f"give {rounding:.2g}m or more",
         )
+
+
+def require_resolved(request: Request, settings: Settings, gap: float, spacing: float) -> None:
+    """Raise UsageError where --floor or --drop takes bodies too far for single precision.
+
+    gap : [m] of the bodies above the floor; spacing : [m] of the particles.  An asset that is far
+    from the origin by itself is written in a space of its own.
+    """
+    floor = settings.floor or 0.0
+    lifted = float(np.linalg.norm(settings.lift))
+    height = max(abs(floor), min(lifted, abs(floor + gap)))
+    rounding = SINGLE * float(np.finfo(np.float32).eps) * height
+    if rounding <= LOST * spacing:
+        return
+    said = {"--floor": request.floor, "--drop": request.drop}
+    words = " ".join(f"{name} {text}" for name, text in said.items() if text is not None)
+    raise UsageError(
+        f"{words or 'the stage'}: bodies would be {height:.3g} m from the origin, where points,"
+        f" which have single precision, are off by {rounding:.2g} m; particles are {spacing:.2g} m"
+        " apart",
+        f"give heights of up to {LOST * spacing / rounding * height:.2g} m, or check the unit of"
+        " the asset (--meters-per-unit)",
+    )
