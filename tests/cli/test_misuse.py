@@ -36,8 +36,10 @@ bake {asset} --particles 100 --spacing 1
 bake {asset} --spacing -1
 bake {asset} --spacing 0
 bake {asset} --seed -1
+bake {asset} --seed 2147483648
 bake {asset} --time-scale slow
 bake {asset} --time-scale 0
+bake {asset} --time-scale 1e-300
 bake {asset} --drop high
 bake {asset} --drop 1e300
 bake {asset} --drop -1

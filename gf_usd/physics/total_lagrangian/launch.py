@@ -32,6 +32,7 @@ from gf_usd.system.background import at_work
 from gf_usd.system.taichi_runtime import cores
 
 FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
+NEVER = 2**31 - 1  # substeps that a kernel can count
 
 
 class Launches:
@@ -119,7 +120,7 @@ def filter_of(rate: float, dt: float) -> tuple[int, float]:
         return 0, 0.0
     if np.isinf(rate):
         return 1, 1.0
-    every = max(1, int(FILTER_STEP / (rate * dt)))
+    every = max(1, int(min(FILTER_STEP / (rate * dt), NEVER)))
     return every, float(1.0 - np.exp(-rate * every * dt))
 
 

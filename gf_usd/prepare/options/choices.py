@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -130,7 +131,7 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     from the origin by itself is written in a space of its own.
     """
     floor = settings.floor or 0.0
-    lifted = float(np.linalg.norm(settings.lift))
+    lifted = math.hypot(*settings.lift)
     height = max(abs(floor), min(lifted, abs(floor + gap)))
     rounding = SINGLE * float(np.finfo(np.float32).eps) * height
     if rounding <= LOST * spacing:

@@ -102,7 +102,8 @@ class Option:
         elif self.low is not None and not self.low <= value <= self.high:
             whole = self.kind is int
             ends = math.isfinite(self.high)
-            to = f"to {self.high:g}" if ends else "or more"
+            most = str(self.high) if whole else f"{self.high:g}"
+            to = f"to {most}" if ends else "or more"
             verb = "from" if ends else "of"
             shown = str(value) if whole else f"{value:g}"
             raise UsageError(

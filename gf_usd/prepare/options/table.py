@@ -103,7 +103,7 @@ class RequestOptions:
     seed: Annotated[int | None, Option(
         PARTICLES, "Random seed of the positions of particles that flow, of all with --preset"
         " paper, and of noise fields.",
-        shown="the stage's, else 0", low=0, commands=INSPECT,
+        shown="the stage's, else 0", low=0, high=2**31 - 1, commands=INSPECT,
     )] = None
     frames: Annotated[int | str | None, Option(
         TIME, "Number of frames to simulate, at --fps. rest: until everything is at rest;"
