@@ -54,7 +54,7 @@ REFUSED = [
         "give one: the number of particles follows from the spacing",
     ),
     ({"device": "tpu"}, "there is no device 'tpu'", "choose cpu or cuda"),
-    ({"seed": -1}, "--seed is -1", "give a number of 0 or more"),
+    ({"seed": -1}, "--seed is -1", "give a number from 0 to 2147483647"),
     ({"start": math.nan}, "--start is nan", "give a finite time code"),
     ({"time_scale": "slow"}, "--time-scale: 'slow' is not a number", SCALE),
     ({"time_scale": "inf"}, "--time-scale: 'inf' is not a number", SCALE),

@@ -58,6 +58,8 @@ def parse_time_scale(text: str) -> float | str:
     if text == AUTO:
         return text
     value = number("--time-scale", text, "a number such as 0.2 (five times slower), or auto")
+    if value <= 0.0:
+        raise UsageError(f"--time-scale is {text}", "give a number above 0, or auto")
     positive("--time-scale", value)
     return value
 
