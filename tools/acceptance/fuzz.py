@@ -1,7 +1,9 @@
 """Mutate small files by seed and read each in a child process: `python -m tools.acceptance.fuzz`.
 
 With --options no file is broken: options of a bake, right and wrong, are combined and planned.
-Exit status 1 if a reader crashed, hung, used
+With --bake each value of each option is planned alone, and those that have a plan are baked for two
+frames in a process of their own.
+Exit status 1 if a reader or a bake crashed, hung, used
 too much memory or raised an error that is not ours; --keep keeps such files.
 """
 
@@ -9,18 +11,21 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import pickle
 import random
 import re
 import signal
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "helpers"))
 from hostile_files import broken, sound
-from hostile_options import asset, drawn, planned
+from hostile_options import OPTIONS, asset, drawn, planned
 from isolated_tasks import stopped
 
 from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
@@ -28,6 +33,20 @@ from gf_usd.system.sandbox import Limits
 
 PATIENCE = 60  # [s] for a plan
 TOGETHER = 25  # cases of one child
+LONGEST = 300  # [s] of a bake
+ENDS = ("baked", "refused in words")
+BAKE = """
+import pickle, sys
+import gf_usd
+path, options = pickle.load(sys.stdin.buffer)
+small = {} if {"particles", "spacing"} & set(options) else {"particles": 100}
+try:
+    gf_usd.bake(path, **{"overwrite": True, "frames": 2, "max_hours": 0.05, **small, **options})
+    print("baked")
+except gf_usd.GfUsdError as error:
+    assert error.message and error.hint, repr(error)
+    print("refused in words")
+"""
 EACH = Limits(time=10.0, memory=8e9, output=1e8)
 
 
@@ -38,11 +57,14 @@ def main() -> int:
     ask.add_argument("--count", type=int, default=1000)
     ask.add_argument("--seconds", type=float, default=240.0, help="stop after this time [s]")
     ask.add_argument("--options", action="store_true", help="combine options instead")
+    ask.add_argument("--bake", action="store_true", help="bake with each value of each option")
     ask.add_argument("--keep", type=Path, help="folder for the files that were findings")
     asked = ask.parse_args()
     until = time.monotonic() + asked.seconds
     if asked.options:
         return run_options(asked.seed, asked.count, until)
+    if asked.bake:
+        return run_bakes(asked.count, until)
     ends: Counter[str] = Counter()
     findings: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as scratch:
@@ -98,6 +120,39 @@ def run_options(seed: int, count: int, until: float) -> int:
         left = [found.name for found in Path(scratch).iterdir() if found != path]
     print(f"seed {seed}: {sum(ends.values())} combinations; {dict(ends)}; left behind: {left}")
     return 1 if left else 0
+
+
+def run_bakes(count: int, until: float) -> int:
+    """Bake with each value of each option that has a plan, up to a count and a time."""
+    ends: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
+        path = asset(Path(scratch))
+        cases = [{name: value} for name, tried in OPTIONS.items() for value in tried]
+        for options in cases[:count]:
+            if time.monotonic() > until:
+                break
+            end = baked(path, options) if planned(path, options) else "refused in words"
+            if end not in ENDS:
+                print(f"{options}: {end}")
+            ends[end if end in ENDS else "finding"] += 1
+    print(f"{sum(ends.values())} of {len(cases)} values; {dict(ends)}")
+    return 1 if ends["finding"] else 0
+
+
+def baked(path: Path, options: dict[str, Any]) -> str:
+    """One of ENDS, or the end of what the process said."""
+    command = [sys.executable, "-W", "error::RuntimeWarning", "-c", BAKE]
+    said = pickle.dumps((str(path), options))
+    try:
+        done = subprocess.run(
+            command, input=said, capture_output=True, timeout=LONGEST, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"it took more than {LONGEST} s"
+    last = done.stdout.decode().strip().rpartition("\n")[2]
+    if done.returncode == 0 and last in ENDS:
+        return last
+    return f"exit status {done.returncode}: {done.stderr.decode()[-400:]}"
 
 
 def _general(words: str, case: Path) -> str:
