@@ -1,19 +1,25 @@
 """The rule that velocities are the velocities of the points, per second.
 
-With five samples around a time, let ``v2`` be the central difference of the inner three and ``v4``
-the derivative of the polynomial through all five.  Where the motion is smooth on the scale of the
-samples, both agree, and ``|v2 - v4|`` bounds the error of ``v4``.  Around a contact, or where a
-vibration is faster than the samples, they disagree, and nothing can be said there.
+With five samples around a time, let ``v2`` be the central difference of the inner three, ``v4`` the
+derivative of the polynomial through all five, and ``k`` a quarter of their fourth difference, per
+step.  Where the motion is smooth on the scale of the samples, ``v2`` agrees with ``v4``.  Around a
+contact, or where a vibration is faster than the samples, they disagree, and nothing can be said
+there.  What stops at the middle sample is an exception: both are the mean of its velocities before
+and after, and only ``k``, half their difference, tells.  Wherever in the window a velocity jumps,
+the error of ``v4`` is at most twice ``|v2 - v4| + |k|``.
 
 What is judged is one number per window, ``a = sum v . v4 / sum v4 . v4`` over its smooth places:
 the factor by which the authored velocities ``v`` stretch the motion.  A vibration too fast for the
 samples is in ``v`` but not in ``v4``; it has no direction of its own, so it drops out of ``a``
-although it can exceed ``v4`` at every single point.  A window counts where most of what moves in
-it moves smoothly: in the others it does so by chance, and a small body that rings at twice the rate
-of the samples then looks as if it moved at a part of its speed (seen on a duck of 10 cm at 24 a
-second: 0.6).  The median over the windows, each weighed by its smooth places, is the verdict, if
-the windows agree on it.  A wrong unit stretches them all alike; bounces at a third of the rate of
-the samples stretch each window in another way (seen on the same duck, stiff: 0.29 to 1.41).
+although it can exceed ``v4`` at every single point.  So it does out of the bound of the error of
+``a`` where a body jumps, ``2 (|sum (v2 - v4) . v4| + |sum k . v4|) / sum v4 . v4``: a window whose
+factor is nearer to 1 than that says nothing against the velocities.  A window counts where most of
+what moves in it moves smoothly: in the others it does so by chance, and a small body that rings at
+twice the rate of the samples then looks as if it moved at a part of its speed (seen on a duck of 10
+cm at 24 a second: 0.6).  The median over the windows, each weighed by its smooth places, is the
+verdict, if the windows agree on it.  A wrong unit stretches them all alike; bounces at a third of
+the rate of the samples stretch each window in another way (seen on the same duck, stiff: 0.29 to
+1.41).
 
 Positions and velocities are compared as they are in the world: in the space of a prim that a
 transform shears, a vibration that nobody sees can be the larger part of the motion.
@@ -33,6 +39,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
@@ -98,6 +105,7 @@ class Tally:
     smooth: int = 0  # of these, where v4 is trusted
     frozen: int = 0  # of these, where the positions stand still and the velocities do not
     factors: list[float] = field(default_factory=list)  # a of each window
+    bounds: list[float] = field(default_factory=list)  # of its error where all jump at once
     weights: list[int] = field(default_factory=list)  # and its smooth places
     low: Vectors | None = None  # (3, n) of the places of all windows
     high: Vectors | None = None
@@ -111,15 +119,14 @@ class Tally:
         self.high = high if self.high is None else np.maximum(self.high, high)
         self.travel = max(self.travel, step * float(np.sqrt((v * v).sum(0)).mean()))
 
-    def add(
-        self, v: Vectors, v2: Vectors, v4: Vectors, floor: float, noise: float, range_: Vectors
-    ) -> None:
-        """Count the points of one window; v, v2 and v4 are (3, n).
+    def add(self, v: Vectors, motion: Vectors, floor: float, noise: float, range_: Vectors) -> None:
+        """Count the points of one window; v is (3, n), motion (3, 3, n) is v2, v4 and k.
 
         range_ : (n,) of each point in the window, over the time of a sample.  Nothing counts as
         moving below the speed ``floor``; positions that move at less than ``noise``, their rounding
         per sample, stand still.
         """
+        v2, v4, k = motion
         squares = (v4 * v4).sum(0)
         speed, said = np.sqrt(squares), np.sqrt((v * v).sum(0))
         moving = np.maximum(speed, said) > floor
@@ -133,6 +140,8 @@ class Tally:
         square = float(squares[smooth].sum())
         if square > 0.0:
             self.factors.append(float((v * v4).sum(0)[smooth].sum()) / square)
+            odd, even = (abs(float((part * v4).sum(0)[smooth].sum())) for part in (v2 - v4, k))
+            self.bounds.append(2.0 * (odd + even) / square)
             self.weights.append(int(smooth.sum()))
             self.leaps.append(bool(said[smooth].mean() > range_[smooth].mean()))
 
@@ -142,11 +151,11 @@ class Tally:
 
     @property
     def agreed(self) -> float:
-        """Share of the smooth places whose window agrees with the factor."""
+        """Share of the smooth places whose window agrees with the factor, and rules out 1."""
         off = np.abs(np.array(self.factors) - self.factor)
         most = max(RELATIVE_SCATTER * abs(self.factor), WRONG)  # of velocities near 0, some noise
         most = min(SCATTER * abs(self.factor - 1.0), most)
-        alike = off <= most
+        alike = (off <= most) & (np.abs(np.array(self.factors) - 1.0) > self.bounds)
         return float(np.array(self.weights)[alike].sum() / sum(self.weights))
 
     def trembles(self, rate: float) -> bool:
@@ -295,10 +304,10 @@ def _judge(
     step = (codes[-1] - codes[0]) / (rate * (WINDOW - 1))
     noise = 100.0 * window[MIDDLE].rounding * reach / step
     weights = rate * _derivatives(tuple(code - codes[MIDDLE] for code in codes))
-    v2, v4 = (weights @ x.reshape(WINDOW, -1)).reshape(2, 3, -1)
+    motion = (weights @ x.reshape(WINDOW, -1)).reshape(3, 3, -1)
     tally.reach(x, v, step)
     range_ = np.sqrt((np.ptp(x, axis=0) ** 2).sum(0)) / step
-    tally.add(v, v2, v4, max(STILL * size / step, noise), noise, range_)
+    tally.add(v, motion, max(STILL * size / step, noise), noise, range_)
 
 
 def _to_world(prim: Usd.Prim, code: float) -> Vectors:
@@ -310,17 +319,24 @@ def _to_world(prim: Usd.Prim, code: float) -> Vectors:
 
 @cache
 def _derivatives(offsets: tuple[float, ...]) -> Vectors:
-    """(2, WINDOW) weights of samples at these times from the middle one, for v2 and v4.
+    """(3, WINDOW) weights of samples at these times from the middle one, for v2, v4 and k.
 
-    A derivative at the middle is that of the polynomial through some of the samples: its weights w
-    solve sum_k w_k t_k^n = [n = 1] for n below their number.
+    The m-th derivative at the middle is that of the polynomial through some of the samples: its
+    weights w solve sum_j w_j t_j^n = m! [n = m] for n below their number.  m is 1 for a velocity;
+    k is the fourth derivative times a quarter of the cube of the mean step.
     """
-    out = np.zeros((2, WINDOW))
-    for row, some in zip(out, (slice(MIDDLE - 1, MIDDLE + 2), slice(WINDOW))):
+    step = (offsets[-1] - offsets[0]) / (WINDOW - 1)
+    inner = slice(MIDDLE - 1, MIDDLE + 2)
+    out = np.zeros((3, WINDOW))
+    for row, some, m, factor in (
+        (out[0], inner, 1, 1.0),
+        (out[1], slice(WINDOW), 1, 1.0),
+        (out[2], slice(WINDOW), 4, 0.25 * factorial(4) * step**3),
+    ):
         times = np.array(offsets[some])
         scale = float(np.abs(times).max())
         powers = np.vander(times / scale, increasing=True).T
-        row[some] = np.linalg.solve(powers, np.eye(len(times))[1]) / scale
+        row[some] = factor * np.linalg.solve(powers, np.eye(len(times))[m]) / scale**m
     return out
 
 

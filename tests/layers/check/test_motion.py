@@ -210,6 +210,50 @@ def test_what_trembles_after_it_moved_far_is_left_undecided(tmp_path: Path) -> N
     assert ["vibrates too fast" in skip.reason for skip in result.skipped] == [True]
 
 
+def jump(at: float, after: float) -> motion_rule.Tally:
+    """What is seen of a body whose speed changes from 1 to ``after`` at a time code."""
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetTimeCodesPerSecond(RATE)
+    prim = UsdGeom.Points.Define(stage, "/Points").GetPrim()
+    position, velocity = (prim.GetAttribute(name) for name in ("points", "velocities"))
+    for code in np.arange(5.0):
+        way = (min(code, at) + after * max(code - at, 0.0)) / RATE
+        position.Set(vec3(CUBE + [0.0, way, 0.0]), code)
+        speed = after if code > at else 1.0
+        velocity.Set(vec3(np.tile([0.0, speed, 0.0], (len(CUBE), 1))), code)
+    return motion_rule.tally_of(position, velocity, RATE)
+
+
+@pytest.mark.parametrize("after", [0.0, -0.5, -1.0, 0.7, 0.9, 1.5, 100.0])
+def test_wherever_a_velocity_jumps_the_error_has_a_bound(after: float) -> None:
+    """Five samples are one window, so all points agree on it by the same chance.
+
+    A stop at the middle sample has the same derivative by three samples as by five: the mean of
+    the velocities before and after.
+    """
+    for at in np.linspace(0.0, 4.0, 81):
+        seen = jump(at, after)
+        for factor, bound in zip(seen.factors, seen.bounds, strict=True):
+            assert abs(factor - 1.0) <= bound + 1e-5, at  # of the rounding of float
+            assert abs(factor - 1.0) < motion_rule.WRONG or seen.agreed == 0.0, at
+
+
+def test_a_ribbon_that_falls_two_samples_and_stays_is_left_undecided(tmp_path: Path) -> None:
+    """All that a bake of toothpaste has of motion; it was said to be of a wrong unit."""
+    stage = good_stage(tmp_path / "landed.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    heights = (0.0, -0.852, -2.007)
+    for at, code in enumerate(CODES):
+        y = heights[min(at, 2)]
+        speed = (0.0, -40.9, 0.9)[at] * RATE / 24.0 if at < 3 else 0.0
+        prim.GetAttribute("points").Set(vec3(CUBE + [0.0, y, 0.0]), code)
+        prim.GetAttribute("velocities").Set(vec3(0.0 * CUBE + [0.0, speed, 0.0]), code)
+        prim.GetAttribute("extent").Set(box(CUBE + [0.0, y, 0.0]), code)
+    result = check_stage(stage)
+    assert result.findings == ()
+    assert ["too fast for the samples" in skip.reason for skip in result.skipped] == [True]
+
+
 @pytest.mark.parametrize("factor", [100.0, RATE, 1.0 / RATE, -1.0, -RATE])
 def test_a_wrong_unit_is_no_trembling(tmp_path: Path, factor: float) -> None:
     stage = good_stage(tmp_path / "unit.usda")
