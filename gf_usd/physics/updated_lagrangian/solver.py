@@ -280,6 +280,8 @@ class UpdatedLagrangian(Solver):
         if (grains := body.law.unbounded).any():
             # Grains keep their shape: what a neighborhood was strained by says nothing of them.
             F = np.where(grains[:, None, None], state.elastic, F)
+            # Flow takes up the strain of L, and what is left turns with its spin.
+            L = np.where(grains[:, None, None], 0.5 * (L - L.transpose(0, 2, 1)), L)
         pose = Pose(x=x, v=v, F=F)
         stretch, J = strains(pose.F)
         elastic_strains = strains(state.elastic) if flows else (stretch, J)
