@@ -61,6 +61,7 @@ class Particles:
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
     keys: ValueKeys | None = None  # None: no value of a material changes with time
     conversions: tuple[Conversion, ...] = ()  # of no two of them is the same particle
+    scatter: Floats | None = None  # (N, 3) [m] at rest by which those with one are moved then
 
     def __len__(self) -> int:
         return len(self.X)

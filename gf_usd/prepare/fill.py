@@ -153,6 +153,7 @@ def fill(
             up=asset.facts.up_axis,
             bodies=of,
             scattered=None if paper else flow.first,
+            later=None if paper else flow.flows & ~flow.first,
         )
 
     owners = {path: body.owner for path, body in spec.bodies.items()}

@@ -45,6 +45,7 @@ def sample_solid(
     up: str = "Y",
     bodies: Ints | None = None,
     scattered: Ints | None = None,
+    later: Ints | None = None,
 ) -> Particles:
     """Particles at a spacing [m], or about `particles` of them.
 
@@ -52,6 +53,7 @@ def sample_solid(
     points; seed : of these draws.
     bodies : (S,) the body of each surface; None: all are one.
     scattered : (S,) surfaces below which particles are at random places; None: nowhere.
+    later : (S,) those below which they are moved to such places once they are converted.
 
     Raises InputError where the solid holds too few or too many at that spacing.
     """
@@ -75,9 +77,16 @@ def sample_solid(
     if n < LEAST_PARTICLES:
         raise _too_few(n, a, solid)
     surface, normal, color, depth = _look(solid, X, filled.body, bodies)
+    inner = depth > a  # half the diagonal of a cube is shorter than its edge: none leaves the solid
+    scatter = None
     if scattered is not None and scattered.any():
-        # half the diagonal of a cube is shorter than its edge: none leaves the solid
-        X = _scattered(X, np.flatnonzero(scattered[surface] & (depth > a)), a, seed, turn)
+        rows = np.flatnonzero(scattered[surface] & inner)
+        X = X.copy()
+        X[rows] += _random_moves(len(rows), a, seed, turn)
+    if later is not None and later.any():
+        rows = np.flatnonzero(later[surface] & inner)
+        scatter = np.zeros((n, 3))
+        scatter[rows] = _random_moves(len(rows), a, seed, turn)
     volume = float(V0.sum())
     s = float(np.cbrt(volume / n))
     if not uniform:
@@ -98,6 +107,7 @@ def sample_solid(
         corners=filled.corner if len(filled.corner) > 1 else None,
         body=filled.body,
         outside=filled.outside,
+        scatter=scatter,
     )
 
 
@@ -195,16 +205,14 @@ def _uniform(solid: Solid, n: int, rng: np.random.Generator, turn: Floats) -> _F
     return _Filled(X=np.concatenate(kept)[:n], V0=V0, corner=(low @ turn)[None])
 
 
-def _scattered(X: Floats, rows: Ints, a: float, seed: int, turn: Floats) -> Floats:
-    """Points of which some are moved by up to half a lattice edge along each axis of the grid.
+def _random_moves(n: int, a: float, seed: int, turn: Floats) -> Floats:
+    """(n, 3) [m] by up to half a lattice edge along each axis of the grid.
 
     Rows of a lattice stay rows in a flow that stretches it, with trenches between them.  So what
     flows is sampled at random in each cube of its lattice, as is usual for the material point
     method, but for the outermost layer, whose surface would become rough.
     """
-    X = X.copy()
-    X[rows] += a * (np.random.default_rng(seed).random((len(rows), 3)) - 0.5) @ turn
-    return X
+    return a * (np.random.default_rng(seed).random((n, 3)) - 0.5) @ turn
 
 
 def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:

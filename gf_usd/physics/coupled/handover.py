@@ -14,6 +14,12 @@ such that its kinetic energy is, as far as that goes: an affine motion C holds t
 m h^2 |C|^2 / 8 and the angular momentum m h^2 axial(C) / 4 on its own.  What is left of the
 difference of the energies, and what springs of contact held, is counted: as lost by conversion
 where it is less after, as injected where it is more.
+
+Particles that can be converted then go to random places (by d at rest, `Particles.scatter`),
+
+    x = x_p + F d,   v = v_p + Fdot d,
+
+since rows of a lattice stay rows in what flows.  Before, they are where quadrature is most exact.
 """
 
 from __future__ import annotations
@@ -86,12 +92,20 @@ class Converting(Solver):
         )  # fmt: skip
         first = replace(particles, conversions=())
         self.flows: NDArray[np.bool_] = flowing_bodies(first, materials)
+        self._moved: Floats | None = None  # (N, 3) [m] at rest, of what flows
+        if particles.scatter is not None:
+            some = np.unique(np.concatenate([one.particles for one in particles.conversions]))
+            self._moved = np.zeros((len(particles), 3))
+            self._moved[some] = particles.scatter[some]
         self.now = self._solver()
 
     def _solver(self) -> Solver:
         """The solver of the bodies, of which `flows` (B,) do so, at their start."""
-        flows, particles = self.flows, self.particles
+        flows, particles = self.flows, replace(self.particles, scatter=None)
         body = particles.body_of
+        if self._moved is not None:
+            X = particles.X + np.where(flows[body][:, None], self._moved, 0.0)
+            particles = replace(particles, X=X)
         mine = tuple(
             replace(one, particles=rows)
             for one in particles.conversions
@@ -241,6 +255,8 @@ class Converting(Solver):
         assert solid is not None
         numbers = np.flatnonzero(~self.flows)
         mine = [taken(solid, int(k)) for k in np.flatnonzero(new[numbers])]
+        if self._moved is not None:
+            mine = [one.moved(self._moved[self._rows(numbers[one.body])]) for one in mine]
         self.flows = self.flows | new
         self.now = self._solver()
         self.now.guard.load(before.guard.save())
@@ -326,6 +342,11 @@ class Taken:
     momentum: Floats  # (3,) [kg m/s]
     spin: Floats  # (3,) [kg m^2/s] about the world's origin
     kinetic: float  # [J]
+
+    def moved(self, d: Floats) -> Taken:
+        """With the particles at other places, by (n, 3) [m] at rest; to first order."""
+        Fd = np.einsum("nab,nb->na", self.F, d)
+        return replace(self, x=self.x + Fd, v=self.v + np.einsum("nab,nb->na", self.L, Fd))
 
 
 def taken(solver: TotalLagrangian, body: int) -> Taken:

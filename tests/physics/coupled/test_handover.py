@@ -17,7 +17,7 @@ from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import Pin, StagePhysics
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
-from gf_usd.physics.coupled.handover import Converting, matched, solid_of, taken
+from gf_usd.physics.coupled.handover import Converting, Taken, matched, solid_of, taken
 from gf_usd.physics.coupled.solver import Coupled
 from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
@@ -39,13 +39,17 @@ def converting(
     becomes: dict[int, tuple[str, Limit]],
     particles: int = 250,
     velocity: Any = turning,
+    scatter: bool = False,
     **said: Any,
 ) -> Converting:
     """Cubes of 1 m in a row, 1.5 m apart, of a preset each; some of which become another."""
     count = len(materials)
     surfaces = [cube((1.5 * k, 0.0, 0.0), path=f"/Body{k}") for k in range(count)]
     made, of = solid(*surfaces), np.arange(count)
-    filled = sample_solid(made, particles=particles * count, spacing=None, seed=0, bodies=of)
+    filled = sample_solid(
+        made, particles=particles * count, spacing=None, seed=0, bodies=of,
+        later=np.full(count, scatter),
+    )  # fmt: skip
     body = of[filled.surface]
     table = [find_preset(name).material(0.62, None) for name in materials]
     conversions = []
@@ -95,6 +99,51 @@ def test_momenta_and_energy_are_those_before() -> None:
     assert np.allclose(after.particles.F, frame.particles.F, atol=1e-12)
     # the affine motion makes up for what particles see less of; w changes it by its square
     assert now.kinetic == pytest.approx(before.kinetic, rel=1e-2)
+
+
+def test_what_is_converted_goes_to_random_places() -> None:
+    """Where the motion of each particle takes them, with the momenta of before."""
+    run = converting(("rubber", "rubber"), {0: at(2.0)}, scatter=True, frames=5)
+    d, X = run.particles.scatter, run.particles.X
+    mine = np.asarray(run.particles.body) == 0
+    moved = mine & d.any(1)
+    assert 0 < moved.sum() < mine.sum()  # the outermost stay
+    assert d[~mine].any()  # of what is not converted nothing moves
+    plain = converting(("rubber", "rubber"), {0: at(2.0)}, frames=5)
+    walk, other = run.frames(), plain.frames()
+    for _ in range(2):
+        np.testing.assert_array_equal(next(walk).particles.x, next(other).particles.x)
+    frame = run.now.next(2, run.read(1).health)  # as it is before
+    after = run._after(frame, 2)
+    there = frame.particles.x + np.where(mine[:, None], np.einsum(
+        "nab,nb->na", frame.particles.F, d
+    ), 0.0)  # fmt: skip
+    np.testing.assert_allclose(after.particles.x, there, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(after.particles.F, frame.particles.F, atol=1e-12)
+    flow = run.now.flow.body.particles
+    np.testing.assert_array_equal(flow.X, (X + d)[mine])
+    before, now = frame.health, after.health
+    m, v = before.mass, float(np.linalg.norm(frame.particles.v, axis=1).max())
+    assert now.momentum == pytest.approx(before.momentum, abs=1e-12 * m * v)
+    assert now.angular_momentum == pytest.approx(before.angular_momentum, abs=1e-12 * m * v)
+    assert now.elastic == pytest.approx(before.elastic, rel=1e-12)
+    assert now.kinetic == pytest.approx(before.kinetic, rel=1e-2)
+
+
+def test_velocities_are_those_of_the_random_places() -> None:
+    """Of an affine motion exactly: v = A x before and after, but for what conserves momenta."""
+    n = 50
+    random = np.random.default_rng(5)
+    A = random.normal(size=(3, 3))
+    F = np.eye(3) + 0.2 * random.normal(size=(3, 3))
+    X, d = random.normal(size=(n, 3)), 0.1 * random.normal(size=(n, 3))
+    many = np.broadcast_to(np.eye(3), (n, 3, 3))
+    one = Taken(
+        body=0, x=X @ F.T, v=X @ F.T @ A.T, F=many @ F, elastic=many @ F, L=many @ A, internal={},
+        momentum=np.zeros(3), spin=np.zeros(3), kinetic=0.0,
+    ).moved(d)  # fmt: skip
+    np.testing.assert_allclose(one.x, (X + d) @ F.T, atol=1e-12)
+    np.testing.assert_allclose(one.v, one.x @ A.T, atol=1e-12)
 
 
 def test_the_frame_says_what_the_change_of_solver_gave() -> None:
@@ -148,7 +197,7 @@ def test_bodies_leave_one_by_one_and_a_flow_is_joined() -> None:
 
 def test_a_checkpoint_goes_on_alike_before_and_after() -> None:
     def made() -> Converting:
-        return converting(("rubber", "rubber"), {0: at(2.0)}, particles=120, frames=7)
+        return converting(("rubber", "rubber"), {0: at(2.0)}, 120, scatter=True, frames=7)
 
     run = made()
     whole, saved = [], {}
