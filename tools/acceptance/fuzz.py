@@ -41,7 +41,7 @@ import gf_usd
 path, options = pickle.load(sys.stdin.buffer)
 small = {} if {"particles", "spacing"} & set(options) else {"particles": 100}
 try:
-    gf_usd.bake(path, **{"overwrite": True, "frames": 2, "max_hours": 0.05, **small, **options})
+    gf_usd.bake(path, **{"frames": 2, "max_hours": 0.05, **small, **options})
     print("baked")
 except gf_usd.GfUsdError as error:
     assert error.message and error.hint, repr(error)
@@ -125,16 +125,16 @@ def run_options(seed: int, count: int, until: float) -> int:
 def run_bakes(count: int, until: float) -> int:
     """Bake with each value of each option that has a plan, up to a count and a time."""
     ends: Counter[str] = Counter()
-    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
-        path = asset(Path(scratch))
-        cases = [{name: value} for name, tried in OPTIONS.items() for value in tried]
-        for options in cases[:count]:
-            if time.monotonic() > until:
-                break
+    cases = [{name: value} for name, tried in OPTIONS.items() for value in tried]
+    for options in cases[:count]:
+        if time.monotonic() > until:
+            break
+        with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
+            path = asset(Path(scratch))
             end = baked(path, options) if planned(path, options) else "refused in words"
-            if end not in ENDS:
-                print(f"{options}: {end}")
-            ends[end if end in ENDS else "finding"] += 1
+        if end not in ENDS:
+            print(f"{options}: {end}")
+        ends[end if end in ENDS else "finding"] += 1
     print(f"{sum(ends.values())} of {len(cases)} values; {dict(ends)}")
     return 1 if ends["finding"] else 0
 
