@@ -14,6 +14,7 @@ import pytest
 import gf_usd.system.usd_schema  # noqa: F401
 from gf_usd.system.fast_start.imports import quick_import
 from gf_usd.system.fast_start.kernels import quicken, restore
+from gf_usd.system.taichi_runtime import MERGING
 
 # Two hundred programs are started: each would compile the package again, a quarter of its time.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -21,12 +22,19 @@ sys.dont_write_bytecode = False
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give each process of the quick tests cores of its own.
+    """Compile the kernels of quick tests quickly, and give each of their processes its own cores.
+
+    Without Taichi's search for statements that are written twice (`without_merging`), a kernel of
+    the Total Lagrangian solver takes 2 CPU seconds to compile, not 7, and results are the same to
+    the bit.  What users have is what programs that these tests start have, and slow tests.
+    `tests/physics/total_lagrangian/test_merging.py` compares the two.
 
     The threads of a kernel wait for each other: where two processes share two cores, one with two
     threads took seventy times as long as it does alone.  Slow tests compute for longer between
     such moments, and the last of them use both cores.
     """
+    if "not slow" in config.option.markexpr:
+        MERGING[True] = MERGING[False]
     worker = getattr(config, "workerinput", None)
     if worker is None or not hasattr(os, "sched_setaffinity"):
         return
