@@ -11,15 +11,36 @@ import pytest
 from small_bakes import BLOCK, Done
 
 from gf_usd.cli import main
+from gf_usd.cli.worker import READERS, SCHEMA
+from gf_usd.system import sandbox
+from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
+
+
+@pytest.fixture(scope="session")
+def start_reader() -> Iterator[Callable[[Path], sandbox.Reader]]:
+    """Start a child that reads files as the workers of `gf-usd batch` do: by a fork.
+
+    A new process for each would be a third of the time of these tests.  Programs that tests start
+    have one.
+    """
+    if not AVAILABLE:
+        yield sandbox.start
+        return
+    forks = ForkServer((*READERS, SCHEMA))
+    yield forks.start
+    forks.close()
 
 
 @pytest.fixture
 def gf_usd(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    start_reader: Callable[[Path], sandbox.Reader],
 ) -> Iterator[Callable[..., Done]]:
     """Run ``gf-usd`` with these words, catching what any part of the process prints."""
     numbers = (signal.SIGTERM, signal.SIGINT)
     handlers = {number: signal.getsignal(number) for number in numbers}
+    sandbox.start_by(start_reader)
 
     def call(*words: object) -> Done:
         capfd.readouterr()
@@ -31,6 +52,7 @@ def gf_usd(
         return Done(0 if code is None else int(code), out, err)
 
     yield call
+    sandbox.start_by(sandbox.start)
     for number, handler in handlers.items():
         signal.signal(number, handler)
 
