@@ -11,7 +11,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 
 def drop(threads: int, way: str, monkeypatch, frames: int = 8) -> np.ndarray:
-    body, samples = ball(3_000, radius=0.1)
+    body, samples = ball(1_500, radius=0.1)
     s = settings(
         frames=frames, gravity=(0.0, -9.81, 0.0), floor=-0.1, filter_rate=50.0, threads=threads,
         fps=60.0,

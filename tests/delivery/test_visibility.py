@@ -131,7 +131,7 @@ def test_usd_hides_what_particles_stand_for(tmp_path: Path, flatten: bool) -> No
     )
     bake = gf_usd.bake(
         blocks, frames=4, output=tmp_path / "bake.usda", particles=300, flatten=flatten,
-        conversions="/World/Block=honey@time:2",
+        conversions="/World/Block=dry-sand@time:2",
     )  # fmt: skip
     assert BakedMotion(bake.root).recording().converted == ("/World/Block",)
     done = deliver(bake.root, tmp_path / "out.usda", error=TOLERANCE)
@@ -152,7 +152,7 @@ def test_usd_hides_in_every_variant_what_particles_stand_for(tmp_path: Path) -> 
     )
     bake = gf_usd.bake(
         blocks, frames=3, output=tmp_path / "bake.usda", particles=100, material="rubber,jelly",
-        conversions="/World/Block=honey@time:2",
+        conversions="/World/Block=dry-sand@time:2",
     )  # fmt: skip
     done = deliver(bake.root, tmp_path / "out.usda", error=TOLERANCE)
     for variant, block in (("rubber", False), ("jelly", False), ("none", True)):
@@ -162,8 +162,8 @@ def test_usd_hides_in_every_variant_what_particles_stand_for(tmp_path: Path) -> 
             assert (image.ComputeVisibility(2.0) != "invisible") == shown
 
 
-def honey(folder: Path, **options: Any) -> Path:
-    block = scene(folder, body("Block", "honey", "0, 0.1, 0"))
+def sand(folder: Path, **options: Any) -> Path:
+    block = scene(folder, body("Block", "dry-sand", "0, 0.1, 0"))
     return gf_usd.bake(
         block, frames=3, output=folder / "bake.usda", particles=300, **options
     ).root  # fmt: skip
@@ -171,7 +171,7 @@ def honey(folder: Path, **options: Any) -> Path:
 
 @pytest.mark.parametrize("suffix", [".glb", ".usda"])
 def test_the_hint_about_what_flows_can_be_followed(tmp_path: Path, suffix: str) -> None:
-    bake = honey(tmp_path)
+    bake = sand(tmp_path)
     with pytest.raises(InputError, match="flows without end: particles stand for") as said:
         deliver(bake, tmp_path / f"out{suffix}")
     assert said.value.hint.endswith("deliver the particles as Gaussians to a .glb: --splats only")
@@ -180,11 +180,11 @@ def test_the_hint_about_what_flows_can_be_followed(tmp_path: Path, suffix: str) 
 
 def test_without_gaussians_the_hint_says_how_to_get_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="flows without end") as said:
-        deliver(honey(tmp_path, only="points"), tmp_path / "out.glb")
+        deliver(sand(tmp_path, only="points"), tmp_path / "out.glb")
     assert "bake again with gaussians among --only" in said.value.hint
 
 
 def test_a_mesh_that_tears_is_delivered_with_a_note(tmp_path: Path) -> None:
-    done = deliver(honey(tmp_path, only="mesh"), tmp_path / "out.glb", error=TOLERANCE)
+    done = deliver(sand(tmp_path, only="mesh"), tmp_path / "out.glb", error=TOLERANCE)
     assert [one.meshes for one in done.bodies] == [("/World/Block",)]
     assert [note for note in done.notes if "meshes tear where particles separate" in note]

@@ -83,7 +83,7 @@ def test_a_box_means_the_particles_in_it(tmp_path: Path) -> None:
     path = scene(tmp_path, body("Block", "rubber", "0, 0.1, 0"))
     done = gf_usd.bake(
         path, frames=4, output=tmp_path / "out.usda",
-        conversions="-1,0.1,-1,1,1,1=water@time:2", **SMALL,
+        conversions="-1,0.1,-1,1,1,1=dry-sand@time:2", **SMALL,
     )  # fmt: skip
     (bake,) = done.bakes
     assert bake.health["converted_share"] == pytest.approx(0.5, abs=0.05)
@@ -91,7 +91,7 @@ def test_a_box_means_the_particles_in_it(tmp_path: Path) -> None:
 
 def test_a_limit_that_nothing_passes_is_warned_of(blocks: Path, tmp_path: Path) -> None:
     done = gf_usd.bake(
-        blocks, frames=4, output=tmp_path / "out.usda", conversions="honey@stress:1e9", **SMALL
+        blocks, frames=4, output=tmp_path / "out.usda", conversions="dry-sand@stress:1e9", **SMALL
     )
     assert [w.about for _, w in done.warnings] == ["unconverted"]
     stage = Usd.Stage.Open(str(done.root))
@@ -99,8 +99,11 @@ def test_a_limit_that_nothing_passes_is_warned_of(blocks: Path, tmp_path: Path) 
     assert not shown(stage, FLOW, 4.0)
 
 
-def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path) -> None:
-    asked = {"conversions": "/World/Block=powder-snow@time:4", "frames": 8, "clip_frames": 3}
+@pytest.mark.parametrize(
+    "becomes", ["dry-sand", pytest.param("powder-snow", marks=pytest.mark.slow)]
+)
+def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path, becomes: str) -> None:
+    asked = {"conversions": f"/World/Block={becomes}@time:4", "frames": 8, "clip_frames": 3}
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     whole.mkdir()
     parts.mkdir()
@@ -117,14 +120,17 @@ def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "options",
     [
-        {"precision": 0.005, "adaptive_samples": True, "no_velocities": True},
+        pytest.param(
+            {"precision": 0.005, "adaptive_samples": True, "no_velocities": True},
+            marks=pytest.mark.slow,
+        ),
         {"precision": 0.005, "adaptive_samples": True, "clip_frames": 3, "surface": True},
         {"samples_per_frame": 2, "flatten": True},
         {"internal": True, "stress": True, "deformation_gradients": True},
         {"only": "gaussians"},
         {"only": "mesh"},
         {"only": "mesh", "surface": True},
-        {"solver": "ul"},
+        pytest.param({"solver": "ul"}, marks=pytest.mark.slow),
     ],
     ids="-".join,
 )
@@ -155,7 +161,7 @@ def test_solids_that_overlap_stay_one_body_of_which_a_part_is_converted(tmp_path
         tmp_path, body("Block", "rubber", "0, 0.1, 0"), body("Next", "rubber", "0.15, 0.1, 0"),
         body("Far", "rubber", "2, 0.1, 0"),
     )  # fmt: skip
-    asked = {"conversions": "/World/Block=honey@time:3", **SMALL}
+    asked = {"conversions": "/World/Block=dry-sand@time:3", **SMALL}
     plan = gf_usd.inspect(path, **asked).plan
     assert plan.bodies.surfaces == (("/World/Block", "/World/Next"), ("/World/Far",))
     assert set(plan.choices.converting) == {("/World/Block", 0), ("/World/Next", 0)}
@@ -218,7 +224,7 @@ def test_a_box_without_a_vertex_in_it_converts_what_it_holds(tmp_path: Path) -> 
 """
     done = gf_usd.bake(
         scene(tmp_path, beam), material="rubber", frames=4, output=tmp_path / "out.usda",
-        conversions="0.70,-1,0.4,0.72,1,1=honey@time:2", **{**SMALL, "particles": 3000},
+        conversions="0.70,-1,0.4,0.72,1,1=dry-sand@time:2", **{**SMALL, "particles": 3000},
     )  # fmt: skip
     assert done.bakes[0].health["converted_particles"] > 0
 
@@ -269,7 +275,7 @@ def test_a_picture_shows_what_is_visible_then(blocks: Path, tmp_path: Path) -> N
 
     done = gf_usd.bake(
         blocks, frames=6, output=tmp_path / "out.usda",
-        conversions="/World/Block=honey@time:3", **SMALL,
+        conversions="/World/Block=dry-sand@time:3", **SMALL,
     )  # fmt: skip
     before, after = (read_scene(done.root, code) for code in (3.0, 5.0))
     assert {mesh.name for mesh in before.meshes} == {MESH, "/World/Other"}

@@ -80,6 +80,7 @@ def test_what_a_mixed_scene_does_not_go_with_is_refused_in_words(
         gf_usd.inspect(castle, **(SMALL | more))
 
 
+@pytest.mark.slow
 def test_a_body_of_which_a_part_flows_is_moved_as_a_whole_by_the_solver_of_what_flows(
     tmp_path: Path,
 ) -> None:

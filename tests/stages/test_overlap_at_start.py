@@ -48,8 +48,14 @@ def scene(path: Path, depth: float, *, other: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("depth", [0.02, 0.2])
-@pytest.mark.parametrize("other", ["obstacle", "body"])
+@pytest.mark.parametrize(
+    ("other", "depth"),
+    [
+        ("obstacle", 0.02), ("body", 0.2),
+        pytest.param("obstacle", 0.2, marks=pytest.mark.slow),
+        pytest.param("body", 0.02, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_a_ball_that_starts_in_another_stays_calm(tmp_path: Path, other: str, depth: float) -> None:
     asset = scene(tmp_path / "sunk.usda", depth, other=other)
     found = gf_usd.bake(

@@ -176,9 +176,10 @@ def test_what_stays_solid_goes_on_as_it_was() -> None:
         assert way < 1e-4 * h
 
 
-def test_bodies_leave_one_by_one_and_a_flow_is_joined() -> None:
+@pytest.mark.parametrize("last", ["powder-snow", pytest.param("honey", marks=pytest.mark.slow)])
+def test_bodies_leave_one_by_one_and_a_flow_is_joined(last: str) -> None:
     run = converting(
-        ("rubber", "powder-snow", "rubber"), {0: at(2.0), 2: at(4.0, "honey")},
+        ("rubber", "powder-snow", "rubber"), {0: at(2.0), 2: at(4.0, last)},
         particles=120, frames=7,
     )  # fmt: skip
     body = np.asarray(run.particles.body)
@@ -214,6 +215,7 @@ def test_a_checkpoint_goes_on_alike_before_and_after() -> None:
             assert np.array_equal(one.converted, two.converted)
 
 
+@pytest.mark.slow
 def test_plastic_strain_goes_along() -> None:
     """A block of wax, beyond its yield stress, of which the strain makes a flow."""
     run = converting(
