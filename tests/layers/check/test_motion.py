@@ -81,6 +81,27 @@ def test_few_samples_are_left_undecided(tmp_path: Path) -> None:
     assert skip.reason == "velocities: 4 samples of motion; this check needs 5"
 
 
+@pytest.mark.parametrize(
+    ("samples", "factor", "wrong"),
+    [(5, 1.14, False), (6, 1.25, False), (6, RATE, True), (5, 1 / RATE, True), (7, 1.25, True)],
+)
+def test_one_or_two_windows_show_a_wrong_unit_only(
+    tmp_path: Path, samples: int, factor: float, wrong: bool
+) -> None:
+    """A block that lands on sand had 1.14 in five samples, and 1.00 in eight times as many."""
+    stage = good_stage(tmp_path / "short.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    for code in CODES:
+        prim.GetAttribute("velocities").Set(vec3(factor * motion(CUBE, code)[1]), code)
+    for code in CODES[samples:]:
+        for name in ("points", "velocities", "extent"):
+            prim.GetAttribute(name).ClearAtTime(code)
+    result = check_stage(stage)
+    assert [finding.rule for finding in result.findings] == ["velocities"] * wrong
+    said = f"velocities is {factor:.3g} times the motion in only {samples - 4} windows of 5 samples"
+    assert [skip.reason.startswith(said) for skip in result.skipped] == [True] * (not wrong)
+
+
 @pytest.mark.parametrize("factor", [1.0, 1.25])
 def test_a_long_motion_is_judged_by_some_of_it_all_along(factor: float) -> None:
     stage = Usd.Stage.CreateInMemory()
