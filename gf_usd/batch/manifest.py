@@ -9,6 +9,7 @@ import glob
 import json
 import math
 import os
+import threading
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,6 +31,7 @@ from gf_usd.system.sandbox import parse_limits
 SUFFIXES = (".toml", ".json")
 OUT = "baked"
 RETRIES = 1
+SHORTEST = 0.1  # [s] of a time limit
 TOP = ("out", "name", "timeout", "retries", "settings", "matrix", "assets")
 GROUP = ("files", "name", "settings", "matrix")
 
@@ -97,8 +99,8 @@ def read_manifest(path: Path) -> Manifest:
         folder=folder,
         title=path.stem,
         out=absolute(folder / (_text(tree, "out", where) or OUT)),
-        timeout=_number(tree, "timeout", where),
-        retries=int(_number(tree, "retries", where) or 0) if "retries" in tree else RETRIES,
+        timeout=_number(tree, "timeout", where, SHORTEST),
+        retries=_whole(tree, "retries", where, RETRIES),
     )
 
 
@@ -158,6 +160,11 @@ def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path,
     """
     if not isinstance(patterns, Sequence) or not patterns:
         raise UsageError(f"{where} lists no files", 'give files = ["models/*.usda"]')
+    for pattern in patterns:
+        if not isinstance(pattern, str) or not pattern:
+            raise UsageError(
+                f"{where}: {pattern!r} is no file", 'give paths or patterns: ["models/*.usda"]'
+            )
     found: dict[Path, None] = {}
     for pattern in patterns:
         path = folder / Path(pattern).expanduser()
@@ -216,13 +223,23 @@ def _text(tree: Mapping[str, Any], key: str, where: str) -> str | None:
     return value
 
 
-def _number(tree: Mapping[str, Any], key: str, where: str) -> float | None:
+def _number(tree: Mapping[str, Any], key: str, where: str, low: float) -> float | None:
     value = tree.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or value < 0:
-        raise UsageError(f"{where}: {key} is {value!r}", "give a number of 0 or more")
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not low <= value <= threading.TIMEOUT_MAX:
+        raise UsageError(f"{where}: {key} is {value!r}", f"give a number of {low:g} or more")
     return float(value)
+
+
+def _whole(tree: Mapping[str, Any], key: str, where: str, default: int) -> int:
+    value = tree.get(key)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise UsageError(f"{where}: {key} is {value!r}", "give a whole number of 0 or more")
+    return value
 
 
 KNOWN = {name: option for name, option in OPTIONS.items() if "batch" in option.commands}

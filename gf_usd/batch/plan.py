@@ -8,8 +8,10 @@ from __future__ import annotations
 import fnmatch
 import itertools
 import json
+import os
 import re
 import string
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -20,7 +22,8 @@ from gf_usd.batch.manifest import Group, Manifest, material_files, obstacle_file
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.prepare.outputs import outputs, sequences
 
-UNFIT = re.compile(r"[^A-Za-z0-9._+]+")
+UNFIT = re.compile(r"[^\w.+]+")  # letters and digits are those of any script
+LONGEST_PART = 200  # bytes of a file or folder of a name: files next to the root have longer names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +95,8 @@ def name_of(template: str, asset: Path, options: Mapping[str, Any], where: str) 
 
     Fields are asset (the file's name without suffix), folder (of the file), material and every
     option that the job has.  Slashes make folders; what is odd in a file name becomes a dash.
-    Raises UsageError for an unknown field, or a name that leaves the folder.
+    Raises UsageError for an unknown field, one with a format, or a name that leaves the folder or
+    is too long.
     """
     materials = str(options.get("material", "rubber")).split(",")
     files = {str(path): path.stem for path in material_files(options)}
@@ -102,20 +106,45 @@ def name_of(template: str, asset: Path, options: Mapping[str, Any], where: str) 
         "folder": asset.parent.name,
         "material": "-".join(files.get(m, m) for m in materials),
     }
-    used = [field for _, field, _, _ in string.Formatter().parse(template) if field is not None]
+    used = _fields(template, where)
     unknown = [field for field in used if field not in fields]
     if unknown:
         raise UsageError(
             f"{where}: the name {template!r} has the field {{{unknown[0]}}}",
             f"its fields here are {', '.join(sorted(fields))}",
         )
-    name = template.format_map({k: UNFIT.sub("-", str(v)) for k, v in fields.items()})
-    parts = [UNFIT.sub("-", part) for part in name.removesuffix(".usda").split("/")]
+    name = template.format_map({k: _fit(str(v)) for k, v in fields.items()})
+    parts = [_fit(part) for part in name.removesuffix(".usda").split("/")]
     if any(part in ("", ".", "..") for part in parts):
         raise UsageError(
             f"{where}: the name {template!r} gives {name!r}", "give a path under the folder"
         )
+    longest = max((len(os.fsencode(part)), part) for part in parts)
+    if longest[0] > LONGEST_PART:
+        raise UsageError(
+            f"{where}: {asset}: the name {longest[1][:40]}... of {longest[0]} bytes is too long",
+            f"give a --name with folders or fewer fields: a part has at most {LONGEST_PART} bytes",
+        )
     return "/".join(parts)
+
+
+def _fields(template: str, where: str) -> list[str]:
+    """The fields of a template.  Raises UsageError where it is damaged or formats a field."""
+    hint = "write fields as {asset}, without a format, and braces in pairs"
+    try:
+        rows = [row for row in string.Formatter().parse(template) if row[1] is not None]
+    except ValueError as error:
+        raise UsageError(f"{where}: the name {template!r} is damaged: {error}", hint) from error
+    for _, field, form, conversion in rows:
+        if form or conversion:
+            raise UsageError(f"{where}: the name {template!r} formats the field {field!r}", hint)
+    return [str(field) for _, field, _, _ in rows]
+
+
+def _fit(text: str) -> str:
+    """The text as a part of a file name."""
+    # file systems have accents as characters of their own or as parts of letters
+    return UNFIT.sub("-", unicodedata.normalize("NFC", text))
 
 
 def _require_apart(jobs: Sequence[Job]) -> None:
@@ -256,13 +285,14 @@ def pieces(text: str, jobs: int) -> tuple[int, ...]:
     numbers: list[int] = []
     for part in text.split(","):
         match = PIECE.fullmatch(part.strip())
-        if match is None:
+        first = int(match[1]) if match else 0
+        last, step = (int(match[2] or first), int(match[3] or 1)) if match else (0, 0)
+        if last < first or step == 0:
             raise UsageError(f"--tasks {text}: {part!r} is not a range", "give for example 0,3-5")
-        first = int(match[1])
-        last = int(match[2]) if match[2] else first
-        numbers += range(first, last + 1, int(match[3] or 1))
-    if not numbers or max(numbers) >= jobs:
-        raise UsageError(
-            f"--tasks {text} is outside the {jobs} jobs", f"the jobs are numbered 0 to {jobs - 1}"
-        )
+        if last >= jobs:
+            raise UsageError(
+                f"--tasks {text} is outside the {jobs} jobs",
+                f"the jobs are numbered 0 to {jobs - 1}",
+            )
+        numbers += range(first, last + 1, step)
     return tuple(dict.fromkeys(numbers))

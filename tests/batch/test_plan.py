@@ -60,6 +60,12 @@ def test_a_template_makes_folders_and_mends_odd_values(tmp_path: Path) -> None:
     assert job.root == tmp_path / "out" / "props" / "red-duck_wax_0-0-9.81.usda"
 
 
+def test_letters_of_any_script_stay_in_a_name(tmp_path: Path) -> None:
+    decomposed = "Gro\u0308\u00dfe 1.usda"  # as macOS has it
+    found = plan(tmp_path, {"files": ["鴨/鴨.usda", "鴨/犬.usda", decomposed, "d\udcfcck.usda"]})
+    assert names(found) == ["鴨.rubber", "犬.rubber", "Größe-1.rubber", "d-ck.rubber"]
+
+
 def test_flags_and_lists_become_words(tmp_path: Path) -> None:
     settings = {"repair": True, "stress": False, "wls": False, "pins": ["/A", "/B"], "drop": "1r"}
     (job,) = plan(tmp_path, {"files": ["a.usda"], "settings": settings}).jobs
@@ -87,6 +93,12 @@ def test_flags_and_lists_become_words(tmp_path: Path) -> None:
           {"files": ["y/a.ply"], "settings": PLY, "name": "two"}], "frames/a.rubber."),
         ([{"files": ["a.usda"], "name": "{asset}.{speed}"}], "{speed}"),
         ([{"files": ["a.usda"], "name": "../{asset}"}], "'../a'"),
+        ([{"files": ["a.usda"], "name": "{asset"}], "is damaged"),
+        ([{"files": ["a.usda"], "name": "{asset:d}"}], "formats the field 'asset'"),
+        ([{"files": ["a.usda"], "name": "{asset!r}"}], "formats the field 'asset'"),
+        # files next to the root have longer names, and a file system has an end of them
+        ([{"files": ["a.usda"], "name": "b/" + 201 * "x"}], "of 201 bytes"),
+        ([{"files": ["a.usda"], "name": 101 * "ü"}], "of 202 bytes"),
     ],
 )  # fmt: skip
 def test_names_that_cannot_be_are_refused(
