@@ -11,8 +11,10 @@ import gc
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -189,10 +191,28 @@ def worker(
 COMMANDS["worker"] = (worker, {"hidden": True})
 
 
-def _stop(number: int, frame: object) -> NoReturn:
+LATER = 0.05  # [s]
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    if _in_usd(frame):
+        # The import of USD goes on after an exception in the middle of it.
+        again = threading.Timer(LATER, signal.raise_signal, (number,))
+        again.daemon = True
+        again.start()
+        return
     # a second one ends it at once, also where the first waits for a disk that does not answer
     for again in STOPPED:
         signal.signal(again, signal.SIG_DFL)
     # typer ends a KeyboardInterrupt without a word
     typer.echo("; ".join(filter(None, (STOPPED[number], exit.message()))), err=True)
     sys.exit(128 + number)
+
+
+def _in_usd(frame: FrameType | None) -> bool:
+    """Whether a frame, or one that called it, is Python code of USD, which C++ may have called."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == "pxr":
+            return True
+        frame = frame.f_back
+    return False

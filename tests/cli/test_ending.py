@@ -100,6 +100,34 @@ def test_an_interrupt_tells_of_partial_files_where_there_are_some(tmp_path: Path
     assert exit.message() == ""
 
 
+# A signal as USD is imported, which goes on after an exception in the middle of it.
+EARLY = """
+import signal, sys
+from gf_usd.cli import main
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "pxr.Gf":
+            signal.raise_signal({number})
+
+sys.meta_path.insert(0, Finder())
+sys.argv = ["gf-usd", "check", "none.usda"]
+main.run()
+"""
+
+
+@pytest.mark.parametrize(("number", "said"), [(2, "interrupted"), (15, "terminated")])
+def test_an_interrupt_of_the_import_of_usd_is_not_lost(
+    tmp_path: Path, number: int, said: str
+) -> None:
+    code = EARLY.format(number=number)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.stderr == f"{said}\n"
+    assert done.returncode == 128 + number
+
+
 def test_memory_is_left_to_the_system() -> None:
     freed = "class Held:\n    def __del__(self): print('freed')\nheld = Held()"
     assert "freed" not in end(0, freed).stdout
