@@ -6,9 +6,16 @@ it; the scheduler gives its job to another, which waits for the lock until the c
 
 from __future__ import annotations
 
+import importlib.util
+import logging
+import math
 import queue
+import threading
+import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.batch.job import Job, Outcome
@@ -17,7 +24,7 @@ from gf_usd.batch.run import BEAT, Event
 from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
 from gf_usd.core.errors import UsageError
 from gf_usd.system.fingerprint import program
-from gf_usd.system.processes import Children
+from gf_usd.system.processes import GRACE, Children
 from gf_usd.system.warm.workers import Commands
 
 if TYPE_CHECKING:
@@ -26,8 +33,11 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0  # [s] for the child of a worker that died: it looks for its parent twice a second
 CONNECT = 20.0  # [s] to find the scheduler
+ANSWER = 5.0  # [s] for the workers to say whether they have gf-usd
+END = GRACE + 5.0  # [s] for the workers to end what they bake, where they are told to
 # A result is lost with the worker that holds it; the scheduler has its task done again by another.
 PENDING = ("pending", "lost")
+CLOSED = (OSError, RuntimeError, CancelledError)  # the client has been closed meanwhile
 HINT = (
     "start one with dask scheduler, and run dask worker ADDRESS --nthreads 1 for each"
     " concurrent bake"
@@ -51,25 +61,29 @@ def run_there(
     resources : NAME=AMOUNT that a job takes of a worker's.
     children : its `stop` ends the bakes on the workers as well.
 
-    Raises UsageError where distributed is not installed or no scheduler answers.
+    Raises UsageError where distributed is not installed, no scheduler answers or a worker has no
+    gf-usd.
     """
+    amounts = dict(_amount(word) for word in resources)
     client = _connect(address)
     batch = uuid.uuid4().hex
     events: queue.Queue[Event] = queue.Queue()
     topic = f"gf-usd-{batch}"
-    client.subscribe_topic(topic, lambda event: events.put(event[1]))
-    amounts = dict(_amount(word) for word in resources)
-    futures = {
-        client.submit(
-            _work, job.as_json(), _plain(limits), program(), batch, topic,
-            key=f"{job.name}-{batch}", resources=amounts or None, pure=False,
-        ): job
-        for job in jobs
-    }  # fmt: skip
     try:
+        _require_program(client)
+        client.subscribe_topic(topic, lambda event: events.put(event[1]))
+        futures = {
+            client.submit(
+                _work, job.as_json(), _plain(limits), program(), batch, topic,
+                key=f"{job.name}-{batch}", resources=amounts or None, pure=False,
+            ): job
+            for job in jobs
+        }  # fmt: skip
+        if wanting := _wanting(client, address, amounts):
+            yield {"event": "note", "message": wanting}
         yield from _follow(client, futures, events, batch, children)
-    finally:
         client.unsubscribe_topic(topic)
+    finally:
         client.close()
 
 
@@ -81,10 +95,44 @@ def _connect(address: str) -> Client:
             "--scheduler needs dask.distributed, which is not installed",
             "install it: pip install distributed",
         ) from error
+    # its tracebacks of a scheduler that is lost: `_outcome` says so
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         return Client(address, timeout=CONNECT, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise UsageError(f"no scheduler answers at {address}: {error}", HINT) from error
+
+
+def _require_program(client: Client) -> None:
+    """Raise UsageError for a worker without gf-usd: the first of its tasks would end it."""
+    found: dict[str, Any] = {}
+
+    def ask() -> None:
+        with suppress(*CLOSED):
+            answers: Any = client.run(importlib.util.find_spec, "gf_usd", on_error="return")
+            found.update(answers)
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(ANSWER)  # a worker that hangs does not answer
+    without = [worker for worker, spec in found.items() if spec is None]
+    if without:
+        raise UsageError(
+            f"the Python of worker {without[0]} has no gf-usd",
+            "install the same gf-usd in the environment of every worker",
+        )
+
+
+def _wanting(client: Client, address: str, amounts: Mapping[str, float]) -> str:
+    """What the jobs wait for: any worker, or one with the resources; empty where there is one."""
+    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    if not workers:
+        return f"the cluster at {address} has no worker: the jobs wait for one"
+    offers = [row.get("resources") or {} for row in workers]
+    if any(all(offer.get(name, 0.0) >= n for name, n in amounts.items()) for offer in offers):
+        return ""
+    asked = ", ".join(f"{name}={amount:g}" for name, amount in amounts.items())
+    return f"no worker at {address} offers {asked}: the jobs wait for one that does"
 
 
 def _follow(
@@ -95,39 +143,57 @@ def _follow(
     children: Children,
 ) -> Iterator[Event | None]:
     """Events until every future has come to an end, one way or another."""
-    left, stopping = dict(futures), False
+    left, until = dict(futures), float("inf")
     while left:
-        if children.stopping and not stopping:
-            stopping = True
-            # first what runs, so that it can say how it ended
-            client.run(_stop, batch, on_error="ignore")
+        if children.stopping and until == float("inf"):
+            until = time.monotonic() + END
+            # a worker that hangs does not answer
+            threading.Thread(target=_stop_all, args=(client, futures, batch), daemon=True).start()
         try:
             yield events.get(timeout=BEAT)
             continue
         except queue.Empty:
             yield None
         for future in [future for future in left if future.status not in PENDING]:
-            yield finished_event(_outcome(future, left.pop(future)))
-        if stopping and client.status != "running":
+            job = left.pop(future)
+            yield finished_event(_outcome(future, job, client, stopping=children.stopping))
+        if time.monotonic() > until or (children.stopping and client.status != "running"):
             for job in left.values():
                 yield finished_event(_lost(job, "stopped", "interrupted before it ended"))
             return
 
 
-def _outcome(future: Future, job: Job) -> Outcome:
+def _stop_all(client: Client, futures: Iterable[Future], batch: str) -> None:
+    """End the bakes on the workers, and take back the tasks that none of them has."""
+    with suppress(*CLOSED):
+        # first what runs, so that it can say how it ended
+        client.run(_stop, batch, on_error="ignore")
+        taken = {key for keys in client.processing().values() for key in keys}
+        client.cancel([future for future in futures if future.key not in taken])
+
+
+def _outcome(future: Future, job: Job, client: Client, *, stopping: bool) -> Outcome:
     """What came of a job whose future has ended."""
     if future.status == "finished":
         return Outcome.of(future.result())
+    if future.status == "cancelled" and stopping:
+        return _lost(job, "stopped", "interrupted before it started")
+    if client.status != "running":
+        return _lost(
+            job, "crashed", "the connection to the scheduler was lost",
+            "repeat the batch when the scheduler runs; a worker may have completed the job",
+        )  # fmt: skip
     if future.status == "cancelled":
         return _lost(job, "crashed", "its task was canceled on the scheduler")
     error: Any = future.exception()
     return unforeseen(job, error)
 
 
-def _lost(job: Job, state: str, message: str) -> Outcome:
+def _lost(job: Job, state: str, message: str, hint: str = "") -> Outcome:
     return Outcome(
-        job=job.name, state=state, message=message, root=str(job.root), command=job.command
-    )
+        job=job.name, state=state, message=message, hint=hint, root=str(job.root),
+        command=job.command,
+    )  # fmt: skip
 
 
 def _plain(limits: Limits) -> dict[str, Any]:
@@ -137,11 +203,15 @@ def _plain(limits: Limits) -> dict[str, Any]:
 def _amount(word: str) -> tuple[str, float]:
     name, _, text = word.partition("=")
     try:
-        return name, float(text)
+        amount = float(text)
     except ValueError:
+        amount = math.nan
+    if not name or not 0.0 < amount < math.inf:
         raise UsageError(
-            f"--resource {word}: {text!r} is not a number", "give NAME=AMOUNT, e.g. memory=2e9"
-        ) from None
+            f"--resource {word}: {text!r} is not a number above 0",
+            "give NAME=AMOUNT, e.g. memory=2e9",
+        )
+    return name, amount
 
 
 def _work(
@@ -159,8 +229,9 @@ def _work(
     if program() != caller:
         differ = [key for key, value in program().items() if value != caller.get(key)]
         return _lost(
-            this, "failed", f"the gf-usd of worker {worker.address} differs: {', '.join(differ)}"
-        ).as_json()
+            this, "failed", f"the gf-usd of worker {worker.address} differs: {', '.join(differ)}",
+            "install the same gf-usd and libraries on every worker, and start the workers again",
+        ).as_json()  # fmt: skip
     children = _running.setdefault(batch, Children())
     table = _tables.setdefault(batch, InputTable(children))
     outcome = run_job(

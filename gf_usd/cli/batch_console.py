@@ -53,7 +53,10 @@ def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator
 
         def drawn(event: dict[str, Any] | None) -> None:
             row = None if event is None else board.hear(event)
-            if event is not None and event["event"] == "finished" and event["state"] not in CALM:
+            if event is not None and (
+                event["event"] == "note"
+                or (event["event"] == "finished" and event["state"] not in CALM)
+            ):
                 for line in plain_lines(board, event, row):
                     live.console.print(line, markup=False, highlight=False)
             live.update(table(board))
@@ -64,6 +67,8 @@ def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator
 def plain_lines(board: Board, event: dict[str, Any], row: Row | None) -> list[str]:
     """Lines for a log: the end of every job, and every attempt but the first."""
     kind = event["event"]
+    if kind == "note":
+        return [f"note: {event['message']}"]
     if kind == "retry":
         return [f"{event['job']}: trying again: {event['why']}"]
     if kind != "finished" or row is None:

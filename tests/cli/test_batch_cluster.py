@@ -10,6 +10,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -170,6 +172,34 @@ def test_a_task_that_is_canceled_is_told(
         client.cancel([Future(key, client) for key in keys], force=True)
         [end] = [event for event in events if event and event["event"] == "finished"]
     assert (end["state"], end["message"]) == ("crashed", "its task was canceled on the scheduler")
+
+
+def test_jobs_that_no_worker_can_do_are_told_and_can_be_stopped(
+    cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
+) -> None:
+    children = Children()
+    nowhere = ["licenses=1"]
+    events = run_there([cut], Limits(), address=address, resources=nowhere, children=children)
+    assert next(events)["event"] == "note"  # type: ignore[index]
+    children.stop()
+    [end] = [event for event in events if event]
+    assert (end["state"], end["message"]) == ("stopped", "interrupted before it started")
+
+
+def test_a_scheduler_that_dies_is_told(
+    cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
+) -> None:
+    from distributed import Client
+
+    nowhere = ["licenses=1"]
+    events = run_there([cut], Limits(), address=address, resources=nowhere, children=Children())
+    next(events)
+    with Client(address, set_as_default=False) as client, suppress(OSError, CancelledError):
+        client.run_on_scheduler(os._exit, 1)
+    [end] = [event for event in events if event]
+    assert end["state"] == "crashed"
+    assert end["message"] == "the connection to the scheduler was lost"
+    assert end["hint"]
 
 
 def _bakes(folder: Path) -> list[str]:

@@ -1,0 +1,53 @@
+"""What a Dask cluster cannot do, without a cluster."""
+
+from __future__ import annotations
+
+from importlib.machinery import ModuleSpec
+from typing import Any
+
+import pytest
+
+from gf_usd.batch.cluster import _amount, _require_program, _wanting
+from gf_usd.core.errors import UsageError
+
+
+class Cluster:
+    """Stands for a client; workers : their resources by address."""
+
+    def __init__(self, workers: dict[str, dict[str, float]], without: str = "") -> None:
+        self._workers, self._without = workers, without
+
+    def scheduler_info(self, n_workers: int) -> dict[str, Any]:
+        assert n_workers == -1, "all of them"
+        return {"workers": {name: {"resources": has} for name, has in self._workers.items()}}
+
+    def run(self, function: object, name: str, on_error: str) -> dict[str, Any]:
+        del function, on_error
+        spec = ModuleSpec(name, None)
+        return {worker: None if worker == self._without else spec for worker in self._workers}
+
+
+def wanting(workers: dict[str, dict[str, float]], **amounts: float) -> str:
+    return _wanting(Cluster(workers), "tcp://here", amounts)  # type: ignore[arg-type]
+
+
+def test_what_the_jobs_wait_for_is_told() -> None:
+    assert "has no worker" in wanting({})
+    assert wanting({"a": {}}) == ""
+    assert wanting({"a": {"memory": 1e9}, "b": {"memory": 2e9}}, memory=2e9) == ""
+    assert "offers memory=2e+09" in wanting({"a": {"memory": 1e9}}, memory=2e9)
+    apart = {"a": {"memory": 2e9}, "b": {"seats": 1.0}}
+    assert "no worker" in wanting(apart, memory=1e9, seats=1.0)
+
+
+def test_a_worker_without_the_program_gets_no_job() -> None:
+    _require_program(Cluster({"a": {}, "b": {}}))  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="worker b has no gf-usd"):
+        _require_program(Cluster({"a": {}, "b": {}}, without="b"))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("word", ["memory", "memory=", "memory=x", "=1", "a=0", "a=-1", "a=nan"])
+def test_an_amount_that_is_none_is_refused(word: str) -> None:
+    assert _amount("memory=2e9") == ("memory", 2e9)
+    with pytest.raises(UsageError, match="--resource"):
+        _amount(word)
