@@ -15,6 +15,7 @@ from typing import Any
 
 from gf_usd.batch.job import CALM, GOOD, STATES, Job, Outcome
 from gf_usd.batch.record import read_record
+from gf_usd.batch.slices import UNTRIED
 from gf_usd.core.errors import UsageError
 from gf_usd.system.atomic_files import publish_text
 from gf_usd.system.file_locks import locked
@@ -150,53 +151,79 @@ def again(asked: Sequence[str], outcomes: Sequence[Outcome]) -> str:
 
 
 def write_summary(
-    path: Path, outcomes: Sequence[Outcome], *, repeat: str, seconds: float, jobs: Sequence[Job]
-) -> dict[str, Any]:
+    path: Path, outcomes: Sequence[Outcome], *, asked: Sequence[str], seconds: float,
+    jobs: Sequence[Job],
+) -> dict[str, Any]:  # fmt: skip
     """Publish the summary and return it.  Raises BakeError where the disk refuses.
 
-    Jobs of the plan that were not run keep what their record, or the summary before, says of them.
+    Jobs of the plan that were not run keep what their record, or the summary before, says of them,
+    whichever is newer; jobs that another run did meanwhile have what their record says.
+
+    asked : as of `again`; empty: there is no command to repeat.
+    seconds : [s] that this run took.
     """
-    ran = {outcome.job: outcome for outcome in outcomes}
-    rows = [ran.get(job.name) or recorded(job) for job in jobs]
-    known = ordered([row for row in rows if row is not None])
-    entry = {
-        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "seconds": round(seconds, 3),
-        "counts": counts(known),
-        "repeat": repeat,
-        "program": program(),
-        "jobs": [row.as_json() for row in known],
-    }
+    began = _utc(time.time() - seconds)
     with locked(path):
+        known = _known(path, jobs)
+        for outcome in outcomes:
+            when, _ = known.get(outcome.job, ("", None))
+            if outcome.state not in UNTRIED or when < began:
+                known[outcome.job] = ("", outcome)
+        rows = ordered([known[job.name][1] for job in jobs if job.name in known])
+        entry = {
+            "finished": _utc(time.time()),
+            "seconds": round(seconds, 3),
+            "counts": counts(rows),
+            "repeat": again(asked, rows) if asked else "",
+            "program": program(),
+            "jobs": [row.as_json() for row in rows],
+        }
         publish_text(path, json.dumps(entry, indent=1) + "\n")
     return entry
 
 
-def recorded(job: Job) -> Outcome | None:
-    """What the record next to a result says came of the job."""
-    entry = read_record(job)
-    return None if entry is None else Outcome.of(entry["outcome"])
+def _utc(seconds: float) -> str:
+    """The time of a record."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(seconds))
+
+
+def _known(path: Path, jobs: Sequence[Job]) -> dict[str, tuple[str, Outcome]]:
+    """When each job ended, "" where only a summary says it, and how.
+
+    By a summary or their record, whichever is newer.  Records have what tasks of a bundle did,
+    which write no summary; the summary has jobs that were stopped or left to another run, which
+    have no record.
+    """
+    when, rows = _summary(path)
+    known = {row.job: ("", row) for row in rows}
+    for job in jobs:
+        entry = read_record(job)
+        if entry is not None and (job.name not in known or entry.get("finished", "") > when):
+            known[job.name] = (str(entry.get("finished", "")), Outcome.of(entry["outcome"]))
+    return known
+
+
+def require_run(path: Path, jobs: Sequence[Job], flag: str) -> None:
+    """Raise UsageError where neither a summary nor a record knows any of the jobs.
+
+    flag : the option that asks for an earlier run.
+    """
+    known = _known(path, jobs)
+    if not any(job.name in known for job in jobs):
+        raise UsageError(
+            f"{flag}: no earlier run is known: there is no {path}, and no job has a record",
+            f"run the batch without {flag} first, or give the --output of that run",
+        )
 
 
 def failed_in(path: Path, jobs: Sequence[Job]) -> list[str]:
     """Names of the jobs that are not good, by a summary or their record, whichever is newer.
 
-    Records have what tasks of a bundle did, which write no summary; the summary has jobs that were
-    stopped or left to another run, which have no record.  Raises UsageError where all have neither.
+    Raises UsageError where all have neither.
     """
-    when, rows = _summary(path)
-    known = {row.job: row for row in rows}
-    for job in jobs:
-        entry = read_record(job)
-        if entry is not None and (job.name not in known or entry.get("finished", "") > when):
-            known[job.name] = Outcome.of(entry["outcome"])
-    found = [known[job.name] for job in jobs if job.name in known]
-    if not found:
-        raise UsageError(
-            f"--failed: no earlier run is known: there is no {path}, and no job has a record",
-            "run the batch without --failed first, or give the --output of that run",
-        )
-    return [row.job for row in found if not row.good]
+    require_run(path, jobs, "--failed")
+    known = _known(path, jobs)
+    return [job.name for job in jobs if job.name in known and not known[job.name][1].good]
 
 
 def _summary(path: Path) -> tuple[str, list[Outcome]]:

@@ -23,7 +23,7 @@ from gf_usd.batch.plan import BatchPlan, jobs_text
 from gf_usd.batch.record import InputTable, read_by
 from gf_usd.batch.run import memory_of
 from gf_usd.batch.slices import Part, slices
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.system.atomic_files import publish_text
 
 SPECIFICATION = "jobtemplate-2023-09"
@@ -55,7 +55,13 @@ def write_bundle(
     if not plan.jobs:
         raise UsageError("there are no jobs", "name assets that exist")
     folder = folder.absolute()
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BakeError(
+            f"{folder} cannot be created: {error.strerror}",
+            "choose another folder with --openjd, or change the permissions of its parent",
+        ) from error
     given = {
         "JobsFile": str(folder / JOBS),
         "OutDir": str(plan.out),

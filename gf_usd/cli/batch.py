@@ -168,7 +168,14 @@ def batch(
         page,
         parse_settings,
         plan_of,
+        require_company,
     )
+
+    for needed, there, lone in (
+        ("--scheduler", scheduler, {"--resource": resource}),
+        ("--openjd", openjd, {"--chunk": chunk, "--program": program}),
+    ):
+        require_company(lone, needed, there)
 
     asked = Asked(
         materials=material, seeds=seed, name=name, out=out, timeout=timeout, retries=retries,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ from gf_usd.batch.board import (
     counts,
     failed_in,
     ordered,
+    require_run,
     summary_line,
     write_summary,
 )
@@ -83,6 +85,17 @@ class Choice:
     tasks: str | None = None
 
 
+def require_company(options: Mapping[str, Any], needed: str, there: object) -> None:
+    """Raise UsageError for options that say nothing without another one.
+
+    options : values by flag.
+    there : the value of the flag `needed`.
+    """
+    for flag, value in options.items():
+        if value and there is None:
+            raise UsageError(f"{flag} is given without {needed}", f"give {needed}, or omit {flag}")
+
+
 def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
     """The jobs that are asked for.  Raises UsageError for a name or number that none has."""
     jobs = choose(plan, choice.select) if choice.select else plan.jobs
@@ -100,6 +113,8 @@ def plan_of(sources: Sequence[str], asked: Asked) -> BatchPlan:
 
     Raises UsageError, or InputError for a manifest that cannot be read.
     """
+    if asked.timeout is not None and not asked.timeout <= threading.TIMEOUT_MAX:
+        raise UsageError(f"--timeout is {asked.timeout:g}", "give a number of seconds")
     kinds = [Path(source).suffix.lower() in SUFFIXES for source in sources]
     if any(kinds) and len(sources) > 1:
         raise UsageError(
@@ -275,8 +290,7 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
         else:
             events = run_here(jobs, limits, at_once=at_once, children=children, warm=how.warm)
         outcomes = collect(events, tell)
-    repeat = again(_without_choice(), outcomes)
-    _finish(plan, outcomes, how, repeat=repeat, seconds=time.monotonic() - began,
+    _finish(plan, outcomes, how, asked=_without_choice(), seconds=time.monotonic() - began,
             pictures=not stopped)  # fmt: skip
     if stopped:
         return 128 + stopped[0]
@@ -284,16 +298,21 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
 
 
 def page(plan: BatchPlan, jobs: Sequence[Job], how: How) -> None:
-    """The summary and the page again, from the records of the jobs."""
+    """The summary and the page again, from the records of the jobs.
+
+    Raises UsageError where nothing is known of any job.
+    """
     del jobs
-    _finish(plan, [], how, repeat="", seconds=0.0, pictures=True)
+    require_run(plan.out / f"{plan.title}{SUMMARY}", plan.jobs, "--report-only")
+    _finish(plan, [], how, asked=(), seconds=0.0, pictures=True)
 
 
 def _finish(
-    plan: BatchPlan, outcomes: Sequence[Outcome], how: How, *, repeat: str, seconds: float,
-    pictures: bool,
+    plan: BatchPlan, outcomes: Sequence[Outcome], how: How, *, asked: Sequence[str],
+    seconds: float, pictures: bool,
 ) -> None:  # fmt: skip
     """Summary on stderr, and as files."""
+    repeat = again(asked, outcomes)
     bad = [outcome for outcome in ordered(outcomes) if not outcome.good]
     if how.openjd_lines and (wrong := faults(ordered(outcomes), how.part)):
         first = wrong[0]
@@ -316,7 +335,7 @@ def _finish(
         return
     summary, target = (plan.out / f"{plan.title}{suffix}" for suffix in (SUMMARY, PAGE))
     try:
-        entry = write_summary(summary, outcomes, repeat=repeat, seconds=seconds, jobs=plan.jobs)
+        entry = write_summary(summary, outcomes, asked=asked, seconds=seconds, jobs=plan.jobs)
         if not how.report:
             return
         from gf_usd.batch.page import write_page

@@ -92,7 +92,7 @@ class Running:
     def _timed(self, timeout: float | None) -> Iterator[None]:
         """Stop it where the block takes longer than `timeout` [s]."""
         timer = threading.Timer(timeout or 0.0, self._time_out)
-        if timeout:
+        if timeout and timeout < threading.TIMEOUT_MAX:  # longer is forever, also in centuries
             timer.daemon = True
             timer.start()
         try:

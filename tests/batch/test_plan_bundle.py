@@ -16,7 +16,7 @@ from batch_jobs import TRIANGLE, job
 from gf_usd.batch.openjd import template, write_bundle
 from gf_usd.batch.plan import BatchPlan, is_bundle, jobs_text, mapped, moved_to, pieces, read_jobs
 from gf_usd.batch.record import InputTable
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.system.processes import Children
 
 OPENJD = Path(sys.executable).with_name("openjd")
@@ -138,6 +138,14 @@ def test_chunks_grow_only_where_tasks_have_no_bound(tmp_path: Path) -> None:
     endless = replace(limited, timeout=None)
     assert target(endless) == 900
     assert target(limited) == target(endless, slice=1) == 0
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    table = InputTable(Children())
+    with pytest.raises(BakeError, match="cannot be created") as refused:
+        write_bundle(plan(tmp_path), tmp_path / "file" / "b", chunk=1, program="py", table=table)
+    assert "--openjd" in refused.value.hint
 
 
 def test_slices_are_steps_that_wait_for_each_other(tmp_path: Path) -> None:

@@ -192,6 +192,10 @@ def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
         (("a.usda", "--slice", "2"), "a.rubber: --slice counts value clips"),
         (("a.usda", "--part", "1/2"), "--part 1/2 is given without --slice"),
         (("a.usda", "--path-mapping", "x.json"), "--path-mapping applies only"),
+        (("a.usda", "--resource", "memory=1e9"), "--resource is given without --scheduler"),
+        (("a.usda", "--chunk", "2"), "--chunk is given without --openjd"),
+        (("a.usda", "--timeout", "nan"), "--timeout is nan"),
+        (("a.usda", "--report-only"), "--report-only: no earlier run is known"),
         (("a.usda", "--scheduler", "tcp://127.0.0.1:9"), "no scheduler answers"),
     ],
 )  # fmt: skip

@@ -56,6 +56,12 @@ def test_too_long_is_ended_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ended.status == -signal.SIGKILL
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_limit_longer_than_any_clock_is_none() -> None:
+    ended = python("import time; time.sleep(0.3)", timeout=1e30)
+    assert (ended.status, ended.timed_out) == (0, False)
+
+
 def test_stopping_ends_what_runs_and_starts_no_more(tmp_path: Path) -> None:
     children, found = Children(), []
     ready = threading.Event()
