@@ -7,6 +7,7 @@ the result is wrong, or warnings under --strict, 5 a slice is done, 130 and 143 
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import signal
@@ -41,7 +42,7 @@ from gf_usd.cli.topics import TOPICS, topic
 from gf_usd.cli.verify import verify
 from gf_usd.cli.worker import follow, forked_readers, make_ready
 from gf_usd.core import __version__
-from gf_usd.core.errors import GfUsdError, Unfinished
+from gf_usd.core.errors import GfUsdError, Unfinished, UsageError
 from gf_usd.system.atomic_files import require_working_folder
 from gf_usd.system.fast_start.imports import install
 from gf_usd.system.processes import end_with_parent
@@ -142,6 +143,12 @@ def execute(arguments: Sequence[str]) -> int:
         try:
             return _execute(arguments)
         except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                shown = str(error.filename)[:60]
+                typer.echo(
+                    f"error: {shown}...: {error.strerror}\n\nhint: give a shorter name", err=True
+                )
+                return UsageError.exit_status
             if error not in broken:
                 raise
             typer.echo(f"error: the output cannot be written: {error.strerror}", err=True)

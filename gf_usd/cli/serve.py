@@ -15,6 +15,7 @@ import typer
 from gf_usd.cli.events import STDOUT, event_stream
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, UsageError
+from gf_usd.system.atomic_files import is_utf8
 
 if TYPE_CHECKING:
     from gf_usd.system.warm.server import Server
@@ -128,6 +129,8 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
         words = request["arguments"]
         if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
             raise UsageError(f'"arguments" is {words!r}', "give a list of strings")
+        if unfit := [word for word in words if not _is_word(word)]:
+            raise UsageError(f'"arguments" has {unfit[0]!r}', "give UTF-8 without null characters")
         if words[:1] != ["bake"] or "--serve" in words:
             raise UsageError(
                 f"{' '.join(words[:2])!r} is not a bake", 'the first of "arguments" must be "bake"'
@@ -147,6 +150,8 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
         path = request[key]
         if not isinstance(path, str) or not os.path.isabs(path):
             raise UsageError(f"{key!r} is {path!r}", "give an absolute path")
+        if not _is_word(path):
+            raise UsageError(f"{key!r} is {path!r}", "give UTF-8 without null characters")
     if request["root"].endswith("/") or os.path.isdir(request["root"]):
         raise UsageError(
             f"'root' is {request['root']!r}, a folder",
@@ -158,6 +163,11 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
     options = checked(asked, "the request", given)
     job = Job(name="", asset=Path(request["asset"]), root=Path(request["root"]), options=options)
     return job.arguments()
+
+
+def _is_word(text: str) -> bool:
+    """Whether a command line could have it."""
+    return "\0" not in text and is_utf8(Path(text))
 
 
 def bake_by_server(

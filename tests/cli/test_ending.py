@@ -102,7 +102,7 @@ def test_an_interrupt_tells_of_partial_files_where_there_are_some(tmp_path: Path
 
 # A signal as USD is imported, which goes on after an exception in the middle of it.
 EARLY = """
-import signal, sys
+import signal, sys, time
 from gf_usd.cli import main
 
 class Finder:
@@ -110,8 +110,13 @@ class Finder:
         if name == "pxr.Gf":
             signal.raise_signal({number})
 
+def hold():
+    import pxr.Usd
+    time.sleep(20.0)
+
 sys.meta_path.insert(0, Finder())
-sys.argv = ["gf-usd", "check", "none.usda"]
+main.COMMANDS["hold"] = (hold, {{}})
+sys.argv = ["gf-usd", "hold"]
 main.run()
 """
 

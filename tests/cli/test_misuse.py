@@ -8,6 +8,11 @@ import pytest
 
 ASSET = "{asset}"
 MISUSES = """
+bake LONG.usda
+bake {asset} -o LONG.usda
+check LONG.usda
+inspect LONG.usda
+batch LONG.usda
 bkae {asset}
 cook
 bake
@@ -120,7 +125,7 @@ materials rubber
 verify --nonsense
 schema-path here
 help unit
-""".strip().splitlines()
+""".replace("LONG", 300 * "x").strip().splitlines()
 
 
 def test_there_are_as_many_as_were_promised() -> None:
