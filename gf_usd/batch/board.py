@@ -226,6 +226,12 @@ def failed_in(path: Path, jobs: Sequence[Job]) -> list[str]:
     return [job.name for job in jobs if job.name in known and not known[job.name][1].good]
 
 
+def not_run(path: Path, jobs: Sequence[Job]) -> int:
+    """How many jobs neither a summary nor a record knows."""
+    known = _known(path, jobs)
+    return sum(job.name not in known for job in jobs)
+
+
 def _summary(path: Path) -> tuple[str, list[Outcome]]:
     """When a summary was written, and its jobs; none where there is no summary."""
     try:

@@ -26,6 +26,7 @@ from gf_usd.batch.board import (
     again,
     counts,
     failed_in,
+    not_run,
     ordered,
     require_run,
     summary_line,
@@ -100,8 +101,16 @@ def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
     """The jobs that are asked for.  Raises UsageError for a name or number that none has."""
     jobs = choose(plan, choice.select) if choice.select else plan.jobs
     if choice.failed:
-        names = set(failed_in(plan.out / f"{plan.title}{SUMMARY}", plan.jobs))
+        summary = plan.out / f"{plan.title}{SUMMARY}"
+        names = set(failed_in(summary, plan.jobs))
         jobs = tuple(job for job in jobs if job.name in names)
+        if left := not_run(summary, plan.jobs):
+            typer.echo(
+                f"note: --failed leaves out {left} jobs that no run has ended",
+                err=True,
+            )
+        if not jobs:
+            typer.echo("note: no job has failed", err=True)
     if choice.tasks is not None:
         wanted = {plan.jobs[number].name for number in pieces(choice.tasks, len(plan.jobs))}
         jobs = tuple(job for job in jobs if job.name in wanted)
@@ -228,8 +237,9 @@ class How:
 
 def listing(plan: BatchPlan, jobs: Sequence[Job], *, as_json: bool) -> None:
     """The jobs on stdout, by number as ``--tasks`` counts them."""
+    names = {job.name for job in jobs}
     for number, job in enumerate(plan.jobs):
-        if job in jobs:
+        if job.name in names:
             row = {"number": number, **job.as_json(), "command": job.command}
             typer.echo(
                 json.dumps(row) if as_json else f"{number:4d}  {job.name}\n      {job.command}"
@@ -275,25 +285,25 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
     )  # fmt: skip
     children = Children()
     board = Board([job.name for job in jobs], at_once)
-    with (
-        _stoppable(children) as stopped,
-        voice(board, as_json=how.as_json, openjd=how.openjd_lines, quiet=how.quiet) as tell,
-    ):
-        if how.as_json:
-            typer.echo(json.dumps({"event": "planned", "jobs": len(jobs), "at_once": at_once,
-                                   "out": str(plan.out), "notes": plan.notes}))  # fmt: skip
-        if how.scheduler is not None:
-            from gf_usd.batch.cluster import run_there
+    with _stoppable(children) as stopped:
+        with voice(board, as_json=how.as_json, openjd=how.openjd_lines, quiet=how.quiet) as tell:
+            if how.as_json:
+                typer.echo(json.dumps({"event": "planned", "jobs": len(jobs), "at_once": at_once,
+                                       "out": str(plan.out), "notes": plan.notes}))  # fmt: skip
+            if how.scheduler is not None:
+                from gf_usd.batch.cluster import run_there
 
-            events = run_there(jobs, limits, address=how.scheduler, resources=how.resources,
-                               children=children)  # fmt: skip
-        else:
-            events = run_here(jobs, limits, at_once=at_once, children=children, warm=how.warm)
-        outcomes = collect(events, tell)
+                events = run_there(jobs, limits, address=how.scheduler, resources=how.resources,
+                                   children=children)  # fmt: skip
+            else:
+                events = run_here(jobs, limits, at_once=at_once, children=children, warm=how.warm)
+            outcomes = collect(events, tell)
+        if stopped:  # a second signal does not keep what was stopped from being written
+            _finish(plan, outcomes, how, asked=_without_choice(), seconds=time.monotonic() - began,
+                    pictures=False)  # fmt: skip
+            return 128 + stopped[0]
     _finish(plan, outcomes, how, asked=_without_choice(), seconds=time.monotonic() - began,
-            pictures=not stopped)  # fmt: skip
-    if stopped:
-        return 128 + stopped[0]
+            pictures=True)  # fmt: skip
     return exit_status(outcomes, how.part)
 
 

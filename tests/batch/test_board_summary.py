@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 from batch_jobs import job, outcome
 
-from gf_usd.batch.board import again, counts, failed_in, ordered, summary_line, write_summary
+from gf_usd.batch.board import (
+    again,
+    counts,
+    failed_in,
+    not_run,
+    ordered,
+    summary_line,
+    write_summary,
+)
 from gf_usd.batch.record import write_record
 from gf_usd.core.errors import UsageError
 
@@ -51,6 +59,7 @@ def test_the_file_keeps_what_was_not_run_this_time(tmp_path: Path) -> None:
     assert entry["repeat"] == "gf-usd x --select b"
     # c was never run: it is in no list of failures either
     assert failed_in(path, jobs) == ["b"]
+    assert not_run(path, jobs) == 1
 
 
 def test_failures_are_those_of_the_summary_or_of_newer_records(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 from batch_jobs import outcome
-from small_bakes import Done
+from small_bakes import Done, names
 
+from gf_usd.batch.board import write_summary
 from gf_usd.cli.batch_run import _stoppable
 from gf_usd.system.processes import Children
 
@@ -34,6 +35,24 @@ def test_a_second_signal_does_not_stop_again(number: signal.Signals) -> None:
         signal.raise_signal(number)
     assert stops == [number]
     assert stopped == [number]
+
+
+def test_a_second_signal_leaves_the_page_of_what_was_stopped(
+    gf_usd: Call, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(jobs, limits, **how):
+        signal.raise_signal(signal.SIGINT)
+        for job in jobs:
+            yield {"event": "finished", **outcome(job.name, "stopped").as_json()}
+
+    def told_again(*arguments, **named):
+        signal.raise_signal(signal.SIGINT)
+        return write_summary(*arguments, **named)
+
+    monkeypatch.setattr("gf_usd.cli.batch_run.run_here", interrupted)
+    monkeypatch.setattr("gf_usd.cli.batch_run.write_summary", told_again)
+    assert gf_usd("batch", block, "-o", "out", "-q").status == 130
+    assert {"out.batch.json", "out.batch.html"} <= {*names(here / "out")}
 
 
 def test_without_a_page_the_failed_jobs_are_still_known(

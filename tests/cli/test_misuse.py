@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 ASSET = "{asset}"
-MISUSES = """
+MISUSES = (
+    """
 bake LONG.usda
 bake {asset} -o LONG.usda
 check LONG.usda
@@ -125,7 +126,10 @@ materials rubber
 verify --nonsense
 schema-path here
 help unit
-""".replace("LONG", 300 * "x").strip().splitlines()
+""".replace("LONG", 300 * "x")
+    .strip()
+    .splitlines()
+)
 
 
 def test_there_are_as_many_as_were_promised() -> None:
