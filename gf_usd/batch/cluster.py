@@ -109,13 +109,13 @@ def _require_program(client: Client) -> None:
 
     def ask() -> None:
         with suppress(*CLOSED):
-            answers: Any = client.run(importlib.util.find_spec, "gf_usd", on_error="return")
+            answers: Any = client.run(importlib.util.find_spec, __name__, on_error="return")
             found.update(answers)
 
     thread = threading.Thread(target=ask, daemon=True)
     thread.start()
     thread.join(ANSWER)  # a worker that hangs does not answer
-    without = [worker for worker, spec in found.items() if spec is None]
+    without = [who for who, spec in found.items() if spec is None or isinstance(spec, ImportError)]
     if without:
         raise UsageError(
             f"the Python of worker {without[0]} has no gf-usd",

@@ -14,8 +14,8 @@ from gf_usd.core.errors import UsageError
 class Cluster:
     """Stands for a client; workers : their resources by address."""
 
-    def __init__(self, workers: dict[str, dict[str, float]], without: str = "") -> None:
-        self._workers, self._without = workers, without
+    def __init__(self, workers: dict[str, dict[str, float]], **answers: object) -> None:
+        self._workers, self._answers = workers, answers
 
     def scheduler_info(self, n_workers: int) -> dict[str, Any]:
         assert n_workers == -1, "all of them"
@@ -23,8 +23,7 @@ class Cluster:
 
     def run(self, function: object, name: str, on_error: str) -> dict[str, Any]:
         del function, on_error
-        spec = ModuleSpec(name, None)
-        return {worker: None if worker == self._without else spec for worker in self._workers}
+        return {worker: ModuleSpec(name, None) for worker in self._workers} | self._answers
 
 
 def wanting(workers: dict[str, dict[str, float]], **amounts: float) -> str:
@@ -42,8 +41,11 @@ def test_what_the_jobs_wait_for_is_told() -> None:
 
 def test_a_worker_without_the_program_gets_no_job() -> None:
     _require_program(Cluster({"a": {}, "b": {}}))  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="worker b has no gf-usd"):
-        _require_program(Cluster({"a": {}, "b": {}}, without="b"))  # type: ignore[arg-type]
+    # one that does not answer, or fails at something else, is left to its tasks
+    _require_program(Cluster({}, b=OSError()))  # type: ignore[arg-type]
+    for answer in (None, ModuleNotFoundError("No module named 'gf_usd.batch'")):
+        with pytest.raises(UsageError, match="worker b has no gf-usd"):
+            _require_program(Cluster({"a": {}, "b": {}}, b=answer))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("word", ["memory", "memory=", "memory=x", "=1", "a=0", "a=-1", "a=nan"])
