@@ -165,10 +165,11 @@ def write_summary(
     began = _utc(time.time() - seconds)
     with locked(path):
         known = _known(path, jobs)
+        of_name = {job.name: job for job in jobs}
         for outcome in outcomes:
-            when, _ = known.get(outcome.job, ("", None))
-            if outcome.state not in UNTRIED or when < began:
-                known[outcome.job] = ("", outcome)
+            entry = read_record(of_name[outcome.job]) if outcome.state in UNTRIED else None
+            meanwhile = entry is not None and str(entry.get("finished", "")) >= began
+            known[outcome.job] = "", Outcome.of(entry["outcome"]) if meanwhile else outcome
         rows = ordered([known[job.name][1] for job in jobs if job.name in known])
         entry = {
             "finished": _utc(time.time()),

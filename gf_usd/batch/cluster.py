@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0  # [s] for the child of a worker that died: it looks for its parent twice a second
 CONNECT = 20.0  # [s] to find the scheduler
+RESULT = 1.0  # [s] to take a result, before it is asked for again
 ANSWER = 5.0  # [s] for the workers to say whether they have gf-usd
 END = GRACE + 5.0  # [s] for the workers to end what they bake, where they are told to
 # A result is lost with the worker that holds it; the scheduler has its task done again by another.
@@ -143,7 +144,7 @@ def _follow(
     children: Children,
 ) -> Iterator[Event | None]:
     """Events until every future has come to an end, one way or another."""
-    left, until = dict(futures), float("inf")
+    left, until, looked = dict(futures), float("inf"), 0.0
     while left:
         if children.stopping and until == float("inf"):
             until = time.monotonic() + END
@@ -151,12 +152,16 @@ def _follow(
             threading.Thread(target=_stop_all, args=(client, futures, batch), daemon=True).start()
         try:
             yield events.get(timeout=BEAT)
-            continue
         except queue.Empty:
             yield None
+        if time.monotonic() < looked + BEAT:
+            continue
+        looked = time.monotonic()
         for future in [future for future in left if future.status not in PENDING]:
-            job = left.pop(future)
-            yield finished_event(_outcome(future, job, client, stopping=children.stopping))
+            outcome = _outcome(future, left[future], client, stopping=children.stopping)
+            if outcome is not None:
+                del left[future]
+                yield finished_event(outcome)
         if time.monotonic() > until or (children.stopping and client.status != "running"):
             for job in left.values():
                 yield finished_event(_lost(job, "stopped", "interrupted before it ended"))
@@ -169,16 +174,25 @@ def _stop_all(client: Client, futures: Iterable[Future], batch: str) -> None:
         # first what runs, so that it can say how it ended
         client.run(_stop, batch, on_error="ignore")
         taken = {key for keys in client.processing().values() for key in keys}
-        client.cancel([future for future in futures if future.key not in taken])
+        time.sleep(BEAT)  # until the client has heard of those that ended before
+        waiting = [future for future in futures if future.status == "pending"]
+        client.cancel([future for future in waiting if future.key not in taken])
 
 
-def _outcome(future: Future, job: Job, client: Client, *, stopping: bool) -> Outcome:
-    """What came of a job whose future has ended."""
+def _outcome(future: Future, job: Job, client: Client, *, stopping: bool) -> Outcome | None:
+    """What came of a job whose future has ended; None where its result is not there yet."""
+    lost = client.status != "running"
     if future.status == "finished":
-        return Outcome.of(future.result())
+        try:
+            return Outcome.of(future.result(timeout=RESULT))
+        except TimeoutError:
+            if not lost:
+                return None  # its worker is gone: it is done again
+        except CLOSED:
+            lost = True
     if future.status == "cancelled" and stopping:
         return _lost(job, "stopped", "interrupted before it started")
-    if client.status != "running":
+    if lost:
         return _lost(
             job, "crashed", "the connection to the scheduler was lost",
             "repeat the batch when the scheduler runs; a worker may have completed the job",

@@ -229,7 +229,8 @@ def _number(tree: Mapping[str, Any], key: str, where: str, low: float) -> float 
         return None
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not low <= value <= threading.TIMEOUT_MAX:
-        raise UsageError(f"{where}: {key} is {value!r}", f"give a number of {low:g} or more")
+        most = f"{threading.TIMEOUT_MAX:.2g}"
+        raise UsageError(f"{where}: {key} is {value!r}", f"give a number from {low:g} to {most}")
     return float(value)
 
 

@@ -103,14 +103,15 @@ def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
     if choice.failed:
         summary = plan.out / f"{plan.title}{SUMMARY}"
         names = set(failed_in(summary, plan.jobs))
+        left = not_run(summary, jobs)
         jobs = tuple(job for job in jobs if job.name in names)
-        if left := not_run(summary, plan.jobs):
+        if left:
             typer.echo(
                 f"note: --failed leaves out {left} jobs that no run has ended",
                 err=True,
             )
         if not jobs:
-            typer.echo("note: no job has failed", err=True)
+            typer.echo(f"note: no {'selected job' if names else 'job'} has failed", err=True)
     if choice.tasks is not None:
         wanted = {plan.jobs[number].name for number in pieces(choice.tasks, len(plan.jobs))}
         jobs = tuple(job for job in jobs if job.name in wanted)
@@ -123,7 +124,9 @@ def plan_of(sources: Sequence[str], asked: Asked) -> BatchPlan:
     Raises UsageError, or InputError for a manifest that cannot be read.
     """
     if asked.timeout is not None and not asked.timeout <= threading.TIMEOUT_MAX:
-        raise UsageError(f"--timeout is {asked.timeout:g}", "give a number of seconds")
+        raise UsageError(
+            f"--timeout is {asked.timeout:g}", f"give seconds, up to {threading.TIMEOUT_MAX:.2g}"
+        )
     kinds = [Path(source).suffix.lower() in SUFFIXES for source in sources]
     if any(kinds) and len(sources) > 1:
         raise UsageError(

@@ -101,6 +101,11 @@ def test_what_another_run_did_meanwhile_is_no_longer_busy(tmp_path: Path) -> Non
     entry = write_summary(path, ends, asked=["gf-usd", "x"], seconds=60.0, jobs=jobs)
     assert entry["counts"] == {"done": 1, "busy": 1}
     assert entry["repeat"] == "gf-usd x --select b"
+    # nor where that run has written the summary after it
+    write_summary(path, [outcome("a", "done"), ends[1]], asked=(), seconds=1.0, jobs=jobs)
+    again = [outcome("a", "busy"), outcome("b", "done")]
+    entry = write_summary(path, again, asked=(), seconds=60.0, jobs=jobs)
+    assert entry["counts"] == {"done": 2}
     # a record of an earlier run says nothing of this one
     text = jobs[0].record.read_text("utf-8")
     old = {**json.loads(text), "finished": "2020-01-01T00:00:00Z"}

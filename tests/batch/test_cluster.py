@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from gf_usd.batch.cluster import _amount, _require_program, _wanting
+from gf_usd.batch.cluster import _amount, _outcome, _require_program, _wanting
+from gf_usd.batch.job import Job, Outcome
 from gf_usd.core.errors import UsageError
 
 
@@ -24,6 +27,36 @@ class Cluster:
     def run(self, function: object, name: str, on_error: str) -> dict[str, Any]:
         del function, on_error
         return {worker: ModuleSpec(name, None) for worker in self._workers} | self._answers
+
+
+class Ended:
+    """Stands for a future that has ended; result : its value, or what is raised."""
+
+    status = "finished"
+
+    def __init__(self, result: object) -> None:
+        self._result = result
+
+    def result(self, timeout: float) -> object:
+        assert timeout
+        if isinstance(self._result, Exception):
+            raise self._result
+        return self._result
+
+
+def ended(result: object, status: str = "running") -> Outcome | None:
+    client = SimpleNamespace(status=status)
+    job = Job(name="a", asset=Path("a.usda"), root=Path("b.usda"), options={})
+    return _outcome(Ended(result), job, client, stopping=False)  # type: ignore[arg-type]
+
+
+def test_a_result_that_is_gone_is_waited_for() -> None:
+    done = Outcome(job="a", state="done", root="b.usda", command="x")
+    assert ended(done.as_json()) == done
+    assert ended(TimeoutError()) is None
+    for lost in (ended(OSError()), ended(TimeoutError(), "closed")):
+        assert lost is not None
+        assert lost.message == "the connection to the scheduler was lost"
 
 
 def wanting(workers: dict[str, dict[str, float]], **amounts: float) -> str:

@@ -155,12 +155,18 @@ class Tally:
 
     @property
     def agreed(self) -> float:
-        """Share of the smooth places whose window agrees with the factor, and rules out 1."""
+        """Share of the smooth places whose window agrees with the factor and rules out 1.
+
+        Of all but those that agree and do not rule it out; 0 where these are the most.
+        """
         off = np.abs(np.array(self.factors) - self.factor)
         most = max(RELATIVE_SCATTER * abs(self.factor), WRONG)  # of velocities near 0, some noise
         most = min(SCATTER * abs(self.factor - 1.0), most)
-        alike = (off <= most) & (np.abs(np.array(self.factors) - 1.0) > self.bounds)
-        return float(np.array(self.weights)[alike].sum() / sum(self.weights))
+        alike = off <= most
+        sure = alike & (np.abs(np.array(self.factors) - 1.0) > self.bounds)
+        weights = np.array(self.weights)
+        for_it, unsure = weights[sure].sum(), weights[alike & ~sure].sum()
+        return 0.0 if for_it < unsure else float(for_it / (weights.sum() - unsure))
 
     def trembles(self, rate: float) -> bool:
         """Whether its velocities carry the body out of its range in a sample, in no wrong unit."""

@@ -95,8 +95,7 @@ class Converting(Solver):
         self._moved: Floats | None = None  # (N, 3) [m] at rest, of what flows
         if particles.scatter is not None:
             some = np.unique(np.concatenate([one.particles for one in particles.conversions]))
-            self._moved = np.zeros((len(particles), 3))
-            self._moved[some] = particles.scatter[some]
+            self._moved = _centered(particles, some[particles.scatter[some].any(1)])
         self.now = self._solver()
 
     def _solver(self) -> Solver:
@@ -314,6 +313,17 @@ def solid_of(solver: Solver) -> TotalLagrangian | None:
     if isinstance(solver, Coupled):
         return solver.solid
     return solver if isinstance(solver, TotalLagrangian) else None
+
+
+def _centered(particles: Particles, rows: Ints) -> Floats:
+    """(N, 3) [m] the moves `scatter` of particles `rows`, but those of the centers of bodies."""
+    assert particles.scatter is not None
+    out = np.zeros((len(particles), 3))
+    body, V0, d = particles.body_of[rows], particles.V0[rows], particles.scatter[rows]
+    for k in np.unique(body):
+        mine = body == k
+        out[rows[mine]] = d[mine] - np.average(d[mine], axis=0, weights=V0[mine])
+    return out
 
 
 def flow_of(solver: Solver) -> UpdatedLagrangian | None:

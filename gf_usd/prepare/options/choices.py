@@ -103,7 +103,7 @@ def split_again(
     return replace(choices, clip_frames=length), (*notes[:at], *now, *notes[at + 1 :])
 
 
-LOST = 0.1  # of the spacing of particles, from where rounding shows in what is drawn
+LOST = 0.5  # of the spacing of particles: who is next to whom is lost
 SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
 
 
@@ -132,7 +132,7 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     """
     floor = settings.floor or 0.0
     lifted = math.hypot(*settings.lift)
-    height = max(abs(floor), min(lifted, abs(floor + gap)))
+    height = max(min(abs(floor), abs(gap)), min(lifted, abs(floor + gap)))
     rounding = SINGLE * float(np.finfo(np.float32).eps) * height
     if rounding <= LOST * spacing:
         return

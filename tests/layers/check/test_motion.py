@@ -181,6 +181,26 @@ def test_windows_that_disagree_are_left_undecided(tmp_path: Path) -> None:
         assert ["0.3 to 1.4 times the motion" in s.reason for s in result.skipped] == [True] * left
 
 
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+@pytest.mark.parametrize("turn", [0.2, 0.4, 0.5])
+def test_a_wrong_rate_shows_in_a_vibration_that_the_samples_resolve(
+    factor: float, turn: float
+) -> None:
+    """turn : of the vibration [rad] from a sample to the next.  Where it turns back a window cannot
+    say that its factor is not 1, which does not count against the others.
+    """
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetTimeCodesPerSecond(RATE)
+    points = UsdGeom.Points.Define(stage, "/Points")
+    for code in np.arange(100.0):
+        x, v = np.sin(turn * code), turn * RATE * np.cos(turn * code)
+        points.CreatePointsAttr().Set(vec3(CUBE + [x, 0.0, 0.0]), code)
+        points.CreateVelocitiesAttr().Set(vec3(0.0 * CUBE + [factor * v, 0.0, 0.0]), code)
+    (said,) = [f.message for f in check_stage(stage).findings if f.rule == "velocities"]
+    # the finite differences are off by up to turn^4 / 30
+    assert float(said.split()[2]) == pytest.approx(factor, rel=0.005)
+
+
 def test_factors_far_from_one_may_disagree_too(tmp_path: Path) -> None:
     """Of a ball of rubber that two plates squeeze: all are negative, and no unit is among them."""
     stage = good_stage(tmp_path / "squeezed.usda")

@@ -104,20 +104,20 @@ def test_momenta_and_energy_are_those_before() -> None:
 def test_what_is_converted_goes_to_random_places() -> None:
     """Where the motion of each particle takes them, with the momenta of before."""
     run = converting(("rubber", "rubber"), {0: at(2.0)}, scatter=True, frames=5)
-    d, X = run.particles.scatter, run.particles.X
+    d, X = run._moved, run.particles.X
     mine = np.asarray(run.particles.body) == 0
     moved = mine & d.any(1)
     assert 0 < moved.sum() < mine.sum()  # the outermost stay
-    assert d[~mine].any()  # of what is not converted nothing moves
+    assert run.particles.scatter[~mine].any()
+    assert not d[~mine].any()  # of what is not converted nothing moves
+    np.testing.assert_allclose(run.particles.V0 @ d, 0.0, atol=1e-15)  # nor does the center
     plain = converting(("rubber", "rubber"), {0: at(2.0)}, frames=5)
     walk, other = run.frames(), plain.frames()
     for _ in range(2):
         np.testing.assert_array_equal(next(walk).particles.x, next(other).particles.x)
     frame = run.now.next(2, run.read(1).health)  # as it is before
     after = run._after(frame, 2)
-    there = frame.particles.x + np.where(mine[:, None], np.einsum(
-        "nab,nb->na", frame.particles.F, d
-    ), 0.0)  # fmt: skip
+    there = frame.particles.x + np.einsum("nab,nb->na", frame.particles.F, d)
     np.testing.assert_allclose(after.particles.x, there, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(after.particles.F, frame.particles.F, atol=1e-12)
     flow = run.now.flow.body.particles
