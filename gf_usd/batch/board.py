@@ -167,10 +167,10 @@ def write_summary(
         known = _known(path, jobs)
         of_name = {job.name: job for job in jobs}
         for outcome in outcomes:
-            entry = read_record(of_name[outcome.job]) if outcome.state in UNTRIED else None
-            meanwhile = entry is not None and str(entry.get("finished", "")) >= began
-            known[outcome.job] = "", Outcome.of(entry["outcome"]) if meanwhile else outcome
-        rows = ordered([known[job.name][1] for job in jobs if job.name in known])
+            record = read_record(of_name[outcome.job]) if outcome.state in UNTRIED else None
+            meanwhile = record is not None and str(record.get("finished", "")) >= began
+            known[outcome.job] = Outcome.of(record["outcome"]) if meanwhile else outcome
+        rows = ordered([known[job.name] for job in jobs if job.name in known])
         entry = {
             "finished": _utc(time.time()),
             "seconds": round(seconds, 3),
@@ -188,26 +188,27 @@ def _utc(seconds: float) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(seconds))
 
 
-def _known(path: Path, jobs: Sequence[Job]) -> dict[str, tuple[str, Outcome]]:
-    """When each job ended, "" where only a summary says it, and how.
+def _known(path: Path, jobs: Sequence[Job]) -> dict[str, Outcome]:
+    """How each job ended, by a summary or its record, whichever is newer.
 
-    By a summary or their record, whichever is newer.  Records have what tasks of a bundle did,
-    which write no summary; the summary has jobs that were stopped or left to another run, which
-    have no record.
+    Records have what tasks of a bundle did, which write no summary; the summary has jobs that were
+    stopped or left to another run, which have no record.
     """
     when, rows = _summary(path)
-    known = {row.job: ("", row) for row in rows}
+    known = {row.job: row for row in rows}
     for job in jobs:
         entry = read_record(job)
         if entry is not None and (job.name not in known or entry.get("finished", "") > when):
-            known[job.name] = (str(entry.get("finished", "")), Outcome.of(entry["outcome"]))
+            known[job.name] = Outcome.of(entry["outcome"])
     return known
 
 
-def require_run(path: Path, jobs: Sequence[Job], flag: str) -> None:
-    """Raise UsageError where neither a summary nor a record knows any of the jobs.
+def earlier_run(path: Path, jobs: Sequence[Job], flag: str) -> dict[str, Outcome]:
+    """How each job ended that a summary or its record knows, by whichever is newer.
 
     flag : the option that asks for an earlier run.
+
+    Raises UsageError where none of the jobs is known.
     """
     known = _known(path, jobs)
     if not any(job.name in known for job in jobs):
@@ -215,21 +216,16 @@ def require_run(path: Path, jobs: Sequence[Job], flag: str) -> None:
             f"{flag}: no earlier run is known: there is no {path}, and no job has a record",
             f"run the batch without {flag} first, or give the --output of that run",
         )
+    return known
 
 
-def failed_in(path: Path, jobs: Sequence[Job]) -> list[str]:
-    """Names of the jobs that are not good, by a summary or their record, whichever is newer.
-
-    Raises UsageError where all have neither.
-    """
-    require_run(path, jobs, "--failed")
-    known = _known(path, jobs)
-    return [job.name for job in jobs if job.name in known and not known[job.name][1].good]
+def failed_in(known: Mapping[str, Outcome], jobs: Sequence[Job]) -> list[str]:
+    """Names of the jobs that are not good, of those that are known."""
+    return [job.name for job in jobs if job.name in known and not known[job.name].good]
 
 
-def not_run(path: Path, jobs: Sequence[Job]) -> int:
-    """How many jobs neither a summary nor a record knows."""
-    known = _known(path, jobs)
+def not_run(known: Mapping[str, Outcome], jobs: Sequence[Job]) -> int:
+    """How many jobs are not known."""
     return sum(job.name not in known for job in jobs)
 
 

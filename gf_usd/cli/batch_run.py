@@ -25,10 +25,10 @@ from gf_usd.batch.board import (
     Board,
     again,
     counts,
+    earlier_run,
     failed_in,
     not_run,
     ordered,
-    require_run,
     summary_line,
     write_summary,
 )
@@ -101,17 +101,13 @@ def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
     """The jobs that are asked for.  Raises UsageError for a name or number that none has."""
     jobs = choose(plan, choice.select) if choice.select else plan.jobs
     if choice.failed:
-        summary = plan.out / f"{plan.title}{SUMMARY}"
-        names = set(failed_in(summary, plan.jobs))
-        left = not_run(summary, jobs)
-        jobs = tuple(job for job in jobs if job.name in names)
-        if left:
-            typer.echo(
-                f"note: --failed leaves out {left} jobs that no run has ended",
-                err=True,
-            )
+        known = earlier_run(plan.out / f"{plan.title}{SUMMARY}", plan.jobs, "--failed")
+        bad = set(failed_in(known, plan.jobs))
+        if left := not_run(known, jobs):
+            typer.echo(f"note: --failed leaves out {left} jobs that no run has ended", err=True)
+        jobs = tuple(job for job in jobs if job.name in bad)
         if not jobs:
-            typer.echo(f"note: no {'selected job' if names else 'job'} has failed", err=True)
+            typer.echo(f"note: no {'selected job' if bad else 'job'} has failed", err=True)
     if choice.tasks is not None:
         wanted = {plan.jobs[number].name for number in pieces(choice.tasks, len(plan.jobs))}
         jobs = tuple(job for job in jobs if job.name in wanted)
@@ -301,12 +297,11 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
             else:
                 events = run_here(jobs, limits, at_once=at_once, children=children, warm=how.warm)
             outcomes = collect(events, tell)
+        asked, seconds = _without_choice(), time.monotonic() - began
         if stopped:  # a second signal does not keep what was stopped from being written
-            _finish(plan, outcomes, how, asked=_without_choice(), seconds=time.monotonic() - began,
-                    pictures=False)  # fmt: skip
+            _finish(plan, outcomes, how, asked=asked, seconds=seconds, pictures=False)
             return 128 + stopped[0]
-    _finish(plan, outcomes, how, asked=_without_choice(), seconds=time.monotonic() - began,
-            pictures=True)  # fmt: skip
+    _finish(plan, outcomes, how, asked=asked, seconds=seconds, pictures=True)
     return exit_status(outcomes, how.part)
 
 
@@ -316,7 +311,7 @@ def page(plan: BatchPlan, jobs: Sequence[Job], how: How) -> None:
     Raises UsageError where nothing is known of any job.
     """
     del jobs
-    require_run(plan.out / f"{plan.title}{SUMMARY}", plan.jobs, "--report-only")
+    earlier_run(plan.out / f"{plan.title}{SUMMARY}", plan.jobs, "--report-only")
     _finish(plan, [], how, asked=(), seconds=0.0, pictures=True)
 
 

@@ -11,6 +11,7 @@ from batch_jobs import job, outcome
 from gf_usd.batch.board import (
     again,
     counts,
+    earlier_run,
     failed_in,
     not_run,
     ordered,
@@ -58,8 +59,8 @@ def test_the_file_keeps_what_was_not_run_this_time(tmp_path: Path) -> None:
     ]
     assert entry["repeat"] == "gf-usd x --select b"
     # c was never run: it is in no list of failures either
-    assert failed_in(path, jobs) == ["b"]
-    assert not_run(path, jobs) == 1
+    assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["b"]
+    assert not_run(earlier_run(path, jobs, "--failed"), jobs) == 1
 
 
 def test_failures_are_those_of_the_summary_or_of_newer_records(tmp_path: Path) -> None:
@@ -67,19 +68,19 @@ def test_failures_are_those_of_the_summary_or_of_newer_records(tmp_path: Path) -
     path = tmp_path / "out" / "toys.batch.json"
     path.parent.mkdir()
     with pytest.raises(UsageError, match="no earlier run is known") as caught:
-        failed_in(path, jobs)
+        earlier_run(path, jobs, "--failed")
     assert "without --failed" in caught.value.hint
     # a task of a bundle writes records only
     write_record(jobs[1], outcome("b", "failed"), identity="x", description={})
-    assert failed_in(path, jobs) == ["b"]
+    assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["b"]
     # what is stopped has no record
     ends = [outcome("a", "stopped"), outcome("b", "done"), outcome("c", "done")]
     entry = write_summary(path, ends, asked=(), seconds=1.0, jobs=jobs)
-    assert failed_in(path, jobs) == ["a"]
+    assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["a"]
     path.write_text(json.dumps({**entry, "finished": "2020-01-01T00:00:00Z"}), encoding="utf-8")
-    assert failed_in(path, jobs) == ["a", "b"]
+    assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["a", "b"]
     path.write_text("[]", encoding="utf-8")
-    assert failed_in(path, jobs) == ["b"]
+    assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["b"]
 
 
 def test_what_was_stopped_is_kept_by_a_run_of_other_jobs(tmp_path: Path) -> None:
@@ -89,7 +90,7 @@ def test_what_was_stopped_is_kept_by_a_run_of_other_jobs(tmp_path: Path) -> None
     write_summary(path, [outcome(n, "stopped") for n in "ab"], asked=(), seconds=1.0, jobs=jobs)
     entry = write_summary(path, [outcome("a", "done")], asked=(), seconds=1.0, jobs=jobs)
     assert entry["counts"] == {"done": 1, "stopped": 1}
-    assert failed_in(path, jobs) == ["b"]
+    assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["b"]
 
 
 def test_what_another_run_did_meanwhile_is_no_longer_busy(tmp_path: Path) -> None:

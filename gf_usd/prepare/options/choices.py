@@ -107,12 +107,17 @@ LOST = 0.5  # of the spacing of particles: who is next to whom is lost
 SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
 
 
+def _rounding(farthest: float) -> float:
+    """[m] by which points are off that are as far [m] from the origin, in single precision."""
+    return SINGLE * float(np.finfo(np.float32).eps) * farthest
+
+
 def require_stored(precision: Precision | None, particles: Particles, settings: Settings) -> None:
     """Raise UsageError for a precision that single precision does not have where the bodies are."""
     if precision is None:
         return
     farthest = float(np.abs(particles.X + np.asarray(settings.lift)).max())
-    rounding = SINGLE * float(np.finfo(np.float32).eps) * farthest
+    rounding = _rounding(farthest)
     radii = particles.radii
     least = precision.meters(float(radii[radii > 0.0].min()))
     if least < rounding:
@@ -133,7 +138,7 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     floor = settings.floor or 0.0
     lifted = math.hypot(*settings.lift)
     height = max(min(abs(floor), abs(gap)), min(lifted, abs(floor + gap)))
-    rounding = SINGLE * float(np.finfo(np.float32).eps) * height
+    rounding = _rounding(height)
     if rounding <= LOST * spacing:
         return
     said = {"--floor": request.floor, "--drop": request.drop}
