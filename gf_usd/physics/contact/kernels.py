@@ -22,7 +22,7 @@ Contact of surface samples with other bodies and with obstacles, inside a subste
 
 A sample s faces at most one plane, chosen by `pairs` between substeps.  The plane belongs to an
 obstacle, which moves it (point q, velocity v_q), or to a body, three of whose samples carry it
-(`carriers`): it turns with them at omega,
+(`planes.carriers`): it turns with them at omega,
 
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
@@ -40,9 +40,10 @@ the number of threads.
 import taichi as ti
 
 from gf_usd.physics.contact import floor
-from gf_usd.physics.contact.carriers import FLAT
 from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, K_T, LINEAR, M_S, MU, C, K
-from gf_usd.physics.contact.narrow_phase import (
+from gf_usd.physics.contact.planes.carriers import FLAT
+from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE
+from gf_usd.physics.contact.planes.layout import (
     DAMPING,
     DEPTH,
     DRIFT,
@@ -50,9 +51,7 @@ from gf_usd.physics.contact.narrow_phase import (
     FRICTION,
     HARDENING,
     LINKS,
-    NOBODY,
     NORMAL,
-    OBSTACLE,
     PAIR_FACING,
     PARTNER,
     PLACE,

@@ -20,11 +20,12 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints, row_dots
-from gf_usd.physics.contact.broad_phase import CHANGE
-from gf_usd.physics.contact.carriers import cross, turn
 from gf_usd.physics.contact.floor import FloorContact
-from gf_usd.physics.contact.narrow_phase import CLOSER, ContactPlanes
-from gf_usd.physics.contact.self_contact import AHEAD, NEARLY
+from gf_usd.physics.contact.narrow_phase import CLOSER
+from gf_usd.physics.contact.planes.carriers import cross, turn
+from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
+from gf_usd.physics.contact.self_contact.patches import CHANGE
+from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
@@ -139,7 +140,7 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
     """(m,) >= 1: |G|^2 of the planes of `rows` over what it is without turning.
 
     G n = (n, -w_k n + alpha x r_k) is the force on a sample and on its carriers by a unit force
-    along the normal: see `carriers`.  x : (n, 3) [m].
+    along the normal: see `planes.carriers`.  x : (n, 3) [m].
     """
     out = np.ones(len(rows))
     carried = np.flatnonzero(planes.partner[rows] >= 0)

@@ -47,7 +47,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.matrices import across
-from gf_usd.physics.contact import narrow_phase
+from gf_usd.physics.contact.planes import layout
+from gf_usd.physics.contact.planes.contact_planes import OBSTACLE
 from gf_usd.physics.grid.bodies import bodies_of, node_sums
 from gf_usd.physics.total_lagrangian.energies import cross, kinetic_energies
 from gf_usd.physics.total_lagrangian.rest_and_flight import presses
@@ -161,16 +162,14 @@ class Settling:
         """What the obstacles that stand still bear of each body, by body."""
         contact = self._body.contact
         assert contact is not None
-        pair = state.rows("pair", narrow_phase.ROW)[: len(contact.samples.X)]
-        links = state.rows("links", narrow_phase.LINKS)[: len(pair)]
-        fixed = (links[:, narrow_phase.PARTNER] == narrow_phase.OBSTACLE) & ~(
-            _three(pair, narrow_phase.VELOCITY).any(1)
-        )
-        f = np.where(fixed[:, None], _three(pair, narrow_phase.FORCE), 0.0)
+        pair = state.rows("pair", layout.ROW)[: len(contact.samples.X)]
+        links = state.rows("links", layout.LINKS)[: len(pair)]
+        fixed = (links[:, layout.PARTNER] == OBSTACLE) & ~(_three(pair, layout.VELOCITY).any(1))
+        f = np.where(fixed[:, None], _three(pair, layout.FORCE), 0.0)
         pushed = np.flatnonzero(f.any(1))
         of = contact.samples.body
         of = np.zeros(len(pair), int) if of is None else of
-        place = _three(pair, narrow_phase.PLACE) + state.view().offset
+        place = _three(pair, layout.PLACE) + state.view().offset
         out = {}
         for k in np.unique(of[pushed]):
             mine = pushed[of[pushed] == k]

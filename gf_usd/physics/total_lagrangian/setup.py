@@ -18,7 +18,7 @@ from gf_usd.core.materials.per_particle import spread, with_derived
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure, plane_modulus
-from gf_usd.physics.contact.narrow_phase import pack_arrays
+from gf_usd.physics.contact.planes.layout import pack_arrays
 from gf_usd.physics.grid.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import (

@@ -3,7 +3,7 @@
 A sample faces at most one plane: of the nearest surface, chosen by a detection, which holds until
 something may have moved by half a spacing against something else.  An obstacle moves its plane as
 it moves itself.  A solid body's plane is carried by three of its own contact samples, as between
-solid bodies (`contact.carriers`):
+solid bodies (`contact.planes.carriers`):
 
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
@@ -29,17 +29,12 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.carriers import cross, spin
-from gf_usd.physics.contact.continuity import EASE, Stored, continued
 from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
-from gf_usd.physics.contact.narrow_phase import (
-    FACING,
-    TRAVEL,
-    ContactPlanes,
-    Obstacle,
-    along,
-    obstacles,
-)
+from gf_usd.physics.contact.narrow_phase import FACING, TRAVEL
+from gf_usd.physics.contact.obstacles import Obstacle, obstacles
+from gf_usd.physics.contact.planes.carriers import cross, spin
+from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
+from gf_usd.physics.contact.planes.continuity import EASE, Stored, continued
 
 # Numbers of a plane in the kernels' array: of its springs; where it is; what came of it.
 STIFFNESS, DAMPING, FRICTION, HARDENING = range(4)

@@ -7,8 +7,9 @@ import pytest
 from two_legs import SPACING, legs, sampled
 
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.broad_phase import Box, Patches, closing, schedule
-from gf_usd.physics.contact.narrow_phase import box_gap
+from gf_usd.physics.contact.broad_phase import Box, schedule
+from gf_usd.physics.contact.obstacles import box_gap
+from gf_usd.physics.contact.self_contact.patches import Patches, closing
 
 GAP = 1.5  # [m] between the legs at rest
 
@@ -50,16 +51,16 @@ def test_patches_that_are_apart_wait_until_they_may_meet():
     x = samples.X
     right = x[:, 0] > 0.4 + 0.5 * GAP
     v = np.where(right[:, None], [[-1.0, 0.0, 0.0]], 0.0)
-    judged = patches.judge(x, v)
-    assert not judged.near.any()
-    assert 0.0 < judged.until.min() < GAP, "the legs meet after 1.5 s"
+    patch_pairs = patches.pairs(x, v)
+    assert not patch_pairs.near.any()
+    assert 0.0 < patch_pairs.until.min() < GAP, "the legs meet after 1.5 s"
     # The bound holds for each pair: no sample of it is nearer by then, at twice that speed even.
-    pairs = patches.few(judged.until, np.inf, 10**9)
+    pairs = patches.soonest(patch_pairs.until, np.inf, 10**9)
     i, j, start = patches.samples(pairs)
-    t = np.repeat(judged.until[pairs], np.diff(np.append(start, len(i))))
+    t = np.repeat(patch_pairs.until[pairs], np.diff(np.append(start, len(i))))
     later = x[j] - x[i] + t[:, None] * (v[j] - v[i])
     assert (np.linalg.norm(later, axis=1) >= 2.0 * SPACING - 1e-9).all()
-    assert len(patches.few(judged.until, 0.5 * float(judged.until.min()), 10**9)) == 0
+    assert len(patches.soonest(patch_pairs.until, 0.5 * float(patch_pairs.until.min()), 10**9)) == 0
 
 
 def test_parts_of_patches_wait_longer_and_no_sample_comes_too_near_in_that_time():
@@ -69,15 +70,15 @@ def test_parts_of_patches_wait_longer_and_no_sample_comes_too_near_in_that_time(
     right = x[:, 0] > 0.4 + 0.5 * GAP
     spin = np.cross([0.0, 6.0, 0.0], x - x[right].mean(0)) + [-1.0, 0.0, 0.0]
     v = np.where(right[:, None], spin, 0.0)
-    judged = patches.judge(x, v)
-    coarse = patches.unseen(judged, x, v, 0.0, clear)  # nothing is sooner than 0 s
-    until = patches.unseen(judged, x, v, np.inf, clear)
+    patch_pairs = patches.pairs(x, v)
+    coarse = patches.unseen(patch_pairs, x, v, 0.0, clear)  # nothing is sooner than 0 s
+    until = patches.unseen(patch_pairs, x, v, np.inf, clear)
     assert (until >= coarse).all()
     assert until.min() > 1.2 * coarse.min()
     pairs = np.flatnonzero(np.isfinite(until))
     i, j, start = patches.samples(pairs)
     size = np.diff(np.append(start, len(i)))
-    t, near = np.repeat(until[pairs], size), np.repeat(judged.near[pairs], size)
+    t, near = np.repeat(until[pairs], size), np.repeat(patch_pairs.near[pairs], size)
     left = np.where(near, clear, 0.5 * see)
     unseen = np.linalg.norm(x[j] - x[i], axis=1) >= see
     later = x[j] - x[i] + t[:, None] * (v[j] - v[i])
@@ -88,9 +89,9 @@ def test_parts_of_patches_wait_longer_and_no_sample_comes_too_near_in_that_time(
 def test_what_moves_as_one_never_meets():
     patches, samples = made()
     v = np.tile([3.0, -2.0, 1.0], (len(samples.X), 1))
-    judged = patches.judge(samples.X, v)
-    assert judged.until.min() > 1e6
-    assert judged.fold > 1e6
+    patch_pairs = patches.pairs(samples.X, v)
+    assert patch_pairs.until.min() > 1e6
+    assert patch_pairs.fold > 1e6
 
 
 def test_a_fold_is_looked_at_before_it_closes():
@@ -106,23 +107,23 @@ def test_a_fold_is_looked_at_before_it_closes():
         over = np.minimum(X[:, 0], middle) + away * np.cos(angle)
         return np.stack([over, X[:, 1], away * np.sin(angle)], 1)
 
-    assert not patches.judge(bent(0.0), np.zeros_like(X)).near.any()
-    assert patches.judge(bent(2.0), np.zeros_like(X)).near.any(), "of pi, at which they meet"
+    assert not patches.pairs(bent(0.0), np.zeros_like(X)).near.any()
+    assert patches.pairs(bent(2.0), np.zeros_like(X)).near.any(), "of pi, at which they meet"
     step = 1e-6
     turning = (bent(0.3 + step) - bent(0.3)) / step  # a radian a second
-    assert patches.judge(bent(0.3), turning).fold < np.pi - 0.3
+    assert patches.pairs(bent(0.3), turning).fold < np.pi - 0.3
 
 
-def test_a_sample_without_a_normal_is_judged_as_its_neighbors_are():
+def test_a_sample_without_a_normal_is_treated_as_its_neighbors_are():
     samples = sampled(legs(GAP))[1]
     normal = samples.normal.copy()
     normal[::7] = 0.0
     patches = Patches(samples.X, normal, SPACING, see=4.0, thick=4.0)
     right = samples.X[:, 0] > 0.4 + 0.5 * GAP
     v = np.where(right[:, None], [[-1.0, 0.0, 0.0]], 0.0)
-    judged = patches.judge(samples.X, v)
-    assert np.isfinite(judged.rate).all()
-    assert judged.until.min() < GAP
+    patch_pairs = patches.pairs(samples.X, v)
+    assert np.isfinite(patch_pairs.rate).all()
+    assert patch_pairs.until.min() < GAP
 
 
 @pytest.mark.parametrize("resting", [False, True])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.arrays import Floats
-from gf_usd.physics.contact.carriers import FAT, NEAR, SPREAD, Triples, spin
+from gf_usd.physics.contact.planes.carriers import FAT, NEAR, SPREAD, Triples, spin
 
 
 def sheet(seed: int = 0) -> Floats:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gf_usd.physics.contact.continuity import Stored, continued
-from gf_usd.physics.contact.narrow_phase import nothing
+from gf_usd.physics.contact.planes.contact_planes import nothing
+from gf_usd.physics.contact.planes.continuity import Stored, continued
 
 N, A = 40, 0.4  # samples, and the depth [m] at which a spring is twice as strong
 

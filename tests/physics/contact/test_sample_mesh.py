@@ -9,7 +9,7 @@ from solids import sphere
 from two_legs import SPACING, legs, sampled
 
 from gf_usd.core.mesh import boundary_edges, signed_volume
-from gf_usd.physics.contact.sample_mesh import Neighbors, incident, split, triangulate
+from gf_usd.physics.contact.self_contact.sample_mesh import Neighbors, incident, split, triangulate
 
 
 @pytest.mark.parametrize("body", [sphere(subdivisions=4), sphere(subdivisions=1), legs(0.1)])

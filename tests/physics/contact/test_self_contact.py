@@ -12,7 +12,7 @@ from two_legs import SPACING, legs, sampled
 
 from gf_usd.core.stage import Skin
 from gf_usd.geometry.sampling.contact_samples import sample_surface
-from gf_usd.physics.contact.self_contact import FACE, OFFSET, SelfContact
+from gf_usd.physics.contact.self_contact.search import FACE, OFFSET, SelfContact
 
 GAP = 0.5  # [m] at rest
 REACH = FACE * SPACING
@@ -34,14 +34,14 @@ def closed(X, left: float):
 def test_nothing_is_near_a_body_at_rest():
     own, samples = made()
     x, still, nothing = samples.X, np.zeros_like(samples.X), np.full(len(samples.X), REACH)
-    assert own.judge(x, still)[1] > 1e20, "nothing moves"
+    assert own.broad_phase(x, still)[1] > 1e20, "nothing moves"
     found = own.find(x, still, REACH, x, nothing)
     assert len(found.rows) == 0
     assert found.hold > 1e20
     assert not own.imminent(x, still, 10.0, x, nothing)
     v = np.where(x[:, :1] > 0.4 + 0.5 * GAP, [[-1.0, 0.0, 0.0]], 0.0)
     # The legs meet after 0.5 s at 1 m/s; it is looked again before that.
-    hold = min(own.judge(x, v)[1], own.find(x, v, REACH, x, nothing).hold)
+    hold = min(own.broad_phase(x, v)[1], own.find(x, v, REACH, x, nothing).hold)
     assert 0.05 < hold < GAP
 
 
@@ -86,7 +86,7 @@ def test_thin_bars_near_each_other_at_rest_are_not_pushed(wide, spacing):
 def test_legs_that_close_face_each_other():
     own, samples = made()
     x, nothing = closed(samples.X, 0.05), np.full(len(samples.X), REACH)
-    assert own.judge(x, np.zeros_like(x))[0]
+    assert own.broad_phase(x, np.zeros_like(x))[0]
     found = own.find(x, np.zeros_like(x), REACH, x, nothing)
     inner = np.abs(samples.X[:, 0] - 0.4) < 1e-6
     tip = inner & (samples.X[:, 1] > 1.0) & (np.abs(samples.X[:, 2] - 0.2) < 0.15)
@@ -111,18 +111,18 @@ def test_what_may_be_near_by_its_patches_is_found_as_if_all_were_looked_at():
     x = closed(samples.X, 0.05)
     v = 0.1 * np.random.default_rng(0).normal(size=x.shape)
     nothing = np.full(len(x), REACH)
-    judged, _ = own.judge(x, v)
-    assert judged is not None
-    looks = own._patches.around(judged, nothing < REACH)
+    patch_pairs, _ = own.broad_phase(x, v)
+    assert patch_pairs is not None
+    looks = own._patches.samples_near(patch_pairs, nothing < REACH)
     assert looks.sum() < 0.6 * len(x), "else all are looked at anyway"
-    every, near = own.find(x, v, REACH, x, nothing), own.find(x, v, REACH, x, nothing, judged)
+    every, near = own.find(x, v, REACH, x, nothing), own.find(x, v, REACH, x, nothing, patch_pairs)
     assert len(every.rows) > 0
     for name in ("rows", "gap", "normal", "point", "carriers", "weights"):
         np.testing.assert_array_equal(getattr(near, name), getattr(every, name), name)
     # What was found stays looked at, whatever the patches say.
     known = nothing.copy()
     known[every.rows] = every.gap
-    apart = replace(judged, near=np.zeros_like(judged.near))
+    apart = replace(patch_pairs, near=np.zeros_like(patch_pairs.near))
     again = own.find(x, v, REACH, x, known, apart)
     assert np.isin(every.rows, again.rows).all()
 
@@ -178,7 +178,7 @@ def test_what_moves_together_holds():
     own, samples = made()
     x, nothing = closed(samples.X, 0.25), np.full(len(samples.X), REACH)
     v = np.tile([3.0, -2.0, 1.0], (len(x), 1))
-    assert own.judge(x, v)[1] > 1e6
+    assert own.broad_phase(x, v)[1] > 1e6
     assert own.find(x, v, REACH, x, nothing).hold > 1e6
     assert not own.imminent(x, v, 1.0, x, nothing)
     v = np.where(samples.X[:, :1] > 0.4 + 0.5 * GAP, [[-2.0, 0.0, 0.0]], 0.0)

@@ -12,7 +12,7 @@ from scipy.sparse.linalg import eigs
 from solids import cube, sphere
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.narrow_phase import ContactPlanes, nothing
+from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, nothing
 from gf_usd.physics.contact.stability import (
     ACCURACY,
     COLUMN,

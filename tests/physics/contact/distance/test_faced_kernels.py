@@ -16,7 +16,7 @@ from gf_usd.physics.contact.distance.closest import (
     TRIANGLE,
     WEIGHTS,
 )
-from gf_usd.physics.contact.self_contact import ASIDE, SEE, TURN, WIDEST, SelfContact
+from gf_usd.physics.contact.self_contact.search import ASIDE, SEE, TURN, WIDEST, SelfContact
 
 GAP = 0.3  # [m] between the legs at rest
 REACH = 2.5 * SPACING
@@ -66,7 +66,7 @@ def test_the_closest_place_is_that_of_the_triangles_about_what_is_faced(
 ) -> None:
     x, close = folded(own, left), near(own)
     every = np.ones(len(x), bool)
-    found, which = own._faced(x, ~every, every, REACH)
+    found, which = own._closest(x, ~every, every, REACH)
     n = normals(own, x)
     np.testing.assert_allclose(found[:, NORMAL : NORMAL + 3], n, atol=1e-9)
     mesh, faced = own._mesh[0], 0
@@ -98,8 +98,8 @@ def test_the_closest_place_is_that_of_the_triangles_about_what_is_faced(
 def test_who_sees_something_ahead_is_asked_and_so_is_what_it_sees(own: SelfContact) -> None:
     x, close = folded(own, 0.1), near(own)
     every = np.ones(len(x), bool)
-    which = own._faced(x, every, ~every, REACH)[1]
-    whole = own._faced(x, ~every, every, REACH)[1]
+    which = own._closest(x, every, ~every, REACH)[1]
+    whole = own._closest(x, ~every, every, REACH)[1]
     radius = SEE * SPACING
     center = x + radius * normals(own, x)
     inside = np.linalg.norm(x[None] - center[:, None], axis=2) < radius - 1e-6 * SPACING
@@ -107,12 +107,12 @@ def test_who_sees_something_ahead_is_asked_and_so_is_what_it_sees(own: SelfConta
     wanted = far.any(1) | far.any(0) | (inside.sum(1) >= 8)
     assert 0 < wanted.sum() < len(x)
     np.testing.assert_array_equal(which[:, SEED], np.where(wanted, whole[:, SEED], -1))
-    assert (own._faced(x, ~every, ~every, REACH)[1][:, SEED] == -1).all()
+    assert (own._closest(x, ~every, ~every, REACH)[1][:, SEED] == -1).all()
 
 
 def test_a_body_that_flies_apart_has_few_cells(own: SelfContact) -> None:
     x = own._X.copy()
     x[0] += 1e12
-    found, which = own._faced(x, np.ones(len(x), bool), np.zeros(len(x), bool), REACH)
+    found, which = own._closest(x, np.ones(len(x), bool), np.zeros(len(x), bool), REACH)
     assert np.isfinite(found[:, NORMAL : NORMAL + 3]).all()
     assert which[0, TRIANGLE] == -1

@@ -1,16 +1,16 @@
-"""Contact of a body with itself: what of its surface comes near what is far from it at rest.
+"""Self-contact: which parts of a body's own surface its contact samples face.
 
-The broad phase is by patches of the surface (`broad_phase.Patches`).  Of the pairs of patches that
-may meet first, every pair of samples is looked at: most of what is near by its patches is not.
-A body whose patches are all apart costs a few products of small matrices a detection.
+The broad phase compares patches of the surface (`patches`).  For the pairs of patches that may meet
+first, pairs of samples are compared, because most patches that are near have no samples that are.
 
-The narrow phase is by the triangles of the `SampleMesh`.  A sample looks for something ahead of it
-in a ball that touches the surface there; what finds something that is not near at rest, and what
-faced something at the last detection, gets the closest point of the triangles that face it and are
-not near it at rest.  The sign of the distance is that of the angle-weighted pseudo-normal
-(Baerentzen and Aanaes 2005).  That sign alone cannot tell a sample that came through a surface from
-one that lies behind it anyway, such as on the other side of the same limb: a sample is inside only
-where it was inside, or on the outer side of the same place, at the last detection.
+The narrow phase uses the triangles of the `SampleMesh`.  From each sample a ball that touches the
+surface from outside is searched for samples that are not near it at rest.  Where there is one, and
+where the sample faced something at the last detection, the closest point on the triangles that face
+it, and are not near it at rest, is computed.  The sign of the distance is that of the
+angle-weighted pseudo-normal (Baerentzen and Aanaes 2005).  This sign alone cannot distinguish a
+sample that passed through a surface from one that lies behind it anyway, for example on the other
+side of the same limb.  A sample is therefore inside only if it was inside, or was on the outer side
+of the same place, at the last detection.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.stage import Skin
-from gf_usd.physics.contact.broad_phase import Judged, Patches, closing, differences, dot
 from gf_usd.physics.contact.distance.closest import (
     FOUND,
     LEAST,
@@ -32,44 +31,51 @@ from gf_usd.physics.contact.distance.closest import (
     WEIGHTS,
     WHICH,
 )
-from gf_usd.physics.contact.sample_mesh import Neighbors, SampleMesh, triangulate
+from gf_usd.physics.contact.self_contact.patches import (
+    Patches,
+    PatchPairs,
+    closing,
+    differences,
+    dot,
+)
+from gf_usd.physics.contact.self_contact.sample_mesh import Neighbors, SampleMesh, triangulate
 from gf_usd.system.taichi_runtime import ensure_running
 
-HOPS = 4  # edges of the sample mesh, from where on a body meets itself
-THICK = 4.0  # [spacings] that two sides of a limb are apart which never meet each other
-SEE = 2.0  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
-STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
-ASIDE = 0.5  # cosine of a sample's normal with those of triangles next to what it faces
-TURN = 3.0  # [spacings] that a normal turned by a radian is as far as
-# [spacings] from a sample to what it may face: as far as two normals that are alike let it look.
+HOPS = 4  # edges of the sample mesh: samples that are not farther apart are not in contact
+THICK = 4.0  # [spacings] thickness of a limb up to which its two sides are not in contact
+SEE = 2.0  # [spacings] radius of the search ball in front of a sample, which reaches twice as far
+STEP = 0.75  # [spacings] most that a sample moves between two detections, against what is near
+ASIDE = 0.5  # cosine between a sample's normal and those of triangles next to what it faces
+TURN = 3.0  # [spacings] distance that an angle of a radian between normals counts as
+# [spacings] largest distance from a sample to what it may face, by the search ball and by TURN.
 WIDEST = float(np.hypot(2.0 * SEE, 2.0**0.5 * TURN))
 CELLS = 8  # of the grid in which samples are found, for each of them at most
-AHEAD = 1.5  # speeds may grow by this factor until the next detection
-FEW = 8_000  # pairs of samples that are looked at one by one
-CLEAR = 0.75  # [spacings] that is left when what was farther off is looked for again
-FACE = 1.5  # [spacings] from where a sample faces a place
-SAME = 0.25  # [spacings] that a place may have lain deeper than the one that a sample was inside of
-NEARLY = 0.25  # [spacings] from where something is about to touch
-OFFSET = 0.3  # [spacings] before it touches from where a body pushes itself
+AHEAD = 1.5  # factor by which speeds may grow until the next detection
+FEW = 8_000  # pairs of samples that are compared
+CLEAR = 0.75  # [spacings] gap at which what was farther off is searched for again
+FACE = 1.5  # [spacings] gap below which a sample faces a place
+SAME = 0.25  # [spacings] tolerance of the depth by which a place is the one of the last detection
+NEARLY = 0.25  # [spacings] gap below which a sample is about to touch
+OFFSET = 0.3  # [spacings] offset in front of a body's own surface at which its springs begin
 
 
 @dataclass(frozen=True, kw_only=True)
 class Facing:
     """Samples of a body and the places of its own surface that they face."""
 
-    rows: Ints  # (k,) samples, of the body's own
+    rows: Ints  # (k,) samples, numbered within the body
     gap: Floats  # (k,) [m], negative inside
-    normal: Floats  # (k, 3) unit, out of the place
-    point: Floats  # (k, 3) [m]
-    carriers: Ints  # (k, 3) corners of its triangle, of the body's own samples
+    normal: Floats  # (k, 3) outward unit normal of the place
+    point: Floats  # (k, 3) [m] the place
+    carriers: Ints  # (k, 3) corners of its triangle, samples of the body
     weights: Floats  # (k, 3) barycentric
-    hold: float = float("inf")  # [s] until what was seen beyond the reach may come within it
+    hold: float = float("inf")  # [s] until a place found beyond the reach may come within it
 
 
 class SelfContact:
-    """Finds what of one body faces itself.
+    """Detects contact of one body with itself.
 
-    skin : its surface at rest; X, normal : (n, 3) of its samples at rest; spacing : [m].
+    skin : its surface at rest; X, normal : (n, 3) samples at rest; spacing : [m].
     """
 
     def __init__(self, skin: Skin, X: Floats, normal: Floats, spacing: float) -> None:
@@ -80,7 +86,7 @@ class SelfContact:
 
     @property
     def _mesh(self) -> tuple[SampleMesh, Neighbors]:
-        """Made once something is near: most bodies never need it."""
+        """Triangles of the samples and their neighbors; built when patches first come near."""
         if self._made is None:
             mesh = triangulate(self._skin, self._X, self._spacing)
             far = THICK * self._spacing
@@ -89,10 +95,10 @@ class SelfContact:
 
     @property
     def offset(self) -> Floats:
-        """(n,) [m] from what it faces at which each sample begins to be pushed.
+        """(n,) [m] gap to its own surface at which the spring of each sample begins.
 
-        Found with the reach of a detection: which samples are asked for a place depends on that,
-        and what only a detection saw at rest would be pushed from the start.
+        At most the gap at rest, which is found with the reach of a detection: a place that only
+        a detection found at rest would push from the start.
         """
         if self._offset is None:
             most, still = OFFSET * self._spacing, np.zeros_like(self._X)
@@ -102,34 +108,36 @@ class SelfContact:
             self._offset[seen.rows] = np.clip(seen.gap, 0.0, most)
         return self._offset
 
-    def judge(self, x: Floats, v: Floats, span: float = np.inf) -> tuple[Judged | None, float]:
-        """What may be near itself, None where nothing is; and for how long [s] that holds.
+    def broad_phase(
+        self, x: Floats, v: Floats, span: float = np.inf
+    ) -> tuple[PatchPairs | None, float]:
+        """Pairs of patches, None if none is near; and for how long [s] that is all.
 
-        x, v : (n, 3) [m], [m/s] of the samples; span : [s] after which it is asked again.
+        x, v : (n, 3) [m], [m/s] of the samples; span : [s] after which a detection is made anyway.
         """
         patches = self._patches
-        judged = patches.judge(x, v)
-        # What ends later than this, or than the pairs that are not few, is no concern.
-        span = min(span, judged.fold)
-        # Of what is not looked at one by one the bound is that of how far samples see.
-        until = patches.unseen(judged, x, v, span, CLEAR * self._spacing)
-        few = patches.few(until, span, FEW)
+        patch_pairs = patches.pairs(x, v)
+        # Bounds beyond this, or beyond those of pairs that are not compared by samples, would not
+        # lengthen the result.
+        span = min(span, patch_pairs.fold)
+        until = patches.unseen(patch_pairs, x, v, span, CLEAR * self._spacing)
+        few = patches.soonest(until, span, FEW)
         if len(few):
             others = np.delete(until, few)
             least = min(span, float(others.min(initial=np.inf)))
-            until[few] = np.maximum(until[few], self._one_by_one(few, x, v, least))
-        hold = min(judged.fold, float(until.min(initial=np.inf)))
-        return judged if judged.near.any() else None, hold
+            until[few] = np.maximum(until[few], self._until_samples_meet(few, x, v, least))
+        hold = min(patch_pairs.fold, float(until.min(initial=np.inf)))
+        return patch_pairs if patch_pairs.near.any() else None, hold
 
-    def _one_by_one(self, pairs: Ints, x: Floats, v: Floats, least: float) -> Floats:
-        """(k,) [s] before samples of pairs (k,) of patches may touch that do not yet.
+    def _until_samples_meet(self, pairs: Ints, x: Floats, v: Floats, least: float) -> Floats:
+        """(k,) [s] until samples of pairs (k,) of patches may touch that do not yet.
 
-        least : [s] from where it may be any time after it.
+        least : [s] beyond which the exact time does not matter.
         """
         i, j, start = self._patches.samples(pairs)
         away, relative = differences(x, i, j), differences(v, i, j)
         distance = np.sqrt(dot(away, away))
-        # What touches slides: it may go on for a while.
+        # Samples that touch may slide by as much.
         left = np.maximum(distance - CLEAR * self._spacing, CLEAR * self._spacing)
         until = left / np.maximum(closing(away, distance, relative), 1e-30)
         if self._patches.adjacent[pairs].any():
@@ -138,11 +146,11 @@ class SelfContact:
         return np.minimum.reduceat(until, start)
 
     def imminent(self, x: Floats, v: Floats, span: float, before: Floats, gap: Floats) -> bool:
-        """Whether anything may touch itself within a span [s]; before, gap : as of `find`."""
-        judged, hold = self.judge(x, v, span)
-        if judged is None:
+        """Whether a sample may touch its own body within a span [s]; before, gap : as in `find`."""
+        patch_pairs, hold = self.broad_phase(x, v, span)
+        if patch_pairs is None:
             return hold < span
-        found = self.find(x, v, 2.0 * SEE * self._spacing, before, gap, judged)
+        found = self.find(x, v, 2.0 * SEE * self._spacing, before, gap, patch_pairs)
         theirs = np.einsum("nk,nka->na", found.weights, v[found.carriers])
         closing = -((v[found.rows] - theirs) * found.normal).sum(1)
         away = found.gap - self.offset[found.rows]
@@ -151,21 +159,26 @@ class SelfContact:
 
     def find(
         self, x: Floats, v: Floats, reach: float, before: Floats, gap: Floats,
-        judged: Judged | None = None,
+        patch_pairs: PatchPairs | None = None,
     ) -> Facing:  # fmt: skip
-        """What faces itself within a reach [m].
+        """Places of the body's own surface that samples face within a reach [m].
 
-        x, before : (n, 3) [m] now and at the last detection; v : (n, 3) [m/s]; gap : (n,) [m] found
-        at the last detection; judged : of `judge`, only what may be near by it is looked at, and
-        what was found before; None: everything.
+        x, before : (n, 3) [m] samples now and at the last detection; v : (n, 3) [m/s];
+        gap : (n,) [m] found at the last detection; patch_pairs : of `broad_phase`, the search is
+        made from samples of patches that are near, and of those that faced something; None: from
+        all samples.
         """
         mesh = self._mesh[0]
         if len(mesh.triangles) == 0:
             return _nothing()
         known = gap < reach
-        looks = np.ones(len(x), bool) if judged is None else self._patches.around(judged, known)
+        searching = (
+            np.ones(len(x), bool)
+            if patch_pairs is None
+            else self._patches.samples_near(patch_pairs, known)
+        )
         s = self._spacing
-        found, which = self._faced(x, looks, known, reach + s)
+        found, which = self._closest(x, searching, known, reach + s)
         rows = np.flatnonzero(which[:, SEED] >= 0)
         seeds = which[rows, SEED]
         distance = lengths(x[rows] - x[seeds])
@@ -177,11 +190,14 @@ class SelfContact:
             return replace(_nothing(), hold=hold)
         return replace(self._sided(rows, found[rows], which[rows], x, before, gap), hold=hold)
 
-    def _faced(self, x: Floats, looks: Ints, known: Ints, reach: float) -> tuple[Floats, Ints]:
-        """(n, 10), (n, 3) what each sample that is `known`, or that looks and sees something ahead
-        that is not near at rest, faces: of `faced_kernels.find_faced`.
+    def _closest(
+        self, x: Floats, searching: Ints, known: Ints, reach: float
+    ) -> tuple[Floats, Ints]:
+        """(n, 10), (n, 3) closest places, the results of `faced_kernels.find_faced`.
 
-        looks, known : (n,); reach : [m] to the nearest sample that it faces.
+        searching : (n,) samples that search in front of them for samples that are not near at rest;
+        known : (n,) samples that faced something and get a closest place in any case; reach : [m]
+        to the nearest sample that is faced.
         """
         ensure_running()
         from gf_usd.physics.contact.distance.faced_kernels import find_faced
@@ -193,7 +209,7 @@ class SelfContact:
         while (size := np.floor(extent / edge) + 1.0).prod() > CELLS * n:
             edge *= 2.0
         size = size.astype(int)
-        flags = np.stack([looks, known], 1).astype(np.int32)
+        flags = np.stack([searching, known], 1).astype(np.int32)
         found, which = np.empty((n, FOUND)), np.empty((n, WHICH), np.int32)
         find_faced(
             x, mesh.triangles, mesh.around, neighbors.lists, flags,
@@ -206,8 +222,7 @@ class SelfContact:
     def _sided(
         self, rows: Ints, found: Floats, which: Ints, x: Floats, before: Floats, gap: Floats
     ) -> Facing:
-        """The places found (k, 10), which (k, 3) of rows (k,), with their signs, where these are
-        believed."""
+        """The places found (k, 10), which (k, 3) of samples `rows` (k,) whose sign is certain."""
         mesh, neighbors = self._mesh
         s, corners = rows, mesh.triangles[which[:, TRIANGLE]]
         weights, pseudo = found[:, WEIGHTS:PSEUDO], found[:, PSEUDO:LEAST]
@@ -216,11 +231,12 @@ class SelfContact:
         away = x[s] - q
         side = np.where((away * pseudo).sum(1) < 0.0, -1.0, 1.0)
         now = side * least
-        # On the rim of what is admitted the closest place may be beyond it.
+        # Triangles near the sample at rest are left out: at their rim the closest place may be one
+        # that was left out.
         rim = (neighbors.rim(s[:, None], corners) & (weights > 0.0)).any(1)
         rim &= weights.min(1) <= 0.0
-        # Where the sample does not face all that meets at an edge or a corner, what it faces ends
-        # there, and behind it is not inside.
+        # At an edge or a corner where not all triangles face the sample, the surface that it faces
+        # ends: a sample behind that is not inside.
         free = (weights > 1e-9).sum(1)
         degree = (mesh.around[corners[np.arange(len(s)), weights.argmax(1)]] >= 0).sum(1)
         ends = seen < np.select([free == 3, free == 2], [1, 2], degree)
@@ -230,11 +246,11 @@ class SelfContact:
         n = np.where(
             on[:, None], pseudo, away * (side / np.where(least > 0.0, least, 1.0))[:, None]
         )
-        came, height, along = self._came(before, s, corners, weights, n)
-        # Who is inside one place and behind another is not inside that one, too.
+        came, height, along = self._distances(before, s, corners, weights, n)
+        # A sample that is inside by one place and behind another is not inside by that one, too.
         same = (gap[s] < 0.0) & (height >= gap[s] - SAME * self._spacing)
-        # At a sharp fold a place is on the outer side of one triangle and inside by the others: who
-        # was as far behind it before did not come through.
+        # At a sharp fold a sample is on the outer side of one triangle and inside by the others: if
+        # it was as far behind those before, it did not pass through.
         outer = (gap[s] >= 0.0) & (height >= 0.0) & (along >= 0.0)
         was = np.where(same, gap[s], np.where(outer, came, np.inf))
         believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
@@ -245,13 +261,11 @@ class SelfContact:
         )  # fmt: skip
 
     @staticmethod
-    def _came(
+    def _distances(
         x: Floats, s: Ints, corners: Ints, weights: Floats, normal: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """[m] from samples s to places of triangles (k, 3).
-
-        And how high above these, and along normals (k, 3).
-        """
+        """[m] distances of samples s (k,) from places on triangles `corners` (k, 3), their heights
+        above the triangles, and along normals (k, 3)."""
         a, b, c = np.moveaxis(x[corners], 1, 0)
         n = np.cross(b - a, c - a)
         length = np.linalg.norm(n, axis=1)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, nonzero_rows, row_dots
-from gf_usd.physics.contact.narrow_phase import ContactPlanes, along
+from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 
 EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
 # A pair of which a detection leaves hardly a sample inside does not pass all it holds to that one.

@@ -1,0 +1,88 @@
+"""Obstacles: where they are at a time, and the planes that points of a body face on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.stage import Collider
+from gf_usd.physics.contact.distance.closest import Closest, above_plane
+from gf_usd.physics.contact.distance.tree import SurfaceTree
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plane:
+    """The surface of one obstacle near some points, and how it moves there."""
+
+    seen: Closest
+    velocity: Floats  # (k, 3) [m/s] of the closest points
+
+
+class Obstacle:
+    """One obstacle in time; before its first and after its last frame it stays.
+
+    frame_time : [s] simulated between two frames.
+    """
+
+    def __init__(self, collider: Collider, frame_time: float) -> None:
+        self.collider = collider
+        self._frame_time = frame_time
+        self.endless = collider.shape == "plane"
+        frames = [collider.positions(f) for f in range(collider.frames)]
+        self._low = np.min([p.min(0) for p in frames], axis=0)
+        self._high = np.max([p.max(0) for p in frames], axis=0)
+        self._tree: SurfaceTree | None = None  # made once something is near
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Corners (3,) [m] of the box of all the places that it comes to."""
+        return self._low, self._high
+
+    def positions(self, frame: float) -> Floats:
+        """Points (V, 3) [m] at a frame, linear in between."""
+        last = self.collider.frames - 1
+        frame = float(np.clip(frame, 0.0, last))
+        low = min(int(frame), max(last - 1, 0))
+        start = self.collider.positions(low)
+        t = frame - low
+        return start if t == 0.0 else (1.0 - t) * start + t * self.collider.positions(low + 1)
+
+    def speed(self, frame: float) -> float:
+        """[m/s] of its fastest point from a frame to the next."""
+        if not self.collider.moves:
+            return 0.0
+        way = self.positions(np.floor(frame) + 1.0) - self.positions(np.floor(frame))
+        return float(np.linalg.norm(way, axis=1).max()) / self._frame_time
+
+    def gap(self, low: Floats, high: Floats) -> float:
+        """[m] from a box to the box of all the places that the obstacle comes to."""
+        return 0.0 if self.endless else box_gap(low, high, self._low, self._high)
+
+    def planes(self, X: Floats, reach: float, frame: float, span: float) -> Plane:
+        """What points X (n, 3) [m] face at a frame; the velocity is that of the next span [s]."""
+        now, triangles = self.positions(frame), self.collider.triangles
+        if self.endless:
+            seen = above_plane(X, now[triangles[0]], reach)
+        else:
+            if self._tree is None:
+                self._tree = SurfaceTree(self.positions(0.0), triangles)
+            seen = self._tree.closest(X, now, reach, moved=self.collider.moves)
+        if not self.collider.moves or span <= 0.0:
+            return Plane(seen=seen, velocity=np.zeros_like(seen.point))
+        way = self.positions(frame + span / self._frame_time) - now
+        corners = way[triangles[seen.triangle]]
+        return Plane(seen=seen, velocity=np.einsum("nk,nka->na", seen.weights, corners) / span)
+
+
+def obstacles(colliders: Sequence[Collider], frame_time: float) -> tuple[Obstacle, ...]:
+    """All of them."""
+    return tuple(Obstacle(collider, frame_time) for collider in colliders)
+
+
+def box_gap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
+    """[m] between two boxes; 0 where they overlap."""
+    apart = np.maximum(np.maximum(other_low - high, low - other_high), 0.0)
+    return float(np.linalg.norm(apart))

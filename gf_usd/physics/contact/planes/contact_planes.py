@@ -1,0 +1,126 @@
+"""The plane that each contact sample faces until the next detection.
+
+A plane belongs to an obstacle, with a velocity of its own, or to a body: three samples of that body
+carry it (`carriers`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints, lengths, nonzero_rows, row_dots
+from gf_usd.physics.contact.planes.carriers import cross, spin
+
+ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
+NOBODY = -1  # as a partner: nothing is faced
+OBSTACLE = -2  # as a partner: an obstacle is faced
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPlanes:
+    """What each of n samples faces, in the world."""
+
+    partner: Ints  # (n,) the first of the samples that carry the plane, NOBODY or OBSTACLE
+    carriers: Ints  # (n, 3) all of them: see `carriers`
+    weights: Floats  # (n, 3) of the carriers
+    obstacle: Ints  # (n,) which obstacle; -1: none
+    normal: Floats  # (n, 3) unit, out of what is faced
+    point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from sum w_k x_k of the carriers
+    velocity: Floats  # (n, 3) [m/s] of an obstacle
+    spring: Floats  # (n, 3) [m] xi of friction, along the plane
+
+    @property
+    def carried(self) -> Ints:
+        """Samples whose plane is carried by a body."""
+        return np.flatnonzero(self.partner >= 0)
+
+    @property
+    def active(self) -> Ints:
+        """Samples that face something or are faced."""
+        faced = self.carriers[self.carried].ravel()
+        return np.union1d(np.flatnonzero(self.partner != NOBODY), faced)
+
+    def forget(self, rows: Ints) -> None:
+        """Samples `rows` face nothing."""
+        away = nothing(len(rows))
+        for name in ARRAYS:
+            getattr(self, name)[rows] = getattr(away, name)
+
+    def lists(self) -> tuple[Ints, Ints]:
+        """(n + 1,) and (3 m,): for each sample the 3 s + k whose carrier k it is, in order."""
+        who = self.carried
+        entries = (3 * who[:, None] + np.arange(3)).ravel()
+        carriers = self.carriers[who].ravel()
+        order = np.argsort(carriers, kind="stable")
+        start = np.searchsorted(carriers[order], np.arange(len(self.partner) + 1))
+        return start, entries[order]
+
+    @property
+    def facing(self) -> Ints:
+        """Samples that face something."""
+        return np.flatnonzero(self.partner != NOBODY)
+
+    def of(self, rows: Ints) -> ContactPlanes:
+        """What some of the samples, rows (k,), face; carriers keep their numbers."""
+        return ContactPlanes(**{name: getattr(self, name)[rows] for name in ARRAYS})
+
+    def interpolated(self, values: Floats) -> Floats:
+        """Values (n, 3) of all samples, interpolated to the planes: sum_k w_k; 0 for obstacles."""
+        out, who = np.zeros((len(self.partner), 3)), self.carried
+        out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
+        return out
+
+    def depth(self, x: Floats, elapsed: float) -> Floats:
+        """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
+        active = self.facing
+        f, out = self.of(active), np.zeros(len(x))
+        q = f.point + f.interpolated(x) + elapsed * f.velocity
+        out[active] = np.maximum(0.0, row_dots(q - x[active], f.normal))
+        return out
+
+
+def nothing(n: int) -> ContactPlanes:
+    """n samples that face nothing."""
+    return ContactPlanes(
+        partner=np.full(n, NOBODY),
+        carriers=np.full((n, 3), NOBODY),
+        weights=np.zeros((n, 3)),
+        obstacle=np.full(n, -1),
+        normal=np.zeros((n, 3)),
+        point=np.zeros((n, 3)),
+        velocity=np.zeros((n, 3)),
+        spring=np.zeros((n, 3)),
+    )
+
+
+def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPlanes:
+    """The planes as what carries them leaves them a short time [s] on; those of obstacles stay.
+
+    x [m], v [m/s] : (n, 3) of the samples.  Springs of friction, where there are any, go with the
+    slip of their samples.
+    """
+    p, who = planes, planes.carried
+    normal, point, spring = p.normal.copy(), p.point.copy(), p.spring.copy()
+    stuck = nonzero_rows(spring)
+    turn = np.zeros_like(x) if len(stuck) else None
+    if len(who):
+        carriers = p.carriers[who]
+        turns = time * spin(x[carriers], v[carriers])
+        turned = normal[who] + cross(turns, normal[who])
+        normal[who] = turned / lengths(turned)[:, None]
+        point[who] += cross(turns, point[who])
+        if turn is not None:
+            turn[who] = turns
+    if turn is not None:
+        f, turns = p.of(stuck), turn[stuck]
+        way = time * (v[stuck] - f.interpolated(v) - f.velocity)
+        way -= cross(turns, x[stuck] - f.interpolated(x))
+        spring[stuck] = along(f.spring + (way + cross(turns, f.spring)), normal[stuck])
+    return replace(p, normal=normal, point=point, spring=spring)
+
+
+def along(vectors: Floats, normal: Floats) -> Floats:
+    """(n, 3) what of vectors lies in the planes of unit normals."""
+    return vectors - row_dots(vectors, normal)[:, None] * normal

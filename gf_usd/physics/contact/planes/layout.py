@@ -1,0 +1,72 @@
+"""Where the numbers of contact planes stand in the arrays of the kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes
+
+# A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
+ROW = 45
+REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
+POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from sum w x), n, v_q of an obstacle
+STIFFNESS, DAMPING, FRICTION = 24, 25, 26
+DEPTH, WORK = 27, 28  # deepest [m] and work of an obstacle [J] since they were cleared
+SPRING, WEIGHT, REACTION = 29, 32, 35  # xi; w_k and f_k of the three carriers
+HARDENING = 44  # [1/m^2] of the spring: f = k d (1 + HARDENING d^2)
+# ... and its whole numbers in one of `links`: the carriers; where its list starts; three entries of
+# all lists.
+LINKS = 7
+PARTNER, START, PAIR_FACING = 0, 3, 4
+
+
+def pack_arrays(n: int) -> dict[str, Floats]:
+    """The arrays of contact between n samples in the kernels' pack; n = 0: none."""
+    return {
+        "pair": np.zeros(ROW * max(1, n)),
+        "links": np.full(LINKS * (n + 1), NOBODY),
+    }
+
+
+def links(planes: ContactPlanes) -> Ints:
+    """(n + 1, LINKS) the whole numbers of n samples: see above."""
+    start, order = planes.lists()
+    out = np.full((len(start), LINKS), NOBODY)
+    out[:-1, :START], out[:, START] = planes.carriers, start
+    out[:-1, PARTNER] = planes.partner
+    entries = np.zeros((len(start), 3), np.int64)
+    entries.flat[: len(order)] = order
+    out[:, PAIR_FACING:] = entries
+    return out
+
+
+def write_planes(
+    pair: Floats, planes: ContactPlanes, values: Mapping[str, Floats], hardening: float
+) -> None:
+    """Write planes into the rows of `pair` (n, ROW); what kernels sum of them is cleared.
+
+    values : of `narrow_phase.pair_values`; hardening : [1/m^2].  REST and DRIFT are not written.
+    """
+    pair[:, PLACE:RATE] = 0.0
+    pair[:, FORCE:POINT] = 0.0
+    pair[:, DEPTH] = 0.0
+    pair[:, SPRING:WEIGHT] = planes.spring
+    pair[:, WEIGHT:REACTION] = planes.weights
+    pair[:, REACTION:HARDENING] = 0.0
+    pair[:, POINT:NORMAL] = planes.point
+    pair[:, NORMAL:VELOCITY] = planes.normal
+    pair[:, VELOCITY:STIFFNESS] = planes.velocity
+    pair[:, STIFFNESS] = values["stiffness"]
+    pair[:, DAMPING] = values["damping"]
+    pair[:, FRICTION] = values["friction"]
+    pair[:, HARDENING] = hardening
+
+
+def write_rest(pair: Floats, X: Floats, drift: Floats | None) -> None:
+    """Write where samples are without displacements, X (n, 3) [m], and the rate (n, 3) [m/s] at
+    which pins move that; None: no pin moves."""
+    pair[:, REST:DRIFT] = X
+    pair[:, DRIFT:PLACE] = 0.0 if drift is None else drift
