@@ -1,19 +1,9 @@
 """Bodies that are solid until the first of their particles is converted, and flow from then on.
 
-The Total Lagrangian solver has a body until, at the end of a frame, one of its particles has passed
-its limit.  Then the Updated Lagrangian solver takes it over, where the particles that are past
-their limit are converted (`updated_lagrangian.conversion`) and the others keep their law.
-
-Taken over are x, F, the internal variables and, of the nodal velocities v_i, what particles see of
-them,
-
-    v_p = W v + dv + w x (x_p - c),   C_p = s grad v
-
-dv and w are such that momentum and angular momentum are those of the body before, and s in [0, 1]
-such that its kinetic energy is, as far as that goes: an affine motion C holds the energy
-m h^2 |C|^2 / 8 and the angular momentum m h^2 axial(C) / 4 on its own.  What is left of the
-difference of the energies, and what springs of contact held, is counted: as lost by conversion
-where it is less after, as injected where it is more.
+The Total Lagrangian solver simulates a body until, at the end of a frame, one of its particles has
+passed its limit.  Then the body's state is transferred (`transfer`) to the Updated Lagrangian
+solver, where the particles past their limit are converted (`updated_lagrangian.conversion`) and the
+others keep their law.
 
 Particles that can be converted then go to random places (by d at rest, `Particles.scatter`),
 
@@ -25,7 +15,7 @@ since rows of a lattice stay rows in what flows.  Before, they are where quadrat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,16 +30,21 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.coupled.parts import flowing_bodies, in_use, passing_obstacles
 from gf_usd.physics.coupled.solver import Coupled, refuse
+from gf_usd.physics.coupled.transfer import (
+    SolidState,
+    copy_flow,
+    copy_solid,
+    flow_of,
+    flowing_particles,
+    read_solid,
+    solid_of,
+    write_flow,
+)
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver, energy
-from gf_usd.physics.grid.embedding import stretches
-from gf_usd.physics.laws.registry import GRADIENT, ParticleLaws
 from gf_usd.physics.taichi_arrays import Saved
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.conversion import past_limits
-from gf_usd.physics.updated_lagrangian.energies import axial
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-
-PLACED = 1e-6  # [cells] that nodes of the same place in two grids may be apart
 
 
 class Converting(Solver):
@@ -205,14 +200,14 @@ class Converting(Solver):
     def read(self, index: int) -> Frame:
         """See `Solver`; what is past its limit at the start is handed over first."""
         frame = self.now.read(index)
-        return self._told(self._after(frame, index) if index == 0 else frame)
+        return self._with_conversions(self._hand_over(frame, index) if index == 0 else frame)
 
     def next(self, index: int, last: Health) -> Frame:
         """See `Solver`; after the frame, bodies that begin to flow are handed over."""
         self.now.on_launch = self.on_launch
-        return self._told(self._after(self.now.next(index, last), index))
+        return self._with_conversions(self._hand_over(self.now.next(index, last), index))
 
-    def _told(self, frame: Frame) -> Frame:
+    def _with_conversions(self, frame: Frame) -> Frame:
         """A frame with what was converted so far, and without a stress that nobody asked for."""
         converted = frame.converted
         if converted is None:
@@ -235,7 +230,7 @@ class Converting(Solver):
             ),
         )
 
-    def _after(self, frame: Frame, index: int) -> Frame:
+    def _hand_over(self, frame: Frame, index: int) -> Frame:
         """A frame after the bodies in it that begin to flow have changed their solver."""
         body = self.particles.body_of
         waiting = tuple(
@@ -253,13 +248,13 @@ class Converting(Solver):
         before, solid = self.now, solid_of(self.now)
         assert solid is not None
         numbers = np.flatnonzero(~self.flows)
-        mine = [taken(solid, int(k)) for k in np.flatnonzero(new[numbers])]
+        mine = [read_solid(solid, int(k)) for k in np.flatnonzero(new[numbers])]
         if self._moved is not None:
             mine = [one.moved(self._moved[self._rows(numbers[one.body])]) for one in mine]
         self.flows = self.flows | new
         self.now = self._solver()
         self.now.guard.load(before.guard.save())
-        self._carry(before, numbers, mine, frame.time)
+        self._transfer(before, numbers, mine, frame.time)
         after = self.now.read(index)
         seen = frame.health
         given = energy(after.health) - energy(seen)
@@ -282,7 +277,9 @@ class Converting(Solver):
             ),
         )  # fmt: skip
 
-    def _carry(self, before: Solver, numbers: Ints, mine: Sequence[Taken], time: float) -> None:
+    def _transfer(
+        self, before: Solver, numbers: Ints, mine: Sequence[SolidState], time: float
+    ) -> None:
         """Give the new solver the state of the one before.
 
         numbers : of the bodies that were solid; mine : what the new flow takes over of them.
@@ -294,25 +291,20 @@ class Converting(Solver):
         body = self.particles.body_of
         at = np.flatnonzero(self.flows[body])
         if flow_before is not None:
-            was = at_of(before, body)
-            carry_flow(flow_before, flow, np.searchsorted(at, was))
-        place(flow, [(np.searchsorted(at, self._rows(numbers[one.body])), one) for one in mine])
+            was = flowing_particles(before, body)
+            copy_flow(flow_before, flow, np.searchsorted(at, was))
+        write_flow(
+            flow, [(np.searchsorted(at, self._rows(numbers[one.body])), one) for one in mine]
+        )
         flow.state.time = time
         if solid is not None:
             left = np.flatnonzero(~self.flows[numbers])
-            carry_solid(solid_before, solid, left)
+            copy_solid(solid_before, solid, left)
             solid.state.time = time
 
     def _rows(self, body: int) -> Ints:
         """The particles of a body."""
         return np.flatnonzero(self.particles.body_of == body)
-
-
-def solid_of(solver: Solver) -> TotalLagrangian | None:
-    """The part of a solver that moves the solid bodies; None: there are none."""
-    if isinstance(solver, Coupled):
-        return solver.solid
-    return solver if isinstance(solver, TotalLagrangian) else None
 
 
 def _centered(particles: Particles, rows: Ints) -> Floats:
@@ -324,180 +316,3 @@ def _centered(particles: Particles, rows: Ints) -> Floats:
         mine = body == k
         out[rows[mine]] = d[mine] - np.average(d[mine], axis=0, weights=V0[mine])
     return out
-
-
-def flow_of(solver: Solver) -> UpdatedLagrangian | None:
-    """The part of a solver that moves what flows; None: nothing does."""
-    if isinstance(solver, Coupled):
-        return solver.flow
-    return solver if isinstance(solver, UpdatedLagrangian) else None
-
-
-def at_of(solver: Solver, body: Ints) -> Ints:
-    """The particles of what flows, among all; body : (N,) of these."""
-    return solver.flowing_at if isinstance(solver, Coupled) else np.arange(len(body))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Taken:
-    """A solid body, as it leaves its solver."""
-
-    body: int  # among the solid ones
-    x: Floats  # (n, 3) [m]
-    v: Floats  # (n, 3) [m/s]
-    F: Floats  # (n, 3, 3)
-    elastic: Floats  # (n, 3, 3) F_e
-    L: Floats  # (n, 3, 3) [1/s] grad v
-    internal: Mapping[str, Floats]  # (n,) of each internal variable of the laws
-    momentum: Floats  # (3,) [kg m/s]
-    spin: Floats  # (3,) [kg m^2/s] about the world's origin
-    kinetic: float  # [J]
-
-    def moved(self, d: Floats) -> Taken:
-        """With the particles at other places, by (n, 3) [m] at rest; to first order."""
-        Fd = np.einsum("nab,nb->na", self.F, d)
-        return replace(self, x=self.x + Fd, v=self.v + np.einsum("nab,nb->na", self.L, Fd))
-
-
-def taken(solver: TotalLagrangian, body: int) -> Taken:
-    """What a body, by its number in the solver, leaves it with."""
-    made, now = solver.body, solver.state.view()
-    rows = np.flatnonzero(made.particles.body_of == body)
-    pose = now.particles
-    rate = stretches(made.rows, made.rows.nodes(now.nodes[1]))
-    nodes = made.stencil.node_body[: made.stencil.free_count] == body
-    p, x = now.momentum[nodes], now.x[nodes]
-    law = made.law
-    internal: Mapping[str, Floats] = {}
-    if law.set.flows:
-        internal = {name: values[rows] for name, values in law.internal(now.history).items()}
-    return Taken(
-        body=body,
-        x=pose.x[rows],
-        v=pose.v[rows],
-        F=pose.F[rows],
-        elastic=now.elastic(pose.F)[rows],
-        L=rate[rows] @ np.linalg.inv(pose.F[rows]),
-        internal=internal,
-        momentum=p.sum(0),
-        spin=np.cross(x, p).sum(0),
-        kinetic=float(0.5 * (now.v[nodes] * p).sum()),
-    )
-
-
-def place(flow: UpdatedLagrangian, bodies: Sequence[tuple[Ints, Taken]]) -> None:
-    """Put bodies into the solver of what flows; with (n,) which of its particles each has."""
-    state, body = flow.state, flow.body
-    x, v = state.rows("x"), state.rows("v")
-    C, F, L = (state.rows(name, 9) for name in ("C", "F", "L"))
-    laws = body.law.set
-    history = state.rows("history", laws.history) if laws.flows else None
-    for rows, one in bodies:
-        m = body.m[rows]
-        moved, affine = matched(one, m, body.h)
-        x[rows], v[rows] = one.x - state.offset, moved
-        C[rows], L[rows] = affine.reshape(-1, 9), one.L.reshape(-1, 9)
-        F[rows] = one.F.reshape(-1, 9)
-        if history is not None:
-            history[rows, :GRADIENT] = one.elastic.reshape(-1, 9)
-            set_internal(history, rows, body.law, one.internal)
-    for name, values in (("x", x), ("v", v), ("C", C), ("F", F), ("L", L)):
-        state.put(name, values)
-    if history is not None:
-        state.put("history", history)
-    state.recenter()
-    state.make_room()
-
-
-def matched(one: Taken, m: Floats, h: float) -> tuple[Floats, Floats]:
-    """v (n, 3) [m/s] and C (n, 3, 3) [1/s] of particles of masses (n,) [kg] that have the momentum,
-    the angular momentum and as far as it goes the kinetic energy of a body; see the module."""
-    spread = 0.25 * h * h
-    missing = one.kinetic - 0.5 * float(m @ (one.v**2).sum(1))
-    whole = 0.5 * spread * float(m @ (one.L**2).sum((1, 2)))
-    share = float(np.sqrt(np.clip(missing / whole, 0.0, 1.0))) if whole > 0.0 else 0.0
-    C = share * one.L
-    center = m @ one.x / m.sum()
-    r = one.x - center
-    dv = (one.momentum - m @ one.v) / m.sum()
-    v = one.v + dv
-    left = one.spin - m @ (np.cross(one.x, v) + spread * axial(C))
-    inertia = np.eye(3) * float(m @ (r**2).sum(1)) - np.einsum("n,na,nb->ab", m, r, r)
-    w = np.linalg.lstsq(inertia, left, rcond=None)[0]
-    return v + np.cross(w, r), C
-
-
-def set_internal(
-    history: Floats, rows: Ints, law: ParticleLaws, internal: Mapping[str, Floats]
-) -> None:
-    """Set internal variables (n,) of particles `rows` in histories (N, k), by name and law."""
-    for number, one in enumerate(law.set.laws):
-        mine = law.of[rows] == number
-        for k, variable in enumerate(one.spec.internal, GRADIENT):
-            if variable.name in internal:
-                history[rows[mine], k] = internal[variable.name][mine]
-
-
-def carry_flow(before: UpdatedLagrangian, after: UpdatedLagrangian, to: Ints) -> None:
-    """Give particles `to` (n,) of a solver the state of the n of another."""
-    state, old = after.state, before.state
-    for name, width in (("x", 3), ("v", 3), ("C", 9), ("F", 9), ("L", 9)):
-        values = state.rows(name, width)
-        values[to] = old.rows(name, width)
-        if name == "x":
-            values[to] += old.offset - state.offset
-        state.put(name, values)
-    if before.conversions is not None and after.conversions is not None:
-        done = after.conversions.done.copy()
-        done[to] = before.conversions.done
-        after.conversions.load({"converted": done})
-    laws, olds = after.body.law, before.body.law
-    if not laws.set.flows or not olds.set.flows:
-        return
-    history, known = state.rows("history", laws.set.history), old.rows("history", olds.set.history)
-    history[to, :GRADIENT] = known[:, :GRADIENT]
-    set_internal(history, to, laws, olds.internal(known))
-    state.put("history", history)
-
-
-def carry_solid(before: TotalLagrangian, after: TotalLagrangian, left: Ints) -> None:
-    """Give a solver of some of the bodies of another, `left` (b,), their state."""
-    old, new = before.body, after.body
-    number = np.full(int(old.stencil.node_body.max()) + 1, -1)
-    number[left] = np.arange(len(left))
-
-    of = number[old.stencil.node_body[: old.stencil.free_count]]
-    kept = np.flatnonzero(of >= 0)
-    there = new.stencil.node_body[: new.stencil.free_count]
-    low = np.array([old.stencil.free_X[of == k].min(0) for k in range(len(left))])
-
-    def order(X: Floats, body: Ints) -> Ints:
-        # copies of a node have one place, and the same order in both
-        return np.lexsort((*np.round((X - low[body]) / new.h).T, body))
-
-    was = kept[order(old.stencil.free_X[kept], of[kept])]
-    is_ = order(new.stencil.free_X, there)
-    assert np.array_equal(of[was], there[is_])
-    assert np.allclose(
-        old.stencil.free_X[was], new.stencil.free_X[is_], rtol=0.0, atol=PLACED * new.h
-    )
-    for name in ("u", "v"):
-        values, free = after.state.rows(name), new.stencil.free_count
-        values[is_] = before.state.rows(name)[was]
-        values[free:] = new.stencil.follow @ values[:free]
-        after.state.put(name, values)
-    after.state.offset = before.state.offset.copy()
-    if old.contact is not None and new.contact is not None:
-        body = old.contact.samples.body
-        assert body is not None  # several bodies were solid: some leave, some stay
-        mine = np.flatnonzero(number[np.asarray(body)] >= 0)
-        after.state.put("sample_spring", before.state.rows("sample_spring")[mine])
-    if new.law.set.flows and old.law.set.flows:
-        body = number[old.particles.body_of]
-        known, history = before.state.view().history, after.state.view().history.copy()
-        history[:, :GRADIENT] = known[body >= 0, :GRADIENT]
-        rows = np.arange(len(history))
-        every = old.law.internal(known)
-        internal = {name: values[body >= 0] for name, values in every.items()}
-        set_internal(history, rows, new.law, internal)
-        after.state.put_particles("history", history)

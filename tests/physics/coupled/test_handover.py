@@ -17,8 +17,9 @@ from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import Pin, StagePhysics
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
-from gf_usd.physics.coupled.handover import Converting, Taken, matched, solid_of, taken
+from gf_usd.physics.coupled.handover import Converting
 from gf_usd.physics.coupled.solver import Coupled
+from gf_usd.physics.coupled.transfer import SolidState, conserving_velocities, read_solid, solid_of
 from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -86,7 +87,7 @@ def test_momenta_and_energy_are_those_before() -> None:
     next(walk)
     next(walk)
     frame = run.now.next(2, run.read(1).health)  # as it is before
-    assert run._after(frame, 2) is not frame
+    assert run._hand_over(frame, 2) is not frame
     after = run.now.read(2)
     assert isinstance(run.now, UpdatedLagrangian)
     before, now = frame.health, after.health
@@ -116,7 +117,7 @@ def test_what_is_converted_goes_to_random_places() -> None:
     for _ in range(2):
         np.testing.assert_array_equal(next(walk).particles.x, next(other).particles.x)
     frame = run.now.next(2, run.read(1).health)  # as it is before
-    after = run._after(frame, 2)
+    after = run._hand_over(frame, 2)
     there = frame.particles.x + np.einsum("nab,nb->na", frame.particles.F, d)
     np.testing.assert_allclose(after.particles.x, there, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(after.particles.F, frame.particles.F, atol=1e-12)
@@ -138,7 +139,7 @@ def test_velocities_are_those_of_the_random_places() -> None:
     F = np.eye(3) + 0.2 * random.normal(size=(3, 3))
     X, d = random.normal(size=(n, 3)), 0.1 * random.normal(size=(n, 3))
     many = np.broadcast_to(np.eye(3), (n, 3, 3))
-    one = Taken(
+    one = SolidState(
         body=0, x=X @ F.T, v=X @ F.T @ A.T, F=many @ F, elastic=many @ F, L=many @ A, internal={},
         momentum=np.zeros(3), spin=np.zeros(3), kinetic=0.0,
     ).moved(d)  # fmt: skip
@@ -224,7 +225,7 @@ def test_plastic_strain_goes_along() -> None:
     )  # fmt: skip
     frames = run.frames()
     next(frames)
-    one = taken(solid_of(run.now), 0)
+    one = read_solid(solid_of(run.now), 0)
     names = set(one.internal)
     assert names, "the law has internal variables"
     next(frames)
@@ -237,10 +238,10 @@ def test_plastic_strain_goes_along() -> None:
 def test_matched_motion_has_the_momenta_that_were_asked_for() -> None:
     rng = np.random.default_rng(3)
     body = converting(("rubber",), {0: at(9.0)})
-    one = taken(solid_of(body.now), 0)
+    one = read_solid(solid_of(body.now), 0)
     m = rng.uniform(1.0, 2.0, len(one.x))
     one = replace(one, momentum=np.array([1.0, 2.0, 3.0]), spin=np.array([-3.0, 5.0, 4.0]))
-    v, C = matched(one, m, 0.3)
+    v, C = conserving_velocities(one, m, 0.3)
     spread = 0.25 * 0.3**2
     axial = np.stack([C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1)
     assert m @ v == pytest.approx(one.momentum, abs=1e-11)
