@@ -275,7 +275,7 @@ class BodyContact:
         x, v = self.motion(now)
         old = self._stored(x, time)
         search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
-        if not len(old.planes.active) and not len(search.planes.active):
+        if not old.planes.any_facing and not search.planes.any_facing:
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
             return chunk, int(np.ceil(chunk * shorter))
@@ -521,7 +521,7 @@ class BodyContact:
 
         Returns False if positions or velocities are not finite.
         """
-        if not len(self.planes.active):
+        if not self.planes.any_facing:
             return True
         x, v = self.motion(state.view())
         if not (np.isfinite(x).all() and np.isfinite(v).all()):

@@ -38,9 +38,15 @@ class ContactPlanes:
 
     @property
     def active(self) -> Ints:
-        """Samples that face something or are faced."""
-        faced = self.carriers[self.carried].ravel()
-        return np.union1d(np.flatnonzero(self.partner != NOBODY), faced)
+        """Samples that face something or carry a plane."""
+        found = self.partner != NOBODY
+        found[self.carriers[self.carried]] = True
+        return np.flatnonzero(found)
+
+    @property
+    def any_facing(self) -> bool:
+        """Whether a sample faces something."""
+        return bool((self.partner != NOBODY).any())
 
     def forget(self, rows: Ints) -> None:
         """Samples `rows` face nothing."""
