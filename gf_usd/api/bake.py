@@ -111,7 +111,7 @@ def prepare_and_run(
     while True:
         prepared = prepare(path, **refining.options)
         result = run(prepared, progress, max_hours=refining.hours, slice=slice)
-        if not refining.again(result, prepared.plan.asset.facts.units.length):
+        if not refining.bake_again(result, prepared.plan.asset.facts.units.length):
             break
     result = replace(result, notes=(*result.notes, *refining.notes))
     if prepared.plan.outputs.sheet:

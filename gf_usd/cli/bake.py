@@ -131,7 +131,7 @@ def bake(
                     prepared, on_frame, max_hours=refining.hours, slice=slice, remark=remark,
                     watch=show,
                 )  # fmt: skip
-                again = refining.again(result, plan.asset.facts.units.length)
+                again = refining.bake_again(result, plan.asset.facts.units.length)
                 for text in refining.notes[-1:]:
                     remark(text)
                 if not again:

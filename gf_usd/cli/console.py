@@ -61,9 +61,9 @@ def drops(plan: Plan) -> bool:
 
 def landing_of(plan: Plan, cost: Mapping[str, Any]) -> str:
     """When the body first touches the floor, by the estimate of its cost."""
-    from gf_usd.pipeline.prepared import more_than_a_fall
+    from gf_usd.pipeline.prepared import reason_not_free_fall
 
-    if more := more_than_a_fall(plan):
+    if more := reason_not_free_fall(plan):
         return f"first contact is not estimated with {more}"
     frame = cost["first_contact_frame"]
     return "no contact with a floor" if frame is None else f"first contact at frame {frame}"

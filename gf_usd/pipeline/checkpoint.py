@@ -1,17 +1,17 @@
-"""The file from which a bake goes on: ``NAME.checkpoint.npz``, next to the cache.
+"""The checkpoint of an interrupted bake: ``NAME.checkpoint.npz``, next to the cache.
 
     about       JSON: `Checkpoint` without its arrays
     solver.*    the solver's state, as `FrameBuilder.state` gives it
     track.*     the axes of the Gaussians, likewise
 
-It is written when a value clip is full, and holds the state at that clip's last sample.  The
-samples up to there are in the clips, so it does not grow with them.
+A checkpoint is written when a value clip is complete, and holds the state at the clip's last
+sample. The samples before it are in the clips, so the size of a checkpoint does not grow with their
+number.
 
-Going on with a bake that ended early: when its checkpoints fit, and when they are written.
-
-Every variant of a bake has a checkpoint of its own, next to its cache.  One that was done when the
-bake ended is taken up again at its last full clip, as the others are: only the frames after it are
-simulated a second time, and give the same bits.
+This module also decides which checkpoints a bake resumes from, and when they are written. Each
+variant has its own checkpoint. A variant that was complete when the bake was interrupted resumes at
+its last complete clip like the others: only the frames after that clip are simulated again, with
+bit-identical results.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ ABOUT = "about"
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """One variant at the end of a full clip."""
+    """The state of one variant at the end of a complete clip."""
 
-    identity: Mapping[str, str]  # what has to be the same, by its name: see `identity`
+    identity: Mapping[str, str]  # hashes that must match to resume: see `identity`
     index: int  # of the sample
     last: Health  # of the sample
     log: Mapping[str, Any]  # `HealthLog.state`
@@ -57,7 +57,7 @@ class Checkpoint:
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write it under its final name in one step; raises BakeError where the disk refuses."""
+    """Write a checkpoint atomically; raises BakeError where the file cannot be written."""
     about = {
         "format": FORMAT,
         "identity": dict(checkpoint.identity),
@@ -83,7 +83,7 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """What `write_checkpoint` wrote; raises UsageError for a file that it did not write."""
+    """Read a checkpoint; raises UsageError for a file that `write_checkpoint` did not write."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -103,8 +103,10 @@ def read_checkpoint(path: Path) -> Checkpoint:
         raise _unreadable(path, f"{type(error).__name__}: {error}") from error
 
 
-def drop(path: Path) -> None:
-    """Remove a checkpoint and what was written of the next; raises UsageError where it stays."""
+def remove_checkpoint(path: Path) -> None:
+    """Remove a checkpoint and its partial file; raises UsageError where one of them cannot be
+    removed.
+    """
     for file in (path, partial_path(path)):
         try:
             file.unlink(missing_ok=True)
@@ -126,8 +128,8 @@ def _unreadable(path: Path, why: str) -> UsageError:
     )
 
 
-# the result is the same whatever they are
-INDIFFERENT = re.compile(r" --threads \S+")
+# options that do not change the result
+WITHOUT_EFFECT = re.compile(r" --threads \S+")
 
 
 def identity(
@@ -140,9 +142,9 @@ def identity(
     asset: Path,
     command: str,
 ) -> dict[str, str]:
-    """Hashes of all that decides what a variant's clips hold, each under a name for people.
+    """Hashes of everything that determines the contents of a variant's clips, by a readable name.
 
-    colliders : obstacles, of the asset or of files of their own (`--collider`).
+    colliders : obstacles, of the asset or of separate files (`--collider`).
     Raises InputError where a file of the asset cannot be read any more.
     """
     of_settings = asdict(settings)
@@ -151,7 +153,7 @@ def identity(
         "settings": of_settings,
         "materials": [m.values for m in table],
         "choices": asdict(choices),
-        "command": INDIFFERENT.sub("", command),
+        "command": WITHOUT_EFFECT.sub("", command),
     }
     body = hashlib.sha256()
     for array in (particles.X, particles.V0, particles.material):
@@ -166,7 +168,7 @@ def identity(
 
 
 def _obstacles(colliders: Sequence[Collider]) -> str:
-    """Hash of the shape, motion and physics material of each, wherever it was read from."""
+    """Hash of the shape, motion and physics material of each obstacle, from any file."""
     found = hashlib.sha256()
     for one in colliders:
         found.update(_hash([one.shape, one.approximation, one.role, asdict(one.spec)]).encode())
@@ -190,17 +192,17 @@ def _hash(value: Any) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Resume:
-    """Where the variants of a bake go on, and notes on that."""
+    """The checkpoints from which the variants of a bake resume, with notes."""
 
-    checkpoints: tuple[Checkpoint | None, ...] = ()  # of each variant; (): all begin anew
+    checkpoints: tuple[Checkpoint | None, ...] = ()  # of each variant; (): all start over
     notes: tuple[str, ...] = ()
 
     def of(self, number: int) -> Checkpoint | None:
-        """Where a variant goes on; None: at its start."""
+        """The checkpoint of a variant; None: it starts from its first frame."""
         return self.checkpoints[number] if self.checkpoints else None
 
     def folders(self, files: Outputs) -> set[Path]:
-        """Folders of the clips that are gone on from."""
+        """Folders of the clips that the resumed bake continues."""
         pairs = zip(self.checkpoints, files.caches)
         return {cache.parent / found.cache["folder"] for found, cache in pairs if found}
 
@@ -212,13 +214,13 @@ def find_resume(
     clips: bool,
     overwrite: bool,
 ) -> Resume:
-    """The checkpoints of the variants, with a note of where each goes on.
+    """The checkpoints of the variants, with a note on the frame after which each resumes.
 
     identify : gives the `identity` of a variant.
     clips : the bake has value clips.
-    overwrite : begin anew, with a note, where a checkpoint does not fit.
+    overwrite : start over, with a note, where a checkpoint does not match.
 
-    Raises UsageError for a checkpoint that is of another bake, or without its clips.
+    Raises UsageError for a checkpoint of another bake, or one whose clips are missing.
     """
     found: list[Checkpoint | None] = []
     notes: list[str] = []
@@ -227,7 +229,7 @@ def find_resume(
             found.append(None)
             continue
         try:
-            checkpoint = _fitting(identify(variant), variant.cache, variant.checkpoint)
+            checkpoint = _checked_checkpoint(identify(variant), variant.cache, variant.checkpoint)
         except UsageError as error:
             if not overwrite:
                 raise
@@ -241,8 +243,8 @@ def find_resume(
     return Resume(checkpoints=tuple(found), notes=tuple(notes))
 
 
-def _fitting(now: Mapping[str, str], cache_path: Path, path: Path) -> Checkpoint:
-    """The checkpoint of a path, which must be of this bake; now : its `identity`."""
+def _checked_checkpoint(now: Mapping[str, str], cache_path: Path, path: Path) -> Checkpoint:
+    """The checkpoint in a file, which must match this bake; now : `identity` of this bake."""
     checkpoint = read_checkpoint(path)
     other = [name for name, value in now.items() if checkpoint.identity.get(name) != value]
     if other:
@@ -262,7 +264,7 @@ def _fitting(now: Mapping[str, str], cache_path: Path, path: Path) -> Checkpoint
 
 
 def clip_files(state: Mapping[str, Any]) -> list[str]:
-    """Names, next to the cache, of the files that a `CacheWriter.state` goes on from."""
+    """Names, relative to the cache, of the files that a `CacheWriter.state` needs to resume."""
     clips = [f"{count:04d}.usdc" for count in range(1, len(state["clips"]) + 1)]
     return [f"{state['folder']}/{name}" for name in ("manifest.usda", *clips)]
 
@@ -271,7 +273,7 @@ class CheckpointWriter:
     """Writes the checkpoints of a run, and counts them.
 
     paths, identities : of each variant.
-    slice : checkpoints after which the run ends; None: never.
+    slice : number of checkpoints after which the run ends; None: it runs to its end.
     """
 
     def __init__(
@@ -284,23 +286,23 @@ class CheckpointWriter:
         self._slice, self._written = slice, 0
 
     def write(self, number: int, index: int, state: Mapping[str, Any]) -> None:
-        """Write the checkpoint of a variant whose clip became full with a sample.
+        """Write the checkpoint of a variant after the sample that completed a clip.
 
-        state : the fields of the `Checkpoint` but its identity and index.
+        state : the fields of the `Checkpoint` except its identity and index.
 
-        Raises BakeError where the disk refuses.
+        Raises BakeError where the file cannot be written.
         """
         found = Checkpoint(identity=self._identities[number], index=index, **state)
         write_checkpoint(self._paths[number], found)
         self._written += 1
 
     @property
-    def sliced(self) -> bool:
-        """Whether the slice is done."""
+    def slice_done(self) -> bool:
+        """Whether all clips of the slice are written."""
         return self._written == self._slice
 
     def unfinished(self, number: int, variant: str, done: int, frames: int) -> Unfinished:
-        """What says that the slice ended in a variant, of whose frames so many are done."""
+        """The exception that reports the end of a slice, with the number of frames done."""
         return Unfinished(
             f"{variant}: {done} of {frames} frames are done, and the slice of {self._slice} clips"
             f" ends here; {self._paths[number]} is kept",
@@ -311,18 +313,18 @@ class CheckpointWriter:
         )
 
 
-def finished(files: Outputs) -> None:
-    """Remove the checkpoints: there is nothing left to go on with."""
+def remove_checkpoints(files: Outputs) -> None:
+    """Remove the checkpoints of a complete bake."""
     for path in files.checkpoints:
-        drop(path)
+        remove_checkpoint(path)
 
 
-def abandoned(files: Outputs) -> set[Path]:
-    """Folders of clips of checkpoints that nobody goes on from; removes the checkpoints."""
+def discard_checkpoints(files: Outputs) -> set[Path]:
+    """Remove checkpoints that are not resumed; returns the folders of their clips."""
     left: set[Path] = set()
     for cache_path, path in zip(files.caches, files.checkpoints):
         if path.exists():
-            with contextlib.suppress(UsageError):  # what cannot be read names no clips
+            with contextlib.suppress(UsageError):  # an unreadable checkpoint lists no clips
                 left.add(cache_path.parent / read_checkpoint(path).cache["folder"])
-        drop(path)
+        remove_checkpoint(path)
     return left

@@ -1,6 +1,6 @@
-"""From finished caches to published files: layers over the asset, or one file.
+"""Publishes finished caches: as layers over the asset, or as one file.
 
-A bake has its results to itself: from before it touches them to its end, however it ends.
+A bake locks its result files before it first touches them, and until its end.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Choices
-from gf_usd.pipeline.checkpoint import Resume, abandoned
+from gf_usd.pipeline.checkpoint import Resume, discard_checkpoints
 from gf_usd.prepare.outputs import Outputs, Stamp, Stamps, stamp
 from gf_usd.system import file_locks
 from gf_usd.system.atomic_files import drop_working, partial_path, publish
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """The files of a bake, and what its layers lie over."""
+    """The files of a bake, and the source that its layers refer to."""
 
     files: Outputs
     asset: Asset
@@ -117,7 +117,7 @@ def sweep(files: Outputs, resume: Resume) -> set[Path]:
     kept = {folder for cache in files.caches if (folder := clips_of(cache))}
     stale = {folder for cache in files.caches if (folder := clips_of(partial_path(cache)))}
     if not any(resume.checkpoints):
-        stale |= abandoned(files)
+        stale |= discard_checkpoints(files)
     for folder in stale - kept - resume.folders(files):
         remove_clips(folder)
     return kept

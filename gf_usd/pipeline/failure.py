@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Report = Callable[[Sequence[str], Sequence[dict[str, str]]], dict[str, Any]]
 
 
-def place(
+def locate_failure(
     error: SolverError,
     variant: str,
     *,
@@ -31,11 +31,10 @@ def place(
     particles: Particles,
     settings: Settings,
 ) -> dict[str, Any]:
-    """Where and why the simulation failed, as the report's key `failed` has it.
+    """Where and why the simulation failed: the value of the report's key `failed`.
 
     embedded : (prim path, reason) of surfaces that are not filled.
-
-    particle, prim and rest_position (stage units) are None where the fault has no place.
+    particle, prim and rest_position (stage units) are None where the error has no position.
     """
     found: dict[str, Any] = {"particle": None, "prim": None, "rest_position": None}
     if error.particle >= 0:
@@ -61,7 +60,7 @@ def place(
     }
 
 
-def leave(
+def write_failure(
     delivery: Delivery,
     failed: dict[str, Any],
     error: SolverError,
@@ -71,14 +70,14 @@ def leave(
     notes: Sequence[str],
     report: Report,
 ) -> SolverError:
-    """Write the partial root layer and the report of a bake that failed; returns what to raise.
+    """Write the partial root layer and the report of a failed bake; returns the error to raise.
 
-    failed : of `place`.
-    variants : the bakes that have frames, the last of which may be the one that failed; their
-    caches have partial names.  Without any, nothing is written.
+    failed : of `locate_failure`.
+    variants : those with frames, the last of which may be the one that failed; their caches have
+        partial names. Nothing is written where there are none.
     clips : files next to the caches.
 
-    No file under a final name is touched but a report of an earlier failure.
+    Final files are left unchanged, except for the report of an earlier failure.
     """
     from gf_usd.layers.check.run import review
 

@@ -45,7 +45,7 @@ from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.thin.parts import Part, suggestion
 from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.cost.budget import Cost
-from gf_usd.pipeline.prepared import Prepared, draw, of_a_shot
+from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
 from gf_usd.prepare.fill import fill, mend
 from gf_usd.prepare.outputs import outputs
@@ -81,7 +81,7 @@ class Inspection:
         return ("filled", "") if reason is None else ("rides along", reason)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; their keys stand at the top of gf_usd/pipeline/inspect.py."""
+        """Plain values; the keys are documented at the top of gf_usd/pipeline/inspect.py."""
         facts = self.asset.facts
         return {
             "file": str(facts.path),
@@ -184,7 +184,7 @@ class Inspection:
 
 
 def examine(asset: Asset, repairs: Sequence[Repairs] = ()) -> Inspection:
-    """The part of an inspection that needs no plan."""
+    """The part of an inspection that does not need a plan."""
     return Inspection(
         asset=asset,
         diagnoses=tuple(diagnose(surface) for surface in asset.surfaces),
@@ -198,7 +198,7 @@ def refusal_json(error: InputError | None) -> dict[str, str] | None:
 
 
 def lost_volume(seen: Inspection) -> str:
-    """A warning where faults of the meshes cost the fill much of what they enclose; else ""."""
+    """A warning where defects of the meshes remove much of the enclosed volume; else ""."""
     if seen.plan is None or seen.repairs:
         return ""
     filled = [d for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
@@ -235,13 +235,13 @@ def inspect(
     limits: Limits | None = None,
     **options: Any,
 ) -> Inspection:
-    """What `bake` would make of an asset with the same parameters, and what is wrong with it.
+    """The result of `bake` with the same parameters without simulating, and defects of the asset.
 
-    A refusal is part of the result (`Inspection.refusal`), where the file could be read at all.
+    A refusal is part of the result (`Inspection.refusal`), provided that the file can be read.
 
     Raises
     ------
-    UsageError : the options make no sense.
+    UsageError : for invalid options.
     InputError : the file cannot be read, is the result of a bake, or contains nothing to bake.
     """
     from gf_usd.geometry.thin.parts import poor_parts
@@ -266,10 +266,10 @@ def inspect(
         if not repair and would_fill(mend(asset, request, spec)[1]):
             warnings.append("it can be baked with --repair")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
-    prepared = of_a_shot(Prepared(plan=plan))
+    prepared = with_shot_length(Prepared(plan=plan))
     seen = replace(seen, plan=prepared.plan, cost=prepared.cost, thickness=thickness(solid))
     lost = lost_volume(seen)
-    # Where faults cost much of the fill, thin parts are their echo.
+    # where defects remove much of the volume, they also cause the thin parts
     parts = () if lost else poor_parts(solid, plan.particles, plan.samples)
     warnings = (implausible_size(asset), lost)
     return replace(seen, parts=parts, warnings=tuple(w for w in warnings if w))

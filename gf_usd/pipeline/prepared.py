@@ -1,4 +1,4 @@
-"""A bake that is ready to run: its plan, its solvers, what it costs and where it goes on."""
+"""A bake that is ready to run: its plan, solvers, cost estimate and checkpoints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gf_usd.pipeline.cost.budget import (
     duration,
     estimate,
     first_contact,
-    usual_rest,
+    typical_rest,
 )
 from gf_usd.pipeline.cost.forecast import (
     FILLING,
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """A bake that is ready to run: its plan, and what is there only while the process is."""
+    """A bake that is ready to run: its plan, and data that exist only in this process."""
 
     plan: Plan
     converted: MeshSource | None = None  # of an asset that is not USD; holds a temporary folder
     resume: Resume = field(default_factory=Resume)
-    refill: Refill | None = None  # fills the same asset more coarsely; None: nobody needs it
-    warned: frozenset[str] = frozenset()  # what USD warned of, told in the plan's notes
+    refill: Refill | None = None  # fills the same asset at a lower resolution; None: not needed
+    warned: frozenset[str] = frozenset()  # warnings of USD that are in the plan's notes
 
     @cached_property
     def solvers(self) -> Solvers:
@@ -54,12 +54,12 @@ class Prepared:
 
     @cached_property
     def cost(self) -> Cost:
-        """Of `budget.estimate`; builds the solvers."""
+        """The result of `budget.estimate`; builds the solvers."""
         plan = self.plan
         setup = plan.contact_setup
         samples = plan.settings.samples_per_frame
         surfaces = plan.asset.surfaces
-        contact = None if pushed(plan) else first_contact(plan.settings, plan.drop)
+        contact = None if has_driven_motion(plan) else first_contact(plan.settings, plan.drop)
         ends = plan.choices.until_rest or plan.choices.settled
         return estimate(
             plan.settings,
@@ -69,13 +69,13 @@ class Prepared:
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             paired=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
-            first_contact=None if more_than_a_fall(plan) else contact,
+            first_contact=None if reason_not_free_fall(plan) else contact,
             flying=flying(plan),
             fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
             damping=[self.solvers.damping(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
             usual=[
-                usual_rest(plan.settings, material, plan.particles.radius, contact)
+                typical_rest(plan.settings, material, plan.particles.radius, contact)
                 for material in plan.materials
             ]
             if ends
@@ -92,9 +92,9 @@ def prepare(
     watch: Watch | None = None,
     **options: Any,
 ) -> Prepared:
-    """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`.
+    """Prepare a bake, with the checkpoints that it resumes from; see `gf_usd.bake`.
 
-    watch : is told what it is doing.
+    watch : called with the current stage.
     """
     from gf_usd.layers.usd_warnings import gathered
 
@@ -114,7 +114,9 @@ def prepare(
     plan = replace(plan, notes=(*plan.notes, *warned.lines()))
     told = frozenset(warned.said)
     refill = refills[0] if plan.choices.certify else None
-    prepared = of_a_shot(Prepared(plan=plan, converted=converted, refill=refill, warned=told))
+    prepared = with_shot_length(
+        Prepared(plan=plan, converted=converted, refill=refill, warned=told)
+    )
     if not resume:
         return prepared
     plan = prepared.plan
@@ -125,11 +127,12 @@ def prepare(
     return Prepared(plan=plan, converted=converted, resume=found, warned=told)
 
 
-def of_a_shot(prepared: Prepared) -> Prepared:
-    """A bake that nobody gave a length, as long as a shot where rest would take too much work, or
-    usually more than REST_SECONDS of playback, as of bodies tens of meters wide.
+def with_shot_length(prepared: Prepared) -> Prepared:
+    """A bake of unspecified length, limited to a shot where simulating until rest takes too long.
 
-    By counts of substeps and frames, so that the length is the same on every machine.
+    The limits are REST_WORK, and REST_SECONDS of playback, which bodies tens of meters wide
+    typically exceed. They are counts of substeps and frames, so the length is the same on every
+    machine.
     """
     plan = prepared.plan
     if not plan.choices.open_end:
@@ -160,7 +163,7 @@ def of_a_shot(prepared: Prepared) -> Prepared:
 
 
 def identity_of(plan: Plan, variant: Variant) -> dict[str, str]:
-    """Of a checkpoint of a variant."""
+    """The identity of a variant's checkpoint."""
     return identity(
         variant.settings, variant.table, plan.choices, plan.particles,
         plan.contact_setup.colliders if plan.contact_setup else (),
@@ -169,22 +172,19 @@ def identity_of(plan: Plan, variant: Variant) -> dict[str, str]:
 
 
 def draw(scene: Scene, size: tuple[int, int]) -> Any:
-    """The picture of an asset that an advisor is shown."""
+    """The picture of an asset for an advisor."""
     from gf_usd.view.render.render import render
 
     return render(scene, size=size)
 
 
-def pushed(plan: Plan) -> bool:
-    """Whether more than gravity and contact moves the bodies."""
+def has_driven_motion(plan: Plan) -> bool:
+    """Whether pins, bones or fields move the bodies, in addition to gravity and contact."""
     return plan.held or bool(plan.settings.fields)
 
 
-def more_than_a_fall(plan: Plan) -> str:
-    """What keeps the first contact from being that of a fall on the floor, in a word; "": nothing.
-
-    `first_contact` knows nothing of it.
-    """
+def reason_not_free_fall(plan: Plan) -> str:
+    """Why the bodies are not in free fall until `first_contact`, as a word; "": they are."""
     if plan.contact_setup is not None and plan.contact_setup.colliders:
         return "obstacles"
     if plan.held or plan.goals:
@@ -195,7 +195,7 @@ def more_than_a_fall(plan: Plan) -> str:
 
 
 def flying(plan: Plan) -> int:
-    """Frames at the start that need no substeps, since all bodies are in free flight."""
+    """Number of frames at the start in free flight, which need no substeps."""
     from gf_usd.physics.total_lagrangian.shape_correction import acts
 
     s = plan.settings
@@ -205,11 +205,11 @@ def flying(plan: Plan) -> int:
     if plan.contact_setup is not None and plan.contact_setup.colliders:
         return 0
     frame = first_contact(s, plan.drop)
-    return s.frames if frame is None else max(0, frame - 2)  # one more is near enough
+    return s.frames if frame is None else max(0, frame - 2)  # with a margin of one frame
 
 
 def solver_of(plan: Plan, variant: Variant) -> Solver:
-    """The solver of a variant, at its start."""
+    """The solver of a variant, in its initial state."""
     from gf_usd.physics.solvers import make_solver
 
     more: dict[str, Any] = {}

@@ -16,9 +16,9 @@ from gf_usd.prepare.plan import settings_json
 
 
 def require_healthy(result: BakeResult, *, strict: bool) -> None:
-    """Raise UnhealthyError where a finished bake has errors; its files are there and stay.
+    """Raise UnhealthyError where a finished bake has errors; its files are kept.
 
-    strict : warnings are errors too.
+    strict : treat warnings as errors.
     """
     warnings = [
         (name, warning) for name, warning in result.warnings if strict or warning.level == ERROR

@@ -1,4 +1,6 @@
-"""The pipeline: asset -> particles -> frames -> layers.  The one file that takes a plan apart."""
+"""The pipeline: asset -> particles -> frames -> layers. The only file that uses all parts of a
+plan.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from gf_usd.core.errors import OutOfResources, SolverError, UsageError
 from gf_usd.core.frames import BakeInfo, sampled, shortened
-from gf_usd.pipeline.checkpoint import CheckpointWriter, finished
+from gf_usd.pipeline.checkpoint import CheckpointWriter, remove_checkpoints
 from gf_usd.pipeline.cost.budget import (
     ResourceGuard,
     require_affordable,
@@ -29,9 +31,9 @@ from gf_usd.pipeline.cost.forecast import (
     Watch,
 )
 from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
-from gf_usd.pipeline.failure import leave, place
+from gf_usd.pipeline.failure import locate_failure, write_failure
 from gf_usd.pipeline.frames.attachments import tet_attachments
-from gf_usd.pipeline.frames.builder import FrameBuilder, with_held
+from gf_usd.pipeline.frames.builder import FrameBuilder, with_lead_frames
 from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
@@ -40,7 +42,7 @@ from gf_usd.pipeline.health.warnings import health_warnings, plan_warnings
 from gf_usd.pipeline.measures.certify import certify, coarser
 from gf_usd.pipeline.measures.observe import Observed, Observer
 from gf_usd.pipeline.measures.rest import Rest
-from gf_usd.pipeline.prepared import Prepared, identity_of, pushed, solver_of
+from gf_usd.pipeline.prepared import Prepared, has_driven_motion, identity_of, solver_of
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
-Remark = Callable[[str], None]  # told, in words, what turns out while it runs
+Remark = Callable[[str], None]  # called with messages during the run
 
 
 def run(
@@ -69,14 +71,16 @@ def run(
 ) -> BakeResult:
     """Simulate and write a prepared bake.
 
-    slice : full value clips after which it ends, to be resumed; None: at its end.
-    remark : is told at once what the result's notes hold in the end: see `Forecast`.
-    watch : is told what it is doing.
+    slice : number of complete value clips after which it ends, to be resumed; None: it runs to its
+    end.
+    remark : called at once with each note that results from the run: see `Forecast`.
+    watch : called with the current stage.
 
     Raises UsageError for a slice of a bake without clips, and where another bake is writing the
-    same (see `output_lock`); InputError where it would take longer than max_hours [h], or more disk
-    or memory than is free; SolverError where the simulation failed (see `failure.leave`);
-    BakeError where the disk did; Unfinished where the slice is done.
+    same files (see `output_lock`); InputError where it would take longer than max_hours [h], or
+    more disk or memory than is free; SolverError where the simulation failed (see
+    `failure.write_failure`); BakeError where a file cannot be written; Unfinished where the slice
+    is complete.
     """
     plan = prepared.plan
     if slice and not plan.choices.clip_frames:
@@ -89,7 +93,7 @@ def run(
             f"--slice {slice} cannot be combined with --certify, which needs all frames of one run",
             "leave out one of the two",
         )
-    # read before the first frame: a file that changes meanwhile is found by who resumes
+    # read before the first frame, so that resuming detects files that changed meanwhile
     clipped = plan.variants if plan.choices.clip_frames else ()
     identities = [identity_of(plan, variant) for variant in clipped]
     checkpoints = CheckpointWriter(plan.outputs.checkpoints, identities, slice)
@@ -113,21 +117,25 @@ def run(
 
     with output_lock(plan.outputs.root, sequences, plan.seen), gathered() as warned:
         forecast = Forecast(
-            prepared.cost, sampled(settings).frames, max_hours, again=_again(plan), remark=remark
+            prepared.cost,
+            sampled(settings).frames,
+            max_hours,
+            resume_hint=_resume_hint(plan),
+            remark=remark,
         )
         stages = Stages(watch)
         with watching(stages.compile), watching(forecast.compile):
             return _run_locked(prepared, progress, checkpoints, forecast, warned, stages)
 
 
-def _again(plan: Plan) -> str:
-    """How to have the rest of a bake that ended early, in words."""
+def _resume_hint(plan: Plan) -> str:
+    """Text: how to continue a bake that ended early."""
     go_on = "run the same command with --resume to continue"
     return go_on if plan.choices.clip_frames else "bake again"
 
 
 def _folder(plan: Plan) -> Path:
-    """Of the results."""
+    """The folder of the results."""
     return plan.outputs.root.absolute().parent
 
 
@@ -161,23 +169,23 @@ def _run_locked(
         if result is not None and variant is not None:
             results.append(result)
             baked.append(variant)
-        notes += (*more, *forecast.take())
+        notes += (*more, *forecast.take_remarks())
         if error is not None:
             baked = [replace(one, cache=partial_path(one.cache)) for one in baked]
             results = [replace(r, cache=one.cache) for r, one in zip(results, baked)]
             if not isinstance(error, OutOfResources):
-                finished(files)  # it would fail again
+                remove_checkpoints(files)  # resuming would fail again
             seconds = time.perf_counter() - began
-            failed = place(
+            failed = locate_failure(
                 error, plan.variants[number].name, asset=plan.asset, embedded=plan.embedded,
                 particles=plan.particles, settings=plan.settings,
             )  # fmt: skip
             report = partial(report_json, describe(plan), plan.settings, results, seconds)
             clips = [clip for one in results for clip in one.clips]
-            raise leave(
+            raise write_failure(
                 delivery, failed, error, variants=baked, clips=clips, notes=notes, report=report
             ) from error
-    # an asset that is gone is found out before a result has its final name
+    # detect a missing asset before a result has its final name
     input_hash(plan.asset.facts.path)
     stages.begin(WRITING)
     notes += delivery.publish(baked, earlier)
@@ -187,7 +195,7 @@ def _run_locked(
     seconds = time.perf_counter() - began
     report = report_json(describe(plan), plan.settings, results, seconds, notes, findings)
     publish_text(files.report, json.dumps(report, indent=1) + "\n")
-    finished(files)
+    remove_checkpoints(files)
     return BakeResult(
         root=files.root,
         report=files.report,
@@ -211,8 +219,8 @@ def _run_variant(
 ) -> tuple[VariantResult | None, BakedVariant | None, tuple[str, ...], SolverError | None]:
     """Simulate one variant into its cache, which keeps its partial name.
 
-    A failure of the solver is returned with what was had before it: no result and no cache where
-    that is not a single frame.
+    An error of the solver is returned together with the frames before it: without a single frame,
+    there is neither a result nor a cache.
     """
     from gf_usd.layers.cache import CacheWriter
     from gf_usd.layers.variants import BakedVariant
@@ -235,7 +243,7 @@ def _run_variant(
         drop=plan.drop,
         radius=plan.particles.radius,
         particles=len(plan.particles),
-        held=pushed(plan),
+        held=has_driven_motion(plan),
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )
@@ -264,7 +272,7 @@ def _run_variant(
         _folder(plan),
         plan.frame_bytes / n,
         reserve(total),
-        _again(plan),
+        _resume_hint(plan),
     )
     failure = None
     alone, ends = plan.choices.settled, plan.choices.settled or plan.choices.until_rest
@@ -284,7 +292,7 @@ def _run_variant(
         since=since.cache if since else None,
     ) as cache:
         try:
-            for sample in with_held(builder.samples(since, period), settings):
+            for sample in with_lead_frames(builder.samples(since, period), settings):
                 index = sample.index
                 if index < 0 and sample.splats:
                     sample = splats.held(sample)
@@ -303,7 +311,9 @@ def _run_variant(
                 frame = index // n + 1
                 if progress and index % n == 0:
                     progress(number * total + frame, total * len(plan.materials))
-                forecast.after(number, index, sample.health.substeps, builder.solver.substeps)
+                forecast.record_sample(
+                    number, index, sample.health.substeps, builder.solver.substeps
+                )
                 if index % n == 0:
                     stages.begin(
                         SIMULATING, variant.name, done=number * total + frame, left=forecast.left
@@ -317,7 +327,7 @@ def _run_variant(
                     full = {"last": last, "log": seen, "cache": cache.state(), **state}
                     checkpoints.write(number, index, full)
                     left = index < settings.frames - 1 or number < len(plan.materials) - 1
-                    if left and checkpoints.sliced:
+                    if left and checkpoints.slice_done:
                         raise checkpoints.unfinished(number, variant.name, frame, total)
         except SolverError as error:
             failure = error
@@ -329,19 +339,19 @@ def _run_variant(
         partial_path(variant.cache).unlink(missing_ok=True)
         return None, None, (), failure
     if period.skipped:
-        log.leave_out(period.skipped // n)
+        log.skip_frames(period.skipped // n)
         info = replace(info, settings=shortened(info.settings, period.skipped // n))
     health = {**log.summary(), **period.health}
     at = ()
     if rest is not None:
-        at = (rest.said(variant.name, log.frames, plan.settings.frames, settled=settled),)
+        at = (rest.message(variant.name, log.frames, plan.settings.frames, settled=settled),)
     certificate = None
     if observer is not None and failure is None:
         certificate = certify(
-            (observer.observed(), *coarse), held=pushed(plan) or bool(plan.goals),
+            (observer.observed(), *coarse), held=has_driven_motion(plan) or bool(plan.goals),
             single=plan.bodies is None or plan.bodies.count == 1, reason=useless,
         )  # fmt: skip
-    if plan.choices.until_rest:  # its layers end where it ended
+    if plan.choices.until_rest:  # its layers end at its last frame
         info = replace(info, settings=replace(info.settings, frames=len(log.frames)))
     result = VariantResult(
         variant=variant.name,
@@ -371,20 +381,20 @@ def _run_variant(
 
 
 def _coarser(prepared: Prepared, number: int, stages: Stages) -> tuple[tuple[Observed, ...], str]:
-    """A variant at lower resolutions, without writing anything, and why that is of no use."""
+    """Runs of a variant at lower resolutions, which write no files; or why they cannot be used."""
     plan, refill = prepared.plan, prepared.refill
     if refill is None:
         return (), ""
 
     def run(spacing: float) -> tuple[Observed, float]:
-        # what else follows from the spacing, such as the frames of a body of another volume, stays
+        # other settings that depend on the spacing, such as the number of frames, are kept
         coarse = replace(refill(spacing), settings=plan.settings, each=plan.each)
         variant = coarse.variants[number]
         observer = _observer(coarse, variant)
         solver = solver_of(coarse, variant)
         rest = _rest(plan)
         for frame in solver.frames():
-            observer.see(frame, frame.embedded)
+            observer.add_frame(frame, frame.embedded)
             if rest.reached(frame.health, frame.index) and (
                 plan.choices.until_rest or plan.choices.settled
             ):
@@ -396,22 +406,22 @@ def _coarser(prepared: Prepared, number: int, stages: Stages) -> tuple[tuple[Obs
 
 
 def _observer(plan: Plan, variant: Variant) -> Observer:
-    """What is shown the frames of a variant."""
+    """The observer of a variant's frames."""
     carried = {path for path, _ in plan.embedded}
     paths = [s.path for s in plan.asset.surfaces if s.path not in carried]
     return Observer(plan.particles, sampled(variant.settings), paths)
 
 
 def _rest(plan: Plan) -> Rest:
-    """What sees that everything is at rest, obstacles too."""
+    """The detector of rest, which accounts for moving obstacles."""
     settings, setup = sampled(plan.settings), plan.contact_setup
     obstacles = setup.colliders if setup else ()
-    stirred = max((one.still_from for one in obstacles), default=0)
-    return Rest(settings.frame_time, plan.particles.radius, stirred)
+    moving_frames = max((one.still_from for one in obstacles), default=0)
+    return Rest(settings.frame_time, plan.particles.radius, moving_frames)
 
 
 def splat_deformer(plan: Plan, variant: Variant) -> SplatDeformer:
-    """The captured Gaussians of a plan, at their start."""
+    """The captured Gaussians of a plan, in their initial state."""
     surfaces = [s for s in plan.asset.surfaces if s.path in plan.points]
     return SplatDeformer(
         {s.path: s.splats for s in surfaces if s.splats is not None},
@@ -430,7 +440,7 @@ def frame_builder(
     splats: SplatDeformer,
     observer: Observer | None = None,
 ) -> FrameBuilder:
-    """What makes samples of the frames of a variant's solver, which an observer is shown."""
+    """The frame builder of a variant and its solver; an observer receives the frames."""
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.output.gaussians import GaussianTrack
 

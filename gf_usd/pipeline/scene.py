@@ -1,4 +1,4 @@
-"""A scene that is given as arrays, made ready to be stepped: nothing is read or written."""
+"""A scene that is given as arrays, prepared for stepping: no file is read or written."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
     from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
-NAME = Path("scene")  # stands for a file in messages
-BELOW = 1e-6  # of the scene's size: what is no deeper below the floor stands on it
+NAME = Path("scene")  # used in messages in place of a file name
+BELOW = 1e-6  # of the scene's size: bodies that are less deep below the floor stand on it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,9 @@ class SceneSpec:
 
     surfaces: tuple[Surface, ...]  # one a body, by its path
     materials: Mapping[str, str | Material]  # of each body
-    velocities: Mapping[str, tuple[Triple, Triple]]  # [m/s] and [rad/s] at the start
+    velocities: Mapping[str, tuple[Triple, Triple]]  # [m/s] and [rad/s] initial velocities
     colliders: tuple[Collider, ...] = ()
-    pins: tuple[tuple[Region, tuple[bool, bool, bool]], ...] = ()  # and the axes that they hold
+    pins: tuple[tuple[Region, tuple[bool, bool, bool]], ...] = ()  # and the prescribed axes
     gravity: Triple = (0.0, -9.81, 0.0)  # [m/s^2]
     floor: float | None = None  # [m] height along up; None: no floor
     up_axis: str = "Y"
@@ -56,7 +56,7 @@ class SceneSpec:
 
 
 def plan_scene(spec: SceneSpec) -> Plan:
-    """The plan of a scene.  Raises UsageError and InputError where it makes no sense."""
+    """The plan of a scene. Raises UsageError and InputError for an invalid one."""
     if not spec.surfaces:
         raise UsageError("the scene has no body", "add one: scene.add_body(points, faces)")
     gravity = ",".join(repr(float(g)) for g in spec.gravity)
@@ -96,7 +96,7 @@ def plan_scene(spec: SceneSpec) -> Plan:
 
 
 def start_scene(plan: Plan) -> TotalLagrangian:
-    """The solver of a planned scene, at its start."""
+    """The solver of a planned scene, in its initial state."""
     return solver_of(plan, plan.variants[0])  # pyright: ignore[reportReturnType]
 
 

@@ -291,7 +291,7 @@ def fill(
         f"<{p}> is not filled: it moves with the nearest body and does not collide; {why}"
         for p, why in solid.embedded
     ]
-    left = [left_note(path, why) for path, why in asset.skipped]
+    left = [not_filled_note(path, why) for path, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
     limbs = LimbPlan(
@@ -365,7 +365,7 @@ def fill(
     return plan, solid
 
 
-def left_note(path: str, why: str) -> str:
+def not_filled_note(path: str, why: str) -> str:
     """The note on a prim that is not baked, for a reason of the reader."""
     from gf_usd.readers.usd.select import KINDS, REPEATED
 

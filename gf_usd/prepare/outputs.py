@@ -153,7 +153,7 @@ def _require_names(variants: Sequence[str]) -> None:
 
 def require_free(files: Outputs, overwrite: bool) -> None:
     """Raise UsageError where a result is there already, or no folder could hold one."""
-    there = [p for p in files.own if p.exists() and not tells_of_failure(p)]
+    there = [p for p in files.own if p.exists() and not is_failure_report(p)]
     if there and not overwrite:
         raise UsageError(
             f"{there[0]} exists already", "add --overwrite to replace it, or choose another -o"
@@ -188,7 +188,7 @@ def require_source_free(files: Outputs, is_the_same: bool, overwrite: bool) -> N
         )
 
 
-def tells_of_failure(path: Path) -> bool:
+def is_failure_report(path: Path) -> bool:
     """Whether a file is the report of a bake that failed, which is in nobody's way."""
     if not path.name.endswith(REPORT):
         return False
@@ -202,7 +202,7 @@ def tells_of_failure(path: Path) -> bool:
 
 def report_of_failure(files: Outputs) -> Path:
     """Where a bake that fails says so: under the report's name, unless a good one has it."""
-    good = files.report.exists() and not tells_of_failure(files.report)
+    good = files.report.exists() and not is_failure_report(files.report)
     return partial_path(files.report) if good else files.report
 
 
@@ -219,7 +219,7 @@ def claim(files: Outputs) -> None:
     files.root.parent.mkdir(parents=True, exist_ok=True)
     made = {*files.own, *files.caches, files.layers}
     stale = [partial_path(path) for path in sorted(made)]
-    if tells_of_failure(files.report):
+    if is_failure_report(files.report):
         stale.append(files.report)
     for path in stale:
         try:

@@ -22,7 +22,7 @@ from gf_usd.pipeline.cost.budget import (
     Solvers,
     duration,
     require_affordable,
-    usual_rest,
+    typical_rest,
 )
 from gf_usd.pipeline.prepared import Prepared
 from gf_usd.prepare.outputs import outputs
@@ -81,7 +81,7 @@ def test_a_bake_that_ends_at_rest_has_a_usual_cost_besides_that_of_all_frames(pl
     assert not whole["ends_early"]
     assert whole["usual_seconds"] == whole["estimated_seconds"]
     endless = replace(plan.settings, frames=10**6)
-    usual = usual_rest(endless, plan.materials[0], plan.particles.radius, 0)
+    usual = typical_rest(endless, plan.materials[0], plan.particles.radius, 0)
     long = replace(endless, frames=4 * usual)
     until = replace(plan, settings=long, choices=replace(plan.choices, until_rest=True))
     both = cost(until)
@@ -156,8 +156,8 @@ def test_the_solver_that_was_asked_is_the_one_that_bakes(plan: Plan) -> None:
     assert made == [first], "it is built once"
     assert first.substeps == substeps
     next(first.frames())
-    again = solvers.take(variant)
-    assert again is not first, "a solver that has moved starts no other bake"
+    resume_hint = solvers.take(variant)
+    assert resume_hint is not first, "a solver that has moved starts no other bake"
     assert solvers.substeps(variant) == substeps
     changed = Prepared(plan=replace(plan, settings=replace(plan.settings, substeps=7)))
     (variant,) = changed.plan.variants

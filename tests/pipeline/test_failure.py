@@ -8,7 +8,7 @@ from physics_stages import mesh
 from planned import at, plan_fixture  # noqa: F401
 
 from gf_usd.core.errors import SolverError
-from gf_usd.pipeline.failure import place
+from gf_usd.pipeline.failure import locate_failure
 
 
 def test_the_prim_is_that_of_the_particle_where_a_surface_before_it_only_rides(plan) -> None:
@@ -21,7 +21,7 @@ def test_the_prim_is_that_of_the_particle_where_a_surface_before_it_only_rides(p
         surface = int(seen.particles.surface[particle])
         prim = ("/One", "/Two")[surface]
         error = SolverError("frame 3: it is torn", "", frame=3, particle=particle)
-        found = place(
+        found = locate_failure(
             error, "rubber", asset=seen.asset, embedded=seen.embedded, particles=seen.particles,
             settings=seen.settings,
         )  # fmt: skip

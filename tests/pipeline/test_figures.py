@@ -11,7 +11,7 @@ from gf_usd.pipeline.measures.figures import (
     figures,
     first_contact,
     highest_rebound,
-    least,
+    minimum,
 )
 
 UP, G = np.array([0.0, 1.0, 0.0]), np.array([0.0, -9.81, 0.0])
@@ -151,4 +151,4 @@ def test_a_held_body_sags():
 def test_the_least_of_a_cubic_is_exact():
     t = np.array([0.0, 1.0, 3.0])
     y, m = t**3 - 6.0 * t, 3.0 * t**2 - 6.0
-    assert least(t, y, m) == pytest.approx((np.sqrt(2.0), -4.0 * np.sqrt(2.0)))
+    assert minimum(t, y, m) == pytest.approx((np.sqrt(2.0), -4.0 * np.sqrt(2.0)))

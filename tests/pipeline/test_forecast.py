@@ -51,48 +51,48 @@ def follow(
     following = [*substeps[1:], substeps[-1]]
     for k, (now, then) in enumerate(zip(substeps, following)):
         clock.now += each * now
-        made.after(material, first + k, now, then)
+        made.record_sample(material, first + k, now, then)
 
 
 def test_a_bake_as_long_as_estimated_is_no_news() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 1.0, clock=clock)
     follow(made, clock, [100] * 100, 0.01 * 1.9)
-    assert made.take() == ()
+    assert made.take_remarks() == ()
 
 
 def test_a_shrinking_step_is_told_with_its_reason_once() -> None:
     clock, told = Clock(), []
     made = Forecast(cost(100.0), 100, 1.0, clock=clock, remark=told.append)
     follow(made, clock, [100] * 10 + [400] * 90, 0.01)
-    (line,) = made.take()
+    (line,) = made.take_remarks()
     assert told == [line]
     assert "not 100 s: in its current strain clay takes " in line
     assert line.endswith("substeps where it took 100 at rest")
     said = float(line.split("about ")[1].split(" minutes")[0]) * 60.0
     assert 200.0 <= said <= 380.0  # 10 of 100 substeps and 90 of 400, each of .01 s: 370 s
-    assert made.take() == ()
+    assert made.take_remarks() == ()
 
 
 def test_it_is_told_again_when_it_doubles_again() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 100.0, clock=clock)
     follow(made, clock, [100] * 10 + [400] * 30 + [3000] * 60, 0.01)
-    assert len(made.take()) == 3  # 4, 8 and 16 times as long
+    assert len(made.take_remarks()) == 3  # 4, 8 and 16 times as long
 
 
 def test_a_peak_at_the_impact_is_no_surprise() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 1.0, clock=clock)
     follow(made, clock, [100] * 10 + [900] + [100] * 89, 0.01)
-    assert made.take() == ()
+    assert made.take_remarks() == ()
 
 
 def test_a_slow_machine_is_told_from_a_small_step() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 1.0, clock=clock)
     follow(made, clock, [100] * 100, 0.05)
-    (line,) = made.take()
+    (line,) = made.take_remarks()
     assert "other programs may be using this machine" in line
 
 
@@ -100,25 +100,25 @@ def test_short_bakes_and_frames_without_substeps_say_nothing() -> None:
     clock = Clock()
     short = Forecast(cost(5.0), 100, 1.0, clock=clock)
     follow(short, clock, [100] * 100, 0.005)  # ten times as long: 50 s
-    assert short.take() == ()
+    assert short.take_remarks() == ()
     asleep = Forecast(cost(100.0), 100, 1.0, clock=clock)
     follow(asleep, clock, [0] * 100, 1.0)
-    assert asleep.take() == ()
+    assert asleep.take_remarks() == ()
 
 
 def test_the_materials_that_follow_count_as_estimated() -> None:
     clock = Clock()
     made = Forecast(cost(100.0, "clay", "dented"), 100, 1.0, clock=clock)
     follow(made, clock, [100] * 100, 0.01 * 2.5)
-    assert made.take() == ()  # 250 s and 100 s, of 200 s
+    assert made.take_remarks() == ()  # 250 s and 100 s, of 200 s
     follow(made, clock, [100] * 100, 0.01 * 2.5, material=1)
-    (line,) = made.take()
+    (line,) = made.take_remarks()
     assert "not 3.33 minutes" in line
 
 
 def test_it_ends_at_twice_the_hours_that_it_may_take() -> None:
     clock = Clock()
-    made = Forecast(cost(100.0), 100, 0.1, again="go on", clock=clock)
+    made = Forecast(cost(100.0), 100, 0.1, resume_hint="go on", clock=clock)
     with pytest.raises(OutOfResources) as caught:
         follow(made, clock, [100] * 100, 0.09)  # 900 s of 720 s
     assert caught.value.frame == 81, "the first that could not be had"
@@ -127,7 +127,7 @@ def test_it_ends_at_twice_the_hours_that_it_may_take() -> None:
     )
     assert "19 of 100 frames are left" in caught.value.message
     assert "go on" in caught.value.hint
-    (line,) = made.take()
+    (line,) = made.take_remarks()
     assert line.endswith("; it ends after 12 minutes, twice --max-hours")
 
 
@@ -174,7 +174,7 @@ def test_the_last_frame_is_never_too_late() -> None:
     made = Forecast(cost(100.0), 100, 0.1, clock=clock)
     follow(made, clock, [100] * 99, 0.0)
     clock.now = 1e6
-    made.after(0, 99, 100, 100)
+    made.record_sample(0, 99, 100, 100)
 
 
 def test_a_bake_that_is_too_long_leaves_its_frames(
@@ -205,7 +205,7 @@ def test_frames_in_flight_say_nothing_of_those_after_the_landing() -> None:
     made = Forecast(said, 100, 1.0, clock=clock)
     for index in range(21):
         clock.now += 0.01
-        made.after(0, index, 0, 100)
+        made.record_sample(0, index, 0, 100)
     assert made.left == pytest.approx(30 * 0.01 + 49 * 1.0 + 2.0)
 
 
@@ -218,14 +218,14 @@ def test_compiling_is_no_pace() -> None:
     made.compile(False)
     follow(made, clock, [100] * 5, 0.01, first=5)
     assert made.left == pytest.approx(90.0)
-    assert made.take() == ()
+    assert made.take_remarks() == ()
 
 
 def test_long_frames_are_judged_sooner() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 100.0, clock=clock)
     follow(made, clock, [100] * 4, 1.0)  # 100 s a sample, where 1 s was said
-    assert len(made.take()) == 1
+    assert len(made.take_remarks()) == 1
 
 
 @pytest.mark.parametrize(

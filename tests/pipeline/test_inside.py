@@ -7,7 +7,7 @@ import pytest
 from solids import cube, sphere, surface
 
 from gf_usd.core.frames import Pose
-from gf_usd.pipeline.measures.inside import LOOKS, InsideMeasure, directions
+from gf_usd.pipeline.measures.inside import MEASURES, InsideMeasure, directions
 
 
 def pose(points) -> Pose:
@@ -87,13 +87,13 @@ def test_what_overlaps_at_rest_is_the_asset():
 
 def test_a_few_frames_and_the_last_are_looked_at():
     ball = sphere(path="/Ball")
-    asked = [i for i in range(50) if InsideMeasure([ball], 0.1, 50).asked(i)]
+    asked = [i for i in range(50) if InsideMeasure([ball], 0.1, 50).is_measured(i)]
     assert asked[-1] == 49
     assert 0 not in asked
-    assert LOOKS - 1 <= len(asked) <= LOOKS + 1
-    assert [i for i in range(2) if InsideMeasure([ball], 0.1, 2).asked(i)] == [1]
+    assert MEASURES - 1 <= len(asked) <= MEASURES + 1
+    assert [i for i in range(2) if InsideMeasure([ball], 0.1, 2).is_measured(i)] == [1]
     open_end = InsideMeasure([ball], 0.1, 50, open_end=True)
-    assert [i for i in range(50) if open_end.asked(i)] == [8, 16, 32, 49]
+    assert [i for i in range(50) if open_end.is_measured(i)] == [8, 16, 32, 49]
 
 
 def test_directions_are_spread_over_the_half_space():

@@ -9,7 +9,7 @@ import pytest
 from solids import cube, sphere
 
 from gf_usd.core.frames import Pose
-from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, named
+from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, mesh_names
 
 SPACING = 0.1
 MIDDLES = (np.arange(10) + 0.5) * SPACING
@@ -49,8 +49,8 @@ def test_meshes_with_long_faces_are_named():
     assert coarse([box], 0.5) == {}, "its diagonals are less than four spacings long"
     found = coarse([ball, box], SPACING)
     assert found == {"/Box": pytest.approx(2.0**0.5)}
-    assert named(found, SPACING) == "</Box> (edges up to 14 spacings of 0.1 m)"
-    assert named({**found, "/Other": 1.0}, SPACING).startswith("</Box> and 1 more ")
+    assert mesh_names(found, SPACING) == "</Box> (edges up to 14 spacings of 0.1 m)"
+    assert mesh_names({**found, "/Other": 1.0}, SPACING).startswith("</Box> and 1 more ")
 
 
 def test_a_mesh_with_few_long_faces_is_fine_enough():

@@ -51,7 +51,7 @@ def test_what_is_certain_enough_is_done() -> None:
     found = [certificate(squash=0.01, rebound=0.02, peak_strain=0.5)]
     step = next_step(Until.of("2%"), found, seconds=10.0, spent=10.0, budget=3600.0)
     assert step.spacing is None
-    assert "rebound of the center of mass +- 2 %" in step.said
+    assert "rebound of the center of mass +- 2 %" in step.reason
 
 
 def test_the_next_spacing_follows_from_the_order() -> None:
@@ -69,7 +69,7 @@ def test_the_budget_ends_it() -> None:
     # half of the spacing is 16 times the work
     step = next_step(Until.of("2%"), found, seconds=10.0, spent=10.0, budget=169.0)
     assert step.spacing is None
-    assert "was not reached" in step.said
+    assert "was not reached" in step.reason
     more = next_step(Until.of("2%"), found, seconds=10.0, spent=10.0, budget=171.0)
     assert more.spacing is not None
 
@@ -79,7 +79,7 @@ def test_what_is_chaotic_matters_where_it_is_asked_for() -> None:
     assert next_step(Until.of("2%"), found, seconds=1.0, spent=1.0, budget=99.0).spacing is None
     named = next_step(Until.of("rebound:2%"), found, seconds=1.0, spent=1.0, budget=99.0)
     assert named.spacing == pytest.approx(0.1 * FINEST)
-    assert "without an interval" in named.said
+    assert "without an interval" in named.reason
 
 
 def test_a_figure_that_is_not_there_ends_it() -> None:
@@ -87,12 +87,12 @@ def test_a_figure_that_is_not_there_ends_it() -> None:
         Until.of("sag:2%"), [certificate(squash=0.1)], seconds=1.0, spent=1.0, budget=9.0
     )
     assert step.spacing is None
-    assert "none of the figures sag" in step.said
+    assert "none of the figures sag" in step.reason
 
 
 @dataclass
 class Baked:
-    """What `Refining.again` reads of a result."""
+    """What `Refining.bake_again` reads of a result."""
 
     certificate: Certificate
     seconds: float = 1.0
@@ -105,17 +105,17 @@ class Baked:
 def test_bakes_follow_until_it_is_certain() -> None:
     refining = Refining("2%", 1.0, {"particles": 4096, "overwrite": False})
     assert refining.options["certify"]
-    assert refining.again(Baked(certificate(squash=0.1)), unit=0.01)
+    assert refining.bake_again(Baked(certificate(squash=0.1)), unit=0.01)
     assert refining.options["particles"] is None
     assert refining.options["spacing"] == pytest.approx(0.1 * FINEST / 0.01)
     assert refining.options["overwrite"]
     assert refining.hours == pytest.approx(1.0 - 1.0 / 3600.0)
-    assert not refining.again(Baked(certificate(squash=0.01)), unit=0.01)
+    assert not refining.bake_again(Baked(certificate(squash=0.01)), unit=0.01)
     assert len(refining.notes) == 2
 
 
 def test_without_it_there_is_one_bake() -> None:
     refining = Refining(None, 1.0, {"particles": 4096})
     assert refining.options == {"particles": 4096}
-    assert not refining.again(Baked(certificate(squash=0.5)), unit=1.0)
+    assert not refining.bake_again(Baked(certificate(squash=0.5)), unit=1.0)
     assert refining.notes == []

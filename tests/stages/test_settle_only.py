@@ -37,7 +37,7 @@ def test_rest_is_less_than_a_ten_millionth_of_m_g_r_for_a_time_T() -> None:
 
 
 def test_nothing_rests_while_an_obstacle_is_to_move() -> None:
-    rest = Rest(0.5 * time_scale(2.0), 2.0, stirred=3)
+    rest = Rest(0.5 * time_scale(2.0), 2.0, moving_frames=3)
     still = Health(mass=3.0, kinetic=0.0)
     assert [rest.reached(still, i) for i in range(5)] == [False] * 4 + [True]
 

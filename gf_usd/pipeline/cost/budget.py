@@ -5,9 +5,9 @@ tools.bench.estimates`` compares thirty pairs of an asset and a preset with what
 of which nine in ten are within a factor of two (docs/performance.md).  Memory is that of
 ``/usr/bin/time -v``.
 
-A bake that is clearly too large is refused before any work.  One that meets a disk or a memory that
-others fill ends before it is full, while what it had still fits: its frames, a layer to open
-them, and a report.
+A bake that needs too much is refused before it starts.  A bake during which other programs fill
+the disk or the memory ends while there is still room for its results: the frames so far, a layer
+that opens them, and a report.
 """
 
 from __future__ import annotations
@@ -33,43 +33,43 @@ if TYPE_CHECKING:
     from gf_usd.physics.frame_loop import Solver
 
 
-KEPT = 200_000  # particles of solvers that wait for their bake, at 4 kB each
+KEPT = 200_000  # particles of all solvers that are kept until their bake, at 4 kB each
 
 
 class Solvers:
     """The solvers of a bake's variants, each built once.
 
-    A solver is dear to build, and it alone knows how many substeps a frame takes: the one that was
-    built for the estimate also bakes.
+    Building a solver is expensive, and only the solver knows the number of substeps per frame. The
+    solver that is built for the estimate is therefore also used for the bake.
 
-    build : makes the solver of a variant, at its start.
-    particles : of each.
+    build : makes the solver of a variant, in its initial state.
+    particles : of each variant.
     """
 
     def __init__(self, build: Callable[[Variant], Solver], particles: int) -> None:
         self._build, self._particles = build, particles
         self._substeps: dict[str, int] = {}
         self._damping: dict[str, float] = {}
-        self._waiting: dict[str, tuple[Solver, int]] = {}  # with the epoch of Taichi
+        self._kept: dict[str, tuple[Solver, int]] = {}  # with the epoch of Taichi
 
     def substeps(self, variant: Variant) -> int:
         """Substeps of a sample."""
         if variant.name not in self._substeps:
             solver = self._build(variant)
             if self._particles * (1 + len(self._substeps)) <= KEPT:
-                self._waiting[variant.name] = solver, epoch()
+                self._kept[variant.name] = solver, epoch()
             self._substeps[variant.name] = solver.substeps
             self._damping[variant.name] = solver.damping_ratio
         return self._substeps[variant.name]
 
     def damping(self, variant: Variant) -> float:
-        """The ratio by which its material damps the stiffest vibration of the grid."""
+        """Damping ratio that the variant's material gives the stiffest vibration of the grid."""
         self.substeps(variant)
         return self._damping[variant.name]
 
     def take(self, variant: Variant) -> Solver:
-        """A solver at its start, which is the caller's to move."""
-        solver, made = self._waiting.pop(variant.name, (None, 0))
+        """A solver in its initial state, which the caller may advance."""
+        solver, made = self._kept.pop(variant.name, (None, 0))
         if solver is not None and made == epoch():
             return solver
         return self._build(variant)
@@ -85,7 +85,7 @@ ALONE = 1500  # particles for each thread: fewer threads share a substep of fewe
 # MOST; fitted to the pairs of `tools.bench.estimates`.
 STRAINED, MOST = 1.3, 5.0
 CROWD = 1.3  # times as many substeps where bodies fall on each other
-START_SECONDS = 1.1  # imports: between those of a quiet machine and of a busy one
+START_SECONDS = 1.1  # imports: between the times on an idle and on a busy machine
 LAW_SECONDS = 0.9  # load the compiled kernels of a law; the very first bake compiles them
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
@@ -127,28 +127,31 @@ def estimate(
     usual: Sequence[int] = (),
     ends_early: bool = False,
 ) -> dict[str, Any]:
-    """Substeps, seconds, disk and memory of each material and in all; frame of first contact.
+    """Estimated substeps, seconds, disk and memory, per material and in total.
 
-    Materials are baked one after another: disk adds up, and seconds do but for what is started
-    once.  Memory adds up as far as solvers wait for their bake (KEPT).  Seconds are those of a
-    machine that does nothing else, with kernels that were compiled before.
+    Materials are baked one after another. Disk is the sum over all materials; seconds too, except
+    for the start-up, which is paid once. Memory counts every solver that is kept until its bake
+    (KEPT). Seconds assume an idle machine and compiled kernels.
 
-    substeps : of a frame of each material, all samples together.
+    substeps : of one frame of each material, all samples together.
     vertices : of meshes and captured Gaussians.
-    paired : contact samples where bodies meet others or themselves; 0 where none does.
-    frame_bytes : on the disk.
-    flying : frames at the start without substeps; fall : [m] that bodies fall before they land.
-    crowd : several bodies or obstacles meet.
-    damping : ratio of each material, of `Solvers.damping`; (): not known.
-    usual : frames of each material after which a bake that ends at rest usually ends, of
-        `usual_rest`; its seconds are then told besides those of all frames.  (): all frames.
-    ends_early : the frames are as many as there may be, not as many as there will be.
+    paired : contact samples of bodies that can touch others or themselves; 0: none can.
+    frame_bytes : bytes on the disk per frame.
+    first_contact : frame of the first contact; None: unknown or none.
+    flying : frames at the start without substeps; fall : [m] height of fall before the first
+        contact.
+    crowd : several bodies or obstacles can touch.
+    damping : ratio of each material, of `Solvers.damping`; (): unknown.
+    usual : frames after which each material is typically at rest (`typical_rest`), for a bake that
+        ends there; the seconds up to that frame are reported in addition. (): all frames are
+        simulated.
+    ends_early : the number of frames is an upper limit.
     """
     from gf_usd.geometry.skinning import KEPT_BYTES
 
     n, frames, samples = particles, settings.frames, settings.samples_per_frame
     disk = written(settings) * frame_bytes
-    waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are dear to build
+    waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are expensive to build
     on_gpu = settings.solver == "tl" and settings.device == "cuda"
     particle = PARTICLE_MEMORY[settings.solver] + (ROWS_MEMORY if on_gpu else 0.0)
     memory = PROCESS_MEMORY + particle * n * waiting + VERTEX_MEMORY * vertices
@@ -170,7 +173,7 @@ def estimate(
     for material, count, ratio, last in zip(materials, substeps, ratios, ends, strict=True):
         many = float(count)
         if not settings.substeps:
-            many *= strained(material, settings, fall) * (CROWD if paired and crowd else 1.0)
+            many *= landing_factor(material, settings, fall) * (CROWD if paired and crowd else 1.0)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end
@@ -209,11 +212,11 @@ def estimate(
     }
 
 
-def strained(material: Material, settings: Settings, fall: float) -> float:
-    """Substeps of a body that fell over those at rest, in the mean of what follows.
+def landing_factor(material: Material, settings: Settings, fall: float) -> float:
+    """Mean substeps after a fall, relative to those at rest: 1 + STRAINED m^3, at most MOST.
 
-    It lands at the Mach number m = sqrt(2 g h) / c of its waves at rest, and is strained by about
-    as much.  fall : h [m].
+    m = sqrt(2 g h) / c is the Mach number of the impact, with c the wave speed at rest; the strain
+    of the impact is of the same size. fall : h [m].
     """
     g = float(np.linalg.norm(settings.gravity))
     mach = math.sqrt(2.0 * g * fall) / material.wave_speed
@@ -233,10 +236,11 @@ def first_contact(settings: Settings, drop: float) -> int | None:
     return frame if frame < settings.frames else None
 
 
-def usual_rest(settings: Settings, material: Material, radius: float, contact: int | None) -> int:
-    """Frames until bodies of a material are usually at rest.
+def typical_rest(settings: Settings, material: Material, radius: float, contact: int | None) -> int:
+    """Frame by which bodies of a material are typically at rest.
 
-    radius : [m] of a ball of their volume; contact : frame of the first contact, None: the first.
+    radius : [m] of a ball of their volume; contact : frame of the first contact, None: the first
+        frame.
     """
     after = (
         RESTS[LAWS[material.law].flows] * time_scale(radius) * settings.fps / settings.time_scale
@@ -276,19 +280,20 @@ def require_affordable(
     )
 
 
-LONG = 300.0  # [s] from where a bake of a material that flows is told how it could be shorter
+LONG = 300.0  # [s] of a bake of a flowing material from which mass scaling is suggested
 ELASTIC = 0.02  # of strain at yield: more is seen as springback
 
 
-OVERDAMPED = 3.0  # ratio of the stiffest vibration from where damping alone makes steps short
-DAMPED = 30.0  # [s] from where a bake is told so
+OVERDAMPED = 3.0  # damping ratio from which damping alone limits the time step
+DAMPED = 30.0  # [s] of a bake from which a shorter damping time is suggested
 
 
-def less_damped(row: Mapping[str, Any], material: Material) -> str:
-    """What a shorter damping time would save; "" where that is little.
+def damping_hint(row: Mapping[str, Any], material: Material) -> str:
+    """A hint at a shorter damping time, where damping limits the time step; "" otherwise.
 
-    The step is that of `time_step`, (2 / w) (sqrt(1 + z^2) - z), with z proportional to the damping
-    time: at z = 1 the stiffest vibration of the grid is damped as fast as can be.
+    The time step is that of `time_step`, (2 / w) (sqrt(1 + z^2) - z), with the damping ratio z
+    proportional to the damping time; z = 1 is critical damping of the stiffest vibration of the
+    grid.
     """
     z = float(row.get("damping_ratio", 0.0))
     if z < OVERDAMPED or row["seconds"] < DAMPED or not material.damping_time:
@@ -302,15 +307,15 @@ def less_damped(row: Mapping[str, Any], material: Material) -> str:
 
 
 def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
-    """What a shorter damping time, or --mass-scaling, would save of long bakes.
+    """Hints for long bakes: a shorter damping time, or --mass-scaling, and the time saved.
 
-    The mass scaling is the largest factor with which a material that flows is strained elastically
-    by no more than ELASTIC when it yields, in two digits.
+    The suggested mass scaling is the largest factor, in two digits, for which the elastic strain at
+    yield of a flowing material stays below ELASTIC.
     """
     found = []
     for row in cost["per_material"]:
         material = next(m for m in materials if m.name == row["name"])
-        if less := less_damped(row, material):
+        if less := damping_hint(row, material):
             found.append(less)
         strain = material.yield_strain
         if row["seconds"] < LONG or strain is None or not 0.0 < strain <= ELASTIC / 4.0:
@@ -327,7 +332,7 @@ def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
 
 
 def duration(seconds: float) -> str:
-    """A time for reading: seconds, minutes, hours or days, in two or three digits."""
+    """A time as text: seconds, minutes, hours or days, with two or three digits."""
     for size, unit in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
         if seconds >= 2.0 * size:
             return f"{seconds / size:.3g} {unit}"
@@ -336,13 +341,13 @@ def duration(seconds: float) -> str:
 
 RESERVE = 2e6  # [bytes] for the root layer and the ends of files
 REPORT_BYTES = 3e3  # of a frame, in the report and in the health of the cache
-LEAST_MEMORY = 64e6  # [bytes] free: below it the system begins to end processes without a word
-ASKED = 0.1  # [s] memory is asked for no more often: the system takes longer to say than to go on
+LEAST_MEMORY = 64e6  # [bytes] free: below it the system starts to kill processes
+MEMORY_INTERVAL = 0.1  # [s] between two queries of the free memory, which are slow
 DISK_HINT = "free some space, choose another -o, or write less: --frames, --half, --only"
 
 
 def reserve(frames: int) -> float:
-    """[bytes] that are wanted on the disk besides the samples of a bake."""
+    """[bytes] that a bake needs on the disk in addition to its samples."""
     return RESERVE + REPORT_BYTES * frames
 
 
@@ -351,16 +356,16 @@ def require_resources(
 ) -> None:
     """Raise InputError where a bake is estimated to need more disk or memory than is free.
 
-    The estimates hold within some tenths.  What a bake replaces is there until the end, and does
-    not count as free.
+    The estimates are accurate to some 10 %. Files that the bake will replace exist until its end,
+    so their space does not count as free.
 
     folder : of the results; frames : of each material.
     done : share of each material's samples that is on the disk already.
-    copies : 2 where one file is made of the caches at the end, else 1.
+    copies : 2 where the caches are flattened into one file at the end, else 1.
     """
     rows = zip(cost["per_material"], done, strict=True)
     disk = sum(row["disk_bytes"] * (1.0 - share) for row, share in rows) * copies
-    disk += reserve(frames)  # as before each frame: what is refused there is refused here
+    disk += reserve(frames)  # the check before each frame requires the same
     free = free_disk(folder)
     if disk > free:
         raise InputError(
@@ -382,20 +387,20 @@ class ResourceGuard:
 
     folder : of the results.
     sample_bytes : on the disk, of one sample.
-    reserve : [bytes] that stay free for the rest of the files.
-    again : what to do once there is enough of either, in words.
+    reserve : [bytes] that must stay free for the other files.
+    resume_hint : how to continue once there is enough of either.
     """
 
-    def __init__(self, folder: Path, sample_bytes: float, reserve: float, again: str) -> None:
+    def __init__(self, folder: Path, sample_bytes: float, reserve: float, resume_hint: str) -> None:
         self._folder, self._sample = folder, sample_bytes
-        self._reserve, self._again = reserve, again
-        self._asked = -math.inf
+        self._reserve, self._resume_hint = reserve, resume_hint
+        self._queried = -math.inf
 
     def require(self, index: int, unsaved: int) -> None:
-        """Raise OutOfResources where the disk or the memory has not enough for one more sample.
+        """Raise OutOfResources where disk or memory do not suffice for one more sample.
 
-        Memory is asked for once in ASKED seconds.
-        index : of the sample; unsaved : samples that the cache still holds.
+        The free memory is queried at most once per MEMORY_INTERVAL.
+        index : of the sample; unsaved : samples that the cache has not yet written.
         """
         need = self._reserve + (unsaved + 2) * self._sample
         free = free_disk(self._folder)
@@ -403,17 +408,17 @@ class ResourceGuard:
             raise OutOfResources(
                 f"{self._folder} has {free / 1e6:.3g} MB left, and {need / 1e6:.3g} MB are wanted"
                 " for the next frame, what is not yet written, and the report",
-                f"free some space; {self._again}",
+                f"free some space; {self._resume_hint}",
                 frame=index,
             )
         now = time.monotonic()
-        if now < self._asked + ASKED:
+        if now < self._queried + MEMORY_INTERVAL:
             return
-        self._asked = now
+        self._queried = now
         left = free_memory()
         if left < LEAST_MEMORY and (left := left + free_swap()) < LEAST_MEMORY:
             raise OutOfResources(
                 f"{left / 1e6:.3g} MB of memory are left on this machine",
-                f"end other programs, or take fewer --particles; {self._again}",
+                f"end other programs, or take fewer --particles; {self._resume_hint}",
                 frame=index,
             )

@@ -1,14 +1,14 @@
-"""What a bake is doing, and what it takes in all, seen from the frames behind it.
+"""The current stage of a bake, and a forecast of its remaining time.
 
-The estimate before a bake has the substeps of the body at rest, and of the strain of a usual
-landing.  They grow where it is strained more, and stay many where it is pressed flat for good:
-cells that are a tenth as thick are crossed in a tenth of the time.  So the time that is left is
-estimated anew after every sample,
+The estimate before a bake assumes the substeps of the body at rest and of a typical impact. A body
+that is strained more needs more substeps, and one that stays compressed keeps needing them: waves
+cross cells of a tenth of the thickness in a tenth of the time. The remaining time is therefore
+updated after every sample,
 
-    seconds = samples left * (seconds of a substep, of a sample as lately) * (substeps it asks for)
+    remaining = samples left * (recent seconds per substep) * (substeps of the next sample)
 
-and a surprise is told once, and again when it doubles.  Compiling kernels, which the first bakes
-after an installation do, counts as time spent but not as the pace of what follows.
+and a remark is made where the total is much longer than last announced. Compiling kernels, as the
+first bakes after an installation do, counts as time spent but not in the seconds per substep.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from typing import Any
 from gf_usd.core.errors import OutOfResources
 from gf_usd.pipeline.cost.budget import Cost, duration
 
-SURPRISE = 2.0  # times as long as was said last; the estimate holds within that (`budget`)
-MATTERS = 60.0  # [s] longer, at least: less is no news
-LATELY = 10  # samples: an impact is over, or what it did to the step stays
-OVERRUN = 2.0  # times --max-hours at which a bake ends, since its estimate holds within that
-MORE = 1.5  # times the substeps at rest, which then explain a surprise
-FEW = 3  # samples with substeps that say more than the estimate
+ANNOUNCED = 2.0  # times the total announced last; the accuracy of the estimate (`budget`)
+MATTERS = 60.0  # [s] by which the total must grow to be announced again
+WINDOW = 10  # recent samples that are averaged: longer than an impact
+OVERRUN = 2.0  # times --max-hours at which a bake ends; the accuracy of the estimate
+MORE = 1.5  # times the substeps at rest: from here the remark names the strain as the cause
+FEW = 3  # samples with substeps from which the forecast replaces the estimate
 
 READING, FILLING, COMPILING = "reading", "filling", "compiling kernels"
 SIMULATING, WRITING, CHECKING = "simulating", "writing", "checking"
@@ -36,23 +36,23 @@ CERTIFYING, DRAWING = "simulating coarsely", "drawing"
 
 @dataclass(frozen=True, kw_only=True)
 class Activity:
-    """What a bake is doing now."""
+    """The current stage of a bake and its progress."""
 
-    stage: str  # one of those above
+    stage: str  # one of the stages above
     what: str = ""  # the file that is read, or the variant that is simulated
     done: int = 0  # frames of all variants
     total: int = 0
     left: float | None = None  # [s] until the end of the bake; None: not known yet
-    ends_early: bool = False  # total and left are the most that it may take
+    ends_early: bool = False  # total and left are upper limits
 
 
 Watch = Callable[[Activity], None]
 
 
 class Stages:
-    """Tells a watcher what a bake is doing.
+    """Reports the stage of a bake to a watcher.
 
-    watch : is told at each change, and after each frame.
+    watch : called at each change of the stage, and after each frame.
     """
 
     def __init__(self, watch: Watch | None = None) -> None:
@@ -60,29 +60,29 @@ class Stages:
         self.now = Activity(stage=READING)
 
     def begin(self, stage: str, what: str = "", **values: Any) -> None:
-        """The bake is at another stage, or further in the same; values : of `Activity`."""
+        """Enter a stage, or report progress in the current one; values : fields of `Activity`."""
         self.now = replace(self.now, stage=stage, what=what, **values)
         if self._watch:
             self._watch(self.now)
 
     def compile(self, compiles: bool) -> None:
-        """Kernels are compiled from now on, or no longer: for `taichi_runtime.watching`."""
+        """Kernels are being compiled, or no longer: for `taichi_runtime.watching`."""
         if self._watch:
             self._watch(replace(self.now, stage=COMPILING) if compiles else self.now)
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _SampleCost:
     seconds: float
     substeps: int
 
 
 class Forecast:
-    """Follows one bake.
+    """The remaining time of one bake.
 
-    cost : of `budget.estimate`; samples : of each material, all together; max_hours : [h], of the
-    command; again : how to go on after the end, in words; remark : is told of surprises; clock :
-    [s].
+    cost : of `budget.estimate`; samples : of each material, in all its frames; max_hours : [h], of
+        the command; resume_hint : how to continue after the end; remark : called with each
+        announcement; clock : [s].
     """
 
     def __init__(
@@ -91,46 +91,46 @@ class Forecast:
         samples: int,
         max_hours: float,
         *,
-        again: str = "",
+        resume_hint: str = "",
         remark: Callable[[str], None] | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._rows: Sequence[dict] = cost["per_material"]
-        self._samples, self._limit, self._again = samples, max_hours * 3600.0, again
+        self._samples, self._limit, self._resume_hint = samples, max_hours * 3600.0, resume_hint
         self._clock = clock
         self._began = self._last = clock()
-        self._said = max(float(cost["estimated_seconds"]), 1e-9)
-        self._lately: deque[_Seen] = deque(maxlen=LATELY)
-        self._idle: deque[float] = deque(maxlen=LATELY)  # [s] of samples without substeps
-        self._material, self._index = -1, -1  # that the last sample is of, and its own number
-        self._fresh = True  # no sample of the material was seen: the first also builds the solver
+        self._announced = max(float(cost["estimated_seconds"]), 1e-9)
+        self._recent: deque[_SampleCost] = deque(maxlen=WINDOW)
+        self._idle: deque[float] = deque(maxlen=WINDOW)  # [s] of samples without substeps
+        self._material, self._index = -1, -1  # number of the material and of the last sample
+        self._fresh = True  # before the first sample of a material, which also builds the solver
         self._compiled, self._compiles_since = 0.0, 0.0
         self._remark = remark
-        self._surprises: list[str] = []
-        self.left = float(cost["estimated_seconds"])  # [s] as it is known now
+        self._remarks: list[str] = []
+        self.left = float(cost["estimated_seconds"])  # [s] current forecast
 
-    def take(self) -> tuple[str, ...]:
-        """The surprises since this was last asked."""
-        taken, self._surprises = tuple(self._surprises), []
+    def take_remarks(self) -> tuple[str, ...]:
+        """The remarks since the last call."""
+        taken, self._remarks = tuple(self._remarks), []
         return taken
 
     def compile(self, compiles: bool) -> None:
-        """Kernels are compiled from now on, or no longer: for `taichi_runtime.watching`."""
+        """Kernels are being compiled, or no longer: for `taichi_runtime.watching`."""
         if compiles:
             self._compiles_since = self._clock()
         else:
             self._compiled += self._clock() - self._compiles_since
 
     def begin(self, material: int, index: int) -> None:
-        """The samples of a material after number `index` come next; -1: all of them."""
+        """The next sample is the first one after number `index` of a material; -1: its first."""
         self._material, self._index, self._fresh = material, index, True
-        self._lately.clear()
+        self._recent.clear()
         self._idle.clear()
 
     def require(self) -> None:
         """Raise OutOfResources where the bake has taken OVERRUN times its limit.
 
-        For every launch of kernels: a frame may take as long as all before it.
+        Called before every kernel launch, since a single frame can be long.
         """
         spent = self._clock() - self._began
         if spent <= OVERRUN * self._limit:
@@ -140,15 +140,15 @@ class Forecast:
             f"the bake has taken {duration(spent)}, and --max-hours {self._limit / 3600.0:g}"
             f" lets it take {duration(OVERRUN * self._limit)} at most; {left} of"
             f" {self._samples} frames are left",
-            f"raise --max-hours; {self._again}",
+            f"raise --max-hours; {self._resume_hint}",
             frame=min(self._index + 1, self._samples - 1),
         )
 
-    def after(self, material: int, index: int, substeps: int, following: int) -> None:
-        """A sample is written: say so where the whole takes much longer than was said.
+    def record_sample(self, material: int, index: int, substeps: int, following: int) -> None:
+        """Update the forecast after a sample, and make a remark where the total has grown.
 
-        material : number of it; index : of the sample; substeps : that it took; following : that
-        the next one asks for.
+        material, index : number of the material and of the sample; substeps : of this sample;
+            following : expected substeps of the next one.
 
         Raises OutOfResources as `require` does, but not after the last sample.
         """
@@ -159,7 +159,7 @@ class Forecast:
         if self._fresh:
             self._fresh = False
         elif substeps:
-            self._lately.append(_Seen(now - self._last - self._compiled, substeps))
+            self._recent.append(_SampleCost(now - self._last - self._compiled, substeps))
         else:
             self._idle.append(now - self._last - self._compiled)
         self._last, self._compiled = now, 0.0
@@ -171,35 +171,35 @@ class Forecast:
         row = self._rows[material]
         self.left = self._of_material(row, index, left, following) + later
         self.left += float(row.get("end_seconds", 0.0))
-        known, seen = len(self._lately), sum(s.seconds for s in self._lately)
-        if not left or not (known >= LATELY or (known >= FEW and seen > MATTERS)):
+        known, seen = len(self._recent), sum(s.seconds for s in self._recent)
+        if not left or not (known >= WINDOW or (known >= FEW and seen > MATTERS)):
             return
         whole = spent + self.left
-        if whole < SURPRISE * self._said or whole < self._said + MATTERS:
+        if whole < ANNOUNCED * self._announced or whole < self._announced + MATTERS:
             return
-        before, self._said = self._said, whole
-        many = sum(s.substeps for s in self._lately) / len(self._lately)
-        self._surprises.append(self._words(material, whole, before, many))
+        before, self._announced = self._announced, whole
+        many = sum(s.substeps for s in self._recent) / len(self._recent)
+        self._remarks.append(self._message(material, whole, before, many))
         if self._remark:
-            self._remark(self._surprises[-1])
+            self._remark(self._remarks[-1])
 
     def _of_material(self, row: dict, index: int, left: int, following: int) -> float:
-        """[s] of the samples of a material after one, `left` of them."""
+        """[s] of the remaining samples of a material, `left` of them."""
         flying = min(left, max(0, int(row.get("flying_samples", 0)) - index))
         idle = float(row.get("sample_seconds", 0.0))
         if self._idle:
             idle = sum(self._idle) / len(self._idle)
-        if len(self._lately) < FEW:
+        if len(self._recent) < FEW:
             each = float(row.get("moving_seconds", row["seconds"] / self._samples))
             each += max(0.0, idle - float(row.get("sample_seconds", idle)))
         else:
-            pace = sum(s.seconds for s in self._lately) / sum(s.substeps for s in self._lately)
-            many = sum(s.substeps for s in self._lately) / len(self._lately)
-            # The next sample alone may stand at a peak, and the mean may lie before one.
+            pace = sum(s.seconds for s in self._recent) / sum(s.substeps for s in self._recent)
+            many = sum(s.substeps for s in self._recent) / len(self._recent)
+            # the next sample may be a peak, and the mean may be of samples before a peak
             each = pace * min(many, following)
         return flying * idle + (left - flying) * each
 
-    def _words(self, material: int, whole: float, before: float, many: float) -> str:
+    def _message(self, material: int, whole: float, before: float, many: float) -> str:
         row = self._rows[material]
         rest = float(row["substeps_per_sample"])
         if many > MORE * rest:

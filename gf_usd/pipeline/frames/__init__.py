@@ -1,1 +1,1 @@
-"""From a solver's frames to the samples that are written."""
+"""Converts a solver's frames to the samples that are written."""

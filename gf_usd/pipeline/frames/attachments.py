@@ -1,4 +1,4 @@
-"""What pins hold of the tetrahedra that are written."""
+"""Attachments of the written tetrahedra to pins."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gf_usd.core.stage import Pin
 def tet_attachments(
     pins: Sequence[Pin], tets: Sequence[TetLattice], particles: Particles
 ) -> tuple[TetAttachment, ...]:
-    """The points of each body that each pin holds along all axes: the nodes whose motion the
-    solver is given.
+    """The tetrahedron points of each body that a pin prescribes along all axes.
 
-    A region that moves by the forces on it holds nothing, nor does the core of a bone, which is
-    part of `--flesh` and no region that `--pin` could name.
+    These are the nodes whose motion the solver is given. Rigid regions that move under the forces
+    on them prescribe nothing. The core of a bone, which is part of `--flesh`, is not a region that
+    `--pin` can name.
     """
     from gf_usd.physics.grid.pins import given_nearby, pinned_by
 

@@ -1,4 +1,4 @@
-"""Poses of meshes and Gaussians for every frame that is written."""
+"""Poses of meshes and Gaussians for every written frame."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.measures.inside import Inside, InsideMeasure
-from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, named
+from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, mesh_names
 
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin
@@ -34,18 +34,17 @@ if TYPE_CHECKING:
 
 
 class FrameBuilder:
-    """The samples of one variant: poses of meshes and Gaussians, from the frames of its solver.
+    """Makes the samples of one variant, poses of meshes and Gaussians, from its solver's frames.
 
-    track : of the particles' axes.
-    skin : of the meshes; None: the solver carries them itself.
+    track : the axes of the particles.
+    skin : of the meshes; None: the solver embeds them itself.
     surfaces : that are written.
     settings : as `sampled`.
     splats : the captured Gaussians.
     tets : keys of the tetrahedra among the embedded points.
-    observer : is shown every frame.
-    flows : the surfaces of what flows; None: none are written.
-    waiting : meshes that particles stand for once the first of their body, which is named, is
-        converted.
+    observer : receives every frame.
+    flows : the surfaces of flowing bodies; None: none are written.
+    waiting : meshes that are replaced by particles once a particle of their body is converted.
     open_end : the motion may end before its last frame: see `at_end`.
     """
 
@@ -79,23 +78,23 @@ class FrameBuilder:
             spacing = solver.particles.spacing
             self._inside = InsideMeasure(meshes, spacing, settings.frames, open_end=open_end)
             if found := coarse(meshes, spacing):
-                self._coarse = named(found, spacing)
+                self._coarse = mesh_names(found, spacing)
                 self._outside = OutsideMeasure(meshes, solver.particles.X, spacing)
-        self._poses: Mapping[str, Pose] = {}  # of the last sample
+        self._poses: Mapping[str, Pose] = {}  # pose of the last sample
         self._x = solver.particles.X  # [m] then
 
     def state(self) -> dict[str, Any]:
-        """What the next sample starts from: `solver` and `track` of a `Checkpoint`."""
+        """The state from which the next sample is made: `solver` and `track` of a `Checkpoint`."""
         track = {**self._track.state(), **self._splats.state()}
         return {"solver": self.solver.save(), "track": track}
 
     def samples(
         self, since: Checkpoint | None = None, period: Period | None = None
     ) -> Iterator[BakedFrame]:
-        """The samples, in playback time.  Raises SolverError where the simulation fails.
+        """The samples, in playback order. Raises SolverError where the simulation fails.
 
-        since : what to go on after; None: from the start.  period : of a cycle that is repeated,
-        which may leave samples out.
+        since : the checkpoint to continue from; None: from the start.
+        period : of a repeated cycle, which may skip samples.
         """
         if since is None:
             frames = self.solver.frames()
@@ -108,7 +107,7 @@ class FrameBuilder:
         while goes_on:
             goes_on = False
             for frame in frames:
-                after = period.see(frame.index, frame.particles.x) if period else frame.index
+                after = period.observe(frame.index, frame.particles.x) if period else frame.index
                 yield self.sample(frame)
                 if after != frame.index:
                     frames = self.solver.frames_after(after, frame.health)
@@ -116,14 +115,14 @@ class FrameBuilder:
                     break
 
     def sample(self, frame: Frame) -> BakedFrame:
-        """The sample that a frame of the solver makes, which follows on the one before it."""
+        """Convert a frame of the solver, the one after the previous call's, to a sample."""
         from gf_usd.physics.grid.embedding import deform_normals
 
         s = self._settings
         gaussians = self._track.advance(frame.particles)
         poses = frame.embedded
         if self._observer:
-            self._observer.see(frame, poses)
+            self._observer.add_frame(frame, poses)
         if self._skin:
             poses = self._skin.poses(frame.particles, self._track.turn)
         meshes = {}
@@ -141,8 +140,8 @@ class FrameBuilder:
         self._poses, self._x = poses, frame.particles.x
         health = frame.health
         converted = self._converted(frame)
-        if self._inside and self._inside.asked(frame.index):
-            health = self._looked(health, self._inside.measure(frame.index, poses))
+        if self._inside and self._inside.is_measured(frame.index):
+            health = self._with_measures(health, self._inside.measure(frame.index, poses))
         return BakedFrame(
             index=frame.index,
             time_code=s.time_code(frame.index),
@@ -167,23 +166,23 @@ class FrameBuilder:
         )
 
     def _converted(self, frame: Frame) -> frozenset[int]:
-        """Of the bodies that wait, those that flow at a frame."""
+        """Bodies of `waiting` that flow in a frame."""
         if frame.converted is None:
             return frozenset()
         body = self.solver.particles.body_of
         return self._waiting & {int(k) for k in np.unique(body[frame.converted])}
 
     def at_end(self, sample: BakedFrame) -> BakedFrame:
-        """The sample made last, as the one that the motion ends with: its surfaces are looked at
-        as closely as those of a last frame.
-        """
+        """The last sample, with its measures taken as thoroughly as in a last frame."""
         if self._inside is None:
             return sample
         found = self._inside.measure(sample.index, self._poses, ends=True)
-        return replace(sample, health=self._looked(sample.health, found))
+        return replace(sample, health=self._with_measures(sample.health, found))
 
-    def _looked(self, health: Health, found: Inside) -> Health:
-        """With what was found inside a body, and what is outside its mesh in the last sample."""
+    def _with_measures(self, health: Health, found: Inside) -> Health:
+        """Add the measured share inside a body and, for the last sample, the share outside the
+        mesh.
+        """
         health = replace(health, inside_share=found.share, inside_depth=found.depth)
         if self._outside is None:
             return health
@@ -194,8 +193,8 @@ class FrameBuilder:
         )  # fmt: skip
 
 
-def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:
-    """The samples, with those before the start that are written: the first pose, standing still.
+def with_lead_frames(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:
+    """The samples, preceded by copies of the first pose for the frames before the start.
 
     settings : as `sampled`.
     """

@@ -1,4 +1,4 @@
-"""Captured Gaussians that move with a body: in the stage, and as splat files."""
+"""Captured Gaussians that move with a body: in the stage and as splat files."""
 
 from __future__ import annotations
 
@@ -28,19 +28,23 @@ if TYPE_CHECKING:
 # From the world to axes whose Y is up, for column vectors, by the world's up axis.
 UPRIGHT = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
 
-OWN, WORLD, STOOD = "own", "world", "stood"  # spaces of exported files; STOOD: world with Y up
+OWN, WORLD, WORLD_Y_UP = (
+    "own",
+    "world",
+    "stood",
+)  # spaces of exported files; WORLD_Y_UP: world with Y up
 
-SAYS_UP = "spz"  # the files that say that Y is up
+SAYS_UP = "spz"  # formats that are defined with Y up
 
-TINY = 1e-12  # [stage units] a flattened particle still has a logarithm of its scale
+TINY = 1e-12  # [stage units] lower limit, because splat files store the logarithm of scales
 
 
 class SplatDeformer:
-    """The captured Gaussians of an asset through the motion, and the splat files of a variant.
+    """Deforms the captured Gaussians of an asset and writes the splat files of a variant.
 
-    splats : what is deformed, by prim path.
+    splats : by prim path.
     source : the USD file of their prims.
-    files : of the variant; without captured Gaussians they hold the particles.
+    files : splat sequences of the variant; without captured Gaussians they contain the particles.
     """
 
     def __init__(
@@ -56,8 +60,8 @@ class SplatDeformer:
         self._unit = facts.units.length
         self._tracks: dict[str, CarriedSplats] = {}
         self._spaces: dict[str, Space] = {}
-        self._turns = {WORLD: np.eye(3), STOOD: UPRIGHT[facts.up_axis]}
-        # The same Gaussians in spaces of files that are not their prims'.
+        self._turns = {WORLD: np.eye(3), WORLD_Y_UP: UPRIGHT[facts.up_axis]}
+        # the Gaussians in the spaces of files that differ from their prims'
         self._elsewhere: dict[str, dict[str, CarriedSplats]] = {}
         self._embedded: Mapping[str, Pose] = {}
         self._now: dict[str, SplatPose] = {}
@@ -78,12 +82,12 @@ class SplatDeformer:
             self._elsewhere[kind] = {path: CarriedSplats(one) for path, one in splats.items()}
 
     def load(self, state: Mapping[str, Floats]) -> None:
-        """Go on from `state`, which may hold more."""
+        """Restore `state`; other keys are ignored."""
         for name, track in self._named():
             track.load({k[len(name) :]: v for k, v in state.items() if k.startswith(name)})
 
     def state(self) -> dict[str, Floats]:
-        """What the next frame starts from, for `Checkpoint.track`."""
+        """The state from which the next frame is made, for `Checkpoint.track`."""
         rows = self._named()
         return {f"{name}{key}": v for name, one in rows for key, v in one.state().items()}
 
@@ -107,17 +111,20 @@ class SplatDeformer:
         return dict(self._now)
 
     def held(self, frame: BakedFrame) -> BakedFrame:
-        """A frame before the start: the pose asked for last, in the prims' spaces at its time."""
+        """A frame before the start: the last result of `poses`, in the prims' spaces at the time of
+        that frame.
+        """
         return replace(frame, splats=self.poses(self._embedded, frame.time_code))
 
     def export(self, frame: BakedFrame, number: int) -> None:
-        """Write the files of a frame, the one that `poses` was asked for last.
+        """Write the splat files of a frame, from the last result of `poses`.
 
         number : of the frame, 0 for the first that is written.
 
-        One set of captured Gaussians stays in the space of its prim, which is that of the file
-        where it came from one.  Several stand in the world, in stage units; so do the particles of
-        an asset that has none.  SPZ says that Y is up: there all stand in the world, with Y up.
+        A single set of captured Gaussians stays in the space of its prim, which is the space of its
+        source file. Several sets are written in world space, in stage units; so are the particles
+        of an asset without captured Gaussians. SPZ is defined with Y up, so its files are in world
+        space with Y up.
         """
         made: dict[str, Splats] = {}
         for sequence in self._files:
@@ -127,20 +134,20 @@ class SplatDeformer:
             sequence.write(made[kind], number)
 
     def _space_of(self, sequence: SplatSequence) -> str:
-        """OWN, WORLD or STOOD."""
+        """The space of a sequence: OWN, WORLD or WORLD_Y_UP."""
         single = len(self._spaces) == 1
         if sequence.suffix != SAYS_UP:
             return OWN if single else WORLD
         if single:
             ((_, space),) = self._spaces.items()
             stood = np.eye(4)
-            stood[:3, :3] = self._turns[STOOD].T
+            stood[:3, :3] = self._turns[WORLD_Y_UP].T
             if not space.animated and np.allclose(space.from_world(0.0), stood, rtol=0, atol=1e-12):
                 return OWN
-        return STOOD
+        return WORLD_Y_UP
 
     def _in(self, kind: str, frame: BakedFrame) -> Splats:
-        """What was asked for last, in one of the spaces of files."""
+        """The last result of `poses`, in a space of splat files."""
         if kind == OWN:
             ((path, pose),) = self._now.items()
             at = self._spaces[path].points(pose.positions, frame.time_code)
@@ -170,7 +177,7 @@ class SplatDeformer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was clamped, in words."""
+        """Notes on clamped values."""
         from gf_usd.physics.output.gaussians import STRETCH
 
         return tuple(

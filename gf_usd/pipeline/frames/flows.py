@@ -1,4 +1,4 @@
-"""The surfaces of bodies that flow, frame by frame."""
+"""The surfaces of flowing bodies, per frame."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NOTHING = SurfacePose(
 
 
 class FlowSurfaces:
-    """Makes a surface of the particles of each body that flows.
+    """Reconstructs a surface from the particles of each flowing body.
 
-    particles : of the bake, whose colors the surfaces carry; materials : what they index.
-    time_scale : simulated seconds per second of playback.
+    particles : of the bake, whose colors the surfaces take; materials : per particle index.
+        time_scale : simulated seconds per second of playback.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class FlowSurfaces:
         self._rate = time_scale
 
     def poses(self, pose: Pose, without: Collection[int] = ()) -> dict[int, SurfacePose]:
-        """By body, of particles at a pose; those of bodies `without` have nothing in them."""
+        """The surface of each body at a pose; empty for the bodies of `without`."""
         return {
             body: NOTHING if body in without else self._of(pose, mine)
             for body, mine in self._bodies.items()

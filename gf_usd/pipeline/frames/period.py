@@ -1,4 +1,4 @@
-"""When a motion that is driven in cycles repeats itself: `--loop`."""
+"""Detects when a motion that is driven in cycles is periodic: `--loop`."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
     pass
 
 
-PERIODIC = 0.002  # of the radius: --loop auto ends; under a pixel of a body 500 pixels wide
+PERIODIC = 0.002  # of the radius: --loop auto ends here; under a pixel of a body of 500 pixels
 
 PHASES = 16  # samples of a cycle that are compared with those of the cycle before
 
 
 class Period:
-    """How far a repeated cycle is from being periodic, and when it need not be repeated again.
+    """Difference between successive cycles, and whether more cycles are needed.
 
-    The difference of two cycles is the largest way of a point from where it was a period before,
-    over up to `PHASES` samples spread over the cycle.
+    The difference of two cycles is the largest distance of a point from its position one period
+    earlier, over up to `PHASES` samples that are spread over the cycle.
 
-    cycle : samples of a period, 0: nothing is repeated; repeats : times, at most; first : index of
-    the first sample that is written; radius : [m].  until : repeat only until two cycles differ by
-    `PERIODIC` of the radius at most.
+    cycle : samples per period, 0: not repeated; repeats : maximum number; first : index of the
+        first written sample; radius : [m]. until : stop repeating once two cycles differ by at most
+        `PERIODIC` of the radius.
     """
 
     def __init__(
@@ -38,15 +38,15 @@ class Period:
         self._begin = first - cycle * repeats  # where the first cycle begins
         self._phases = np.unique(np.linspace(0, max(cycle - 1, 0), PHASES).astype(int)).tolist()
         self._poses: dict[int, Floats] = {}  # by phase
-        self._now = 0.0  # [m] of the cycle so far
-        self.difference: float | None = None  # [m] of the last whole cycle
-        self.skipped = 0  # samples that were not simulated, as the cycle was periodic before
+        self._now = 0.0  # [m] of the current cycle
+        self.difference: float | None = None  # [m] of the last complete cycle
+        self.skipped = 0  # samples that were skipped because the motion was periodic
 
-    def see(self, index: int, x: Floats) -> int:
-        """Take notice of positions x (n, 3) [m] at a sample.
+    def observe(self, index: int, x: Floats) -> int:
+        """Compare positions x (n, 3) [m] of a sample with those one period earlier.
 
-        Returns the index of the sample from which the simulation goes on: this one, or the last
-        before those that are written, at which everything is as it is now.
+        Returns the sample index from which the simulation continues: this one or, once the motion
+        is periodic, the last one before the written frames, whose state is the same.
         """
         since = index - self._begin
         if not self._cycle or since < 0:
@@ -61,14 +61,14 @@ class Period:
         last = phase == self._cycle - 1
         if since >= self._cycle and (last or index > self._first):
             self.difference = self._now
-        if self._until and last and index < self._first and self.share <= PERIODIC:
+        if self._until and last and index < self._first and self.relative_difference <= PERIODIC:
             self.skipped = self._first - 1 - index
             self._until = False
             return self._first - 1
         return index
 
     def state(self) -> dict[str, Floats]:
-        """What `load` goes on from."""
+        """The state that `load` restores."""
         if not self._cycle:
             return {}
         difference = np.nan if self.difference is None else self.difference
@@ -76,7 +76,7 @@ class Period:
         return {"period": numbers} | {f"period{k}": x for k, x in self._poses.items()}
 
     def load(self, state: Mapping[str, Floats]) -> None:
-        """Go on from `state`, which may hold more."""
+        """Restore `state`; other keys are ignored."""
         if not self._cycle:
             return
         now, difference, skipped = state["period"].tolist()
@@ -86,39 +86,43 @@ class Period:
         self._poses = {k: state[f"period{k}"] for k in self._phases if f"period{k}" in state}
 
     @property
-    def share(self) -> float:
-        """The difference over the radius; inf where there is none yet."""
+    def relative_difference(self) -> float:
+        """The difference over the radius; inf where no cycles were compared."""
         return np.inf if self.difference is None else self.difference / self._radius
 
     @property
     def cycles(self) -> int:
-        """Cycles that are simulated, with the one that is written."""
+        """Number of simulated cycles, including the written one."""
         return (self._first - self._begin - self.skipped) // self._cycle + 1
 
     @property
     def health(self) -> dict[str, float | int]:
-        """What the report says of it; nothing where nothing was repeated."""
+        """Health values of the period; {} where nothing was repeated."""
         if not self._cycle or self.difference is None:
             return {}
         return {
             "loop_cycles": self.cycles,
             "loop_difference_m": self.difference,
-            "loop_difference_share": self.share,
+            "loop_difference_share": self.relative_difference,
         }
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is said of it."""
+        """A note on the periodicity."""
         if not self._cycle or self.difference is None:
             return ()
-        each = f"{self.difference:.2g} m, {100.0 * self.share:.2g} % of the radius"
-        if self._until and self.share > PERIODIC:
+        each = f"{self.difference:.2g} m, {100.0 * self.relative_difference:.2g} % of the radius"
+        if self._until and self.relative_difference > PERIODIC:
             return (
                 f"the written cycle is the last of {self.cycles}, the maximum of --loop auto, "
                 f"and still differs from the previous one by {each}; up to"
                 f" {100.0 * PERIODIC:g} % counts as periodic",
             )
-        more = "; a larger --loop reduces the difference" if self.share > NOT_PERIODIC else ""
+        more = (
+            "; a larger --loop reduces the difference"
+            if self.relative_difference > NOT_PERIODIC
+            else ""
+        )
         return (
             f"the written cycle, number {self.cycles}, differs from the previous one by"
             f" {each}{more}",

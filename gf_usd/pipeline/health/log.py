@@ -1,4 +1,4 @@
-"""Health of a whole bake: one number per question.
+"""Health of a whole bake: totals and extremes of the frames' values.
 
 The keys of `HealthLog.summary` are documented in docs/guide.md, and those that are attributes of
 GaussianFleshHealthAPI in docs/schema.md.
@@ -15,21 +15,21 @@ from typing import Any
 from gf_usd.core.frames import Health, Settings, shortened
 from gf_usd.core.materials.dimensionless import G0
 
-REST = 1e-3  # of the energy scale: a body that moves with less has come to rest
+REST = 1e-3  # of the energy scale: a body with less kinetic energy is at rest
 
 
 class HealthLog:
-    """Collects the health of frames; a few hundred bytes a frame.
+    """Collects the health of frames, a few hundred bytes per frame.
 
     Parameters
     ----------
     settings : of the bake.
     spacing : [m] mean distance of particles.
-    drop : [m] along the up axis that the body falls before it touches.
-    radius : [m] of a ball of the body's volume; with its weight it says what energy is little.
-    particles : how many there are; counts over frames are also given as shares of them.
+    drop : [m] height of fall of the body along the up axis.
+    radius : [m] of a ball of the body's volume; with the weight it gives the scale of energy.
+    particles : number; counts over frames are also reported as shares of it.
     held : the body is pinned, so that it neither falls freely nor bounces.
-    bodies : how many there are.
+    bodies : number of bodies.
     """
 
     def __init__(
@@ -51,33 +51,35 @@ class HealthLog:
         self._passing: list[Health] = []  # samples since the last frame
 
     def add(self, health: Health) -> None:
-        """Append the health of the next sample; every `samples_per_frame` make a frame."""
+        """Append the health of the next sample; `samples_per_frame` samples make a frame."""
         self._passing.append(health)
         if not self.frames or len(self._passing) == self._settings.samples_per_frame:
-            self.frames.append(joined(self._passing))
+            self.frames.append(merged_health(self._passing))
             self._passing = []
 
-    def leave_out(self, frames: int) -> None:
-        """So many frames before those that are written were not simulated; see `shortened`."""
+    def skip_frames(self, frames: int) -> None:
+        """Record that so many frames before the written ones were not simulated; see
+        `shortened`.
+        """
         self._settings = shortened(self._settings, frames)
 
     def state(self) -> dict[str, Any]:
-        """What was added, as plain values."""
+        """The samples so far as plain values."""
         return {
             "frames": [asdict(health) for health in self.frames],
             "passing": [asdict(health) for health in self._passing],
         }
 
     def load(self, state: Mapping[str, Any]) -> None:
-        """Go on from `state`."""
+        """Restore `state`."""
         self.frames = [health_of(row) for row in state["frames"]]
         self._passing = [health_of(row) for row in state["passing"]]
 
     def summary(self) -> dict[str, Any]:
-        """Totals and extremes over the frames so far; None where a question has no answer."""
+        """Totals and extremes over the frames so far; None for values that are not defined."""
         h = self.frames
         many = self._particles * len(h)
-        # Of one body that meets nothing but the floor can be said how it bounced.
+        # the coefficient of restitution is defined for one body that touches nothing but the floor
         crowd = self._held or self._bodies > 1
         crowd |= self._obstacles and any(f.overlap > 0.0 for f in h)
         return {
@@ -123,12 +125,12 @@ class HealthLog:
 
     @property
     def _falls(self) -> bool:
-        """Whether gravity takes the body to a floor or an obstacle."""
+        """Whether gravity pulls the body toward a floor or an obstacle."""
         to_floor = self._settings.floor is not None or self._obstacles
         return to_floor and not self._held and any(self._settings.gravity)
 
     def per_frame(self) -> list[dict[str, Any]]:
-        """Every frame's health as plain values, with what a sum over its energies says."""
+        """Every frame's health as plain values, with the total energy and its gain."""
         total = [energy(f) for f in self.frames]
         gains = [0.0, *gain_of_frames(self.frames)]
         return [
@@ -144,7 +146,7 @@ class HealthLog:
 
     @property
     def _scale(self) -> float:
-        """[J] what counts as much energy: the most that moved or strained, at least m g0 r."""
+        """[J] scale of energy: the largest kinetic or elastic energy, at least m g0 r."""
         weight = self.frames[0].mass * G0 * self._radius
         return max([weight, *(f.kinetic + f.elastic for f in self.frames)])
 
@@ -174,7 +176,7 @@ class HealthLog:
         }
 
     def _fallen(self) -> dict[str, Any]:
-        """Bodies that fell past every obstacle, where that is looked at."""
+        """Number of bodies that fell past every obstacle, where this is measured."""
         last, count = self.frames[-1], self._bodies
         if not last.fallen:
             return {} if last.fallen is None else {"fallen_bodies": 0}
@@ -182,7 +184,7 @@ class HealthLog:
         return {"fallen_bodies": last.fallen, "fallen_of": count, "first_fallen_frame": first}
 
     def _flow(self) -> dict[str, Any]:
-        """Of particles that flow without end: how many were lost, and the range of their volume."""
+        """Of particles of flowing bodies: how many were lost, and the range of their volume."""
         last = self.frames[-1].lost
         if last is None:
             return {}
@@ -197,7 +199,7 @@ class HealthLog:
         }
 
     def _conversion(self) -> dict[str, Any]:
-        """Of particles that were converted, where any can be."""
+        """Of converted particles, where conversion is possible."""
         last = self.frames[-1].converted
         if last is None:
             return {}
@@ -212,7 +214,7 @@ class HealthLog:
         }
 
     def _resting(self) -> dict[str, float | None]:
-        """Depth in the last frame, where the body has come to rest on the floor."""
+        """Penetration depth in the last frame, where the body is at rest on the floor."""
         last = self.frames[-1]
         rests = last.penetration > 0.0 and last.kinetic <= REST * self._scale
         return {
@@ -221,7 +223,7 @@ class HealthLog:
         }
 
     def _inside(self) -> dict[str, Any]:
-        """Of the surface, what lies inside a body; None where nothing was looked at."""
+        """Penetration of the surface; None where it was not measured."""
         looked = [(f.inside_share, f.inside_depth or 0.0) for f in self.frames
                   if f.inside_share is not None]  # fmt: skip
         end = self.frames[-1].inside_share
@@ -234,7 +236,7 @@ class HealthLog:
         }
 
     def _outside(self) -> dict[str, Any]:
-        """Of the particles, those outside their mesh; None where every mesh is fine enough."""
+        """Particles outside their mesh; None where every mesh is fine enough."""
         looked = [f for f in self.frames if f.outside_share is not None]
         return {
             "outside_mesh_max_share": max((f.outside_share or 0.0 for f in looked), default=None),
@@ -243,7 +245,9 @@ class HealthLog:
         }
 
     def _momenta(self) -> dict[str, Any]:
-        """Departure from free flight, relative to m v and m r v with m v^2 / 2 the energy scale."""
+        """Deviation of the momenta from free flight, over m v and m r v, m v^2 / 2 the energy
+        scale.
+        """
         flight = [] if self._held or self._settings.drag else free_flight(self.frames)
         m = self.frames[0].mass
         out: dict[str, Any] = {
@@ -264,7 +268,7 @@ class HealthLog:
 
 
 def health_of(row: Mapping[str, Any]) -> Health:
-    """The health of its fields, whose vectors may be lists, as JSON has them."""
+    """`Health` from its fields, whose vectors may be lists, as in JSON."""
     fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
     return Health(**fields)
 
@@ -275,12 +279,11 @@ def energy(f: Health) -> float:
 
 
 def gain_of_frames(frames: Sequence[Health]) -> list[float]:
-    """E_i - E_(i-1) - W_i [J] of every frame but the first: what nobody accounts for.
+    """E_i - E_(i-1) - W_i [J] of every frame but the first: energy without a source.
 
-    W_i is the work of pins and what corrections of the shape gave, less what plastic flow and
-    settling took.
-    Damping, friction, drag and the filter only take energy, so that more than rounding and the
-    integrator's error above zero was made out of nothing.
+    W_i is the work of pins and of shape correction, less the dissipation of plastic flow and
+    settling.  Damping, friction, drag and the filter only remove energy, so a gain above rounding
+    and the integrator's error is spurious.
     """
     return [
         energy(b) - energy(a) - b.work - b.injected + b.dissipation for a, b in pairwise(frames)
@@ -288,23 +291,23 @@ def gain_of_frames(frames: Sequence[Health]) -> list[float]:
 
 
 def free_flight(frames: Sequence[Health]) -> Sequence[Health]:
-    """The frames before anything was touched."""
+    """The frames before the first contact."""
     touched = next((i for i, f in enumerate(frames) if touches(f)), len(frames))
     return frames[:touched]
 
 
 def touches(f: Health) -> bool:
-    """Whether the floor, an obstacle or another body was touched."""
+    """Whether the body is in contact with the floor, an obstacle or another body."""
     return f.penetration > 0.0 or f.overlap > 0.0
 
 
 def flight_drift(
     flight: Sequence[Health], gravity: Sequence[float], interval: float
 ) -> tuple[float, float]:
-    """Largest |p - p0 - m g t| [kg m/s] and |L - L0| [kg m^2/s] of a body that nothing holds.
+    """Largest |p - p0 - m g t| [kg m/s] and |L - L0| [kg m^2/s] of a body in free flight.
 
-    L is the angular momentum about the center of mass, L_o - c x p, on which uniform gravity has
-    no torque.  interval : [s] between frames.
+    L is the angular momentum about the center of mass, L_o - c x p, on which uniform gravity exerts
+    no torque. interval : [s] between frames.
     """
     first = flight[0]
     linear, spin = 0.0, 0.0
@@ -318,10 +321,10 @@ def flight_drift(
 def restitution(frames: Sequence[Health], settings: Settings, drop: float) -> float | None:
     """Rebound over impact speed of the first bounce, v' / v, or None where there was none.
 
-    Speeds are those of the center of mass along the floor's normal at the height where it first
-    touched, found from the frames in free flight on either side: v_c^2 = v^2 + 2 g (y - y_c), which
-    holds whatever part of the flight a frame shows.  drop : [m] along the up axis that the asset
-    fell before touching.
+    Speeds are of the center of mass along the floor's normal at its height at first contact. They
+    follow from the frames in free flight on either side by v_c^2 = v^2 + 2 g (y - y_c),
+    independently of the time of those frames. drop : [m] height of fall of the asset along the up
+    axis.
     """
     normal = [float(n) for n in settings.normal]
     g = -_dot(settings.gravity, normal)
@@ -368,10 +371,12 @@ MOSTS = (
 LEASTS = ("min_J", "min_stretch")
 
 
-def joined(samples: Sequence[Health]) -> Health:
-    """The health of a frame from that of its samples, the last of which is at its time.
+def merged_health(samples: Sequence[Health]) -> Health:
+    """The health of a frame from that of its samples, the last of which is at the time of the
+    frame.
 
-    Counts and work add up, extremes are those of all samples, the rest is the state at the end.
+    Counts and work are summed, extremes are over all samples, and other values are of the last
+    sample.
     """
     rows = ((SUMS, sum), (MOSTS, max), (LEASTS, min))
     values = {

@@ -1,11 +1,9 @@
-"""What of a bake's health deserves a warning, in plain words.
+"""Warnings about a bake's health, as text.
 
-Energy that contact made out of nothing is an error: what moves then is wrong, although nothing else
-shows it.
-
-A warning is for numbers that a sound bake does not have, so that ``--strict`` may stop a farm on
-them.  What the solver met and corrected, or what is usual, is told in the report and warned of by
-nobody: a few frames that were redone, and friction at its limit, which is how a sample sticks.
+Energy that contact created is an error: the motion is wrong, although nothing else shows it. A
+warning is for values that a correct bake does not have, so that ``--strict`` can stop a farm on
+them. Events that the solver corrected, and normal ones, appear in the report only: a few frames
+that were repeated, and contact at the friction limit, which is a sticking sample.
 """
 
 from __future__ import annotations
@@ -16,27 +14,27 @@ from typing import Any
 
 HealthSummary = Mapping[str, Any]
 
-# Of the energy scale, in one frame.  Sound bakes of all looks stay under 1e-4 (measured); at 2e-2
-# the solver redoes the frame.
+# Of the energy scale, in one frame.  Correct bakes with all presets stay below 1e-4 (measured);
+# at 2e-2 the solver repeats the frame.
 ENERGY_GAIN = 1e-3
-# Of the energy scale, in a whole bake, given by new contact planes.  Arms that close at 6 m/s are
-# given 1e-4 (measured).
+# Of the energy scale, in a whole bake, added by new contact planes.  Arms that close at 6 m/s
+# receive 1e-4 (measured).
 PLANES_GAIN = 1e-3
-REDONE = 0.1  # of the frames: more often than at a hard landing or two
-INSIDE = 0.01  # of the surface: limbs stand in each other, visibly
-OUTSIDE = 0.01  # of the particles: the mesh shows another shape than the body has
-DEEP = 1.0  # [spacings] the surface visibly sinks in
+REDONE = 0.1  # of the frames: more than one or two hard impacts cause
+INSIDE = 0.01  # of the surface: limbs overlap visibly
+OUTSIDE = 0.01  # of the particles: the mesh does not show the shape of the body
+DEEP = 1.0  # [spacings] visible penetration
 RESTING = (
-    0.25  # [spacings] the contact is laid out for 0.08; a narrow foot sinks deeper than a ball
+    0.25  # [spacings] contact is designed for 0.08; a narrow foot penetrates deeper than a ball
 )
 # Of m v: float32 loses digits where a substep adds less to a velocity than its last digit holds.
 DRIFT = 0.01
-STILL = 1e-9  # of the energy scale: a body that never had more motion than this did not move
-NOT_PERIODIC = 0.01  # of the radius: a step from the end of a cycle to its start that is seen
+STILL = 1e-9  # of the energy scale: a body with less kinetic energy in all frames did not move
+NOT_PERIODIC = 0.01  # of the radius: a visible jump from the end of a cycle to its start
 # Off the volume at rest, of all that flows: weakly compressible laws are off by 1 % by design.
 FLOW_VOLUME = 0.05
-SPARSE = 2.0  # flowing particles in a cell of the grid: a layer as thick as they are apart has four
-ALTERED = 0.01  # of the particle-frames: the material is no longer the one that was asked for
+SPARSE = 2.0  # flowing particles per grid cell: a layer of one spacing has four
+ALTERED = 0.01  # of the particle-frames: the material no longer behaves as specified
 
 
 WARNING, ERROR = "warning", "error"
@@ -58,7 +56,7 @@ class HealthWarning:
 
 
 def health_warnings(health: HealthSummary) -> tuple[HealthWarning, ...]:
-    """The warnings that a summary of `HealthLog` deserves, in the order of RULES."""
+    """The warnings about a summary of `HealthLog`, in the order of RULES."""
     found = []
     for about, rule in RULES.items():
         if (said := rule(health)) is not None:
@@ -68,7 +66,7 @@ def health_warnings(health: HealthSummary) -> tuple[HealthWarning, ...]:
 
 
 def plan_warnings(odd: str) -> tuple[HealthWarning, ...]:
-    """That of a body whose size is not plausible in a unit that nobody wrote down."""
+    """The warning about a body of implausible size in a unit that the file does not state."""
     if not odd:
         return ()
     return (HealthWarning(about="size", message=odd, hint="give the unit with --meters-per-unit"),)
@@ -78,7 +76,9 @@ Said = tuple[str, str] | None
 
 
 def _gentler(h: HealthSummary) -> str:
-    """What makes everything less violent: a body that pins, bones or fields move has no drop."""
+    """Text: how to make the motion less violent; bodies moved by pins, bones or fields have no
+    drop.
+    """
     return "lower the impact (--drop)" if h["falls"] else "slow down what moves the body"
 
 

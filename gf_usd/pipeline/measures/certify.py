@@ -1,7 +1,8 @@
-"""How certain the figures of a bake are: the same at a half and a quarter of its resolution.
+"""The numerical uncertainty of a bake's figures, from runs at a half and a quarter of its
+resolution.
 
-The coarser runs have an eighth and a 64th of the particles and twice and four times as long steps,
-a sixteenth and a 256th of the work.  They write nothing.
+The coarser runs have 1/8 and 1/64 of the particles, and time steps twice and four times as long:
+1/16 and 1/256 of the work. They write no files.
 """
 
 from __future__ import annotations
@@ -16,24 +17,24 @@ from gf_usd.pipeline.measures.convergence import Band, Interval, band, capped, e
 from gf_usd.pipeline.measures.figures import FIGURES, figures, highest_rebound, reached
 from gf_usd.pipeline.measures.observe import Observed
 
-COARSER = (2.0, 4.0)  # spacings of the coarser runs over that of the bake
-# A run of fewer is no picture of the body: a cube of 4 x 4 x 4.
+COARSER = (2.0, 4.0)  # spacing of the coarser runs over that of the bake
+# Particles that a run needs to resolve the body: a cube of 4 x 4 x 4.
 FEWEST = 64
-MOST_DIGITS = 5  # after the point, in words
-NOISE = 0.015  # of the lattice edge: what is known no better (tools/acceptance/certify.py)
-VOLUME = 0.02  # of the volume: by as much the body of a coarser run may differ, where it has a hole
+MOST_DIGITS = 5  # after the point, in texts
+NOISE = 0.015  # of the lattice edge: least uncertainty of a length (tools/acceptance/certify.py)
+VOLUME = 0.02  # relative volume by which the body of a coarser run may differ
 WORDS = {2.0: "half of the resolution", 4.0: "a quarter of the resolution"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What is known of the figures of one variant."""
+    """The figures of one variant with their uncertainty."""
 
     runs: tuple[tuple[int, float], ...]  # particles, and lattice edge [m], finest first
     figures: Mapping[str, Interval]
     center: Band | None = field(default=None, repr=False)  # of the path of the center of mass
-    contacts: tuple[int, ...] = ()  # frames in which something is touched anew
-    reason: str = ""  # why nothing is known; "" where something is
+    contacts: tuple[int, ...] = ()  # frames in which a contact begins
+    reason: str = ""  # why there are no intervals; "" where there are
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; docs/guide.md has the keys."""
@@ -44,7 +45,7 @@ class Certificate:
             "figures": {
                 name: {
                     "words": FIGURES[name].words,
-                    "told": told(name, one),
+                    "told": interval_text(name, one),
                     "unit": FIGURES[name].unit,
                     **one.as_json(),
                 }
@@ -63,10 +64,13 @@ class Certificate:
         return out
 
     def lines(self) -> tuple[str, ...]:
-        """Every figure in words, and why one has no interval."""
+        """A line of text per figure: its interval, or why it has none."""
         if self.reason:
             return (f"nothing is certified: {self.reason}",)
-        said = [f"{FIGURES[name].words} {told(name, one)}" for name, one in self.figures.items()]
+        said = [
+            f"{FIGURES[name].words} {interval_text(name, one)}"
+            for name, one in self.figures.items()
+        ]
         return (*said, self._path(self.center)) if self.center is not None else tuple(said)
 
     def _path(self, center: Band) -> str:
@@ -76,11 +80,11 @@ class Certificate:
             return f"path of the center of mass +- at most {most:.2g} m, in all {count} frames"
         return (
             f"path of the center of mass known to frame {center.until - 1} of {count - 1};"
-            f" {lost(center, self.contacts)}"
+            f" {unknown_from(center, self.contacts)}"
         )
 
 
-def told(name: str, interval: Interval) -> str:
+def interval_text(name: str, interval: Interval) -> str:
     """``0.43 +- 0.01 (order 1.6)``, or why there is no interval."""
     unit = f" {FIGURES[name].unit}" if FIGURES[name].unit else ""
     if not interval.known:
@@ -99,9 +103,9 @@ def _exponent(x: float) -> int:
     return int(f"{x:e}".split("e")[1])
 
 
-def lost(center: Band, contacts: Sequence[int]) -> str:
-    """From which frame on a motion is not known, and why, in words."""
-    # what meets something anew is thrown elsewhere by a small difference, and a larger one follows
+def unknown_from(center: Band, contacts: Sequence[int]) -> str:
+    """Text: from which frame on the path is not certified, and why."""
+    # each new contact amplifies small differences of the path
     since = [number for number, frame in enumerate(contacts, 1) if frame <= center.until]
     where = f", contact {since[-1]}" if since else ""
     how = "chaotic" if center.parts and len(since) > 1 else "not known"
@@ -111,7 +115,7 @@ def lost(center: Band, contacts: Sequence[int]) -> str:
 def coarser(
     spacing: float, volume: float, run: Callable[[float], tuple[Observed, float]]
 ) -> tuple[tuple[Observed, ...], str]:
-    """The runs at twice and four times a spacing [m], and why they are of no use, if so.
+    """The runs at twice and four times a spacing [m], or () and why they cannot be used.
 
     run : simulates at a spacing; returns the run and the volume [m^3] of its particles.
     volume : [m^3] of the bake's particles.
@@ -140,10 +144,10 @@ def coarser(
 
 
 def certify(runs: Sequence[Observed], *, held: bool, single: bool, reason: str = "") -> Certificate:
-    """The certificate of a bake, the first of the runs, from the coarser ones after it.
+    """The certificate of a bake, `runs[0]`, from the coarser `runs[1:]`.
 
-    held : a part of it is driven; single : it is one body, which can be said to bounce.
-    reason : why the coarser runs are of no use; "" where they are.
+    held : part of the body is driven; single : there is one body, so that a rebound is defined.
+    reason : why the coarser runs cannot be used; "" where they can.
     """
     sizes = tuple((one.particles, one.spacing) for one in runs)
     fine = runs[0]
@@ -162,25 +166,27 @@ def certify(runs: Sequence[Observed], *, held: bool, single: bool, reason: str =
     found = {}
     for name, value in wanted.items():
         others = [each[name] for each in values[1:]]
-        found[name] = _judge(name, value, others, fine, center)
+        found[name] = _interval(name, value, others, fine, center)
     return Certificate(runs=sizes, figures=found, center=center, contacts=contacts)
 
 
-def _judge(
+def _interval(
     name: str,
     value: Floats,
     others: Sequence[Floats | None],
     fine: Observed,
     center: Band,
 ) -> Interval:
-    """The interval of one figure, or why there is none."""
+    """The interval of one figure, or an interval with the reason why it is unknown."""
     series = fine.series
     absent = [WORDS[factor] for factor, one in zip(COARSER, others) if one is None]
     if absent:
         return unknown(value, f"there is none at {' and at '.join(absent)}")
     decided = reached(series, name)
     if decided > center.until and name != "settled_height":
-        return unknown(value, f"it is reached in frame {decided}; {lost(center, series.starts)}")
+        return unknown(
+            value, f"it is reached in frame {decided}; {unknown_from(center, series.starts)}"
+        )
     turned = next((i for i, count in enumerate(series.inverted) if count), None)
     if turned is not None and turned <= decided:
         return unknown(value, f"particles are inverted from frame {turned} on")

@@ -1,4 +1,4 @@
-"""How certain a figure is, from the same motion at three resolutions.
+"""Uncertainty of a figure by Richardson extrapolation from three resolutions.
 
 With values f1, f2, f3 at spacings h, 2 h and 4 h, finest first, and an error that falls as h^p,
 
@@ -9,10 +9,10 @@ are the observed order and the value that the sequence tends to (Richardson, Phi
 
     f +- max(S |f1 - f2| / (2^p - 1), C |f2 - f3|)
 
-with p kept between 1 and 2, the orders that contact and smooth motion have here: three runs are not
-enough to believe a higher one, and a lower one is that of runs which are still too coarse (Eca and
-Hoekstra, J. Comput. Phys. 262, 2014, do alike, with larger S where p is out of its range).  Vectors
-have norms instead of magnitudes.  S, C and the limits were chosen by the coverage that
+with p limited to [1, 2], the orders of contact and of smooth motion in this method: three runs are
+no evidence of a higher order, and a lower one indicates runs that are still too coarse (Eca and
+Hoekstra, J. Comput. Phys. 262, 2014, limit p alike, with larger S outside the range).  For vectors,
+magnitudes are norms.  S, C and the limits were chosen by the coverage that
 tools/acceptance/certify.py measures.
 """
 
@@ -26,25 +26,25 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 
-LOWEST, HIGHEST = 1.0, 2.0  # orders that are believed
+LOWEST, HIGHEST = 1.0, 2.0  # accepted range of the order
 SAFETY = 1.0  # half width over the distance from f1 to the limit
-COARSE = 0.08  # half width over |f2 - f3|, at least: f1 - f2 may be small by luck
+COARSE = 0.08  # least half width over |f2 - f3|: f1 - f2 can be small by chance
 SWINGING = 0.6  # half width over the larger of |f1 - f2| and |f2 - f3| / 2, where signs alternate
-SMALL = 0.02  # of the scale: differences that do not shrink, yet hardly matter
-UNORDERED = 1.25  # half width over the largest of them
-TINY = 1e-6  # of the scale: float32 holds no finer difference
-PARTED = 0.02  # of the scale: curves that are farther apart, and come no closer, have parted
-WIDEST = 0.5  # of the scale: a wider band says nothing
+SMALL = 0.02  # of the scale: differences that are accepted without convergence
+UNORDERED = 1.25  # half width over the largest of these differences
+TINY = 1e-6  # of the scale: the resolution of float32
+DIVERGED = 0.02  # of the scale: curves that differ by more, without convergence, have diverged
+WIDEST = 0.5  # of the scale: a wider band is useless
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """What is known of a figure."""
+    """The value of a figure and its uncertainty."""
 
     fine: Floats  # (k,) at the full resolution
     value: Floats  # (k,) middle of the interval; of a vector the center of a ball
     half: float  # half of its width, or the radius
-    order: float | None = None  # observed; None: there is none to see
+    order: float | None = None  # observed order of convergence; None: not defined
     reason: str = ""  # why there is no interval; "" where there is one
 
     @property
@@ -59,7 +59,7 @@ class Interval:
         return self.half / size if size else np.inf
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; what is not known is None."""
+        """Plain values; None for unknown ones."""
         known = self.known
         return {
             "fine": self.fine.tolist(),
@@ -71,7 +71,7 @@ class Interval:
 
 
 def unknown(fine: Floats, reason: str) -> Interval:
-    """A figure without an interval."""
+    """An interval that is unknown, with the reason."""
     return Interval(fine=fine, value=fine, half=float("nan"), reason=reason)
 
 
@@ -106,9 +106,9 @@ def estimate(values: Sequence[Floats], scale: float, least: float = 0.0) -> Inte
 
 
 def capped(interval: Interval, most: float) -> Interval:
-    """An interval of which the part above `most` is known to be impossible.
+    """The interval without its part above the upper limit `most`.
 
-    As it was, where that would leave out the value at the full resolution.
+    Unchanged where that would exclude the value at the full resolution.
     """
     low, high = interval.value[0] - interval.half, interval.value[0] + interval.half
     if not interval.known or high <= most or max(low, float(interval.fine[0])) >= most:
@@ -118,20 +118,20 @@ def capped(interval: Interval, most: float) -> Interval:
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """What is known of a curve over T frames."""
+    """The uncertainty of a curve over T frames."""
 
     half: Floats = field(repr=False)  # (T,) half width about the fine curve; NaN where unknown
-    until: int  # frames from the first that are known; T: all
-    reason: str = ""  # why the others are not
-    parts: bool = False  # somewhere among the others the finer runs are no closer than the coarser
+    until: int  # number of leading frames with a known band; T: all
+    reason: str = ""  # why the band of the others is unknown
+    parts: bool = False  # in some of the others the finer runs differ no less than the coarser ones
 
 
 def band(curves: Sequence[Floats], scale: float) -> Band:
-    """The band of a curve from the same at h, 2 h and 4 h, (T, k) each.
+    """The band of a curve from its values at h, 2 h and 4 h, (T, k) each.
 
-    Errors add up over time: the differences are the largest so far.  Where those of the finer pair
-    are no smaller than those of the coarser one, or the band is wider than WIDEST, the curves have
-    parted, and from there on nothing is known.
+    Errors accumulate over time, so differences are running maxima. Where the difference of the
+    finer pair is no smaller than that of the coarser pair, or the band is wider than WIDEST, the
+    curves have diverged, and the band is unknown from there on.
     """
     count = min(len(one) for one in curves)
     fine, half, quarter = (np.asarray(one, float)[:count] for one in curves)
@@ -139,13 +139,13 @@ def band(curves: Sequence[Floats], scale: float) -> Band:
     d2 = np.maximum.accumulate(np.linalg.norm(half - quarter, axis=1))
     with np.errstate(divide="ignore", invalid="ignore"):
         p = np.clip(np.nan_to_num(np.log2(d2 / d1), nan=HIGHEST, posinf=HIGHEST), LOWEST, HIGHEST)
-    # about the fine curve: from it to the limit, and as far beyond as the interval of a figure
+    # about the fine curve: its distance from the limit, plus the half width of a figure's interval
     width = (1.0 + SAFETY) * d1 / (2.0**p - 1.0) + COARSE * d2
-    parted = (d1 >= d2) & (d1 > PARTED * scale)
-    lost = parted | (width > WIDEST * scale)
+    diverged = (d1 >= d2) & (d1 > DIVERGED * scale)
+    lost = diverged | (width > WIDEST * scale)
     until = int(lost.argmax()) if lost.any() else count
     reason = ""
-    if until < count and parted[until]:
+    if until < count and diverged[until]:
         reason = (
             f"the run at half of the resolution differs by {d1[until]:.3g} m, which is no less "
             f"than the {d2[until]:.3g} m of the run at a quarter"
@@ -154,4 +154,4 @@ def band(curves: Sequence[Floats], scale: float) -> Band:
         reason = f"it is uncertain by {width[until]:.3g} m"
     width = np.maximum(width, TINY * scale)
     width[until:] = np.nan
-    return Band(half=width, until=until, reason=reason, parts=bool(parted.any()))
+    return Band(half=width, until=until, reason=reason, parts=bool(diverged.any()))

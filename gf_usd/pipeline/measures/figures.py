@@ -1,13 +1,15 @@
-"""Figures of a motion that a user reads: first contact, least height, rebound, rest, strain.
+"""Figures of a motion for users: first contact, least height, rebound, rest, strain.
 
-Frames are samples of a motion that goes on between them.  Where a figure is the extreme of a curve
-y(t), or the time at which it passes a value, the curve is the cubic Hermite interpolant of the
-frames' y and dy/dt, whose error is dt^4 / 384 times the fourth derivative (de Boor, A Practical
-Guide to Splines, 1978).  The first contact with a floor comes after free flight, which is known:
+Frames are samples of a continuous motion. Where a figure is the extremum of a curve y(t), or the
+time at which it passes a value, the curve is the cubic Hermite interpolant of y and dy/dt at the
+frames, whose error is dt^4 / 384 times the fourth derivative (de Boor, A Practical Guide to
+Splines, 1978).
+
+The first contact with a floor ends free flight, whose solution is known:
 
     x_i(t) = c + v t + g t^2 / 2 + R(w t) (x_i - c)
 
-with c the center of mass, v its velocity, w the angular velocity.
+with c the center of mass, v its velocity and w the angular velocity.
 """
 
 from __future__ import annotations
@@ -19,8 +21,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 
-TOUCHING = 1e-4  # of the height: points this little above the lowest one touch with it
-NEWTON = 40  # steps at most; a handful is usual
+TOUCHING = 1e-4  # of the height: points up to this far above the lowest one are in contact too
+NEWTON = 40  # iterations, at most; about five are typical
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,10 +48,10 @@ class Series:
     volumes: Floats  # (T,) over that at rest
     strains: Floats  # (T,) largest principal nominal strain |lambda - 1| of all particles
     kinetic: Floats  # (T,) [J]
-    touching: tuple[bool, ...]  # (T,) something was touched since the frame before
+    touching: tuple[bool, ...]  # (T,) whether there was contact since the previous frame
     inverted: tuple[int, ...]  # (T,) particles with J <= 0
     up: Floats  # (3,) unit, out of the floor
-    weight: float | None = None  # [N] of what falls; None: not known
+    weight: float | None = None  # [N] of the falling bodies; None: unknown
     grounded: bool = True  # there is a floor; without one heights are above the origin
     landing: Landing | None = None  # None: it does not land on a floor
 
@@ -63,7 +65,7 @@ class Series:
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """The frames in which a contact begins: it touches, and the frame before did not."""
+        """The frames in which a contact begins: frames with contact after one without."""
         pairs = zip(self.touching, (False, *self.touching))
         return tuple(i for i, (now, before) in enumerate(pairs) if now and not before)
 
@@ -105,7 +107,7 @@ class Recorder:
         touching: bool = False,
         inverted: int = 0,
     ) -> None:
-        """One more frame.
+        """Append a frame.
 
         points, velocities : (n, 3) [m] and [m/s] of the surface, the same points in every frame.
         center, velocity : (3,) of the center of mass.
@@ -131,20 +133,20 @@ class Recorder:
     def _fly(
         self, time: float, x: Floats, v: Floats, c: Floats, w: Floats, low: float, touching: bool
     ) -> None:
-        """Keep the last frame of the free flight; with the first one after it, find the landing."""
+        """Store the last frame in free flight; at the first one after it, compute the landing."""
         if low > 0.0 and not touching:
             if self._flight is not None or not self._rows:
                 self._flight = (time, x, v, c, w)
             return
         if self._flight is not None:
             found = landing(*self._flight, self._up, self._floor or 0.0, self._gravity)
-            # what is touched while the floor is far is something else
+            # contact far above the floor is contact with something else
             if found.time <= time:
                 self._landing = found
         self._flight = None
 
     def series(self) -> Series:
-        """All frames so far."""
+        """The series of all frames so far."""
         t, high, high_rate, low, low_rate, volume, strain, kinetic = np.array(self._rows).T
         return Series(
             times=t, high=high, high_rate=high_rate, low=low, low_rate=low_rate, volumes=volume,
@@ -165,10 +167,10 @@ def landing(
     floor: float,
     gravity: Floats,
 ) -> Landing:
-    """Where and when a rigid body in free flight meets a plane.
+    """Time, position and center of mass at the first contact of a rigid body with a plane.
 
-    The equation of the module, with w the least squares fit of w x (x_i - c) = v_i - v, and the
-    mean of the points that meet it together, within TOUCHING of the height.
+    Solves the equation of the module, with w the least squares fit of w x (x_i - c) = v_i - v. The
+    position is the mean of the points that are within TOUCHING of the height.
 
     points, velocities : (n, 3) at `time`; center, velocity : (3,) of the center of mass.
     """
@@ -205,14 +207,14 @@ def landing(
 def figures(
     series: Series, *, held: bool = False, at_rest: bool = False
 ) -> dict[str, Floats | None]:
-    """Figures of a motion by their names in `FIGURES`, (k,) each; None where there is none.
+    """Figures of a motion by their names in `FIGURES`, (k,) each; None where undefined.
 
-    Heights are those of the highest point over the floor, which say more than the extent: where the
-    surface goes between the points at which the solver feels the floor is no figure of the motion.
-    Without a floor they are the extent.
+    Heights are of the highest point over the floor, not the extent along `up`: the solver resolves
+    contact at sample points only, so the lowest point of the surface is no figure of the motion.
+    Without a floor heights are the extent.
 
-    held : pins or bones say where a part of the body is, so that it neither lands nor rebounds.
-    at_rest : it has come to rest in the last frame.
+    held : pins or bones prescribe a part of the body, which therefore neither lands nor rebounds.
+    at_rest : it is at rest in the last frame.
     """
     found: dict[str, Floats | None] = dict.fromkeys(FIGURES)
     found["peak_strain"] = np.array([series.strains.max()])
@@ -223,7 +225,7 @@ def figures(
         found["settled_height"] = np.array([series.high[-1] - ground])
         found["settled_center"] = np.array(series.centers[-1])
     if held:
-        sag = least(series.times, series.low, series.low_rate)[1]
+        sag = minimum(series.times, series.low, series.low_rate)[1]
         found["sag"] = np.array([series.low[0] - sag])
         if at_rest:
             found["settled_sag"] = np.array([series.low[0] - series.low[-1]])
@@ -236,9 +238,9 @@ def figures(
         return found
     part = slice(max(0, begin - 1), end + 1)
     top, rate = _top(series)
-    squash = least(series.times[part], top[part], rate[part])[1]
+    squash = minimum(series.times[part], top[part], rate[part])[1]
     found["least_height"] = np.array([squash])
-    if squash < series.height:  # what is always higher than at the start has turned
+    if squash < series.height:  # a body that is always higher than at the start has turned over
         found["squash"] = np.array([1.0 - squash / series.height])
     rise = rebound(series)
     found["rebound"] = None if rise is None else np.array([rise])
@@ -247,7 +249,7 @@ def figures(
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """What a figure is called, and what it counts in."""
+    """Name and unit of a figure."""
 
     words: str
     unit: str  # SI; "" for a pure number
@@ -269,9 +271,9 @@ FIGURES: Mapping[str, Figure] = {
 
 
 def first_contact(series: Series) -> tuple[int | None, int]:
-    """The frames in which the first contact begins and ends, both included; None: there is none.
+    """The first and the last frame of the first contact; None: there is no contact.
 
-    It ends with the first frame after it in which nothing is touched, or with the last frame.
+    The last one is the first frame after it without contact, or the last frame of the motion.
     """
     if not series.starts:
         return None, 0
@@ -288,7 +290,7 @@ def _top(series: Series) -> tuple[Floats, Floats]:
 
 
 def reached(series: Series, name: str) -> int:
-    """The frame by which a figure of `figures` is decided; what comes after does not change it."""
+    """The frame that determines a figure of `figures`; later frames do not change it."""
     last = len(series) - 1
     begin, end = first_contact(series)
     squashed = (begin or 0) + int(_top(series)[0][begin or 0 : end + 1].argmin())
@@ -306,10 +308,11 @@ def reached(series: Series, name: str) -> int:
 
 
 def rebound(series: Series) -> float | None:
-    """[m] rise of the center of mass over its height at the first contact, to its first top.
+    """[m] rise of the center of mass from its height at the first contact to its next maximum.
 
-    None where it never leaves what it touched, or where no landing on a floor is known.  A top
-    after the last frame is that of free flight, y + v^2 / 2 g, where the body has left by then.
+    None where it never separates, or no landing on a floor is known. Where the body has separated
+    by the last frame but not reached its maximum, the maximum is that of free flight, y + v^2 / 2
+    g.
     """
     begin, left = first_contact(series)
     if begin is None or series.landing is None or series.touching[left]:
@@ -323,13 +326,13 @@ def rebound(series: Series) -> float | None:
         g = _gravity(series, left)
         return float(y[-1] + v[-1] ** 2 / (2.0 * abs(g)) - height) if g < 0.0 else None
     part = slice(left, left + int(down[0]) + 1)
-    return float(-least(series.times[part], -y[part], -v[part])[1] - height)
+    return float(-minimum(series.times[part], -y[part], -v[part])[1] - height)
 
 
 def highest_rebound(series: Series) -> float | None:
-    """[m] the rebound of a body that keeps all its energy: (E_kin + m g y at the start) / m g - y.
+    """[m] rebound without energy loss: (E_kin + m g y at the start) / m g - y.
 
-    None where it does not land, or its weight is not known.
+    None where the body does not land, or its weight is unknown.
     """
     if series.landing is None or not series.weight:
         return None
@@ -338,18 +341,21 @@ def highest_rebound(series: Series) -> float | None:
 
 
 def _gravity(series: Series, left: int) -> float:
-    """[m/s^2] along `up` that the center of mass shows from a frame on."""
+    """[m/s^2] acceleration of the center of mass along `up` from a frame on."""
     if left >= len(series) - 1:
         return 0.0
     v = series.velocities @ series.up
     return float((v[-1] - v[left]) / (series.times[-1] - series.times[left]))
 
 
-def least(times: Floats, values: Floats, rates: Floats) -> tuple[float, float]:
-    """Time and value of the least of a curve through values (T,) with slopes `rates` (T,).
+def minimum(times: Floats, values: Floats, rates: Floats) -> tuple[float, float]:
+    """Time and value of the minimum of a curve through values (T,) with slopes `rates` (T,).
 
-    Cubic Hermite between the times (T,): y = y0 + h m0 u + (3 d - 2 a - b) u^2 + (a + b - 2 d) u^3
-    with u in [0, 1], d = y1 - y0, a = h m0, b = h m1; the extremes are where its derivative is 0.
+    Cubic Hermite interpolation between the times (T,):
+
+        y = y0 + h m0 u + (3 d - 2 a - b) u^2 + (a + b - 2 d) u^3
+
+    with u in [0, 1], d = y1 - y0, a = h m0, b = h m1; the extrema are the zeros of its derivative.
     """
     t, y, m = (np.asarray(one, float) for one in (times, values, rates))
     best = int(y.argmin())

@@ -1,4 +1,4 @@
-"""The frames of a bake reduced to what its figures are read from."""
+"""Reduces the frames of a bake to the data from which its figures are computed."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from gf_usd.core.frames import AT_REST, Frame, Health, Particles, Pose, Settings
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.pipeline.measures.figures import Recorder, Series
 
-# Times the kinetic energy that counts as rest: what still moves so little changes a height by less
-# than it is known.
+# Times the kinetic energy that counts as rest: a body with less energy changes a height by less
+# than its uncertainty.
 SETTLED = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
-    """A run, reduced to what its figures are read from."""
+    """The reduced data of one run."""
 
     particles: int
     spacing: float  # [m] lattice edge
     series: Series
-    at_rest: bool  # in its last frame
+    at_rest: bool  # in the last frame
 
 
 class Observer:
-    """Is shown every frame of a bake.
+    """Receives every frame of a bake.
 
     particles : of the solver; settings : as `sampled`; paths : of the embedded surfaces of its
-    bodies, whose points are looked at.
+        bodies, whose points are recorded.
     """
 
     def __init__(self, particles: Particles, settings: Settings, paths: Sequence[str]) -> None:
@@ -41,8 +41,8 @@ class Observer:
         self._pull = -float(np.dot(settings.gravity, settings.normal))
         self._recorder = Recorder(settings.normal, settings.floor, np.array(settings.gravity))
 
-    def see(self, frame: Frame, poses: Mapping[str, Pose]) -> None:
-        """One more frame, with its embedded points."""
+    def add_frame(self, frame: Frame, poses: Mapping[str, Pose]) -> None:
+        """Add the next frame, with its embedded points."""
         health = self._last = frame.health
         self._recorder.weight = health.mass * self._pull
         self._recorder.add(
@@ -59,7 +59,7 @@ class Observer:
         )
 
     def observed(self) -> Observed:
-        """The run, once it has ended."""
+        """The reduced data, after the last frame."""
         still = AT_REST * self._last.mass * G0 * self._particles.radius
         return Observed(
             particles=len(self._particles),
@@ -70,7 +70,7 @@ class Observer:
 
 
 def ratios(F: Floats) -> Floats:
-    """(N,) J = det F of deformation gradients (N, 3, 3)."""
+    """(N,) volume ratios J = det F of deformation gradients (N, 3, 3)."""
     a, b, c = (np.asarray(F)[:, k].T for k in range(3))
     return (
         a[0] * (b[1] * c[2] - b[2] * c[1])

@@ -1,12 +1,13 @@
-"""How much of the bodies is outside the meshes that show them: faces too long to bend with them.
+"""The share of the particles outside the meshes that show their body: faces too long to bend with
+it.
 
-The points of a mesh are embedded in its body, and a face is flat between them: of a cube of eight
-points none lies where a side is pressed in.  Meshes whose edges are all short follow the body and
-are not looked at.
+The points of a mesh are embedded in its body, and a face is flat between its points: no point of a
+cube with eight vertices follows a dent in one of its sides. Meshes with short edges only are not
+measured, since they follow their body.
 
-A particle is outside where the meshes of all bodies together do not wind around it (generalized
-winding number; Jacobson, Kavan and Sorkine-Hornung 2013, by libigl) and where it is FAR from all of
-them.  What is outside at rest, as in a sheet that was thickened, has no mesh around it anyway.
+A particle is outside where the total winding number of all meshes is 0 (generalized winding number;
+Jacobson, Kavan and Sorkine-Hornung 2013, by libigl) and it is more than FAR from all of them.
+Particles that are outside at rest, for example in a sheet that was thickened, do not count.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
 from gf_usd.core.mesh import areas
-from gf_usd.pipeline.measures.inside import WITHIN, WoundSurfaces, stacked
+from gf_usd.pipeline.measures.inside import WITHIN, WindingNumbers, stacked
 
-LONG = 4.0  # [spacings] of an edge: those of shorter ones show every bend of the grid, two wide
-SHARE = 0.01  # of the area of all meshes, in faces with a long edge: less is a detail
+LONG = 4.0  # [spacings] edge length: shorter edges resolve any bend of the grid (cell size 2)
+SHARE = 0.01  # least share of a mesh's area in faces with a long edge
 FAR = 1.0  # [spacings] from the meshes
-MOST = 3000  # particles of a look
+MOST = 3000  # particles of a measurement
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outside:
-    """What was found at one time."""
+    """The result of one measurement."""
 
-    share: float  # of the particles looked at, FAR outside
-    depth: float  # [m] from the meshes to the farthest of them; 0: none
+    share: float  # of the measured particles, more than FAR outside
+    depth: float  # [m] largest distance of such a particle from the meshes; 0: none
 
 
 class OutsideMeasure:
-    """The meshes of all bodies, and the particles in them.
+    """Measures the particles outside the meshes of all bodies.
 
     surfaces : at rest; X : (N, 3) [m] of all particles at rest; spacing : [m] of them.
     """
@@ -48,18 +49,19 @@ class OutsideMeasure:
         points, self._triangles, self._ends = stacked(surfaces)
         self._spacing = spacing
         some = np.arange(0, len(X), max(1, -(-len(X) // MOST)))
-        self._rows: Ints = some[self._wound(points, X[some])]
+        self._rows: Ints = some[self._winding(points, X[some])]
 
     def measure(self, poses: Mapping[str, Pose], x: Floats) -> Outside:
-        """What is outside where the meshes have these poses and the particles are at x (N, 3) [m].
+        """The share of the particles outside, for the poses of the meshes and particles at x (N, 3)
+        [m].
 
-        It is none where none was inside at rest.
+        The share is 0 where no particle was inside at rest.
         """
         if len(self._rows) == 0:
             return Outside(share=0.0, depth=0.0)
         points = np.concatenate([poses[path].x for path in self._paths])
         now = np.ascontiguousarray(x[self._rows], dtype=float)
-        out = now[~self._wound(points, now)]
+        out = now[~self._winding(points, now)]
         if len(out) == 0:
             return Outside(share=0.0, depth=0.0)
         square = igl.point_mesh_squared_distance(
@@ -69,9 +71,11 @@ class OutsideMeasure:
         far = away[away > FAR * self._spacing]
         return Outside(share=len(far) / len(self._rows), depth=float(far.max(initial=0.0)))
 
-    def _wound(self, points: Floats, X: Floats) -> Ints:
-        """(n,) whether the meshes, with points (V, 3) [m], wind around X (n, 3) [m]."""
-        return np.abs(WoundSurfaces(points, self._triangles, self._ends).turns(X)) > WITHIN
+    def _winding(self, points: Floats, X: Floats) -> Ints:
+        """(n,) whether points X (n, 3) [m] are inside the meshes with points (V, 3) [m]."""
+        return (
+            np.abs(WindingNumbers(points, self._triangles, self._ends).winding_numbers(X)) > WITHIN
+        )
 
 
 def coarse(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
@@ -89,8 +93,8 @@ def coarse(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def named(meshes: Mapping[str, float], spacing: float) -> str:
-    """The meshes of `coarse` in words."""
+def mesh_names(meshes: Mapping[str, float], spacing: float) -> str:
+    """Text that names the meshes of `coarse`."""
     path, edge = next(iter(meshes.items()))
     more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
     return f"<{path}>{more} (edges up to {edge / spacing:.2g} spacings of {spacing:.3g} m)"

@@ -1,7 +1,7 @@
-"""``--until``: how finely to bake next, so that figures become as certain as asked.
+"""``--until``: the next resolution, so that figures become as certain as requested.
 
-An interval of order p shrinks as h^p, so that h (tolerance / width)^(1/p) is fine enough.  The work
-of a bake grows as h^-4: particles as h^-3, and steps as h^-1.
+The interval of a figure of order p shrinks as h^p, so h (tolerance / width)^(1/p) is fine enough.
+The work of a bake grows as h^-4: particles as h^-3, and time steps as h^-1.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from gf_usd.pipeline.measures.figures import FIGURES
 if TYPE_CHECKING:
     from gf_usd.pipeline.result import BakeResult
 
-# What is asked for where nobody names figures: those that are one number of the motion as a whole.
+# The figures that are refined by default: those that describe the motion by one number.
 USUAL = ("least_height", "squash", "rebound", "sag", "settled_height", "settled_sag")
-MARGIN = 0.9  # of the spacing that would just do
+MARGIN = 0.9  # safety factor on the spacing
 FINEST, COARSEST = 0.5, 0.85  # spacing of the next bake over that of this one
 WORK = 4.0  # power of 1 / h
 HINT = "give a share such as 2%, or figures and a share: rebound,squash:2%"
@@ -29,9 +29,9 @@ HINT = "give a share such as 2%, or figures and a share: rebound,squash:2%"
 
 @dataclass(frozen=True, kw_only=True)
 class Until:
-    """What is asked for."""
+    """The requested accuracy."""
 
-    names: tuple[str, ...]  # of FIGURES; (): the usual ones
+    names: tuple[str, ...]  # of FIGURES; (): USUAL
     share: float  # half width over magnitude
 
     @classmethod
@@ -54,10 +54,10 @@ class Until:
         return cls(names=names, share=value)
 
     def of_certificates(self, found: Sequence[Certificate]) -> tuple[float, float, str] | None:
-        """The widest asked interval over its magnitude, its order, and its name in words.
+        """The widest relative half width of the requested figures, its order, and its name as text.
 
-        A figure without an interval is infinitely wide, where it is asked for by its name.
-        None where no bake has any of the figures.
+        The width is inf for a figure without an interval that was requested by name. None where no
+        bake has any of the figures.
         """
         rows = []
         for one in found:
@@ -71,54 +71,57 @@ class Until:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
-    """What to do next."""
+class Refinement:
+    """The spacing of the next bake, and why."""
 
-    spacing: float | None  # [m] to bake with; None: it is done
-    said: str  # why, in words
+    spacing: float | None  # [m] of the next bake; None: there is none
+    reason: str  # as text
 
 
 def next_step(
     until: Until, found: Sequence[Certificate], *, seconds: float, spent: float, budget: float
-) -> Step:
-    """How finely to bake next.
+) -> Refinement:
+    """The spacing of the next bake.
 
     Parameters
     ----------
-    found : of each variant of the last bake.
-    seconds : [s] that it took; spent : [s] by all so far; budget : [s] for all.
+    found : certificate of each variant of the last bake.
+    seconds : [s] that it took; spent : [s] that all bakes took; budget : [s] for all.
     """
     asked = f"{100.0 * until.share:g} %"
     widest = until.of_certificates(found)
     if widest is None:
         names = ", ".join(until.names or USUAL)
-        return Step(spacing=None, said=f"--until {asked}: the bake has none of the figures {names}")
+        return Refinement(
+            spacing=None, reason=f"--until {asked}: the bake has none of the figures {names}"
+        )
     width, order, words = widest
     edge = found[0].runs[0][1]
     if width <= until.share:
-        return Step(spacing=None, said=f"--until {asked}: {words} +- {100.0 * width:.2g} %")
+        return Refinement(spacing=None, reason=f"--until {asked}: {words} +- {100.0 * width:.2g} %")
     p = min(max(order, LOWEST), HIGHEST)
     ratio = min(max(MARGIN * (until.share / width) ** (1.0 / p), FINEST), COARSEST)
     needed = seconds * ratio**-WORK
     known = f"+- {100.0 * width:.2g} %" if width < float("inf") else "without an interval"
     if spent + needed > budget:
-        return Step(
+        return Refinement(
             spacing=None,
-            said=f"--until {asked} was not reached: {words} is {known}, and the next bake would "
+            reason=f"--until {asked} was not reached: {words} is {known}, and the next bake would "
             f"take about {duration(needed)}, but --max-hours leaves"
             f" {duration(max(0.0, budget - spent))}",
         )
-    return Step(
+    return Refinement(
         spacing=ratio * edge,
-        said=f"{words} is {known}: baking again with particles {ratio * edge:.3g} m apart",
+        reason=f"{words} is {known}: baking again with particles {ratio * edge:.3g} m apart",
     )
 
 
 class Refining:
-    """Bakes of one asset, each more finely than the last.
+    """Bakes one asset repeatedly, each time at a finer resolution.
 
-    until : as asked for; None: one bake.  max_hours : [h] for all of them.  options : of the first.
-    Raises UsageError for an `until` that says nothing, or with options that it does not go with.
+    until : the requested accuracy; None: a single bake. max_hours : [h] for all bakes. options : of
+        the first.
+    Raises UsageError for an invalid `until`, or with options that it cannot be combined with.
     """
 
     def __init__(self, until: str | None, max_hours: float, options: Mapping[str, Any]) -> None:
@@ -131,11 +134,11 @@ class Refining:
 
     @property
     def hours(self) -> float:
-        """[h] that are left."""
+        """[h] of the budget that are left."""
         return (self._budget - self._spent) / 3600.0
 
-    def again(self, result: BakeResult, unit: float) -> bool:
-        """Whether to bake again, with `options`; a note says why.
+    def bake_again(self, result: BakeResult, unit: float) -> bool:
+        """Whether to bake again, with `options`; adds a note with the reason.
 
         unit : [m] of the stage.
         """
@@ -146,7 +149,7 @@ class Refining:
         step = next_step(
             self._until, found, seconds=result.seconds, spent=self._spent, budget=self._budget
         )
-        self.notes.append(step.said)
+        self.notes.append(step.reason)
         if step.spacing is None:
             return False
         self.options |= {"particles": None, "spacing": step.spacing / unit, "overwrite": True}

@@ -1,4 +1,4 @@
-"""When everything is at rest."""
+"""Detects when all bodies are at rest."""
 
 from __future__ import annotations
 
@@ -11,47 +11,47 @@ from gf_usd.core.materials.dimensionless import G0, time_scale
 
 
 class Rest:
-    """Sees when all bodies have been at rest for a time T, and in two frames; see `AT_REST`.
+    """Detects that all bodies have been at rest for a time T, and for two frames; see `AT_REST`.
 
-    One frame says nothing of a time: a body that is about to fall is at rest in the first one, and
-    one that bounces may be where it turns around.
+    A single frame is not sufficient: a body is at rest in the first frame before it falls, and a
+    bouncing one at its highest point.
 
-    frame_time : [s] between frames; radius : [m] of a ball of the bodies' volume; stirred : frames
-    at the start in which an obstacle moves, or may move again.  Bodies that have fallen past every
-    obstacle do not count.
+    frame_time : [s] between frames; radius : [m] of a ball of the bodies' volume; moving_frames :
+        frames at the start in which an obstacle moves, or may move again. Bodies that have fallen
+        past every obstacle do not count.
     """
 
-    def __init__(self, frame_time: float, radius: float, stirred: int = 0) -> None:
-        self._step, self._radius, self._stirred = frame_time, radius, stirred
-        self.still = 0.0  # [s] since when all are at rest
+    def __init__(self, frame_time: float, radius: float, moving_frames: int = 0) -> None:
+        self._step, self._radius, self._moving_frames = frame_time, radius, moving_frames
+        self.still = 0.0  # [s] for which all bodies have been at rest
 
     def limit(self, health: Health) -> float:
         """[J] of kinetic energy that counts as rest."""
         return AT_REST * health.mass * G0 * self._radius
 
     def reached(self, health: Health, index: int) -> bool:
-        """Whether this frame, the next one, ends a time T at rest."""
+        """Whether this frame, the next one of the motion, completes a time T at rest."""
         moving = health.kinetic - (health.fallen_kinetic or 0.0)
-        still = index >= self._stirred and moving <= self.limit(health)
+        still = index >= self._moving_frames and moving <= self.limit(health)
         before, self.still = self.still, self.still + self._step if still else 0.0
         return before > 0.0 and self.still >= time_scale(self._radius)
 
-    def said(self, look: str, frames: Sequence[Health], most: int, *, settled: bool) -> str:
-        """When a material came to rest, in words; most : frames that it may take."""
+    def message(self, variant: str, frames: Sequence[Health], most: int, *, settled: bool) -> str:
+        """Text on when a material came to rest; most : maximum number of frames."""
         if settled:
-            return f"{look}: at rest at frame {len(frames)}"
+            return f"{variant}: at rest at frame {len(frames)}"
         last = frames[-1]
         return (
-            f"{look}: not at rest within {most} frames: the kinetic energy of the last one is"
+            f"{variant}: not at rest within {most} frames: the kinetic energy of the last one is"
             f" {last.kinetic:.3g} J, but at most {self.limit(last):.3g} J counts as rest; --frames"
             f" rest:{2 * most} simulates longer"
         )
 
-    def refusal(self, look: str, last: Health, most: int, path: Path) -> BakeError:
-        """For --settle-only where something still moves in the last of `most` frames."""
+    def refusal(self, variant: str, last: Health, most: int, path: Path) -> BakeError:
+        """The error of --settle-only where a body still moves in the last of `most` frames."""
         return BakeError(
-            f"{path}, {look}: not at rest within {most} frames: the kinetic energy of the last one"
-            f" is {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as rest",
+            f"{path}, {variant}: not at rest within {most} frames: the kinetic energy of the last"
+            f" one is {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as rest",
             f"simulate longer with --frames {2 * most}, or slow the motion with --drag, "
             f"--friction or another material; a body that is driven by a moving pin or "
             f"obstacle, or drifts without gravity, never comes to rest",

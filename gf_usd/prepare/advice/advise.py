@@ -82,7 +82,7 @@ def advise(
 
         subjects = read_subjects(file, asset.facts, [s.path for s in open_], rest=rest)
     else:
-        subjects = tuple(Subject(path=s.path, looks=_looks(s)) for s in open_)
+        subjects = tuple(Subject(path=s.path, looks=_appearance(s)) for s in open_)
     advised = _ask(asset, subjects, auto, draw) if subjects else ()
     by_path = {**stated, **{one.path: one for one in advised}}
     return replace(spec, advice={s.path: by_path[s.path] for s in asset.surfaces})
@@ -163,7 +163,7 @@ def _mesh(surface: Surface) -> RenderMesh:
     )  # fmt: skip
 
 
-def _looks(surface: Surface) -> tuple[str, ...]:
+def _appearance(surface: Surface) -> tuple[str, ...]:
     """Paths of the materials of a mesh file's surface, that of most triangles first."""
     if surface.triangle_materials is None:
         return ()

@@ -25,7 +25,7 @@ def run(period: Period, decay: float = DECAY, end: int = FIRST + CYCLE) -> list[
     seen, index = [], 0
     while index < end:
         seen.append(index)
-        index = period.see(index, positions(index - period.skipped, decay)) + 1
+        index = period.observe(index, positions(index - period.skipped, decay)) + 1
     return seen
 
 
@@ -69,11 +69,11 @@ def test_it_goes_on_alike(at: int) -> None:
     seen = run(whole)
     simulated = seen[: seen.index(at) + 1] if at in seen else seen
     for index in simulated:
-        before.see(index, positions(index - before.skipped))
+        before.observe(index, positions(index - before.skipped))
     after = Period(CYCLE, MOST - 1, FIRST, 1.0, until=True)
     after.load(before.state())
     for index in seen[len(simulated) :]:
-        after.see(index, positions(index - after.skipped))
+        after.observe(index, positions(index - after.skipped))
     assert after.health == whole.health
     assert after.notes == whole.notes
 
