@@ -1,1 +1,1 @@
-"""Many bakes: a manifest becomes jobs, and jobs run here, on a cluster or on a farm."""
+"""Batches of bakes: a manifest becomes jobs, which run on this machine, a cluster or a farm."""

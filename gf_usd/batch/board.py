@@ -1,6 +1,5 @@
-"""The status of every job of a batch, from its events.
-
-What a batch came to: its file, what to do again, and how to ask for that.
+"""The status of every job of a batch, from its events; the summary file and the command to
+repeat.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gf_usd.batch.job import CALM, GOOD, STATES, Job, Outcome
+from gf_usd.batch.job import GOOD, NOT_FAILED, STATES, Job, Outcome
 from gf_usd.batch.record import read_record
-from gf_usd.batch.slices import UNTRIED
+from gf_usd.batch.slices import NOT_ATTEMPTED
 from gf_usd.core.errors import UsageError
 from gf_usd.system.atomic_files import publish_text
 from gf_usd.system.file_locks import locked
@@ -24,7 +23,7 @@ from gf_usd.system.fingerprint import program
 
 @dataclass
 class Row:
-    """A job as a table shows it."""
+    """The status of a job."""
 
     name: str
     state: str = "waiting"  # waiting, running, or one of job.STATES
@@ -38,14 +37,14 @@ class Row:
 
     @property
     def left(self) -> float | None:
-        """[s] to its end; None while nobody knows."""
+        """[s] estimated remaining time; None: unknown."""
         if self.frames_per_second <= 0.0:
             return None
         return (self.total - self.done) / self.frames_per_second
 
 
 class Board:
-    """The rows of all jobs, and how far the whole is."""
+    """The status of all jobs, and the progress of the batch."""
 
     def __init__(
         self, names: Sequence[str], at_once: int, clock: Callable[[], float] = time.monotonic
@@ -53,14 +52,14 @@ class Board:
         self.rows = {name: Row(name=name) for name in names}
         self._at_once, self._clock, self._began = at_once, clock, clock()
 
-    def hear(self, event: Mapping[str, Any]) -> Row | None:
-        """Take an event in; the row it is about."""
+    def handle(self, event: Mapping[str, Any]) -> Row | None:
+        """Update the row of an event's job, and return it."""
         row = self.rows.get(event.get("job", ""))
         if row is None:
             return None
         kind = event["event"]
         if row.state not in ("waiting", "running"):
-            return row  # a cluster may tell what was before the end after it
+            return row  # a cluster may deliver earlier events after the last one
         if kind == "started":
             row.state, row.attempt, row.began = "running", event["attempt"], self._clock()
             row.done, row.frames_per_second = 0, 0.0
@@ -74,18 +73,18 @@ class Board:
         return row
 
     def of(self, *states: str) -> list[Row]:
-        """The rows in any of these states."""
+        """The rows in any of the given states."""
         return [row for row in self.rows.values() if row.state in states]
 
     @property
     def ended(self) -> list[Row]:
-        """The rows that need no more time."""
+        """The rows of jobs that have ended."""
         return [row for row in self.rows.values() if row.state not in ("waiting", "running")]
 
     @property
-    def bad(self) -> list[Row]:
-        """The rows that ended, and not well."""
-        return [row for row in self.ended if row.state not in CALM]
+    def failed(self) -> list[Row]:
+        """The rows of jobs that ended without success."""
+        return [row for row in self.ended if row.state not in NOT_FAILED]
 
     @property
     def seconds(self) -> float:
@@ -94,7 +93,9 @@ class Board:
 
     @property
     def left(self) -> float | None:
-        """[s] to the end of all, from how long the others took; None before the first has."""
+        """[s] estimated remaining time, from the mean time of ended jobs; None before the first
+        ends.
+        """
         took = [row.seconds for row in self.ended if row.seconds > 0.0]
         if not took:
             return None
@@ -104,48 +105,48 @@ class Board:
 
     @property
     def share(self) -> float:
-        """Of the whole that is done, 0 to 1; frames of a running job count in part."""
+        """Share of the work that is done, 0 to 1, including the frames of running jobs."""
         parts = (row.done / row.total for row in self.of("running") if row.total)
         return (len(self.ended) + sum(parts)) / max(1, len(self.rows))
 
     def running_for(self, row: Row) -> float:
-        """[s] of the attempt that runs."""
+        """[s] since the start of the current attempt."""
         return self._clock() - row.began
 
 
 SUMMARY, PAGE = ".batch.json", ".batch.html"
-NAMED = 20  # so many names fit into a command; more are found in the summary
+NAMES_IN_COMMAND = 20  # job names in a command; with more, the command reads the summary
 
 
 def ordered(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Those that need a look first, each kind by name."""
+    """Outcomes by urgency: failures first, each state by name."""
     ranks = {state: rank for rank, state in enumerate(reversed(STATES))}
     return sorted(outcomes, key=lambda o: (ranks.get(o.state, 0), o.job))
 
 
 def counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
-    """How many ended in each state, states that none has left out."""
+    """Number of outcomes in each state, without states that do not occur."""
     found = {state: sum(o.state == state for o in outcomes) for state in STATES}
     return {state: n for state, n in found.items() if n}
 
 
 def summary_line(outcomes: Sequence[Outcome]) -> str:
-    """``2 failed, 1 crashed, 197 done`` for a line."""
+    """``2 failed, 1 crashed, 197 done``, on one line."""
     found = counts(outcomes)
     names = [state for state in reversed(STATES) if state in found and state not in GOOD]
     names += [state for state in GOOD if state in found]
     return ", ".join(f"{found[state]} {state}" for state in names) or "no jobs"
 
 
-def again(asked: Sequence[str], outcomes: Sequence[Outcome]) -> str:
-    """The command that repeats just what is not good; "" where all is.
+def rerun_command(asked: Sequence[str], outcomes: Sequence[Outcome]) -> str:
+    """The command that repeats the unsuccessful jobs; "" where there are none.
 
     asked : the arguments of the command, without ``--select`` and ``--failed``.
     """
     names = [o.job for o in ordered(outcomes) if not o.good]
     if not names:
         return ""
-    if len(names) > NAMED:
+    if len(names) > NAMES_IN_COMMAND:
         return shlex.join([*asked, "--failed"])
     return shlex.join([*asked, *(argument for name in names for argument in ("--select", name))])
 
@@ -154,20 +155,20 @@ def write_summary(
     path: Path, outcomes: Sequence[Outcome], *, asked: Sequence[str], seconds: float,
     jobs: Sequence[Job],
 ) -> dict[str, Any]:  # fmt: skip
-    """Publish the summary and return it.  Raises BakeError where the disk refuses.
+    """Publish the summary and return it.  Raises BakeError where the file cannot be written.
 
-    Jobs of the plan that were not run keep what their record, or the summary before, says of them,
-    whichever is newer; jobs that another run did meanwhile have what their record says.
+    A job of the plan that was not run keeps the outcome in its record or in the earlier summary,
+    whichever is newer.  A job that another run completed meanwhile has the outcome in its record.
 
-    asked : as of `again`; empty: there is no command to repeat.
+    asked : as of `rerun_command`; empty: there is no command to repeat.
     seconds : [s] that this run took.
     """
     began = _utc(time.time() - seconds)
     with locked(path):
-        known = _known(path, jobs)
+        known = _known_outcomes(path, jobs)
         of_name = {job.name: job for job in jobs}
         for outcome in outcomes:
-            record = read_record(of_name[outcome.job]) if outcome.state in UNTRIED else None
+            record = read_record(of_name[outcome.job]) if outcome.state in NOT_ATTEMPTED else None
             meanwhile = record is not None and str(record.get("finished", "")) >= began
             known[outcome.job] = Outcome.of(record["outcome"]) if meanwhile else outcome
         rows = ordered([known[job.name] for job in jobs if job.name in known])
@@ -175,7 +176,7 @@ def write_summary(
             "finished": _utc(time.time()),
             "seconds": round(seconds, 3),
             "counts": counts(rows),
-            "repeat": again(asked, rows) if asked else "",
+            "repeat": rerun_command(asked, rows) if asked else "",
             "program": program(),
             "jobs": [row.as_json() for row in rows],
         }
@@ -184,15 +185,15 @@ def write_summary(
 
 
 def _utc(seconds: float) -> str:
-    """The time of a record."""
+    """The time in the format of records."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(seconds))
 
 
-def _known(path: Path, jobs: Sequence[Job]) -> dict[str, Outcome]:
-    """How each job ended, by a summary or its record, whichever is newer.
+def _known_outcomes(path: Path, jobs: Sequence[Job]) -> dict[str, Outcome]:
+    """The outcome of each job in the summary or its record, whichever is newer.
 
-    Records have what tasks of a bundle did, which write no summary; the summary has jobs that were
-    stopped or left to another run, which have no record.
+    Tasks of a bundle write records but no summary.  The summary also has jobs that were stopped or
+    left to another run, which have no record.
     """
     when, rows = _summary(path)
     known = {row.job: row for row in rows}
@@ -204,13 +205,13 @@ def _known(path: Path, jobs: Sequence[Job]) -> dict[str, Outcome]:
 
 
 def earlier_run(path: Path, jobs: Sequence[Job], flag: str) -> dict[str, Outcome]:
-    """How each job ended that a summary or its record knows, by whichever is newer.
+    """The outcome of each job in the summary or its record, whichever is newer.
 
-    flag : the option that asks for an earlier run.
+    flag : the option that needs an earlier run.
 
-    Raises UsageError where none of the jobs is known.
+    Raises UsageError where there is no outcome of any job.
     """
-    known = _known(path, jobs)
+    known = _known_outcomes(path, jobs)
     if not any(job.name in known for job in jobs):
         raise UsageError(
             f"{flag}: no earlier run is known: there is no {path}, and no job has a record",
@@ -220,17 +221,17 @@ def earlier_run(path: Path, jobs: Sequence[Job], flag: str) -> dict[str, Outcome
 
 
 def failed_in(known: Mapping[str, Outcome], jobs: Sequence[Job]) -> list[str]:
-    """Names of the jobs that are not good, of those that are known."""
+    """Names of the jobs with a known outcome that is not good."""
     return [job.name for job in jobs if job.name in known and not known[job.name].good]
 
 
 def not_run(known: Mapping[str, Outcome], jobs: Sequence[Job]) -> int:
-    """How many jobs are not known."""
+    """Number of jobs without a known outcome."""
     return sum(job.name not in known for job in jobs)
 
 
 def _summary(path: Path) -> tuple[str, list[Outcome]]:
-    """When a summary was written, and its jobs; none where there is no summary."""
+    """When a summary was written, and its jobs; ("", []) where there is no summary."""
     try:
         entry = json.loads(path.read_text(encoding="utf-8"))
         return str(entry["finished"]), [Outcome.of(row) for row in entry["jobs"]]

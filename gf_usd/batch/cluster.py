@@ -1,7 +1,7 @@
-"""The same jobs on a dask.distributed cluster whose workers see the same files.
+"""Runs the jobs on a dask.distributed cluster whose workers share a file system.
 
-A worker bakes in a child of its own, as a batch here does.  A worker that dies takes its child with
-it; the scheduler gives its job to another, which waits for the lock until the child is gone.
+A worker bakes in a child process, as a local batch does.  When a worker dies, so does its child;
+the scheduler assigns its job to another worker, which waits for the lock until the child has ended.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import InputTable
-from gf_usd.batch.run import BEAT, Event
-from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
+from gf_usd.batch.run import POLL_INTERVAL, Event
+from gf_usd.batch.task import Limits, finished_event, run_job, unexpected_error_outcome
 from gf_usd.core.errors import UsageError
 from gf_usd.system.fingerprint import program
 from gf_usd.system.processes import GRACE, Children
@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 
-PATIENCE = 60.0  # [s] for the child of a worker that died: it looks for its parent twice a second
+LOCK_TIMEOUT = (
+    60.0  # [s] for the end of a dead worker's child, which checks for its parent twice a second
+)
 CONNECT = 20.0  # [s] to find the scheduler
-RESULT = 1.0  # [s] to take a result, before it is asked for again
-ANSWER = 5.0  # [s] for the workers to say whether they have gf-usd
-END = GRACE + 5.0  # [s] for the workers to end what they bake, where they are told to
-# A result is lost with the worker that holds it; the scheduler has its task done again by another.
+RESULT = 1.0  # [s] timeout of one request for a result
+ANSWER = 5.0  # [s] for the workers to report whether they have gf-usd
+END = GRACE + 5.0  # [s] for the workers to end their bakes, on request
+# A worker's results are lost with it; the scheduler then assigns its tasks to another worker.
 PENDING = ("pending", "lost")
 CLOSED = (OSError, RuntimeError, CancelledError)  # the client has been closed meanwhile
 HINT = (
@@ -44,12 +46,12 @@ HINT = (
     " concurrent bake"
 )
 
-# of this process where it is a worker: what runs now, by batch
+# in a worker process: the running children, by batch
 _running: dict[str, Children] = {}
 _tables: dict[str, InputTable] = {}
 
 
-def run_there(
+def run_on_cluster(
     jobs: Sequence[Job],
     limits: Limits,
     *,
@@ -57,10 +59,10 @@ def run_there(
     resources: Sequence[str],
     children: Children,
 ) -> Iterator[Event | None]:
-    """The events of all jobs as they happen, as `run.run_here` has them.
+    """The events of all jobs as they happen; see `run.run_locally`.
 
-    resources : NAME=AMOUNT that a job takes of a worker's.
-    children : its `stop` ends the bakes on the workers as well.
+    resources : NAME=AMOUNT of a worker's resources that a job takes.
+    children : its `stop` also ends the bakes on the workers.
 
     Raises UsageError where distributed is not installed, no scheduler answers or a worker has no
     gf-usd.
@@ -80,8 +82,8 @@ def run_there(
             ): job
             for job in jobs
         }  # fmt: skip
-        if wanting := _wanting(client, address, amounts):
-            yield {"event": "note", "message": wanting}
+        if missing := _missing_resources(client, address, amounts):
+            yield {"event": "note", "message": missing}
         yield from _follow(client, futures, events, batch, children)
         client.unsubscribe_topic(topic)
     finally:
@@ -96,7 +98,7 @@ def _connect(address: str) -> Client:
             "--scheduler needs dask.distributed, which is not installed",
             "install it: pip install distributed",
         ) from error
-    # its tracebacks of a scheduler that is lost: `_outcome` says so
+    # no tracebacks for a lost scheduler, which `_outcome` reports
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         return Client(address, timeout=CONNECT, set_as_default=False)
@@ -105,7 +107,7 @@ def _connect(address: str) -> Client:
 
 
 def _require_program(client: Client) -> None:
-    """Raise UsageError for a worker without gf-usd: the first of its tasks would end it."""
+    """Raise UsageError for a worker without gf-usd, which its first task would crash."""
     found: dict[str, Any] = {}
 
     def ask() -> None:
@@ -124,8 +126,8 @@ def _require_program(client: Client) -> None:
         )
 
 
-def _wanting(client: Client, address: str, amounts: Mapping[str, float]) -> str:
-    """What the jobs wait for: any worker, or one with the resources; empty where there is one."""
+def _missing_resources(client: Client, address: str, amounts: Mapping[str, float]) -> str:
+    """Text: the workers or resources that the jobs wait for; "" where there are enough."""
     workers = client.scheduler_info(n_workers=-1)["workers"].values()
     if not workers:
         return f"the cluster at {address} has no worker: the jobs wait for one"
@@ -143,20 +145,20 @@ def _follow(
     batch: str,
     children: Children,
 ) -> Iterator[Event | None]:
-    """Events until every future has come to an end, one way or another."""
-    left, until, looked = dict(futures), float("inf"), 0.0
+    """Yield events until every future has ended."""
+    left, until, last_poll = dict(futures), float("inf"), 0.0
     while left:
         if children.stopping and until == float("inf"):
             until = time.monotonic() + END
             # a worker that hangs does not answer
             threading.Thread(target=_stop_all, args=(client, futures, batch), daemon=True).start()
         try:
-            yield events.get(timeout=BEAT)
+            yield events.get(timeout=POLL_INTERVAL)
         except queue.Empty:
             yield None
-        if time.monotonic() < looked + BEAT:
+        if time.monotonic() < last_poll + POLL_INTERVAL:
             continue
-        looked = time.monotonic()
+        last_poll = time.monotonic()
         for future in [future for future in left if future.status not in PENDING]:
             outcome = _outcome(future, left[future], client, stopping=children.stopping)
             if outcome is not None:
@@ -164,46 +166,50 @@ def _follow(
                 yield finished_event(outcome)
         if time.monotonic() > until or (children.stopping and client.status != "running"):
             for job in left.values():
-                yield finished_event(_lost(job, "stopped", "interrupted before it ended"))
+                yield finished_event(
+                    _outcome_without_result(job, "stopped", "interrupted before it ended")
+                )
             return
 
 
 def _stop_all(client: Client, futures: Iterable[Future], batch: str) -> None:
-    """End the bakes on the workers, and take back the tasks that none of them has."""
+    """End the bakes on the workers, and cancel the tasks that have not started."""
     with suppress(*CLOSED):
-        # first what runs, so that it can say how it ended
+        # running bakes first, so that they report how they ended
         client.run(_stop, batch, on_error="ignore")
         taken = {key for keys in client.processing().values() for key in keys}
-        time.sleep(BEAT)  # until the client has heard of those that ended before
+        time.sleep(
+            POLL_INTERVAL
+        )  # until the client has received the results of those that ended before
         waiting = [future for future in futures if future.status == "pending"]
         client.cancel([future for future in waiting if future.key not in taken])
 
 
 def _outcome(future: Future, job: Job, client: Client, *, stopping: bool) -> Outcome | None:
-    """What came of a job whose future has ended; None where its result is not there yet."""
+    """The outcome of a job whose future has ended; None where its result has not arrived yet."""
     lost = client.status != "running"
     if future.status == "finished":
         try:
             return Outcome.of(future.result(timeout=RESULT))
         except TimeoutError:
             if not lost:
-                return None  # its worker is gone: it is done again
+                return None  # its worker is gone, so the task runs again
         except CLOSED:
             lost = True
     if future.status == "cancelled" and stopping:
-        return _lost(job, "stopped", "interrupted before it started")
+        return _outcome_without_result(job, "stopped", "interrupted before it started")
     if lost:
-        return _lost(
+        return _outcome_without_result(
             job, "crashed", "the connection to the scheduler was lost",
             "repeat the batch when the scheduler runs; a worker may have completed the job",
         )  # fmt: skip
     if future.status == "cancelled":
-        return _lost(job, "crashed", "its task was canceled on the scheduler")
+        return _outcome_without_result(job, "crashed", "its task was canceled on the scheduler")
     error: Any = future.exception()
-    return unforeseen(job, error)
+    return unexpected_error_outcome(job, error)
 
 
-def _lost(job: Job, state: str, message: str, hint: str = "") -> Outcome:
+def _outcome_without_result(job: Job, state: str, message: str, hint: str = "") -> Outcome:
     return Outcome(
         job=job.name, state=state, message=message, hint=hint, root=str(job.root),
         command=job.command,
@@ -235,14 +241,14 @@ def _work(
     batch: str,
     topic: str,
 ) -> dict[str, Any]:
-    """A job, on a worker."""
+    """Run a job on a worker."""
     from distributed import get_worker
 
     worker = get_worker()
     this = Job.of(job)
     if program() != caller:
         differ = [key for key, value in program().items() if value != caller.get(key)]
-        return _lost(
+        return _outcome_without_result(
             this, "failed", f"the gf-usd of worker {worker.address} differs: {', '.join(differ)}",
             "install the same gf-usd and libraries on every worker, and start the workers again",
         ).as_json()  # fmt: skip
@@ -250,7 +256,7 @@ def _work(
     table = _tables.setdefault(batch, InputTable(children))
     outcome = run_job(
         this,
-        Limits(**{**limits, "patience": PATIENCE}),
+        Limits(**{**limits, "lock_timeout": LOCK_TIMEOUT}),
         commands=Commands(children),
         table=table,
         emit=lambda event: worker.log_event(topic, event),

@@ -1,4 +1,4 @@
-"""One bake of a batch, and what came of it."""
+"""A job, which is one bake of a batch, and its outcome."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from gf_usd.prepare.options.table import arguments
 
 REPORT, RECORD = ".report.json", ".job.json"
 
-# how a job can end; those of GOOD need no second look, those of CALM no alarm
+# final states of a job; GOOD: it need not be repeated; NOT_FAILED: it did not fail
 GOOD = ("done", "kept")
-CALM = (*GOOD, "sliced")
+NOT_FAILED = (*GOOD, "sliced")
 STATES = {
     "done": "baked without errors",
     "kept": "already done before",
@@ -40,7 +40,7 @@ class Job:
 
     @property
     def record(self) -> Path:
-        """The file next to the root layer that says what came of the job."""
+        """The file next to the root layer with the outcome of the job."""
         return self.sibling(RECORD)
 
     @property
@@ -60,7 +60,7 @@ class Job:
         )
 
     @property
-    def looks(self) -> tuple[str, ...]:
+    def variant_names(self) -> tuple[str, ...]:
         """The names of its variants."""
         return tuple(Path(material).stem for material in self.materials)
 
@@ -70,7 +70,7 @@ class Job:
 
     @property
     def command(self) -> str:
-        """The same as a person would type it."""
+        """The command line of the job, quoted for a shell."""
         return shlex.join(["gf-usd", *self.arguments()])
 
     def as_json(self) -> dict[str, Any]:
@@ -93,15 +93,15 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What came of a job."""
+    """The outcome of a job."""
 
     job: str
     state: str  # one of STATES
-    message: str = ""  # why, where it is not good
+    message: str = ""  # why it is not good
     hint: str = ""
     status: int | None = None  # exit status of the last attempt; negative: the signal
     attempts: int = 0  # 0 where nothing was run
-    seconds: float = 0.0  # wall time of all attempts, and of the slices before
+    seconds: float = 0.0  # wall time of all attempts, and of earlier slices
     cpu_seconds: float = 0.0
     peak_memory: int = 0  # [bytes] of the last attempt
     frames: int = 0
@@ -109,16 +109,16 @@ class Outcome:
     frames_per_second: float = 0.0  # between the first and the last frame
     root: str = ""
     host: str = ""
-    health: Mapping[str, Any] = field(default_factory=dict)  # of the first look, a few numbers
+    health: Mapping[str, Any] = field(default_factory=dict)  # of the first variant, a few numbers
     warnings: tuple[Mapping[str, Any], ...] = ()
     findings: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()  # of the batch, not of the bake
     command: str = ""
-    log: str = ""  # the last lines of a process that did not end well
+    log: str = ""  # the last lines of the output of an unsuccessful process
 
     @property
     def good(self) -> bool:
-        """Nothing to do again."""
+        """Whether the job need not be repeated."""
         return self.state in GOOD
 
     def as_json(self) -> dict[str, Any]:
@@ -127,7 +127,7 @@ class Outcome:
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> Outcome:
-        """The outcome of `as_json`; keys of other versions are left out."""
+        """The outcome of `as_json`; keys of other versions are ignored."""
         known = {key: row[key] for key in cls.__dataclass_fields__ if key in row}
         lists = {
             key: tuple(known[key]) for key in ("warnings", "findings", "notes") if key in known

@@ -38,33 +38,33 @@ GROUP = ("files", "name", "settings", "matrix")
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Assets that are baked alike."""
+    """Assets that are baked with the same options."""
 
     files: tuple[Path, ...]  # absolute, sorted, each once
     settings: Mapping[str, Any]  # the same for every job
     matrix: Mapping[str, Sequence[Any]]  # option -> values; every combination is a job
     name: str | None = None  # template; None: from what differs
-    where: str = "the command line"  # what an error names
-    notes: tuple[str, ...] = ()  # on what its patterns match and is not baked
+    where: str = "the command line"  # name in errors
+    notes: tuple[str, ...] = ()  # on matches of its patterns that are not baked
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """A batch as asked for."""
+    """A batch as specified by the user."""
 
     groups: tuple[Group, ...]
-    folder: Path  # that relative paths are meant from
+    folder: Path  # of relative paths
     title: str
     out: Path = Path(OUT)  # absolute
     timeout: float | None = None  # [s] of one attempt
-    retries: int = RETRIES  # of jobs whose process died or took too long
-    arguments: tuple[str, ...] = field(default=())  # of the command line that asked for it
+    retries: int = RETRIES  # of jobs whose process crashed or timed out
+    arguments: tuple[str, ...] = field(default=())  # of the command line of the batch
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The batch of a manifest; patterns and paths are relative to its folder.
+    """Read a manifest; patterns and paths are relative to its folder.
 
-    Raises InputError where the file cannot be read, UsageError where it asks for what is not there.
+    Raises InputError where the file cannot be read, UsageError for unknown keys, options or files.
     """
     tree = read_tree(path)
     folder, where = path.absolute().parent, str(path)
@@ -86,7 +86,7 @@ def read_manifest(path: Path) -> Manifest:
         groups.append(
             make_group(
                 [patterns] if isinstance(patterns, str) else patterns,
-                # what a group sets is no axis for it, though the whole batch has one
+                # an option set by the group is no axis of the group, even if it is one of the batch
                 settings=own,
                 matrix={k: v for k, v in axes.items() if k not in row.get("settings", {})},
                 name=_text(row, "name", place) or _text(tree, "name", where),
@@ -105,7 +105,7 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """The table that a TOML or JSON file holds.  Raises InputError where there is none."""
+    """The contents of a TOML or JSON file.  Raises InputError where it cannot be read."""
     try:
         text = path.read_text(encoding="utf-8")
         tree = tomllib.loads(text) if path.suffix.lower() == ".toml" else json.loads(text)
@@ -128,10 +128,10 @@ def make_group(
     folder: Path,
     where: str,
 ) -> Group:
-    """A group with its files found and its options checked.  Raises UsageError."""
+    """A group, with its files found and its options checked.  Raises UsageError."""
     axes = {key.replace("-", "_"): values for key, values in matrix.items()}
     for key, values in axes.items():
-        # one list is one value of an option that is itself a list
+        # a single list is one value of an option whose values are lists
         listed = key in KNOWN and KNOWN[key].repeated
         whole = listed and not all(isinstance(v, list) for v in values)
         if not isinstance(values, list) or not values or whole:
@@ -148,15 +148,15 @@ def make_group(
         matrix=cleaned,
         name=name,
         where=where,
-        notes=passed_over(patterns, folder),
+        notes=skipped_files(patterns, folder),
     )
 
 
 def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path, ...]:
-    """The files that paths and patterns name, each once, those of a pattern sorted.
+    """The files that paths and patterns match, without duplicates, those of a pattern sorted.
 
-    A path without a wildcard is taken as it is: where it is not there, its job will say so.
-    Raises UsageError for a pattern without a file.
+    A path without a wildcard is returned even if there is no such file: its job reports that.
+    Raises UsageError for a pattern without a match.
     """
     if not isinstance(patterns, Sequence) or not patterns:
         raise UsageError(f"{where} lists no files", 'give files = ["models/*.usda"]')
@@ -179,10 +179,10 @@ def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path,
     return tuple(found)
 
 
-def passed_over(patterns: Sequence[str], folder: Path) -> tuple[str, ...]:
-    """Notes on what patterns match and `find_files` leaves out: what is no file, or is gone.
+def skipped_files(patterns: Sequence[str], folder: Path) -> tuple[str, ...]:
+    """Notes on the matches that `find_files` skips: missing files, and folders.
 
-    Folders are not named unless they are called as an asset is.
+    Folders are only named if they have the suffix of an asset.
     """
     notes = []
     for pattern in patterns:
@@ -199,7 +199,7 @@ def passed_over(patterns: Sequence[str], folder: Path) -> tuple[str, ...]:
 
 
 def absolute(path: Path) -> Path:
-    """The path from the root, without ``..``; links stay."""
+    """The absolute path without ``..``; symbolic links are kept."""
     return Path(os.path.abspath(path))
 
 
@@ -248,14 +248,14 @@ TYPES = {int: (int,), float: (int, float), bool: (bool,), str: (str, int, float)
 
 
 def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
-    """Options of one job, checked without reading any asset.
+    """The checked options of one job, without reading any asset.
 
     Parameters
     ----------
     where : what to name in an error.
-    folder : that paths of material files and obstacles are relative to.
+    folder : the folder of relative paths of material files and obstacles.
 
-    Raises UsageError as `checked`, and for a material that is not there.
+    Raises UsageError as `checked`, and for an unknown material.
     """
     out = checked(given, where)
     try:
@@ -271,9 +271,9 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
 def checked(
     given: Mapping[str, Any], where: str, known: Mapping[str, Option] = KNOWN
 ) -> dict[str, Any]:
-    """Options with their names and values as the command line has them; paths as they are.
+    """Options with the names and values of the command line; paths are unchanged.
 
-    known : the options that may be given.
+    known : the allowed options.
 
     Raises UsageError for an unknown option, a value of the wrong type or out of range.
     """
@@ -298,7 +298,7 @@ def checked(
 
 
 def _typed(option: Option, value: Any, where: str) -> Any:
-    """The value as the command line will read it."""
+    """The value in the format of the command line."""
     kind = option.kind
     if option.repeated:
         rows = [value] if isinstance(value, str) else value
@@ -315,7 +315,7 @@ def _typed(option: Option, value: Any, where: str) -> Any:
 
 
 def parse(name: str, text: str, where: str) -> Any:
-    """A value out of NAME=VALUE on the command line.  Raises UsageError for what is none."""
+    """The value of NAME=VALUE on the command line.  Raises UsageError for an invalid one."""
     option = KNOWN.get(name.replace("-", "_"))
     kind = option.kind if option else str
     if kind is bool and text in ("true", "false"):
@@ -362,7 +362,7 @@ def obstacle_files(options: Mapping[str, Any]) -> tuple[Path, ...]:
     return tuple(Path(part) for part in options.get("colliders", ()))
 
 
-def decisive(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that decide what is written."""
+def result_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that affect the written files."""
     kept = {name: value for name, value in options.items() if KNOWN[name].decides}
     return {"material": "rubber", **kept}

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.plan import BatchPlan, jobs_text
-from gf_usd.batch.record import InputTable, read_by
+from gf_usd.batch.record import InputTable, input_paths
 from gf_usd.batch.run import memory_of
 from gf_usd.batch.slices import Part, slices
 from gf_usd.core.errors import BakeError, UsageError
@@ -29,10 +29,10 @@ from gf_usd.system.atomic_files import publish_text
 SPECIFICATION = "jobtemplate-2023-09"
 TEMPLATE, JOBS, REFERENCES = "template.json", "jobs.json", "asset_references.json"
 VALUES, FLAT = "parameter_values.json", "parameters.json"
-NOTICE = 30  # [s] between the request to end and the end; `child.GRACE` is within it
-TARGET = 900  # [s] that a scheduler aims for with a chunk, where it adapts their size
+NOTICE = 30  # [s] between the request to end and SIGKILL; longer than `processes.GRACE`
+TARGET = 900  # [s] target duration of a chunk, where the scheduler adapts its size
 REPORT_TIMEOUT = 3600  # [s]
-LONGEST_NAME = 128  # characters of a job's name
+LONGEST_NAME = 128  # characters of a job name
 
 
 def write_bundle(
@@ -45,10 +45,10 @@ def write_bundle(
     ----------
     chunk : jobs in a task.
     program : the Python that has gf-usd on a worker.
-    slice : full value clips of a job in a task; None: the whole job.
+    slice : complete value clips of a job in a task; None: the whole job.
 
-    Raises UsageError for a chunk that makes no sense or a job that cannot be sliced, BakeError
-    where the disk refuses.
+    Raises UsageError for an invalid chunk size or a job that cannot be sliced, BakeError where a
+    file cannot be written.
     """
     if chunk < 1:
         raise UsageError(f"--chunk is {chunk}", "give 1 or more jobs")
@@ -81,14 +81,16 @@ def write_bundle(
 
 
 def template(plan: BatchPlan, chunk: int, slice: int | None = None) -> dict[str, Any]:
-    """The job template: a step that bakes, or one for each slice, and one that makes the page."""
+    """The job template: one baking step, or one for each slice, and a step that makes the page."""
     many = max(slices(job, slice) for job in plan.jobs) if slice else 1
     parts = [Part(number=number, of=many) for number in range(1, many + 1)]
     names = [f"Bake {part.number} of {many}" if many > 1 else "Bake" for part in parts]
     steps: list[dict[str, Any]] = []
     for part, name, before in zip(parts, names, [None, *names]):
         arguments = ["--slice", str(slice), "--part", str(part)] if slice else []
-        adapting = slice is None and plan.timeout is None  # a limit is for so many jobs
+        adapting = (
+            slice is None and plan.timeout is None
+        )  # the time limit covers this number of jobs
         steps.append({"name": name, **_after(before), **_bake(plan, chunk, arguments, adapting)})
     report = _action(["--report-only"], timeout=REPORT_TIMEOUT)
     steps.append({"name": "Report", **_after(names[-1]), "script": {"actions": {"onRun": report}}})
@@ -106,7 +108,8 @@ def _after(step: str | None) -> dict[str, Any]:
 
 
 def _bake(plan: BatchPlan, chunk: int, arguments: list[str], adapting: bool) -> dict[str, Any]:
-    """A step but for its name: the jobs in chunks, each a call of ``batch`` with these arguments.
+    """A baking step without its name: chunks of jobs, each a call of ``batch`` with these
+    arguments.
 
     adapting : the scheduler may choose another size of the chunks.
     """
@@ -114,7 +117,7 @@ def _bake(plan: BatchPlan, chunk: int, arguments: list[str], adapting: bool) -> 
     limit = None if plan.timeout is None else math.ceil(plan.timeout * (1 + plan.retries))
     bake = _action(
         ["--tasks", "{{Task.Param.Job}}", "--no-report", *arguments],
-        # jobs of a chunk may run one after another; their own limit comes first
+        # jobs of a chunk may run one after another; their own limits apply first
         timeout=None if limit is None else chunk * limit + 60,
     )
     job = {
@@ -177,8 +180,8 @@ def _parameters(plan: BatchPlan) -> list[dict[str, Any]]:
 
 
 def references(plan: BatchPlan, table: InputTable) -> dict[str, Any]:
-    """Every file that the jobs read, so that a farm without a shared disk can be sent them."""
-    named = dict.fromkeys(path for job in plan.jobs for path in read_by(job))
+    """Every file that the jobs read, for farms without a shared disk."""
+    named = dict.fromkeys(path for job in plan.jobs for path in input_paths(job))
     files: dict[str, None] = {}
     for name, row in table.read(named).items():
         files.update(dict.fromkeys(_files(Path(name), row)))

@@ -1,6 +1,6 @@
-"""The page of a batch: every job with its picture, health and time, what went wrong on top.
+"""The HTML page of a batch: every job with its picture, health and time, failures first.
 
-Small pictures of results, drawn in processes of their own and kept next to them.
+Its pictures of results are drawn in separate processes and stored next to the results.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 from PIL import Image
 
 from gf_usd.batch.board import ordered
-from gf_usd.batch.job import CALM, STATES, Job, Outcome
+from gf_usd.batch.job import NOT_FAILED, STATES, Job, Outcome
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.run import cores
 from gf_usd.core import __version__
@@ -30,7 +30,7 @@ from gf_usd.system.processes import Children
 from gf_usd.view.report.html import Html, join, policy, script, tag
 from gf_usd.view.report.record import variant_of
 
-# head, whether it is a number, what it says
+# heading, whether it is a number, its meaning
 COLUMNS = (
     ("", False, ""),
     ("job", False, "name under the batch's folder, and messages"),
@@ -45,7 +45,7 @@ COLUMNS = (
         "largest unexplained energy gain in a frame, relative to the energy scale",
     ),
     ("par\u00adticles", True, "number of particles"),
-    ("frames", True, "total of all looks"),
+    ("frames", True, "total of all variants"),
     ("frames /s", True, "between the first and the last frame"),
     ("time [s]", True, "total of all attempts"),
     ("CPU [s]", True, "total of all attempts"),
@@ -55,9 +55,9 @@ COLUMNS = (
 
 
 def write_page(path: Path, plan: BatchPlan, entry: Mapping[str, Any], *, pictures: bool) -> None:
-    """Publish the page of a summary.  Raises BakeError where the disk refuses.
+    """Publish the page of a summary.  Raises BakeError where the file cannot be written.
 
-    pictures : draw those that are missing first.
+    pictures : draw missing pictures first.
     """
     outcomes = [Outcome.of(row) for row in entry["jobs"]]
     roots = [Path(o.root) for o in outcomes if o.root and Path(o.root).is_file()]
@@ -73,11 +73,11 @@ def build_page(
     entry: Mapping[str, Any],
     undrawn: Mapping[Path, str],
 ) -> str:
-    """The page as text; it fetches nothing."""
+    """The page as text, which loads no other file."""
     jobs = {job.name: job for job in plan.jobs}
     known = {outcome.job for outcome in outcomes}
     rows = ordered(outcomes)
-    bad = [row for row in rows if row.state not in CALM]
+    bad = [row for row in rows if row.state not in NOT_FAILED]
     unknown = [name for name in jobs if name not in known]
     folder = files("gf_usd.batch") / "page_parts"
     style = (folder / "page.css").read_text(encoding="utf-8")
@@ -140,9 +140,9 @@ def _many(count: int, one: str, several: str, rest: str) -> str:
 
 
 def _kind(outcome: Outcome) -> str:
-    """Which of the buttons shows it."""
+    """The filter button to which an outcome belongs."""
     if not outcome.good:
-        return "begun" if outcome.state in CALM else "bad"
+        return "begun" if outcome.state in NOT_FAILED else "bad"
     return "warned" if outcome.warnings else "good"
 
 
@@ -244,7 +244,7 @@ def picture_of(root: Path) -> Path:
 
 
 def draw(roots: Sequence[Path], *, at_once: int) -> dict[Path, str]:
-    """Draw what has no picture that is newer; why not, for those that could not be drawn."""
+    """Draw results that have no current picture; returns the reasons of those that failed."""
     todo = [root for root in roots if not _is_new(root)]
     share = max(1, min(AT_ONCE, -(-len(todo) // at_once)))
     groups = [todo[i : i + share] for i in range(0, len(todo), share)]
@@ -255,7 +255,7 @@ def draw(roots: Sequence[Path], *, at_once: int) -> dict[Path, str]:
             for found in pool.map(lambda group: _draw_some(children, group), groups):
                 failed.update(found)
         finally:
-            # an interrupt is not to wait for the rest
+            # an interrupt does not wait for the rest
             children.stop()
     return failed
 
@@ -281,13 +281,13 @@ def _draw_some(children: Children, roots: Sequence[Path]) -> dict[Path, str]:
             if "error" in row:
                 failed[root] = row["error"]
         if left:
-            # what it was at when it died; the others get another process
+            # the result that it crashed on; another process draws the others
             failed[left.pop(0)] = f"rendering ended with status {ended.status}"
     return failed
 
 
 def data_uri(picture: Path) -> str:
-    """A picture as part of a page, as JPEG; "" where there is none that can be read."""
+    """A picture as a JPEG data URI; "" where there is none that can be read."""
     out = io.BytesIO()
     try:
         with Image.open(picture) as image:

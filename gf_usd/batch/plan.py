@@ -1,6 +1,6 @@
-"""From a manifest to jobs: every combination, each with a name that no other has.
+"""Expands a manifest into jobs: every combination of options, each with a unique name.
 
-The jobs of a plan as a file, to be run elsewhere, where paths may be others.
+Also writes and reads the jobs of a plan as a file, to be run where paths may differ.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from gf_usd.batch.manifest import Group, Manifest, material_files, obstacle_file
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.prepare.outputs import outputs, sequences
 
-UNFIT = re.compile(r"[^\w.+]+")  # letters and digits are those of any script
-LONGEST_PART = 200  # bytes of a file or folder of a name: files next to the root have longer names
+UNFIT = re.compile(r"[^\w.+]+")  # letters and digits of any script
+LONGEST_PART = 200  # bytes of a file name: files next to the root layer have longer names
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchPlan:
-    """Everything that is to be baked."""
+    """All jobs of a batch."""
 
     jobs: tuple[Job, ...]
     out: Path  # absolute
     title: str
     timeout: float | None  # [s] of an attempt
     retries: int
-    notes: tuple[str, ...] = ()  # on what is not baked
+    notes: tuple[str, ...] = ()  # on files that are not baked
 
 
 def make_plan(manifest: Manifest) -> BatchPlan:
-    """The jobs of a manifest, assets in their order, their combinations together.
+    """The jobs of a manifest, in the order of its assets, the combinations of one asset together.
 
-    Raises UsageError where two jobs would write one file, or a result would replace an asset.
+    Raises UsageError where two jobs would write the same file, or a result would replace an asset.
     """
     jobs = tuple(job for group in manifest.groups for job in _jobs(group, manifest.out))
-    _require_apart(jobs)
+    _require_distinct_files(jobs)
     return BatchPlan(
         jobs=jobs,
         out=manifest.out,
@@ -56,10 +56,12 @@ def make_plan(manifest: Manifest) -> BatchPlan:
 
 
 def choose(plan: BatchPlan, patterns: Sequence[str]) -> tuple[Job, ...]:
-    """The jobs whose names match one of the patterns.  Raises UsageError for one without any."""
+    """The jobs whose names match one of the patterns.  Raises UsageError for a pattern without a
+    match.
+    """
     chosen: dict[str, Job] = {}
     for pattern in patterns:
-        # a name is itself before it is a pattern
+        # an exact name takes precedence over a pattern
         found = [job for job in plan.jobs if job.name == pattern] or [
             job for job in plan.jobs if fnmatch.fnmatchcase(job.name, pattern)
         ]
@@ -72,7 +74,7 @@ def choose(plan: BatchPlan, patterns: Sequence[str]) -> tuple[Job, ...]:
 
 
 def _jobs(group: Group, out: Path) -> list[Job]:
-    # materials tell most of a result, so they come first in its name
+    # materials identify a result best, so they come first in its name
     axes = dict(sorted(group.matrix.items(), key=lambda item: item[0] != "material"))
     template = group.name or default_template(axes)
     jobs = []
@@ -85,16 +87,17 @@ def _jobs(group: Group, out: Path) -> list[Job]:
 
 
 def default_template(axes: Mapping[str, Sequence[Any]]) -> str:
-    """``{asset}.{material}`` and what else differs from job to job."""
+    """``{asset}.{material}``, and the other options that differ between jobs."""
     more = (f".{key}{{{key}}}" for key, vs in axes.items() if key != "material" and len(vs) > 1)
     return "{asset}.{material}" + "".join(more)
 
 
 def name_of(template: str, asset: Path, options: Mapping[str, Any], where: str) -> str:
-    """A name out of a template.
+    """The name of a job from a template.
 
     Fields are asset (the file's name without suffix), folder (of the file), material and every
-    option that the job has.  Slashes make folders; what is odd in a file name becomes a dash.
+    option of the job.  Slashes make folders; unusual characters become dashes.
+
     Raises UsageError for an unknown field, one with a format, or a name that leaves the folder or
     is too long.
     """
@@ -129,7 +132,7 @@ def name_of(template: str, asset: Path, options: Mapping[str, Any], where: str) 
 
 
 def _fields(template: str, where: str) -> list[str]:
-    """The fields of a template.  Raises UsageError where it is damaged or formats a field."""
+    """The fields of a template.  Raises UsageError for an invalid template."""
     hint = "write fields as {asset}, without a format, and braces in pairs"
     try:
         rows = [row for row in string.Formatter().parse(template) if row[1] is not None]
@@ -142,21 +145,21 @@ def _fields(template: str, where: str) -> list[str]:
 
 
 def _fit(text: str) -> str:
-    """The text as a part of a file name."""
-    # file systems have accents as characters of their own or as parts of letters
+    """The text with characters that are valid in a file name."""
+    # file systems differ in the Unicode normalization of accents
     return UNFIT.sub("-", unicodedata.normalize("NFC", text))
 
 
-def _require_apart(jobs: Sequence[Job]) -> None:
-    """Raise UsageError where two jobs meet in one file.
+def _require_distinct_files(jobs: Sequence[Job]) -> None:
+    """Raise UsageError where two jobs write the same file.
 
-    Jobs of one mesh file that read it alike may share its layer, and do.
+    Jobs that read one mesh file in the same way share its layer.
     """
     owners: dict[Path, tuple[Any, Job]] = {}
     for job in jobs:
-        files = outputs(job.asset, job.looks, str(job.root))
+        files = outputs(job.asset, job.variant_names, str(job.root))
         frames = sequences(
-            job.asset.stem, job.looks,
+            job.asset.stem, job.variant_names,
             ply=job.options.get("export_ply"), spz=job.options.get("export_spz"),
         )  # fmt: skip
         splats = [one.path(0).absolute() for each in frames for one in each]
@@ -213,7 +216,7 @@ def read_jobs(path: Path) -> BatchPlan:
         tree = json.loads(path.read_text(encoding="utf-8"))
         jobs = tuple(Job.of(row) for row in tree["jobs"])
         for job in jobs:
-            job.arguments()  # KeyError for an option that is not there
+            job.arguments()  # KeyError for an unknown option
         return BatchPlan(
             jobs=jobs, out=Path(tree["out"]), title=tree["title"], timeout=tree["timeout"],
             retries=tree["retries"],
@@ -224,18 +227,19 @@ def read_jobs(path: Path) -> BatchPlan:
         ) from error
 
 
-def moved_to(plan: BatchPlan, out: Path) -> BatchPlan:
+def with_output_folder(plan: BatchPlan, out: Path) -> BatchPlan:
     """The same jobs with their results in another folder."""
     jobs = tuple(replace(job, root=out / f"{job.name}.usda") for job in plan.jobs)
     return replace(plan, jobs=jobs, out=out)
 
 
-def mapped(plan: BatchPlan, rules: Path) -> BatchPlan:
-    """The plan with its paths as this machine has them.
+def with_mapped_paths(plan: BatchPlan, rules: Path) -> BatchPlan:
+    """The plan with its paths mapped to this machine.
 
-    rules : a file of path mapping rules as Open Job Description hands them to a session
-    (``pathmapping-1.0``).  The first rule that fits a path counts, the longest source first.
-    Raises InputError where the file is damaged.
+    rules : a file of path mapping rules in the format of Open Job Description sessions
+        (``pathmapping-1.0``).  The first matching rule applies, longest source first.
+
+    Raises InputError for an invalid file.
     """
     try:
         tree = json.loads(rules.read_text(encoding="utf-8"))
@@ -277,10 +281,10 @@ def _job_mapped(job: Job, change: Callable[[str], str]) -> Job:
     )
 
 
-def pieces(text: str, jobs: int) -> tuple[int, ...]:
+def parse_task_range(text: str, jobs: int) -> tuple[int, ...]:
     """The numbers of a range expression, ``0,3-5,10-20:2``, each below `jobs`.
 
-    Raises UsageError for what is none.
+    Raises UsageError for an invalid expression.
     """
     numbers: list[int] = []
     for part in text.split(","):

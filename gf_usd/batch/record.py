@@ -1,11 +1,8 @@
 """The record of a job, in a file next to its result: ``NAME.job.json``.
 
-When two bakes would be the same: the same inputs, options, program and schema.
-
-What the jobs' assets consist of, found out in another process.
-
-USD may crash on a damaged file; so it reads them in a child, which names each asset when it is done
-with it.  What a crash was at is left out, and the child goes on with the next.
+Two bakes are the same if their inputs, options, program and schema are.  The input files of assets
+are determined in a child process, because USD may crash on a damaged file.  The child names each
+asset when it is done with it; after a crash, another child continues with the next asset.
 """
 
 from __future__ import annotations
@@ -22,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import Job, Outcome
-from gf_usd.batch.manifest import decisive, material_files, obstacle_files
+from gf_usd.batch.manifest import material_files, obstacle_files, result_options
 from gf_usd.core.errors import InputError
 from gf_usd.readers.inputs import digest
 from gf_usd.system.atomic_files import publish_text
@@ -38,10 +35,10 @@ def write_record(
     description: Mapping[str, Any],
     outputs: Sequence[Path] = (),
 ) -> None:
-    """Publish what came of a job.  Raises BakeError where the disk refuses, InputError where an
-    output is not there.
+    """Publish the outcome of a job.
 
-    outputs : the files of a good bake; kept with their content.
+    Raises BakeError where the file cannot be written, InputError where an output is missing.
+    outputs : the files of a good bake, which are recorded with their content hash.
     """
     rows = []
     for path in outputs:
@@ -63,7 +60,7 @@ def write_record(
 
 
 def read_record(job: Job) -> dict[str, Any] | None:
-    """The record; None where there is none, or what lies there is none."""
+    """The record; None where there is no valid one."""
     try:
         entry = json.loads(job.record.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -73,7 +70,9 @@ def read_record(job: Job) -> dict[str, Any] | None:
 
 
 def finished(job: Job, identity: str | None) -> Outcome | None:
-    """The outcome of a bake that need not be done again: the same, good, and its files intact."""
+    """The outcome of an earlier bake that is the same, good, and whose files are unchanged; else
+    None.
+    """
     entry = read_record(job)
     if entry is None or identity is None or entry.get("identity") != identity:
         return None
@@ -81,13 +80,13 @@ def finished(job: Job, identity: str | None) -> Outcome | None:
     sound = outcome.good or (outcome.state == "unsound" and not outcome.findings)
     if not sound or not entry["outputs"]:
         return None
-    if not all(intact(job.root.parent / row["path"], row) for row in entry["outputs"]):
+    if not all(is_unchanged(job.root.parent / row["path"], row) for row in entry["outputs"]):
         return None
     return replace(outcome, state="kept", attempts=0)
 
 
-def intact(path: Path, row: Mapping[str, Any]) -> bool:
-    """Whether a file is as it was recorded: by size and time, else by content (it was copied)."""
+def is_unchanged(path: Path, row: Mapping[str, Any]) -> bool:
+    """Whether a file is as recorded: by size and time, else by content, since it may be a copy."""
     try:
         seen = path.stat()
     except OSError:
@@ -102,22 +101,22 @@ def intact(path: Path, row: Mapping[str, Any]) -> bool:
         return False
 
 
-def read_by(job: Job) -> tuple[Path, ...]:
-    """The files that a job names itself: the asset, and files with a material."""
+def input_paths(job: Job) -> tuple[Path, ...]:
+    """The files that a job names: the asset, and material files."""
     return (job.asset, *material_files(job.options), *obstacle_files(job.options))
 
 
 def describe(job: Job, inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """All that decides what a job writes, as plain values.
+    """Everything that determines the result of a job, as plain values.
 
-    inputs : for each path of `read_by`, ``{"files": [[relative path, sha256], ...], "missing":
-    [...]}`` of `readers.inputs`.  Files count by their content and by where they lie relative
-    to the asset; the asset by where it lies relative to the result, which refers to it.
+    inputs : for each path of `input_paths`, ``{"files": [[relative path, sha256], ...], "missing":
+        [...]}`` of `readers.inputs`.  Files count by content and by location relative to the asset;
+        the asset counts by location relative to the result, which refers to it.
     """
     return {
         **program(),
-        "inputs": [inputs[str(path)] for path in read_by(job)],
-        "options": decisive(_portable(job)),
+        "inputs": [inputs[str(path)] for path in input_paths(job)],
+        "options": result_options(_portable(job)),
         "asset": job.asset.name,
         "from_result": Path(os.path.relpath(job.asset, job.root.parent)).as_posix(),
         "name": job.root.name,
@@ -125,7 +124,7 @@ def describe(job: Job, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _portable(job: Job) -> dict[str, Any]:
-    """Options in which material files are named without their folder; their content counts."""
+    """Options with material files named without their folder, since their content counts."""
     parts = [Path(m).name if "/" in m or "\\" in m else m for m in job.materials]
     return {**job.options, "material": ",".join(parts)}
 
@@ -136,15 +135,15 @@ def identity(description: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-AT_ONCE = 200  # assets of one child: a command line has an end
+AT_ONCE = 200  # assets of one child, because the length of a command line is limited
 PATIENCE = 120.0  # [s] for one asset: a large mesh takes seconds
 
 
 class InputTable:
-    """The inputs of assets by path; each is read once.
+    """The inputs of assets by path; each asset is read once.
 
-    A row is ``{"files": [[path, sha256], ...], "missing": [...]}``, or ``{"error": why}`` for what
-    cannot be read: a bake will say more.  Safe for threads.
+    A row is ``{"files": [[path, sha256], ...], "missing": [...]}``, or ``{"error": why}`` for an
+    asset that cannot be read, on which the bake reports more.  Thread-safe.
     """
 
     def __init__(self, children: Children, rows: Mapping[str, Any] | None = None) -> None:
@@ -158,21 +157,21 @@ class InputTable:
         with self._lock:
             todo = [name for name in dict.fromkeys(wanted) if name not in self._rows]
             for start in range(0, len(todo), AT_ONCE):
-                self._rows.update(_ask(self._children, todo[start : start + AT_ONCE]))
+                self._rows.update(_read_inputs(self._children, todo[start : start + AT_ONCE]))
         return {name: self._rows[name] for name in wanted}
 
 
-def _ask(children: Children, names: Sequence[str]) -> dict[str, Any]:
-    """Rows of all the names, asking as many children as crash."""
+def _read_inputs(children: Children, names: Sequence[str]) -> dict[str, Any]:
+    """The rows of all names, with a new child after each crash."""
     rows: dict[str, Any] = {}
     while left := [name for name in names if name not in rows]:
-        # it is a child itself, which may crash and has its time
+        # the child may crash, and has a time limit
         arguments = ("inputs", "--limits", "none", "--json")
         command = [sys.executable, "-m", "gf_usd", *arguments, *left]
         ended = children.run(command, lambda line: None, timeout=PATIENCE + len(left))
         if ended is None or ended.stopped:
             return {**{name: {"error": "interrupted"} for name in left}, **rows}
-        # a line that a crash cut short says nothing
+        # a line that a crash cut short
         for line in ended.out[: ended.out.rfind("\n") + 1].splitlines():
             row = json.loads(line)
             rows[row.pop("asset")] = row
@@ -183,8 +182,8 @@ def _ask(children: Children, names: Sequence[str]) -> dict[str, Any]:
     return rows
 
 
-def stamps(inputs: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
-    """(size, time of change) of every file of the rows: another one means another content."""
+def file_stamps(inputs: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
+    """(size, modification time) of every file of the rows, which change with its content."""
     found = {}
     for name, row in inputs.items():
         for file, _ in row.get("files", ()):

@@ -1,6 +1,6 @@
-"""Jobs side by side on this machine, each in a process of its own.
+"""Runs jobs concurrently on this machine, each in its own process.
 
-How many bakes fit on this machine at once.
+Also determines how many bakes fit on this machine at once.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from gf_usd.batch.job import Job, Outcome
-from gf_usd.batch.record import InputTable, read_by
-from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
+from gf_usd.batch.record import InputTable, input_paths
+from gf_usd.batch.task import Limits, finished_event, run_job, unexpected_error_outcome
 from gf_usd.core.errors import UsageError
 from gf_usd.pipeline.cost.budget import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, FINEST, PAPER_PARTICLES
@@ -22,14 +22,14 @@ from gf_usd.system.memory_and_disk import free_memory, system_file
 from gf_usd.system.processes import Children
 from gf_usd.system.warm.workers import commands
 
-BEAT = 0.25  # [s] between looks at the clock, for whoever draws
+POLL_INTERVAL = 0.25  # [s] between events None, with which a display updates its clock
 
 Event = dict[str, Any]
 PROCESSES = os.name == "posix"
 
 
 def require_processes() -> None:
-    """Raise UsageError where a system has no processes that inherit files and hear signals."""
+    """Raise UsageError on systems whose processes do not inherit files and receive signals."""
     if not PROCESSES:
         raise UsageError(
             "gf-usd batch needs POSIX processes, which this system does not support",
@@ -37,15 +37,15 @@ def require_processes() -> None:
         )
 
 
-def run_here(
+def run_locally(
     jobs: Sequence[Job], limits: Limits, *, at_once: int, children: Children, warm: bool = True
 ) -> Iterator[Event | None]:
-    """The events of all jobs as they happen, and None now and then where nothing does.
+    """The events of all jobs as they happen, and None while there are none.
 
-    It ends when every job has: each has one event `finished`, with its outcome.  `children.stop`
-    ends those that run and keeps the others from starting.
+    Ends when every job has ended; each job has one event `finished`, with its outcome.
+    `children.stop` ends the running jobs and prevents the others from starting.
 
-    warm : bakes follow each other in processes that stay; False: each has a process of its own.
+    warm : consecutive bakes share worker processes; False: each has its own process.
     """
     events: queue.Queue[Event] = queue.Queue()
     table = InputTable(children)
@@ -53,28 +53,28 @@ def run_here(
         commands(children, warm=warm) as running,
         ThreadPoolExecutor(max_workers=at_once) as pool,
     ):
-        # one child reads the assets of all jobs: starting it costs more than most assets do
-        pool.submit(table.read, [path for job in jobs for path in read_by(job)])
+        # one child reads the assets of all jobs: starting it takes longer than reading most assets
+        pool.submit(table.read, [path for job in jobs for path in input_paths(job)])
         for job in jobs:
             future = pool.submit(
                 run_job, job, limits, commands=running, table=table, emit=events.put
             )
             future.add_done_callback(lambda done, job=job: events.put(_end(job, done)))
-        yield from hear(events, len(jobs))
+        yield from read_events(events, len(jobs))
 
 
 def _end(job: Job, done: Future[Outcome]) -> Event:
-    """The event of a job's end, also where it could not even be started."""
+    """The event of a job's end, also for a job that could not be started."""
     error = done.exception()
-    return finished_event(done.result() if error is None else unforeseen(job, error))
+    return finished_event(done.result() if error is None else unexpected_error_outcome(job, error))
 
 
-def hear(events: queue.Queue[Event], jobs: int) -> Iterator[Event | None]:
-    """Events out of a queue until that many jobs have finished."""
+def read_events(events: queue.Queue[Event], jobs: int) -> Iterator[Event | None]:
+    """Events from a queue until this number of jobs has finished."""
     left = jobs
     while left:
         try:
-            event = events.get(timeout=BEAT)
+            event = events.get(timeout=POLL_INTERVAL)
         except queue.Empty:
             yield None
             continue
@@ -82,18 +82,20 @@ def hear(events: queue.Queue[Event], jobs: int) -> Iterator[Event | None]:
         yield event
 
 
-def collect(events: Iterator[Event | None], heard: Callable[[Event | None], None]) -> list[Outcome]:
-    """Let everything happen, and return what came of the jobs, in the order of their ends."""
+def collect_outcomes(
+    events: Iterator[Event | None], handle: Callable[[Event | None], None]
+) -> list[Outcome]:
+    """Pass all events to `handle`; returns the outcomes in the order of their ends."""
     outcomes = []
     for event in events:
-        heard(event)
+        handle(event)
         if event is not None and event["event"] == "finished":
             outcomes.append(Outcome.of(event))
     return outcomes
 
 
 CPU_LIMIT = "/sys/fs/cgroup/cpu.max"
-# Bodies under that many particles are computed by one thread.
+# Bodies with fewer particles are computed by one thread.
 ONE_THREAD = 3_000
 # over the process and the particles, for vertices and textures: with 8000 particles the peak was
 # 1.02 of those two for the duck, 1.01 for 5000 vertices of OBJ, 1.17 for a chair of 9200
@@ -101,7 +103,7 @@ MARGIN = 1.5
 
 
 def cores() -> int:
-    """Cores that this process may use, those of its control group where that has a limit."""
+    """Number of cores that this process may use, within the limit of its control group."""
     if hasattr(os, "sched_getaffinity"):
         found = len(os.sched_getaffinity(0))
     else:
@@ -113,7 +115,7 @@ def cores() -> int:
 
 
 def memory_of(options: Mapping[str, Any]) -> float:
-    """[bytes] that a bake with these options may take; shape and vertices are not known yet."""
+    """[bytes] estimated for a bake with these options; its shape and vertices are not known yet."""
     paper = options.get("preset") == "paper"
     default = PAPER_PARTICLES if paper else FINEST * DEFAULT_PARTICLES
     each = max(PARTICLE_MEMORY.values())
@@ -121,7 +123,7 @@ def memory_of(options: Mapping[str, Any]) -> float:
 
 
 def processes(jobs: Sequence[Job], *, memory: float | None = None) -> int:
-    """How many jobs to run at once: one for each core, as far as memory goes for the largest.
+    """Number of concurrent jobs: one per core, as far as memory suffices for the largest.
 
     memory : [bytes] of a job, instead of the estimate.
     """
@@ -130,6 +132,6 @@ def processes(jobs: Sequence[Job], *, memory: float | None = None) -> int:
 
 
 def threads(jobs: Sequence[Job], at_once: int) -> int:
-    """CPU threads for a bake that asks for none: one, but for large bodies the share of cores."""
+    """CPU threads of a bake without --threads: 1, or for large bodies its share of the cores."""
     largest = max((job.options.get("particles") or 0 for job in jobs), default=0)
     return max(1, cores() // at_once) if largest >= ONE_THREAD else 1

@@ -1,8 +1,8 @@
-"""Long bakes in slices, so that one run of a batch has a bounded length.
+"""Divides long bakes into slices, so that one run of a batch has a bounded length.
 
-A slice is a number of full value clips, after which a bake ends with its checkpoint; the next run
-goes on from there.  On a farm the slices of all jobs are the parts of one bundle, each a step that
-waits for the one before.
+A slice is a number of complete value clips, after which a bake ends with its checkpoint; the next
+run resumes from it.  On a farm, the slices of all jobs are the parts of one bundle, each a step
+that waits for the previous one.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options.texts import parse_frames
 from gf_usd.prepare.outputs import interrupted, outputs
 
-SETTLED = ("failed", "refused", "unsound")  # another slice would end them alike
-UNTRIED = ("stopped", "busy")
+SETTLED = ("failed", "refused", "unsound")  # another slice would end in the same way
+NOT_ATTEMPTED = ("stopped", "busy")
 PART = re.compile(r"([1-9]\d*)/([1-9]\d*)")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Which slice of its jobs a run is."""
+    """The number of a slice in a run."""
 
     number: int  # from 1
     of: int
 
     @property
     def last(self) -> bool:
-        """No slice comes after it."""
+        """Whether it is the last slice."""
         return self.number == self.of
 
     def __str__(self) -> str:
@@ -40,9 +40,9 @@ class Part:
 
 
 def parse_part(text: str, clips: int | None) -> Part:
-    """The part of "2/5".
+    """The part of a text such as "2/5".
 
-    clips : of a slice.  Raises UsageError for what is none, or where there are no slices.
+    clips : of a slice.  Raises UsageError for an invalid text, or without slices.
     """
     if not clips:
         raise UsageError(
@@ -56,7 +56,7 @@ def parse_part(text: str, clips: int | None) -> Part:
 
 
 def require_clips(jobs: Sequence[Job]) -> None:
-    """Raise UsageError for a job that has no value clips to be sliced by."""
+    """Raise UsageError for a job without value clips."""
     for job in jobs:
         if not job.options.get("clip_frames"):
             raise UsageError(
@@ -66,12 +66,12 @@ def require_clips(jobs: Sequence[Job]) -> None:
 
 
 def slices(job: Job, clips: int) -> int:
-    """How many runs of so many full clips bring a job to its end, at most.
+    """Number of runs of `clips` complete clips that complete a job, at most.
 
-    With L looks, W frames written and n in a clip, L floor((W - 1) / n) clips become full, and the
-    frames after the last of them want a run of their own where it ends a slice.
+    With L variants, W frames written and n frames in a clip, L floor((W - 1) / n) clips are
+    completed.  The frames after the last of them need another run where that clip ends a slice.
 
-    Raises UsageError where the job does not say its frames: nobody reads the asset before.
+    Raises UsageError where the job does not give its frames, because the asset is not read here.
     """
     require_clips([job])
     frames, length = job.options.get("frames"), int(job.options["clip_frames"])
@@ -91,8 +91,8 @@ def slices(job: Job, clips: int) -> int:
     return full // clips + 1 if rest else max(1, math.ceil(full / clips))
 
 
-def settled(job: Job, identity: str | None) -> Outcome | None:
-    """The outcome of an earlier slice that the next would only repeat; None where it goes on."""
+def final_outcome(job: Job, identity: str | None) -> Outcome | None:
+    """The outcome of an earlier slice that another one would only repeat; None: it continues."""
     entry = read_record(job)
     if entry is None or identity is None or entry.get("identity") != identity:
         return None
@@ -100,8 +100,8 @@ def settled(job: Job, identity: str | None) -> Outcome | None:
     return outcome if outcome.state in SETTLED and not resumable(job) else None
 
 
-def spent(job: Job, identity: str | None) -> tuple[float, float]:
-    """[s] of wall and of CPU time that the slices before took; 0 where there was none."""
+def time_spent(job: Job, identity: str | None) -> tuple[float, float]:
+    """[s] wall and CPU time of earlier slices; 0 where there were none."""
     entry = read_record(job)
     if entry is None or identity is None or entry.get("identity") != identity:
         return 0.0, 0.0
@@ -112,25 +112,25 @@ def spent(job: Job, identity: str | None) -> tuple[float, float]:
 
 
 def resumable(job: Job) -> bool:
-    """Whether a checkpoint of the job is there."""
-    return interrupted(outputs(job.asset, job.looks, str(job.root)))
+    """Whether the job has a checkpoint."""
+    return interrupted(outputs(job.asset, job.variant_names, str(job.root)))
 
 
-def faults(outcomes: Sequence[Outcome], part: Part | None) -> list[Outcome]:
-    """The outcomes that make a run a failure.
+def failing_outcomes(outcomes: Sequence[Outcome], part: Part | None) -> list[Outcome]:
+    """The outcomes that make a run fail.
 
-    A part that is not the last fails only for jobs that another process may still do: a scheduler
-    runs no step after one that failed, and no job is to keep the others from their next slice.
-    The last one fails for all that is not done.
+    A part before the last one fails only for jobs that were not attempted: a scheduler runs no step
+    after one that failed, and a failed job must not prevent the next slice of the others.  The last
+    part fails for all jobs that are not done.
     """
     if part is None or part.last:
         return [outcome for outcome in outcomes if not outcome.good]
-    return [outcome for outcome in outcomes if outcome.state in UNTRIED]
+    return [outcome for outcome in outcomes if outcome.state in NOT_ATTEMPTED]
 
 
 def exit_status(outcomes: Sequence[Outcome], part: Part | None) -> int:
-    """0 where all is done, 5 where nothing but slices are left, 1 otherwise."""
-    bad = faults(outcomes, part)
+    """0 where all is done, 5 where only slices remain, 1 otherwise."""
+    bad = failing_outcomes(outcomes, part)
     if part is None and bad and all(outcome.state == "sliced" for outcome in bad):
         return 5
     return 1 if bad else 0

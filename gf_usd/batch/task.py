@@ -1,4 +1,4 @@
-"""One job from its lock to its record.  It is the same here, on a cluster and on a farm."""
+"""Runs one job, from its lock to its record, locally, on a cluster or on a farm."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import (
     InputTable,
     describe,
+    file_stamps,
     finished,
     identity,
-    read_by,
-    stamps,
+    input_paths,
     write_record,
 )
-from gf_usd.batch.slices import resumable, settled, spent
-from gf_usd.batch.verdict import Bake, judge
+from gf_usd.batch.slices import final_outcome, resumable, time_spent
+from gf_usd.batch.verdict import Attempt, attempt_outcome
 from gf_usd.core.errors import GfUsdError
 from gf_usd.prepare.outputs import outputs
 from gf_usd.system.file_locks import Held, acquire
@@ -30,21 +30,23 @@ from gf_usd.system.warm.workers import Commands, listening
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 
-SHOWN = 10  # events of frames that are passed on, for each look
-AGAIN = ("crashed", "timeout")  # for which another attempt may succeed
+EVENTS_PER_VARIANT = 10  # frame events that are passed on, per variant
+RETRIED = ("crashed", "timeout")  # states for which another attempt may succeed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """How a job is run."""
+    """Limits and options for running a job."""
 
     timeout: float | None = None  # [s] of an attempt
     retries: int = 1
-    patience: float = 0.0  # [s] to wait for a result that another run is writing
-    overwrite: bool = False  # bake what is done already
-    threads: int | None = 1  # CPU threads of a bake that asks for none
-    slice: int | None = None  # full clips after which a bake ends, to be gone on with
-    later: bool = False  # this is no first slice: what an earlier one settled is not begun again
+    lock_timeout: float = 0.0  # [s] to wait for another run that writes the same result
+    overwrite: bool = False  # repeat jobs that are done
+    threads: int | None = 1  # CPU threads of a bake without --threads
+    slice: int | None = None  # complete clips after which a bake ends, to be resumed
+    continues: bool = (
+        False  # not the first slice: jobs that ended in an earlier one are not repeated
+    )
 
 
 def run_job(
@@ -55,17 +57,19 @@ def run_job(
     table: InputTable,
     emit: Emit,
 ) -> Outcome:
-    """Bake, unless the same is there already; nothing that happens to a bake raises."""
+    """Bake, unless the same result exists; errors of the bake are in the outcome, never raised."""
     if commands.stopping:
-        return _none(job, "stopped", "interrupted before it started")
+        return _not_run_outcome(job, "stopped", "interrupted before it started")
     try:
-        held = acquire(job.root, patience=limits.patience, stopped=lambda: commands.stopping)
+        held = acquire(
+            job.root, lock_timeout=limits.lock_timeout, stopped=lambda: commands.stopping
+        )
     except GfUsdError as error:
-        return _none(job, "failed", error.message, error.hint)
+        return _not_run_outcome(job, "failed", error.message, error.hint)
     if held is None:
         if commands.stopping:
-            return _none(job, "stopped", "interrupted before it started")
-        return _none(
+            return _not_run_outcome(job, "stopped", "interrupted before it started")
+        return _not_run_outcome(
             job, "busy", f"another run is baking {job.root}", "repeat the batch when it is done"
         )
     try:
@@ -82,10 +86,10 @@ def _run_locked(
     table: InputTable,
     emit: Emit,
 ) -> Outcome:
-    inputs = table.read(read_by(job))
+    inputs = table.read(input_paths(job))
     unread = [row["error"] for row in inputs.values() if "error" in row]
     description = describe(job, inputs)
-    # without knowing what it reads nobody can say that it is the same
+    # without its inputs, the result cannot be known to be the same
     known = None if unread else identity(description)
     strict = bool(job.options.get("strict"))
     if not limits.overwrite and (kept := finished(job, known)) is not None:
@@ -94,10 +98,10 @@ def _run_locked(
         if any(warning.get("level") == "error" for warning in kept.warnings):
             return replace(kept, state="unsound", message="its result is wrong; see its warnings")
         return kept
-    if limits.later and (told := settled(job, known)) is not None:
+    if limits.continues and (told := final_outcome(job, known)) is not None:
         return told
-    before = stamps(inputs)
-    seconds, cpu = spent(job, known)
+    before = file_stamps(inputs)
+    seconds, cpu = time_spent(job, known)
     outcome, files = _attempts(job, limits, held, commands, emit)
     outcome = replace(
         outcome,
@@ -108,7 +112,7 @@ def _run_locked(
         if outcome.good
         else (),
     )
-    if outcome.good and stamps(inputs) != before:
+    if outcome.good and file_stamps(inputs) != before:
         outcome = replace(
             outcome, state="failed", message=f"{job.asset}: a file that it reads has changed in "
             f"the meantime",
@@ -129,34 +133,36 @@ def _run_locked(
 def _attempts(
     job: Job, limits: Limits, held: Held, commands: Commands, emit: Emit
 ) -> tuple[Outcome, tuple[Path, ...]]:
-    """Run the bake until it ends by itself or the retries are used up."""
+    """Run the bake until it succeeds, or until no retries are left."""
     seconds = cpu = 0.0
     attempt = 0
     while True:
         attempt += 1
         began = time.monotonic()
         emit({"event": "started", "job": job.name, "attempt": attempt, "command": job.command})
-        watch = _Watch(job, emit)
+        watch = _BakeEvents(job, emit)
         ended = _bake(job, limits, held, commands, watch)
         if ended is None:
-            return _none(job, "stopped", "interrupted before it started"), ()
+            return _not_run_outcome(job, "stopped", "interrupted before it started"), ()
         seconds += time.monotonic() - began
         cpu += ended.cpu_seconds
-        bake: Bake = judge(job, ended, watch.last)
+        bake: Attempt = attempt_outcome(job, ended, watch.last)
         outcome = replace(
             bake.outcome, attempts=attempt, seconds=seconds, cpu_seconds=cpu,
             frames=bake.outcome.frames or watch.done, particles=watch.particles,
             frames_per_second=watch.rate,
         )  # fmt: skip
-        if outcome.state not in AGAIN or attempt > limits.retries or commands.stopping:
+        if outcome.state not in RETRIED or attempt > limits.retries or commands.stopping:
             return outcome, bake.files
         emit({"event": "retry", "job": job.name, "attempt": attempt, "why": outcome.message})
-        # what killed it, memory for one, may have passed by then
+        # the cause, such as lack of memory, may have passed by then
         commands.pause(min(float(attempt), 5.0))
 
 
-def _bake(job: Job, limits: Limits, held: Held, commands: Commands, watch: _Watch) -> Ended | None:
-    """One attempt; None where no more is to be started."""
+def _bake(
+    job: Job, limits: Limits, held: Held, commands: Commands, watch: _BakeEvents
+) -> Ended | None:
+    """One attempt; None where the batch is stopping."""
     arguments = [*job.arguments(), "--overwrite"]
     if "threads" not in job.options and limits.threads:
         arguments += ["--threads", str(limits.threads)]
@@ -165,10 +171,10 @@ def _bake(job: Job, limits: Limits, held: Held, commands: Commands, watch: _Watc
     if resumable(job):
         arguments.append("--resume")
     # Jobs of one mesh file share a layer, which is written before the first frame.
-    source = outputs(job.asset, job.looks, str(job.root)).source
+    source = outputs(job.asset, job.variant_names, str(job.root)).source
     shared = None
     if source is not None:
-        shared = acquire(source, patience=float("inf"), stopped=lambda: commands.stopping)
+        shared = acquire(source, lock_timeout=float("inf"), stopped=lambda: commands.stopping)
         if shared is None:
             return None
     watch.shared = shared
@@ -181,7 +187,7 @@ def _bake(job: Job, limits: Limits, held: Held, commands: Commands, watch: _Watc
             shared.release()
 
 
-class _Watch:
+class _BakeEvents:
     """Follows the events of a bake.
 
     last : the last event of each kind, by name.
@@ -193,7 +199,7 @@ class _Watch:
         self.last: dict[str, dict[str, Any]] = {}
         self.done = self.particles = 0
         self.rate = 0.0
-        self.shared: Held | None = None  # the lock on what jobs share, until the first frame
+        self.shared: Held | None = None  # the lock on the shared layer, until the first frame
 
     def __call__(self, event: dict[str, Any]) -> None:
         self.last[event["event"]] = event
@@ -207,7 +213,7 @@ class _Watch:
             self._first = (now, self.done)
         elif now > self._first[0]:
             self.rate = (self.done - self._first[1]) / (now - self._first[0])
-        if self.done % max(1, total // SHOWN) and self.done != total:
+        if self.done % max(1, total // EVENTS_PER_VARIANT) and self.done != total:
             return
         self._emit(
             {
@@ -217,20 +223,20 @@ class _Watch:
         )  # fmt: skip
 
 
-def _none(job: Job, state: str, message: str, hint: str = "") -> Outcome:
-    """The outcome of a job of which nothing was run."""
+def _not_run_outcome(job: Job, state: str, message: str, hint: str = "") -> Outcome:
+    """The outcome of a job that was not run."""
     return Outcome(
         job=job.name, state=state, message=message, hint=hint, root=str(job.root),
         command=job.command, host=socket.gethostname(),
     )  # fmt: skip
 
 
-def unforeseen(job: Job, error: BaseException) -> Outcome:
-    """The outcome of a job that an error outside its bake ended, such as no process to be had."""
-    return _none(job, "crashed", f"{type(error).__name__}: {error}")
+def unexpected_error_outcome(job: Job, error: BaseException) -> Outcome:
+    """The outcome of a job that failed outside its bake, for example without a process."""
+    return _not_run_outcome(job, "crashed", f"{type(error).__name__}: {error}")
 
 
 def finished_event(outcome: Outcome) -> dict[str, Any]:
-    """The event of a job's end."""
+    """The event at the end of a job."""
     row: Mapping[str, Any] = outcome.as_json()
     return {"event": "finished", **row}

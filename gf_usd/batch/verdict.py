@@ -1,4 +1,4 @@
-"""From how a bake's process ended to what that means."""
+"""Derives a job's outcome from the exit status and the events of a bake."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from gf_usd.batch.job import Job, Outcome
 from gf_usd.system.processes import Ended
 
 LOG = 4000  # characters of stderr that are kept of a bake that failed
-WORDS = 600  # characters of a message
-# of the health of a bake, what a table of many can show
+MESSAGE_LENGTH = 600  # characters of a message
+# health values that the table of a batch shows
 HEALTH = (
     "rollbacks", "inverted_particle_frames", "deepest_penetration_spacings",
     "energy_gain_max_share", "restitution", "min_J", "max_J", "plastic_dissipation_J", "substeps",
@@ -24,17 +24,17 @@ STATUS = {1: "failed", 2: "refused", 3: "refused", 4: "unsound", 5: "sliced"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bake:
-    """An attempt, judged."""
+class Attempt:
+    """The outcome and the files of an attempt."""
 
     outcome: Outcome
     files: tuple[Path, ...] = ()  # of a complete bake
 
 
-def judge(job: Job, ended: Ended, events: Mapping[str, Mapping[str, Any]]) -> Bake:
-    """What an attempt came to: complete and sound, at fault, or ended by something else.
+def attempt_outcome(job: Job, ended: Ended, events: Mapping[str, Mapping[str, Any]]) -> Attempt:
+    """The outcome of an attempt: done, failed, or ended from outside.
 
-    events : the last of each kind that the bake told, by name; see `gf-usd bake --events`.
+    events : the last event of each kind, by name; see `gf-usd bake --events`.
     """
     outcome = Outcome(
         job=job.name, state="done", root=str(job.root), command=job.command,
@@ -67,19 +67,19 @@ def judge(job: Job, ended: Ended, events: Mapping[str, Mapping[str, Any]]) -> Ba
                 " (--jobs)"
             )
     elif not message:
-        # Python's own words for what nobody expected
+        # Python's message of an unexpected exception
         state, message = "crashed", (ended.err.strip().splitlines() or ["no words"])[-1]
-    return Bake(
+    return Attempt(
         outcome=replace(
-            outcome, state=state, message=message[:WORDS], hint=hint, log=ended.err[-LOG:]
+            outcome, state=state, message=message[:MESSAGE_LENGTH], hint=hint, log=ended.err[-LOG:]
         )
     )
 
 
 def _complete(
     outcome: Outcome, ended: Ended, result: Mapping[str, Any], error: Mapping[str, Any]
-) -> Bake:
-    """All files are there; the check or --strict may still find fault.
+) -> Attempt:
+    """The outcome with all files written; the check or --strict may still fail it.
 
     result : the event `finished`; error : that of --strict.
     """
@@ -98,13 +98,13 @@ def _complete(
         outcome = replace(
             outcome, state="unsound",
             message=f"the check found {len(findings)} errors; the first is {first['rule']}"
-            f" <{first['prim']}>: {first['message']}"[:WORDS],
+            f" <{first['prim']}>: {first['message']}"[:MESSAGE_LENGTH],
             hint=first["fix"],
         )  # fmt: skip
     elif ended.status == 4:
-        message, hint = error.get("message", "")[:WORDS], error.get("hint", "")
+        message, hint = error.get("message", "")[:MESSAGE_LENGTH], error.get("hint", "")
         outcome = replace(outcome, state="unsound", message=message, hint=hint)
-    return Bake(outcome=outcome, files=tuple(Path(path) for path in result["outputs"]))
+    return Attempt(outcome=outcome, files=tuple(Path(path) for path in result["outputs"]))
 
 
 def _signal(status: int) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import typer
 
 from gf_usd.batch.board import Board, Row
-from gf_usd.batch.job import CALM
+from gf_usd.batch.job import NOT_FAILED
 from gf_usd.pipeline.cost.budget import duration
 
 SHOWN = 12  # rows of a kind on the table
@@ -29,7 +29,7 @@ def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator
     """The way to say how it goes; events reach the board first."""
 
     def told(event: dict[str, Any] | None) -> None:
-        row = None if event is None else board.hear(event)
+        row = None if event is None else board.handle(event)
         if event is None:
             return
         if as_json:
@@ -52,10 +52,10 @@ def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator
     ) as live:
 
         def drawn(event: dict[str, Any] | None) -> None:
-            row = None if event is None else board.hear(event)
+            row = None if event is None else board.handle(event)
             if event is not None and (
                 event["event"] == "note"
-                or (event["event"] == "finished" and event["state"] not in CALM)
+                or (event["event"] == "finished" and event["state"] not in NOT_FAILED)
             ):
                 for line in plain_lines(board, event, row):
                     live.console.print(line, markup=False, highlight=False)
@@ -107,7 +107,7 @@ def table(board: Board) -> Any:
     rows.add_column("state")
     for head in ("frames", "frames/s", "time", "left"):
         rows.add_column(head, justify="right")
-    shown = [*board.bad[-SHOWN:], *board.of("done")[-3:], *board.of("running")[:SHOWN]]
+    shown = [*board.failed[-SHOWN:], *board.of("done")[-3:], *board.of("running")[:SHOWN]]
     for row in shown:
         seconds = board.running_for(row) if row.state == "running" else row.seconds
         again = f" ({row.attempt})" if row.attempt > 1 else ""
@@ -122,7 +122,7 @@ def table(board: Board) -> Any:
     left = board.left
     line = (
         f"{len(board.ended)} of {len(board.rows)} jobs"
-        + (f", {len(board.bad)} of them failed" if board.bad else "")
+        + (f", {len(board.failed)} of them failed" if board.failed else "")
         + f", {len(board.of('running'))} running, {duration(board.seconds)}"
         + (f", about {duration(left)} left" if left is not None else "")
     )

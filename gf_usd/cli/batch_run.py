@@ -23,12 +23,12 @@ from gf_usd.batch.board import (
     PAGE,
     SUMMARY,
     Board,
-    again,
     counts,
     earlier_run,
     failed_in,
     not_run,
     ordered,
+    rerun_command,
     summary_line,
     write_summary,
 )
@@ -49,14 +49,14 @@ from gf_usd.batch.plan import (
     choose,
     is_bundle,
     make_plan,
-    mapped,
-    moved_to,
-    pieces,
+    parse_task_range,
     read_jobs,
+    with_mapped_paths,
+    with_output_folder,
 )
 from gf_usd.batch.record import InputTable
-from gf_usd.batch.run import collect, run_here
-from gf_usd.batch.slices import Part, exit_status, faults, require_clips
+from gf_usd.batch.run import collect_outcomes, run_locally
+from gf_usd.batch.slices import Part, exit_status, failing_outcomes, require_clips
 from gf_usd.batch.task import Limits
 from gf_usd.cli.batch_console import voice
 from gf_usd.core.errors import BakeError, UsageError
@@ -109,7 +109,9 @@ def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
         if not jobs:
             typer.echo(f"note: no {'selected job' if bad else 'job'} has failed", err=True)
     if choice.tasks is not None:
-        wanted = {plan.jobs[number].name for number in pieces(choice.tasks, len(plan.jobs))}
+        wanted = {
+            plan.jobs[number].name for number in parse_task_range(choice.tasks, len(plan.jobs))
+        }
         jobs = tuple(job for job in jobs if job.name in wanted)
     return jobs
 
@@ -202,9 +204,9 @@ def _bundle(path: Path, asked: Asked) -> BatchPlan:
         )
     plan = read_jobs(path)
     if asked.path_mapping is not None:
-        plan = mapped(plan, asked.path_mapping)
+        plan = with_mapped_paths(plan, asked.path_mapping)
     if asked.out is not None:
-        plan = moved_to(plan, absolute(asked.out))
+        plan = with_output_folder(plan, absolute(asked.out))
     if asked.timeout is not None:
         plan = replace(plan, timeout=asked.timeout)
     return plan if asked.retries is None else replace(plan, retries=asked.retries)
@@ -280,7 +282,7 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
     limits = Limits(
         timeout=plan.timeout, retries=plan.retries, overwrite=how.overwrite,
         threads=run.threads(jobs, at_once),
-        slice=how.slice, later=how.part is not None and how.part.number > 1,
+        slice=how.slice, continues=how.part is not None and how.part.number > 1,
     )  # fmt: skip
     children = Children()
     board = Board([job.name for job in jobs], at_once)
@@ -290,13 +292,16 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
                 typer.echo(json.dumps({"event": "planned", "jobs": len(jobs), "at_once": at_once,
                                        "out": str(plan.out), "notes": plan.notes}))  # fmt: skip
             if how.scheduler is not None:
-                from gf_usd.batch.cluster import run_there
+                from gf_usd.batch.cluster import run_on_cluster
 
-                events = run_there(jobs, limits, address=how.scheduler, resources=how.resources,
-                                   children=children)  # fmt: skip
+                events = run_on_cluster(
+                    jobs, limits, address=how.scheduler, resources=how.resources, children=children
+                )
             else:
-                events = run_here(jobs, limits, at_once=at_once, children=children, warm=how.warm)
-            outcomes = collect(events, tell)
+                events = run_locally(
+                    jobs, limits, at_once=at_once, children=children, warm=how.warm
+                )
+            outcomes = collect_outcomes(events, tell)
         asked, seconds = _without_choice(), time.monotonic() - began
         if stopped:  # a second signal does not keep what was stopped from being written
             _finish(plan, outcomes, how, asked=asked, seconds=seconds, pictures=False)
@@ -320,9 +325,9 @@ def _finish(
     seconds: float, pictures: bool,
 ) -> None:  # fmt: skip
     """Summary on stderr, and as files."""
-    repeat = again(asked, outcomes)
+    repeat = rerun_command(asked, outcomes)
     bad = [outcome for outcome in ordered(outcomes) if not outcome.good]
-    if how.openjd_lines and (wrong := faults(ordered(outcomes), how.part)):
+    if how.openjd_lines and (wrong := failing_outcomes(ordered(outcomes), how.part)):
         first = wrong[0]
         said = f"{len(wrong)} of {len(outcomes)} jobs failed: {first.job}: {first.message}"
         typer.echo(f"openjd_fail: {' '.join(said.split())}")

@@ -53,7 +53,7 @@ def lock_path(path: Path) -> Path:
 
 
 def acquire(
-    path: Path, *, patience: float = 0.0, stopped: Callable[[], bool] = lambda: False
+    path: Path, *, lock_timeout: float = 0.0, stopped: Callable[[], bool] = lambda: False
 ) -> Held | None:
     """Lock what will be written under `path`; None where another holds it.
 
@@ -69,7 +69,7 @@ def acquire(
     from filelock import lock_descriptor
 
     target = lock_path(path)
-    until = time.monotonic() + patience
+    until = time.monotonic() + lock_timeout
     while True:
         descriptor = _open(target)
         try:
@@ -119,7 +119,7 @@ def _is(descriptor: int, path: Path) -> bool:
 @contextmanager
 def locked(path: Path, *, remove: bool = False) -> Iterator[None]:
     """Hold the lock of `path`, waiting for it as long as it takes."""
-    held = acquire(path, patience=float("inf"))
+    held = acquire(path, lock_timeout=float("inf"))
     assert held is not None
     try:
         yield

@@ -31,43 +31,43 @@ def test_it_follows_a_job_and_foresees_the_end() -> None:
     board = Board(["a", "b", "c", "d", "e"], at_once=2, clock=clock)
     assert board.left is None
     for name in "ab":
-        board.hear({"event": "started", "job": name, "attempt": 1})
+        board.handle({"event": "started", "job": name, "attempt": 1})
     clock.now = 10.0
-    board.hear({"event": "frame", "job": "a", "done": 1, "total": 4, "frames_per_second": 0.5})
+    board.handle({"event": "frame", "job": "a", "done": 1, "total": 4, "frames_per_second": 0.5})
     assert board.rows["a"].left == pytest.approx(6.0)
     assert board.share == pytest.approx(0.25 / 5)
-    board.hear(ended("b", "done", 10.0))
+    board.handle(ended("b", "done", 10.0))
     # a has had its ten seconds, the other three take ten each, two at a time
     assert board.left == pytest.approx(15.0)
-    board.hear(ended("c", "kept", 0.0))
+    board.handle(ended("c", "kept", 0.0))
     assert board.left == pytest.approx(10.0)
     assert [row.name for row in board.ended] == ["b", "c"]
-    assert board.bad == []
-    board.hear(ended("a", "failed", 12.0, "why\nand more"))
-    assert [row.name for row in board.bad] == ["a"]
+    assert board.failed == []
+    board.handle(ended("a", "failed", 12.0, "why\nand more"))
+    assert [row.name for row in board.failed] == ["a"]
     assert board.seconds == pytest.approx(10.0)
 
 
 def test_what_comes_late_changes_no_end() -> None:
     board = Board(["a"], at_once=1)
-    board.hear(ended("a", "done", 1.0))
-    board.hear({"event": "frame", "job": "a", "done": 1, "total": 4, "frames_per_second": 0.5})
-    board.hear({"event": "started", "job": "a", "attempt": 2})
+    board.handle(ended("a", "done", 1.0))
+    board.handle({"event": "frame", "job": "a", "done": 1, "total": 4, "frames_per_second": 0.5})
+    board.handle({"event": "started", "job": "a", "attempt": 2})
     assert board.rows["a"].state == "done"
 
 
 def test_lines_say_ends_and_new_attempts() -> None:
     board = Board(["a", "b"], at_once=1)
     retry = {"event": "retry", "job": "a", "attempt": 1, "why": "the bake was ended by SIGKILL"}
-    assert plain_lines(board, retry, board.hear(retry)) == [
+    assert plain_lines(board, retry, board.handle(retry)) == [
         "a: trying again: the bake was ended by SIGKILL"
     ]
     fault = ended("a", "refused", 2.0, "it is damaged\nat line 3")
-    assert plain_lines(board, fault, board.hear(fault)) == [
+    assert plain_lines(board, fault, board.handle(fault)) == [
         "[1/2] a: refused: it is damaged, about 2 s left"
     ]
     kept = ended("b", "kept", 0.0)
-    assert plain_lines(board, kept, board.hear(kept)) == ["[2/2] b: kept"]
+    assert plain_lines(board, kept, board.handle(kept)) == ["[2/2] b: kept"]
 
 
 def test_openjd_lines_are_those_of_its_specification() -> None:
@@ -75,7 +75,7 @@ def test_openjd_lines_are_those_of_its_specification() -> None:
     started = {"event": "started", "job": "a", "attempt": 1}
     frame = {"event": "frame", "job": "a", "done": 2, "total": 4, "frames_per_second": 1.0}
     end = ended("a", "done", 2.0)
-    said = [openjd_lines(board, event, board.hear(event)) for event in (started, frame, end)]
+    said = [openjd_lines(board, event, board.handle(event)) for event in (started, frame, end)]
     assert said == [
         ["openjd_progress: 0.0", "openjd_status: 0 of 2 done; a: running"],
         ["openjd_progress: 25.0", "openjd_status: 0 of 2 done; a: frame 2 of 4"],

@@ -9,12 +9,12 @@ import pytest
 from batch_jobs import job, outcome
 
 from gf_usd.batch.board import (
-    again,
     counts,
     earlier_run,
     failed_in,
     not_run,
     ordered,
+    rerun_command,
     summary_line,
     write_summary,
 )
@@ -36,12 +36,12 @@ def test_what_needs_a_look_comes_first() -> None:
 
 def test_the_command_names_just_those() -> None:
     asked = ["gf-usd", "batch", "my toys.toml"]
-    assert again(asked, ENDS) == (
+    assert rerun_command(asked, ENDS) == (
         "gf-usd batch 'my toys.toml' --select d --select c --select 'f b'"
     )
-    assert again(asked, [o for o in ENDS if o.good]) == ""
+    assert rerun_command(asked, [o for o in ENDS if o.good]) == ""
     many = [outcome(f"j{i}", "failed") for i in range(21)]
-    assert again(asked, many) == "gf-usd batch 'my toys.toml' --failed"
+    assert rerun_command(asked, many) == "gf-usd batch 'my toys.toml' --failed"
 
 
 def test_the_file_keeps_what_was_not_run_this_time(tmp_path: Path) -> None:
@@ -104,8 +104,8 @@ def test_what_another_run_did_meanwhile_is_no_longer_busy(tmp_path: Path) -> Non
     assert entry["repeat"] == "gf-usd x --select b"
     # nor where that run has written the summary after it
     write_summary(path, [outcome("a", "done"), ends[1]], asked=(), seconds=1.0, jobs=jobs)
-    again = [outcome("a", "busy"), outcome("b", "done")]
-    entry = write_summary(path, again, asked=(), seconds=60.0, jobs=jobs)
+    rerun_command = [outcome("a", "busy"), outcome("b", "done")]
+    entry = write_summary(path, rerun_command, asked=(), seconds=60.0, jobs=jobs)
     assert entry["counts"] == {"done": 2}
     # a record of an earlier run says nothing of this one
     text = jobs[0].record.read_text("utf-8")

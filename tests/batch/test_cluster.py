@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from gf_usd.batch.cluster import _amount, _outcome, _require_program, _wanting
+from gf_usd.batch.cluster import _amount, _missing_resources, _outcome, _require_program
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.core.errors import UsageError
 
@@ -60,7 +60,7 @@ def test_a_result_that_is_gone_is_waited_for() -> None:
 
 
 def wanting(workers: dict[str, dict[str, float]], **amounts: float) -> str:
-    return _wanting(Cluster(workers), "tcp://here", amounts)  # type: ignore[arg-type]
+    return _missing_resources(Cluster(workers), "tcp://here", amounts)  # type: ignore[arg-type]
 
 
 def test_what_the_jobs_wait_for_is_told() -> None:

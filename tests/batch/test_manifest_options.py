@@ -8,7 +8,7 @@ import pytest
 import typer.main
 
 from gf_usd.batch.job import Job
-from gf_usd.batch.manifest import KNOWN, clean, decisive, parse
+from gf_usd.batch.manifest import KNOWN, clean, parse, result_options
 from gf_usd.cli.main import program
 from gf_usd.core.errors import UsageError
 
@@ -31,7 +31,7 @@ def test_every_option_is_one_of_the_command() -> None:
 
 def test_what_does_not_decide_is_left_out_of_the_identity() -> None:
     asked = {"threads": 2, "strict": True, "seed": 3}
-    assert decisive(asked) == {"material": "rubber", "seed": 3}
+    assert result_options(asked) == {"material": "rubber", "seed": 3}
 
 
 @pytest.mark.parametrize(
@@ -68,6 +68,6 @@ def test_limits_reach_the_bake_and_do_not_decide_what_it_writes() -> None:
     options = clean({"limits": "time=60,memory=4G"}, "here", Path())
     job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options=options)
     assert job.arguments()[-2:] == ["--limits", "time=60,memory=4G"]
-    assert decisive(options) == {"material": "rubber"}
+    assert result_options(options) == {"material": "rubber"}
     with pytest.raises(UsageError, match="here: --limits 'time=0': 'time=0' is not a limit"):
         clean({"limits": "time=0"}, "here", Path())

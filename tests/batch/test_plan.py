@@ -120,8 +120,12 @@ def test_sequences_of_splats_in_folders_or_forms_of_their_own_do_not_meet(tmp_pa
     ply = {"files": ["a.ply"], "settings": PLY, "name": "ply"}
     spz = {"files": ["a.ply"], "settings": SPZ, "name": "spz"}
     assert len(plan(tmp_path, ply, spz).jobs) == 2
-    looks = {"files": ["a.ply"], "settings": PLY, "matrix": {"material": ["rubber", "jelly"]}}
-    assert len(plan(tmp_path, looks).jobs) == 2
+    variant_names = {
+        "files": ["a.ply"],
+        "settings": PLY,
+        "matrix": {"material": ["rubber", "jelly"]},
+    }
+    assert len(plan(tmp_path, variant_names).jobs) == 2
 
 
 def test_jobs_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:

@@ -14,7 +14,15 @@ import pytest
 from batch_jobs import TRIANGLE, job
 
 from gf_usd.batch.openjd import template, write_bundle
-from gf_usd.batch.plan import BatchPlan, is_bundle, jobs_text, mapped, moved_to, pieces, read_jobs
+from gf_usd.batch.plan import (
+    BatchPlan,
+    is_bundle,
+    jobs_text,
+    parse_task_range,
+    read_jobs,
+    with_mapped_paths,
+    with_output_folder,
+)
 from gf_usd.batch.record import InputTable
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.system.processes import Children
@@ -33,7 +41,7 @@ def test_jobs_come_back_as_they_went(tmp_path: Path) -> None:
     path.write_text(jobs_text(asked), encoding="utf-8")
     assert is_bundle(path)
     assert read_jobs(path) == asked
-    elsewhere = moved_to(asked, Path("/other"))
+    elsewhere = with_output_folder(asked, Path("/other"))
     assert elsewhere.jobs[1].root == Path("/other/a.seed1.usda")
     assert elsewhere.jobs[1].asset == asked.jobs[1].asset
     path.write_text('{"form": "gf-usd jobs 1", "jobs": [{}]}', encoding="utf-8")
@@ -57,7 +65,7 @@ def test_paths_become_those_of_the_worker(tmp_path: Path) -> None:
     asked = replace(
         first, jobs=(replace(first.jobs[0], options={"material": f"rubber,{material}"}),)
     )
-    made = mapped(
+    made = with_mapped_paths(
         asked,
         # the longer source counts, whatever the order
         rules(tmp_path, ("POSIX", "/", "/wrong"), ("POSIX", str(tmp_path), "/sent"),
@@ -70,28 +78,28 @@ def test_paths_become_those_of_the_worker(tmp_path: Path) -> None:
     assert found.options["material"] == "rubber,/sent/looks/wax.usda"
     # whole parts of a path, not letters
     other = rules(tmp_path, ("POSIX", str(tmp_path)[:-1], "/wrong"))
-    assert mapped(asked, other).jobs == asked.jobs
+    assert with_mapped_paths(asked, other).jobs == asked.jobs
     windows = replace(asked.jobs[0], asset=PurePosixPath(r"C:\props\duck.usda"))
     drive = rules(tmp_path, ("WINDOWS", "c:/props", "/mnt/props"))
-    assert mapped(replace(asked, jobs=(windows,)), drive).jobs[0].asset == Path(
+    assert with_mapped_paths(replace(asked, jobs=(windows,)), drive).jobs[0].asset == Path(
         "/mnt/props/duck.usda"
     )
     drive.write_text("[]", encoding="utf-8")
     with pytest.raises(InputError, match="no path mapping rules"):
-        mapped(asked, drive)
+        with_mapped_paths(asked, drive)
 
 
 @pytest.mark.parametrize(
     ("text", "numbers"), [("0", (0,)), ("0-2", (0, 1, 2)), ("5,1-7:3,5", (5, 1, 4, 7))]
 )
 def test_ranges_name_jobs(text: str, numbers: tuple[int, ...]) -> None:
-    assert pieces(text, 8) == numbers
+    assert parse_task_range(text, 8) == numbers
 
 
 @pytest.mark.parametrize("text", ["", "a", "1-", "-1", "0-8", "3-2"])
 def test_ranges_that_name_none_are_refused(text: str) -> None:
     with pytest.raises(UsageError, match="--tasks"):
-        pieces(text, 8)
+        parse_task_range(text, 8)
 
 
 def test_a_bundle_holds_what_a_farm_asks_for(tmp_path: Path) -> None:

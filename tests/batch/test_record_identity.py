@@ -15,11 +15,11 @@ from gf_usd.batch import record
 from gf_usd.batch.job import Job
 from gf_usd.batch.record import (
     describe,
+    file_stamps,
     finished,
     identity,
-    read_by,
+    input_paths,
     read_record,
-    stamps,
     write_record,
 )
 from gf_usd.readers.inputs import read_inputs
@@ -28,7 +28,7 @@ from gf_usd.system.fingerprint import APART, PACKAGE
 
 def rows(of: Job) -> dict:
     """What `gf-usd inputs` says of the job's assets."""
-    found = {path: read_inputs(path) for path in read_by(of)}
+    found = {path: read_inputs(path) for path in input_paths(of)}
     return {
         str(path): {"files": [list(row) for row in i.files], "missing": list(i.missing)}
         for path, i in found.items()
@@ -168,10 +168,10 @@ def test_a_record_that_is_none_says_nothing(tmp_path: Path, text: str) -> None:
 def test_a_changed_file_has_another_stamp(tmp_path: Path) -> None:
     of = with_texture(tmp_path)
     known = rows(of)
-    before = stamps(known)
+    before = file_stamps(known)
     assert set(before) == {str(of.asset), str(tmp_path / "t.png")}
-    assert stamps(known) == before
+    assert file_stamps(known) == before
     (tmp_path / "t.png").write_bytes(b"other")
-    assert stamps(known) != before
+    assert file_stamps(known) != before
     (tmp_path / "t.png").unlink()
-    assert stamps(known)[str(tmp_path / "t.png")] == (-1, -1)
+    assert file_stamps(known)[str(tmp_path / "t.png")] == (-1, -1)

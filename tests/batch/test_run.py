@@ -15,7 +15,7 @@ from batch_jobs import job
 from gf_usd.batch import run as resources
 from gf_usd.batch import task
 from gf_usd.batch.record import read_record
-from gf_usd.batch.run import collect, run_here
+from gf_usd.batch.run import collect_outcomes, run_locally
 from gf_usd.batch.task import Limits
 from gf_usd.core.errors import UsageError
 from gf_usd.system.file_locks import acquire
@@ -67,8 +67,8 @@ def ran(
     children: Children, jobs: Sequence[Any], **limits: Any
 ) -> tuple[dict[str, str], list[dict]]:
     events: list[dict] = []
-    ends = collect(
-        run_here(jobs, Limits(**limits), at_once=2, children=children, warm=False),
+    ends = collect_outcomes(
+        run_locally(jobs, Limits(**limits), at_once=2, children=children, warm=False),
         lambda event: events.append(event) if event else None,
     )
     return {end.job: end.state for end in ends}, events

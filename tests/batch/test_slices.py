@@ -10,7 +10,15 @@ from batch_jobs import job, outcome
 
 from gf_usd.batch.board import Board
 from gf_usd.batch.record import write_record
-from gf_usd.batch.slices import Part, exit_status, faults, parse_part, settled, slices, spent
+from gf_usd.batch.slices import (
+    Part,
+    exit_status,
+    failing_outcomes,
+    final_outcome,
+    parse_part,
+    slices,
+    time_spent,
+)
 from gf_usd.core.errors import UsageError
 
 
@@ -64,9 +72,14 @@ def test_parts_are_counted_from_one() -> None:
 def test_only_the_last_part_minds_what_is_not_done() -> None:
     ends = [outcome(s, s) for s in ("done", "kept", "sliced", "failed", "refused", "crashed")]
     middle, last = Part(number=1, of=2), Part(number=2, of=2)
-    assert faults(ends, middle) == []
+    assert failing_outcomes(ends, middle) == []
     assert exit_status(ends, middle) == 0
-    assert [o.state for o in faults(ends, last)] == ["sliced", "failed", "refused", "crashed"]
+    assert [o.state for o in failing_outcomes(ends, last)] == [
+        "sliced",
+        "failed",
+        "refused",
+        "crashed",
+    ]
     assert exit_status(ends, last) == 1
     # what another process may still do is to be done before the next part
     for state in ("stopped", "busy"):
@@ -79,10 +92,10 @@ def test_only_the_last_part_minds_what_is_not_done() -> None:
 
 def test_a_slice_is_no_alarm() -> None:
     board = Board(["a"], 1)
-    board.hear({"event": "started", "job": "a", "attempt": 1})
-    board.hear({"event": "finished", **outcome("a", "sliced").as_json(), "job": "a"})
+    board.handle({"event": "started", "job": "a", "attempt": 1})
+    board.handle({"event": "finished", **outcome("a", "sliced").as_json(), "job": "a"})
     assert [row.name for row in board.ended] == ["a"]
-    assert board.bad == []
+    assert board.failed == []
 
 
 def test_what_an_earlier_slice_settled_is_not_begun_again(tmp_path: Path) -> None:
@@ -93,24 +106,24 @@ def test_what_an_earlier_slice_settled_is_not_begun_again(tmp_path: Path) -> Non
         told = outcome(asked.name, state, seconds=2.0, cpu_seconds=3.0)
         write_record(asked, told, identity="x", description={})
 
-    assert settled(asked, "x") is None
+    assert final_outcome(asked, "x") is None
     for state in ("failed", "refused", "unsound"):
         record(state)
-        told = settled(asked, "x")
+        told = final_outcome(asked, "x")
         assert told is not None
         assert told.state == state
-        assert settled(asked, "y") is None, "it would be another bake"
-        assert settled(asked, None) is None, "nobody knows"
+        assert final_outcome(asked, "y") is None, "it would be another bake"
+        assert final_outcome(asked, None) is None, "nobody knows"
     record("crashed")
-    assert settled(asked, "x") is None
+    assert final_outcome(asked, "x") is None
     # a disk that was full then may have room now: there is something to go on from
     record("failed")
     checkpoint = asked.sibling(".checkpoint.npz")
     checkpoint.touch()
-    assert settled(asked, "x") is None
-    assert spent(asked, "x") == (0.0, 0.0)
+    assert final_outcome(asked, "x") is None
+    assert time_spent(asked, "x") == (0.0, 0.0)
     record("sliced")
-    assert spent(asked, "x") == (2.0, 3.0)
-    assert spent(asked, "y") == (0.0, 0.0)
+    assert time_spent(asked, "x") == (2.0, 3.0)
+    assert time_spent(asked, "y") == (0.0, 0.0)
     checkpoint.unlink()
-    assert spent(asked, "x") == (0.0, 0.0), "the next slice begins anew"
+    assert time_spent(asked, "x") == (0.0, 0.0), "the next slice begins anew"

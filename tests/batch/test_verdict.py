@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from batch_jobs import job
 
-from gf_usd.batch.verdict import judge
+from gf_usd.batch.verdict import attempt_outcome
 from gf_usd.system.processes import Ended
 
 RESULT = {
@@ -36,8 +36,8 @@ def ended(status: int, err: str = "", **more: Any) -> Ended:
 def test_a_whole_result_is_done(tmp_path: Path) -> None:
     flowed = {"rollbacks": 1, "min_J": 0.9, "plastic_dissipation_J": 2.5}
     job_flows = {"finished": {**RESULT, "bakes": [{"frames": 8, "health": flowed}]}}
-    assert judge(job(tmp_path), ended(0), job_flows).outcome.health == flowed
-    bake = judge(job(tmp_path), ended(0), FINISHED)
+    assert attempt_outcome(job(tmp_path), ended(0), job_flows).outcome.health == flowed
+    bake = attempt_outcome(job(tmp_path), ended(0), FINISHED)
     assert bake.outcome.state == "done"
     assert bake.outcome.frames == 8
     assert bake.outcome.health == {"rollbacks": 1, "min_J": 0.9}
@@ -68,7 +68,7 @@ def test_a_whole_result_is_done(tmp_path: Path) -> None:
 def test_every_other_end_has_its_name(
     tmp_path: Path, process: Ended, events: Any, state: str, message: str, hint: str
 ) -> None:
-    bake = judge(job(tmp_path), process, events)
+    bake = attempt_outcome(job(tmp_path), process, events)
     assert (bake.outcome.state, bake.outcome.message, bake.outcome.hint) == (state, message, hint)
     assert bake.outcome.log == process.err
     assert not bake.files
@@ -76,20 +76,20 @@ def test_every_other_end_has_its_name(
 
 
 def test_a_kill_that_may_be_the_systems_hints_at_memory(tmp_path: Path) -> None:
-    assert "--jobs" in judge(job(tmp_path), ended(-signal.SIGKILL), {}).outcome.hint
+    assert "--jobs" in attempt_outcome(job(tmp_path), ended(-signal.SIGKILL), {}).outcome.hint
 
 
 def test_a_result_with_faults_is_complete_but_not_sound(tmp_path: Path) -> None:
     finding = {"rule": "finite", "prim": "/A", "message": "NaN", "fix": "bake again"}
-    bake = judge(job(tmp_path), ended(0), {"finished": {**RESULT, "check": [finding]}})
+    bake = attempt_outcome(job(tmp_path), ended(0), {"finished": {**RESULT, "check": [finding]}})
     assert bake.outcome.state == "unsound"
     assert "finite </A>: NaN" in bake.outcome.message
     assert bake.files
     warning = {"look": "rubber", "about": "energy", "message": "it rose", "hint": "drop it lower"}
     warned = {"finished": {**RESULT, "warnings": [warning]}}
-    strict = judge(job(tmp_path), ended(4), {**warned, **ERROR})
+    strict = attempt_outcome(job(tmp_path), ended(4), {**warned, **ERROR})
     assert (strict.outcome.message, strict.outcome.hint) == (DAMAGED, "export it again")
     assert strict.outcome.state == "unsound"
     assert strict.outcome.warnings == (warning,)
     # without --strict a warning is no fault
-    assert judge(job(tmp_path), ended(0), warned).outcome.good
+    assert attempt_outcome(job(tmp_path), ended(0), warned).outcome.good

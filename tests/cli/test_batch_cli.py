@@ -132,7 +132,7 @@ def test_sigterm_ends_the_bakes_and_says_how_to_go_on(
 def test_kill_9_leaves_no_bake_and_no_lock(running: subprocess.Popen[str], here: Path) -> None:
     running.kill()
     # the bake looks for the batch twice a second, and holds the lock until it is gone
-    held = acquire(here / "out" / "block.rubber.seed0.usda", patience=60.0)
+    held = acquire(here / "out" / "block.rubber.seed0.usda", lock_timeout=60.0)
     assert held is not None
     held.release()
     final = [n for n in names(here / "out") if ".partial." not in n and not n.startswith(".")]

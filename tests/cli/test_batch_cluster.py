@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 from small_bakes import BLOCK
 
-from gf_usd.batch.cluster import run_there
+from gf_usd.batch.cluster import run_on_cluster
 from gf_usd.batch.job import Job
 from gf_usd.batch.task import Limits
 from gf_usd.layers.check.run import check_file
@@ -136,7 +136,7 @@ def test_a_result_lost_with_its_worker_is_computed_again(
 
     with Client(address, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
-        events = run_there([cut], Limits(), address=address, resources=[], children=Children())
+        events = run_on_cluster([cut], Limits(), address=address, resources=[], children=Children())
         next(events)
         while not (held := {key: who for key, who in client.who_has().items() if who}):
             time.sleep(0.05)
@@ -165,7 +165,9 @@ def test_a_task_that_is_canceled_is_told(
     with Client(address, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
         nowhere = ["licenses=1"]  # of which no worker has any
-        events = run_there([cut], Limits(), address=address, resources=nowhere, children=Children())
+        events = run_on_cluster(
+            [cut], Limits(), address=address, resources=nowhere, children=Children()
+        )
         next(events)
         while not (keys := client.run_on_scheduler(lambda dask_scheduler: [*dask_scheduler.tasks])):
             time.sleep(0.05)
@@ -179,7 +181,7 @@ def test_jobs_that_no_worker_can_do_are_told_and_can_be_stopped(
 ) -> None:
     children = Children()
     nowhere = ["licenses=1"]
-    events = run_there([cut], Limits(), address=address, resources=nowhere, children=children)
+    events = run_on_cluster([cut], Limits(), address=address, resources=nowhere, children=children)
     assert next(events)["event"] == "note"  # type: ignore[index]
     children.stop()
     [end] = [event for event in events if event]
@@ -192,7 +194,9 @@ def test_a_scheduler_that_dies_is_told(
     from distributed import Client
 
     nowhere = ["licenses=1"]
-    events = run_there([cut], Limits(), address=address, resources=nowhere, children=Children())
+    events = run_on_cluster(
+        [cut], Limits(), address=address, resources=nowhere, children=Children()
+    )
     next(events)
     with Client(address, set_as_default=False) as client, suppress(OSError, CancelledError):
         client.run_on_scheduler(os._exit, 1)

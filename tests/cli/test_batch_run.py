@@ -49,7 +49,7 @@ def test_a_second_signal_leaves_the_page_of_what_was_stopped(
         signal.raise_signal(signal.SIGINT)
         return write_summary(*arguments, **named)
 
-    monkeypatch.setattr("gf_usd.cli.batch_run.run_here", interrupted)
+    monkeypatch.setattr("gf_usd.cli.batch_run.run_locally", interrupted)
     monkeypatch.setattr("gf_usd.cli.batch_run.write_summary", told_again)
     assert gf_usd("batch", block, "-o", "out", "-q").status == 130
     assert {"out.batch.json", "out.batch.html"} <= {*names(here / "out")}
@@ -66,7 +66,7 @@ def test_without_a_page_the_failed_jobs_are_still_known(
             state = "stopped" if job.name == "block.jelly" else "done"
             yield {"event": "finished", **outcome(job.name, state).as_json()}
 
-    monkeypatch.setattr("gf_usd.cli.batch_run.run_here", nothing)
+    monkeypatch.setattr("gf_usd.cli.batch_run.run_locally", nothing)
     words = ("batch", block, "-m", "rubber,jelly", "-o", "out", "--no-report", "-q")
     none = gf_usd(*words, "--failed")
     assert none.status == 2

@@ -112,7 +112,7 @@ def test_gaussians_are_an_empty_in_blender(duck: Baked, tmp_path: Path) -> None:
 
 def test_a_vertex_out_of_place_is_seen(blocks: Baked, tmp_path: Path) -> None:
     ours = world_points(blocks.root)
-    damaged = blocks.moved_to(tmp_path / "damaged")
+    damaged = blocks.with_output_folder(tmp_path / "damaged")
     cache = Usd.Stage.Open(str(damaged.caches[0]))
     points = UsdGeom.Mesh(cache.GetPrimAtPath("/Blocks/left/Mesh")).GetPointsAttr()
     (*_, last) = points.GetTimeSamples()
@@ -126,7 +126,7 @@ def test_a_vertex_out_of_place_is_seen(blocks: Baked, tmp_path: Path) -> None:
 
 def test_a_lost_unit_is_seen(blocks: Baked, tmp_path: Path) -> None:
     ours = world_points(blocks.root)
-    damaged = blocks.moved_to(tmp_path / "damaged")
+    damaged = blocks.with_output_folder(tmp_path / "damaged")
     layer = Usd.Stage.Open(str(damaged.root))
     UsdGeom.SetStageMetersPerUnit(layer, 1.0)
     layer.Save()

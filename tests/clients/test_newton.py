@@ -128,7 +128,7 @@ def test_a_damaged_material_is_seen(name: str, readings: dict[str, Reading]) -> 
 
 
 def _damaged(baked: Baked, folder: Path, damage: Callable[[Usd.Prim], None]) -> Baked:
-    copy = baked.moved_to(folder)
+    copy = baked.with_output_folder(folder)
     cache = Usd.Stage.Open(str(copy.caches[0]))
     damage(cache.GetPrimAtPath("/Duck/GaussianFlesh/Materials/rubber"))
     cache.Save()

@@ -76,7 +76,7 @@ def test_damage_is_found(
     blocks: Baked,
     tmp_path: Path,
 ) -> None:
-    damaged = blocks.moved_to(tmp_path / "damaged")
+    damaged = blocks.with_output_folder(tmp_path / "damaged")
     cache = Usd.Stage.Open(str(damaged.caches[0]))
     damage(UsdGeom.Mesh(cache.GetPrimAtPath("/Blocks/left/Mesh")))
     cache.Save()

@@ -33,7 +33,7 @@ class Baked:
     caches: tuple[Path, ...]
     materials: tuple[object, ...]  # gf_usd.core.materials.material.Material, one for each preset
 
-    def moved_to(self, folder: Path) -> Baked:
+    def with_output_folder(self, folder: Path) -> Baked:
         """The same in another folder, to be damaged there."""
         shutil.copytree(self.root.parent, folder)
         return Baked(

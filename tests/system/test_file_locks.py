@@ -49,7 +49,7 @@ def test_kill_9_sets_it_free(tmp_path: Path) -> None:
     process = pin_constraint(path)
     assert acquire(path) is None
     process.send_signal(signal.SIGKILL)
-    held = acquire(path, patience=20.0)
+    held = acquire(path, lock_timeout=20.0)
     assert held is not None
     held.release()
     process.wait()
@@ -65,7 +65,7 @@ def test_waiting_can_be_ended(tmp_path: Path) -> None:
         calls.append(time.monotonic())
         return len(calls) > 2
 
-    assert acquire(path, patience=float("inf"), stopped=stopped) is None
+    assert acquire(path, lock_timeout=float("inf"), stopped=stopped) is None
     assert len(calls) == 3
     held.release()
 
