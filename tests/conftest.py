@@ -13,8 +13,8 @@ import pytest
 # USD reads its schemas once: whichever test comes first, ours must be known before a stage opens.
 import gf_usd.system.usd_schema  # noqa: F401
 from gf_usd.system.fast_start.imports import quick_import
-from gf_usd.system.fast_start.kernels import quicken, restore
-from gf_usd.system.taichi_runtime import MERGING
+from gf_usd.system.fast_start.kernels import install_replacements, remove_replacements
+from gf_usd.system.taichi_runtime import MERGE_OPTIONS
 
 # Two hundred programs are started: each would compile the package again, a quarter of its time.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -24,7 +24,7 @@ sys.dont_write_bytecode = False
 def pytest_configure(config: pytest.Config) -> None:
     """Compile the kernels of quick tests quickly, and give each of their processes its own cores.
 
-    Without Taichi's search for statements that are written twice (`without_merging`), a kernel of
+    With `without_common_subexpressions`, a kernel of
     the Total Lagrangian solver takes 2 CPU seconds to compile, not 7, and results are the same to
     the bit.  What users have is what programs that these tests start have, and slow tests.
     `tests/physics/total_lagrangian/test_merging.py` compares the two.
@@ -34,7 +34,7 @@ def pytest_configure(config: pytest.Config) -> None:
     such moments, and the last of them use both cores.
     """
     if "not slow" in config.option.markexpr:
-        MERGING[True] = MERGING[False]
+        MERGE_OPTIONS[True] = MERGE_OPTIONS[False]
     worker = getattr(config, "workerinput", None)
     if worker is None or not hasattr(os, "sched_setaffinity"):
         return
@@ -57,9 +57,9 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
     gc.disable()
     with quick_import():
         import taichi
-    quicken(taichi)
+    install_replacements(taichi)
     yield
-    restore()
+    remove_replacements()
     gc.enable()
 
 

@@ -48,6 +48,6 @@ def check(
 
 def check_here(path: Path, limits: Limits | None) -> CheckResult:
     """See `check`; in this process."""
-    from gf_usd.system.sandbox import attempt
+    from gf_usd.system.sandbox import run_isolated
 
-    return attempt(path, "gf_usd.layers.check.run:check_file", limits, path)
+    return run_isolated(path, "gf_usd.layers.check.run:check_file", limits, path)

@@ -208,13 +208,13 @@ class Simulation(Iterator[SimulationFrame]):
         self.close()
 
     def _running(self) -> Any:
-        from gf_usd.system.taichi_runtime import FORKED, SPAWN, epoch, is_forked, is_ours
+        from gf_usd.system.taichi_runtime import FORKED, SPAWN, epoch, is_forked, is_running
 
         if self._solver is None:
             raise UsageError("the simulation is closed", "start another: gf_usd.simulate(scene)")
         if is_forked():
             raise UsageError(f"{FORKED}: neither does the simulation", SPAWN)
-        if not is_ours():
+        if not is_running():
             self._solver = None
             raise UsageError(
                 "another part of this program started or reset Taichi, which ended the simulation",

@@ -25,7 +25,7 @@ from gf_usd.batch.verdict import Attempt, attempt_outcome
 from gf_usd.core.errors import GfUsdError
 from gf_usd.prepare.outputs import outputs
 from gf_usd.system.file_locks import Held, acquire
-from gf_usd.system.processes import Ended
+from gf_usd.system.processes import ProcessResult
 from gf_usd.system.warm.workers import Commands, listening
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
@@ -161,7 +161,7 @@ def _attempts(
 
 def _bake(
     job: Job, limits: Limits, held: Held, commands: Commands, watch: _BakeEvents
-) -> Ended | None:
+) -> ProcessResult | None:
     """One attempt; None where the batch is stopping."""
     arguments = [*job.arguments(), "--overwrite"]
     if "threads" not in job.options and limits.threads:

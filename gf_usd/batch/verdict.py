@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import Job, Outcome
-from gf_usd.system.processes import Ended
+from gf_usd.system.processes import ProcessResult
 
 LOG = 4000  # characters of stderr that are kept of a bake that failed
 MESSAGE_LENGTH = 600  # characters of a message
@@ -31,7 +31,9 @@ class Attempt:
     files: tuple[Path, ...] = ()  # of a complete bake
 
 
-def attempt_outcome(job: Job, ended: Ended, events: Mapping[str, Mapping[str, Any]]) -> Attempt:
+def attempt_outcome(
+    job: Job, ended: ProcessResult, events: Mapping[str, Mapping[str, Any]]
+) -> Attempt:
     """The outcome of an attempt: done, failed, or ended from outside.
 
     events : the last event of each kind, by name; see `gf-usd bake --events`.
@@ -77,7 +79,7 @@ def attempt_outcome(job: Job, ended: Ended, events: Mapping[str, Mapping[str, An
 
 
 def _complete(
-    outcome: Outcome, ended: Ended, result: Mapping[str, Any], error: Mapping[str, Any]
+    outcome: Outcome, ended: ProcessResult, result: Mapping[str, Any], error: Mapping[str, Any]
 ) -> Attempt:
     """The outcome with all files written; the check or --strict may still fail it.
 

@@ -22,9 +22,9 @@ def check(
     The exit status is 1 if there is an error, else 0. Warnings do not count, and neither do errors
     in the source of a bake, which are listed separately.
     """
-    from gf_usd.system.sandbox import attempt, parse_limits
+    from gf_usd.system.sandbox import parse_limits, run_isolated
 
-    result = attempt(file, "gf_usd.layers.check.run:check_file", parse_limits(limits), file)
+    result = run_isolated(file, "gf_usd.layers.check.run:check_file", parse_limits(limits), file)
     if as_json:
         out = {
             "file": str(file),

@@ -107,14 +107,14 @@ def inputs(
 
     The exit status is 3 if an asset cannot be read.
     """
-    from gf_usd.system.sandbox import attempt, parse_limits
+    from gf_usd.system.sandbox import parse_limits, run_isolated
 
     most = parse_limits(limits)
     refused: InputError | None = None
     for path in assets:
         out: dict[str, Any] = {"asset": str(path)}
         try:
-            found = attempt(path, "gf_usd.readers.inputs:read_inputs", most, path)
+            found = run_isolated(path, "gf_usd.readers.inputs:read_inputs", most, path)
         except InputError as error:
             refused = error
             out |= {"error": error.message, "hint": error.hint}

@@ -66,7 +66,7 @@ def forked_readers() -> ForkServer | None:
     if not AVAILABLE:
         return None
     forks = ForkServer((*READERS, SCHEMA))
-    sandbox.start_by(forks.start)
+    sandbox.set_starter(forks.start)
     return forks
 
 
@@ -75,7 +75,7 @@ def read_ahead() -> None:
     from gf_usd.system import sandbox
     from gf_usd.system.warm.fork_server import fork_ahead
 
-    if sys.platform == "linux" and sandbox.starts_afresh():
+    if sys.platform == "linux" and sandbox.starts_new_processes():
         fork_ahead(READERS)
 
 

@@ -1,8 +1,8 @@
-"""Files that appear under their final name whole, or not at all.
+"""Files that appear under their final name completely, or not at all.
 
-A file is written as ``NAME.partial.EXT`` next to its final place, flushed to the disk, and renamed;
-a rename within a folder is atomic, so a kill at any moment leaves either the old file or the new
-one under the final name.  Publish what others refer to first, and what refers to it last.
+A file is written as ``NAME.partial.EXT`` in the same folder, flushed to the disk, and renamed.  A
+rename within a folder is atomic: if the process is killed at any moment, the final name has either
+the old file or the new one.  Publish files before the files that refer to them.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ def partial_path(path: Path) -> Path:
 
 
 def drop_working(path: Path) -> None:
-    """Delete what a kill in the middle of USD's saving left of `partial_path(path)`.
+    """Delete the temporary file of USD that a killed process left next to `partial_path(path)`.
 
-    USD saves to a file next to it, its name without the suffix and six letters, and renames that.
+    USD saves to a file in the same folder, named without the suffix and with six random letters,
+    and renames it.
     """
     stem = partial_path(path).stem
     for left in path.parent.glob(f"{glob.escape(stem)}.??????"):
@@ -34,11 +35,12 @@ def drop_working(path: Path) -> None:
 
 
 def publish(path: Path) -> Path:
-    """Give the finished ``partial_path(path)`` its final name, replacing what had it; returns path.
+    """Rename the finished ``partial_path(path)`` to its final name, replacing the old file; returns
+    path.
 
     Raises
     ------
-    BakeError : there is no partial file, or the disk refuses; the partial file then remains.
+    BakeError : there is no partial file, or it cannot be renamed; the partial file then remains.
     """
     partial = partial_path(path)
     try:
@@ -55,18 +57,18 @@ def publish(path: Path) -> Path:
 
 
 def publish_text(path: Path, text: str) -> Path:
-    """Write a small UTF-8 text file under its final name in one step; returns path.
+    """Write a small UTF-8 text file atomically; returns path.
 
-    Bytes of a file's name that are no UTF-8 are written as backslashes and numbers.  Raises
-    BakeError where the folder or the disk refuses.
+    Bytes of a file name that are not UTF-8 are written as backslash escapes.
+    Raises BakeError where the file cannot be written.
     """
     return publish_bytes(path, text.encode("utf-8", errors="backslashreplace"))
 
 
 def publish_bytes(path: Path, data: bytes) -> Path:
-    """Write a small file under its final name in one step; returns path.
+    """Write a small file atomically; returns path.
 
-    Raises BakeError where the folder or the disk refuses.
+    Raises BakeError where the file cannot be written.
     """
     partial = partial_path(path)
     try:
@@ -80,8 +82,8 @@ def publish_bytes(path: Path, data: bytes) -> Path:
 
 
 def _sync_folder(folder: Path) -> None:
-    # the rename itself is lost in a power cut until its folder is on the disk; Windows cannot
-    # open a folder and keeps its own journal
+    # the rename is durable only when the folder is flushed too; Windows cannot
+    # open folders, and has a journal of its own
     if os.name == "nt":
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -92,7 +94,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """A path as seen from a folder, with forward slashes; absolute on another drive."""
+    """A path relative to a folder, with forward slashes; absolute on another drive."""
     try:
         return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
     except ValueError:  # Windows, another drive
@@ -100,9 +102,9 @@ def relative(path: Path, folder: Path) -> str:
 
 
 def require_working_folder() -> None:
-    """Raise UsageError where the folder that this process works in was deleted.
+    """Raise UsageError where the current working directory was deleted.
 
-    Relative paths have no meaning there, and Taichi does not start.
+    Relative paths are undefined then, and Taichi does not start.
     """
     try:
         os.getcwd()
@@ -114,7 +116,7 @@ def require_working_folder() -> None:
 
 
 def is_utf8(path: Path) -> bool:
-    """Whether all bytes of an absolute path are UTF-8: USD opens no others."""
+    """Whether all bytes of an absolute path are UTF-8, as USD requires."""
     try:
         str(path.absolute()).encode()
     except UnicodeEncodeError:
@@ -133,6 +135,6 @@ def require_utf8(path: Path) -> None:
 
 
 def asset_path(target: Path, folder: Path) -> str:
-    """``target`` as a layer in ``folder`` refers to it: relative where the drive allows it."""
+    """The reference to ``target`` in a layer of ``folder``: relative, except for another drive."""
     name = relative(target, folder)
     return name if name.startswith("../") or Path(name).is_absolute() else f"./{name}"

@@ -1,7 +1,7 @@
-"""Work in the background, one piece at a time: saving while the next frame is simulated.
+"""A background thread for one task at a time: saving while the next frame is simulated.
 
-USD writes a layer without holding the interpreter's lock, and Taichi holds it through a launch: so
-the two do not wait for each other.  Whoever takes several threads should ask `at_work` first.
+USD writes a layer without holding Python's GIL, and Taichi holds it during a launch, so neither
+waits for the other.  Code that starts several threads should consult `running_threads` first.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from gf_usd.core.errors import BakeError
 _at_work: set[threading.Thread] = set()
 
 
-def at_work() -> int:
-    """Number of threads that work in the background now."""
+def running_threads() -> int:
+    """Number of background threads that are busy."""
     return len(_at_work)
 
 
 class BackgroundWriter:
-    """Runs at most one piece of work at a time; what it raises is raised by `settle`."""
+    """Runs at most one task at a time; `settle` raises the exception of the task."""
 
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
@@ -28,11 +28,11 @@ class BackgroundWriter:
 
     @property
     def busy(self) -> bool:
-        """Whether there is work that nobody waited for."""
+        """Whether a task was started and not yet settled."""
         return self._thread is not None
 
     def start(self, work: Callable[[], None]) -> None:
-        """Begin; call `settle` before."""
+        """Start a task; call `settle` before."""
         assert self._thread is None, "the last task was not waited for"
 
         def run() -> None:
@@ -48,7 +48,7 @@ class BackgroundWriter:
         self._thread.start()
 
     def settle(self) -> None:
-        """Wait until the work is done; raises the BakeError that it raised."""
+        """Wait for the end of the task; raises its BakeError."""
         if self._thread is None:
             return
         self._thread.join()

@@ -1,8 +1,8 @@
-"""Values between two processes as bytes: a line of JSON, then arrays in NumPy's NPY format.
+"""Serialization of values between two processes: a line of JSON, then arrays in NumPy's NPY format.
 
-Frozen dataclasses of this package, tuples, lists, dicts, sets, paths, plain values and arrays pass.
-Nothing is pickled: reading the bytes runs no code but the constructors of those dataclasses.  An
-array or dataclass that stands at several places is sent once and is one object again.
+Supports frozen dataclasses of this package, tuples, lists, dicts, sets, paths, plain values and
+arrays.  It does not use pickle: reading executes only the constructors of those dataclasses.  An
+array or dataclass that is referred to several times is sent once, and is again one object.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PACKAGE = "gf_usd."
 
 
 def write(value: Any, file: BinaryIO) -> None:
-    """Write a value.  Raises TypeError for one of another type than those above."""
+    """Write a value.  Raises TypeError for an unsupported type."""
     writer = _Writer()
     tree = writer.encode(value)
     file.write(json.dumps([tree, writer.objects, len(writer.arrays)]).encode() + b"\n")
@@ -30,14 +30,14 @@ def write(value: Any, file: BinaryIO) -> None:
 
 
 class _Stream:
-    """A file without a position, as a pipe is: NumPy asks one that it takes for a real file."""
+    """A file object without a position, such as a pipe, for which NumPy expects a regular file."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.write = file.write
 
 
 def read(data: bytes) -> Any:
-    """The value that `write` wrote.  Raises ValueError for other bytes."""
+    """Read the value that `write` wrote.  Raises ValueError for other bytes."""
     file = BytesIO(data)
     tree, rows, count = json.loads(file.readline())
     return _Reader(
@@ -49,11 +49,11 @@ class _Writer:
     def __init__(self) -> None:
         self.arrays: list[np.ndarray] = []
         self.objects: list[tuple[str, str, dict[str, Any]]] = []  # module, name, fields
-        # with the object itself, whose id is its own only as long as it is held
+        # with the object, because its id is unique only while it exists
         self._seen: dict[int, tuple[Any, dict[str, int]]] = {}
 
     def encode(self, value: Any) -> Any:
-        """JSON for a value: plain ones as they are, the rest as {kind: content}."""
+        """JSON of a value: plain ones unchanged, others as {kind: content}."""
         if value is None or type(value) in (bool, int, float, str):
             return value
         if id(value) in self._seen:
@@ -90,14 +90,14 @@ class _Reader:
     def __init__(self, rows: list[Any], arrays: list[np.ndarray]) -> None:
         self._arrays = arrays
         self._objects: list[Any] = []
-        for module, name, row in rows:  # a row names objects before it only
+        for module, name, row in rows:  # a row refers to earlier objects only
             of = getattr(import_module(module), name) if module.startswith(PACKAGE) else None
             if not is_dataclass(of) or not isinstance(of, type):
                 raise ValueError(f"{module}.{name} is not a dataclass of this package")
             self._objects.append(of(**{key: self.decode(value) for key, value in row.items()}))
 
     def decode(self, tree: Any) -> Any:
-        """The value that was encoded as `tree`."""
+        """The value of the encoded `tree`."""
         if not isinstance(tree, dict):
             return tree
         ((kind, content),) = tree.items()

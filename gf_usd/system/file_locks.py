@@ -1,9 +1,9 @@
-"""Locks of the operating system, which end with the process that holds them, however it ends.
+"""File locks of the operating system, which end with the process that holds them.
 
-The library filelock takes them, by `flock` or `LockFileEx`, on a file of their own.  A lock file
-may be removed by who holds it: who gets a lock looks whether its file is still the one of that
-name, and else begins again.  On POSIX a child that inherits the descriptor holds the lock as well,
-until it ends or the lock is released.
+The library filelock acquires them, with `flock` or `LockFileEx`, on separate lock files.  The
+holder of a lock may remove its file; a process that acquires a lock therefore checks that the file
+still has its name, and otherwise starts over.  On POSIX, a child that inherits the descriptor holds
+the lock too, until it ends or the lock is released.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ POLL = 0.2  # [s]
 
 
 class Held:
-    """A lock that is held."""
+    """An acquired lock."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
-        self.descriptor = descriptor  # to be inherited by a child
+        self.descriptor = descriptor  # for inheritance by a child
         self._path = path
 
     def release(self, *, remove: bool = False) -> None:
-        """Let go, also for children that inherited it; more than once does nothing.
+        """Release the lock, also for children that inherited it; further calls do nothing.
 
-        remove : the file of the lock goes as well.
+        remove : delete the lock file too.
         """
         from filelock import unlock_descriptor
 
@@ -42,7 +42,7 @@ class Held:
         os.close(self.descriptor)
         self.descriptor = -1
         if remove and os.name != "posix":
-            # Windows removes no open file: it stays where another process waits for the lock
+            # Windows cannot remove an open file, which another process may wait on
             with suppress(PermissionError):
                 self._path.unlink(missing_ok=True)
 
@@ -55,12 +55,12 @@ def lock_path(path: Path) -> Path:
 def acquire(
     path: Path, *, lock_timeout: float = 0.0, stopped: Callable[[], bool] = lambda: False
 ) -> Held | None:
-    """Lock what will be written under `path`; None where another holds it.
+    """Lock the output `path`; None where another process holds the lock.
 
     Parameters
     ----------
-    patience : [s] to wait for it; inf for as long as it takes.
-    stopped : asked while waiting; True ends the wait.
+    lock_timeout : [s] to wait for the lock; inf: without limit.
+    stopped : polled while waiting; True ends the wait.
 
     Raises
     ------
@@ -88,11 +88,11 @@ def acquire(
             continue
         if _is(descriptor, target):
             return Held(descriptor, target)
-        os.close(descriptor)  # its holder removed it meanwhile
+        os.close(descriptor)  # its holder has removed it
 
 
 def inherited(path: Path) -> bool:
-    """Whether the process that started this one holds the lock of `path` for it."""
+    """Whether the parent process holds the lock of `path` for this process."""
     given = os.environ.get(INHERITED, "").split(",")
     return any(_is(int(word), lock_path(path)) for word in given if word.isdigit())
 
@@ -109,7 +109,7 @@ def _open(target: Path) -> int:
 
 
 def _is(descriptor: int, path: Path) -> bool:
-    """Whether an open file is the one that has a name now."""
+    """Whether an open file is the one that now has a path."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.stat())
     except OSError:  # no such descriptor, or no such file
@@ -118,7 +118,7 @@ def _is(descriptor: int, path: Path) -> bool:
 
 @contextmanager
 def locked(path: Path, *, remove: bool = False) -> Iterator[None]:
-    """Hold the lock of `path`, waiting for it as long as it takes."""
+    """Hold the lock of `path` within the block, after waiting for it without limit."""
     held = acquire(path, lock_timeout=float("inf"))
     assert held is not None
     try:

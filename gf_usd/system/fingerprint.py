@@ -1,4 +1,4 @@
-"""Fingerprint of the program that bakes: its source, its schema, and its libraries."""
+"""Fingerprint of the program: its source, its schema, and its libraries."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 PACKAGE = Path(__file__).resolve().parent.parent
 SCHEMA = "generatedSchema.usda"
-APART = ("batch", "delivery", "fitting", "verify", "view")  # no bake runs any of it
-# their versions may round differently, or write differently
+APART = ("batch", "delivery", "fitting", "verify", "view")  # not used by bakes
+# libraries whose versions may round or write differently
 LIBRARIES = ("usd-core", "taichi", "numpy", "scipy", "trimesh", "libigl", "pillow")
 
 
 @cache
 def program() -> dict[str, Any]:
-    """What bakes: a hash of its source, one of the schema, versions of libraries."""
+    """The fingerprint: a hash of the source, one of the schema, and versions of libraries."""
     schemas = (PACKAGE / "schemas", PACKAGE.parent / "schemas")
     schema = next((p for folder in schemas for p in folder.glob(f"*/{SCHEMA}")), None)
     return {
@@ -32,7 +32,7 @@ def _sources() -> list[Path]:
 
 
 def _version(name: str) -> str:
-    # loads parsers of mail and of tables, for a bake without checkpoints in vain
+    # a slow import, which a bake without checkpoints does not need
     from importlib.metadata import PackageNotFoundError, version
 
     try:

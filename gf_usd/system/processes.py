@@ -1,8 +1,9 @@
-"""Child processes: bakes that a batch starts, and readers of untrusted files.
+"""Child processes: bakes of a batch, and readers of untrusted files.
 
-A child is started afresh and not forked from this process, whose other threads may hold locks: only
-`warm.fork_server` forks, where there are none.  Its output is read while it runs, it is stopped
-when its time is over, and it ends when its parent is gone, whatever killed that.
+A child is a new process, not a fork of this one, whose other threads may hold locks: only
+`warm.fork_server` forks, from a process with a single thread.  The output of a child is read while
+it runs.  A child is stopped after its time limit, and ends when its parent does, even if the parent
+is killed.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ if TYPE_CHECKING:
     from resource import struct_rusage
 
 TAIL = 6000  # characters of stderr that are kept
-GRACE = 10.0  # [s] between the request to end and the end
+GRACE = 10.0  # [s] between SIGTERM and SIGKILL
 
 
-PARENT = "GF_USD_PARENT"  # set by `Child`: the process that waits for this one
+PARENT = "GF_USD_PARENT"  # environment variable set by `Child`: the parent's pid
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ended:
-    """How a process ended."""
+class ProcessResult:
+    """The result of a process."""
 
     status: int  # exit status; negative: the signal that ended it
     out: str
-    err: str  # the last of stderr
+    err: str  # the end of stderr
     seconds: float
     cpu_seconds: float
     peak_memory: int  # [bytes]
@@ -47,17 +48,16 @@ class Ended:
 
 
 def peak_memory(usage: struct_rusage) -> int:
-    """[bytes] the most that was in use at once: macOS counts bytes, other systems kilobytes."""
+    """[bytes] peak resident memory; macOS reports bytes, other systems kilobytes."""
     return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 class Running:
-    """A process that runs, and how it is stopped and read.
+    """A running process, with methods to stop it and to read its output.
 
     Parameters
     ----------
-    grace : [s] between the request to end and the end; 0: it is ended without a request.  None:
-        GRACE.
+    grace : [s] between SIGTERM and SIGKILL; 0: SIGKILL at once; None: GRACE.
     """
 
     def __init__(self, grace: float | None = None) -> None:
@@ -66,7 +66,7 @@ class Running:
         self._stopped = self._timed_out = False
 
     def stop(self) -> None:
-        """Ask it to end, and end it if it does not within the grace."""
+        """Ask the process to end, and kill it after the grace time."""
         self._stopped = True
         if not self._grace:
             self._signal(signal.SIGKILL)
@@ -77,7 +77,7 @@ class Running:
         timer.start()
 
     def reap(self) -> tuple[int, float, int]:
-        """Wait for its end and end what it leaves running.
+        """Wait for the end of the process, and end its descendants.
 
         Returns its exit status (negative: the signal that ended it), CPU time [s] and peak memory
         [bytes].
@@ -85,14 +85,14 @@ class Running:
         raise NotImplementedError
 
     def _signal(self, number: int) -> None:
-        """Send a signal to it and all that it started, unless it is reaped."""
+        """Send a signal to the process and its descendants, unless it is reaped."""
         raise NotImplementedError
 
     @contextlib.contextmanager
     def _timed(self, timeout: float | None) -> Iterator[None]:
-        """Stop it where the block takes longer than `timeout` [s]."""
+        """Stop the process where the block takes longer than `timeout` [s]."""
         timer = threading.Timer(timeout or 0.0, self._time_out)
-        if timeout and timeout < threading.TIMEOUT_MAX:  # longer is forever, also in centuries
+        if timeout and timeout < threading.TIMEOUT_MAX:  # longer timeouts overflow
             timer.daemon = True
             timer.start()
         try:
@@ -112,8 +112,8 @@ class Running:
         timeout: float | None,
         *,
         binary: bool,
-    ) -> Ended:
-        """Read its output to the end; see `Child.wait`."""
+    ) -> ProcessResult:
+        """Read the output to its end; see `Child.wait`."""
         out: list[bytes] = []
         reader = threading.Thread(target=lambda: out.append(stdout.read()), daemon=True)
         reader.start()
@@ -122,7 +122,7 @@ class Running:
             reader.join()
             status, cpu_seconds, peak_memory = self.reap()
         stdout.close()
-        return Ended(
+        return ProcessResult(
             status=status,
             out="" if binary else out[0].decode(errors="replace"),
             err=tail,
@@ -135,12 +135,12 @@ class Running:
         )
 
 
-class Owned(Running):
-    """A child in a session of its own, so that a signal reaches all that it started.
+class SessionProcess(Running):
+    """A child in its own session, so that a signal reaches all processes that it started.
 
     Parameters
     ----------
-    pid : of the process, which is reaped by `reap` only.
+    pid : of the process, which only `reap` reaps.
     grace : as of `Running`.
     """
 
@@ -153,10 +153,10 @@ class Owned(Running):
     def reap(self) -> tuple[int, float, int]:
         """See `Running`."""
         if hasattr(os, "waitid"):  # not on macOS before Python 3.13
-            # ended but not yet reaped, its number still names its group
+            # ended but not yet reaped, so that its pid is still that of its group
             os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
             self._signal(signal.SIGKILL)
-        # not Popen.wait: only this call also tells what the process used
+        # not Popen.wait: only this call also returns the resource usage
         _, code, usage = os.wait4(self.pid, 0)
         with self._lock:
             self._reaped = True
@@ -165,19 +165,19 @@ class Owned(Running):
 
     def _signal(self, number: int) -> None:
         with self._lock:
-            # before it is reaped its number cannot be another process's
+            # until it is reaped, its pid is not reused
             if not self._reaped:
-                with contextlib.suppress(PermissionError):  # macOS: of a group that has ended
+                with contextlib.suppress(PermissionError):  # macOS: for a group that has ended
                     os.killpg(self.pid, number)
 
 
-class Process(Owned):
+class Process(SessionProcess):
     """A process that runs a command.
 
     Parameters
     ----------
-    inherit : file descriptors that it gets, with their numbers.
-    out, err : its stdout and stderr, as `subprocess` takes them.
+    inherit : file descriptors that it inherits, with the same numbers.
+    out, err : its stdout and stderr, as for `subprocess`.
     grace : as of `Running`.
     """
 
@@ -209,7 +209,10 @@ class Process(Owned):
 
 
 def tail_of(stderr: IO[bytes], on_line: Callable[[str], None]) -> str:
-    """Read to its end; the last TAIL characters.  on_line : called with each line."""
+    """Read stderr to its end; returns the last TAIL characters.
+
+    on_line : called with each line.
+    """
     tail = ""
     with io.TextIOWrapper(stderr, encoding="utf-8", errors="replace") as lines:
         for line in lines:
@@ -219,7 +222,7 @@ def tail_of(stderr: IO[bytes], on_line: Callable[[str], None]) -> str:
 
 
 class Child(Process):
-    """A process that runs one command, whose output is read.
+    """A process that runs one command and whose output is read.
 
     Parameters
     ----------
@@ -240,8 +243,8 @@ class Child(Process):
         )
         self._binary = binary
 
-    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
-        """Read its output to the end, and end what it leaves running.
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> ProcessResult:
+        """Read the output to its end, and end the descendants of the process.
 
         Parameters
         ----------
@@ -254,7 +257,7 @@ class Child(Process):
         return self._read(stdout, stderr, on_line, timeout, binary=self._binary)
 
     def end(self) -> None:
-        """End it and all that it started, at once, where `wait` was broken off."""
+        """Kill the process and its descendants, after `wait` was interrupted."""
         self._signal(signal.SIGKILL)
         if not self._reaped:
             self.reap()
@@ -267,7 +270,7 @@ P = TypeVar("P", bound=Process)
 
 
 class Children:
-    """The processes that run now, so that all of them can be stopped at once."""
+    """The running processes, which can be stopped together."""
 
     def __init__(self) -> None:
         self._running: set[Process] = set()
@@ -276,15 +279,15 @@ class Children:
 
     @property
     def stopping(self) -> bool:
-        """Nothing more is to be started."""
+        """Whether no more processes may be started."""
         return self._stopping.is_set()
 
     def pause(self, seconds: float) -> None:
-        """Sleep, unless it is time to stop."""
+        """Sleep, until `stop` is called."""
         self._stopping.wait(seconds)
 
     def stop(self) -> None:
-        """Stop what runs and start nothing more."""
+        """Stop the running processes and start no more."""
         self._stopping.set()
         with self._lock:
             for child in self._running:
@@ -297,16 +300,16 @@ class Children:
         *,
         timeout: float | None = None,
         inherit: Sequence[int] = (),
-    ) -> Ended | None:
-        """Run a command to its end; None where nothing is to be started any more."""
+    ) -> ProcessResult | None:
+        """Run a command to its end; None where `stop` was called before."""
         with self.running(lambda: Child(command, inherit=inherit)) as child:
             return None if child is None else child.wait(on_line, timeout)
 
     @contextlib.contextmanager
     def running(self, start: Callable[[], P]) -> Iterator[P | None]:
-        """What `start` returns, stopped by `stop` for as long as the block takes.
+        """The process that `start` returns, which `stop` stops within the block.
 
-        None where nothing is to be started any more; `start` is not called then.
+        None where `stop` was called before; `start` is not called then.
         """
         with self._lock:
             child = None if self._stopping.is_set() else start()
@@ -324,9 +327,9 @@ EVERY = 0.5  # [s]
 
 
 def end_with_parent() -> None:
-    """End this process with the one that started it as a `Child`, if one did.
+    """End this process when the parent that started it as a `Child` ends.
 
-    Nobody would read its result, while it would still hold the lock on its files.
+    Otherwise it would keep the lock on its files without any use for its result.
     """
     parent = os.environ.pop(PARENT, "")
     if parent.isdigit():

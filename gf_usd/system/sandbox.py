@@ -1,9 +1,8 @@
-"""Untrusted files are read in a child process, under limits on time, memory and output.
+"""Reads untrusted files in a child process, with limits on time, memory and output.
 
-Parsers in native code can crash, hang or eat memory, and take the process with them.  A child does
-the reading and returns what it read, or the refusal; this process never opens a file that a child
-did not get through.  Only POSIX systems are known to this: on Windows a task runs in this process,
-without limits.
+Native parsers can crash, hang or exhaust memory, and take their process with them.  A child
+therefore reads the file and returns the result, or the error; this process opens only files that a
+child has read.  This needs POSIX: on Windows a task runs in this process, without limits.
 """
 
 from __future__ import annotations
@@ -31,14 +30,19 @@ from typing import Any, NoReturn, Protocol
 from gf_usd.core import errors
 from gf_usd.core.errors import GfUsdError, InputError, UsageError
 from gf_usd.system import exchange
-from gf_usd.system.processes import Child, Ended, end_with_parent
+from gf_usd.system.processes import Child, ProcessResult, end_with_parent
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 TRUST = "if you trust the file, raise the limit or turn it off: --limits"
-NO_MEMORY = "memory"  # said by a child instead of the words of its error
-FAILED = 1  # exit status of a child that says why
-REFUSALS = ("InputError", "UsageError", "BakeError", "GfUsdError")  # that pass between processes
-# -P: a module of the folder that it runs in is none of ours.
+NO_MEMORY = "memory"  # written by a child instead of its error message
+FAILED = 1  # exit status of a child that has written an error
+REFUSALS = (
+    "InputError",
+    "UsageError",
+    "BakeError",
+    "GfUsdError",
+)  # that are sent between processes
+# -P: do not import modules from the working directory
 START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
     " from gf_usd.system.sandbox import serve; serve(sys.argv[2])"
@@ -47,17 +51,17 @@ START = (
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What reading an untrusted file may take."""
+    """Limits on reading an untrusted file."""
 
-    time: float = 300.0  # [s] by the clock
+    time: float = 300.0  # [s] wall time
     memory: float = 16e9  # [B] of address space
-    output: float = 1e9  # [B] of each file that a reader writes
+    output: float = 1e9  # [B] of each written file
 
 
 def parse_limits(text: str | None) -> Limits | None:
-    """Limits of `--limits`: `time=300,memory=16G,output=1G`, any of them; None for `none`.
+    """Limits from `--limits`: `time=300,memory=16G,output=1G`, any of them; None for `none`.
 
-    Raises UsageError for a name that is not there, or a size that is not above 0.
+    Raises UsageError for an unknown name, or a size that is not above 0.
     """
     if text is None:
         return Limits()
@@ -80,33 +84,33 @@ def parse_limits(text: str | None) -> Limits | None:
 
 
 class Scratch:
-    """A temporary folder that goes when the object does, or at the end of the program."""
+    """A temporary folder that is removed with the object, or at the end of the program."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="gf-usd-")).resolve()
-        # Windows will not remove a file that USD still maps.
+        # Windows cannot remove a file that USD still maps.
         self._finalizer = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
     def remove(self) -> None:
-        """Remove it now."""
+        """Remove the folder now."""
         self._finalizer()
 
     def release(self) -> Path:
-        """The folder, which stays from now on."""
+        """Keep the folder; returns its path."""
         self._finalizer.detach()
         return self.path
 
 
-def attempt(path: Path, task: str, limits: Limits | None, *args: Any) -> Any:
-    """What a task returns that reads a file; see `Isolated` for arguments and errors."""
+def run_isolated(path: Path, task: str, limits: Limits | None, *args: Any) -> Any:
+    """The result of a task that reads a file; see `Isolated` for arguments and errors."""
     with Isolated(path, task, limits, *args) as isolated:
         return isolated.result()
 
 
 class Reader(Protocol):
-    """A child that does a task."""
+    """A child that runs a task."""
 
-    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> ProcessResult:
         """Read its output to the end."""
         ...
 
@@ -124,24 +128,26 @@ def start(request: Path) -> Reader:
 _starts: list[Callable[[Path], Reader]] = [start]
 
 
-def start_by(other: Callable[[Path], Reader]) -> None:
-    """From here on have another function start the children of this process, as `start` does."""
+def set_starter(other: Callable[[Path], Reader]) -> None:
+    """Replace the function that starts the children of this process, `start` by default."""
     _starts[:] = [other]
 
 
-def starts_afresh() -> bool:
-    """Whether children of this process are new processes."""
+def starts_new_processes() -> bool:
+    """Whether children of this process are new processes, not forks."""
     return _starts[-1] is start
 
 
 class Isolated:
-    """A task that reads a file in a child process, next to what this process does meanwhile.
+    """A task that reads a file in a child process, while this process continues.
 
     Parameters
     ----------
-    path : the file, for messages.  Where it is none, the task runs in this process, to refuse it.
-    task : the function, as "module:name"; what it takes and returns passes `exchange`.
-    limits : of the child; None: no child, the task runs in this process when its result is wanted.
+    path : the file, for messages.  If it does not exist, the task runs in this process, which
+        reports it.
+    task : the function, as "module:name"; its arguments and result are sent by `exchange`.
+    limits : of the child; None: no child, the task runs in this process when its result is
+        requested.
     """
 
     def __init__(self, path: Path, task: str, limits: Limits | None, *args: Any) -> None:
@@ -150,11 +156,11 @@ class Isolated:
         self._limits = limits
         self._delivered = False
         self._child: Reader | None = None
-        self._ended: list[Ended] = []
+        self._ended: list[ProcessResult] = []
         if limits is None or os.name != "posix" or not path.is_file():
             return
         self.scratch = Scratch()
-        # not among the arguments, of which a system takes so many bytes only
+        # in a file, because the size of arguments is limited
         request = self.scratch.path / "request"
         with request.open("wb") as file:
             exchange.write({"task": task, "args": args, "limits": asdict(limits)}, file)
@@ -167,15 +173,14 @@ class Isolated:
 
     @property
     def in_child(self) -> bool:
-        """Whether a child does it."""
+        """Whether a child runs the task."""
         return self._child is not None
 
     def result(self) -> Any:
-        """What the task returned.
+        """The result of the task.
 
-        Raises what it raised, where that is an error of ours; InputError where the child crashed,
-        failed with another error, took longer than `limits.time` or asked for more than
-        `limits.memory`.
+        Raises the errors of the task that are of this package; InputError where the child crashed,
+        raised another error, or exceeded `limits.time` or `limits.memory`.
         """
         if self._child is None or self._limits is None:
             return _function(self._task)(*self._args)
@@ -188,7 +193,7 @@ class Isolated:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End the child, if it still runs; without a result what it wrote goes as well."""
+        """End the child if it still runs; without a result, its files are removed too."""
         if self._child is not None:
             self._child.stop()
             self._reader.join()
@@ -196,8 +201,8 @@ class Isolated:
             self.scratch.remove()
 
 
-def _answer(path: Path, ended: Ended, limits: Limits) -> Any:
-    """What a child returned; raises what it raised, or InputError for how it ended."""
+def _answer(path: Path, ended: ProcessResult, limits: Limits) -> Any:
+    """The result of a child; raises the child's error, or InputError from its exit status."""
     if ended.timed_out:
         raise InputError(
             f"{path}: reading it took longer than {limits.time:g} s",
@@ -234,10 +239,10 @@ def _function(task: str) -> Callable[..., Any]:
 
 
 def serve(request: str) -> NoReturn:
-    """The child: do what `Isolated` asks for, write what came of it to stdout, and end.
+    """The child process: run the task of `Isolated`, write the result to stdout, and exit.
 
-    An error that is not ours ends it by its exit hook: what a parser written by others may raise
-    cannot be listed.
+    Errors that are not of this package are handled by the exit hook, because the exceptions of
+    native parsers cannot be listed.
     """
     reply, words = os.dup(1), os.dup(2)
     quiet = os.open(os.devnull, os.O_RDWR)
@@ -249,8 +254,8 @@ def serve(request: str) -> NoReturn:
         os._exit(FAILED)
 
     sys.excepthook = failed
-    faulthandler.disable()  # the parent says how it crashed
-    gc.disable()  # it ends before that would pay
+    faulthandler.disable()  # the parent reports the crash
+    gc.disable()  # the process is too short-lived to benefit
     end_with_parent()
     asked = exchange.read(Path(request).read_bytes())
     tempfile.tempdir = os.environ["TMPDIR"] = str(Path(request).parent)
@@ -265,11 +270,11 @@ def serve(request: str) -> NoReturn:
         refusal = (name, error.message, error.hint)
     with os.fdopen(reply, "wb") as file:
         exchange.write({"value": value, "refusal": refusal}, file)
-    os._exit(0)  # no teardown: freeing a stage takes time, and its end is nobody's concern
+    os._exit(0)  # skip the teardown: freeing a stage takes time
 
 
 def _words(error: BaseException) -> str:
-    """NO_MEMORY, or type and first line of an error, whatever its words are."""
+    """NO_MEMORY, or the type and the first line of an error."""
     try:
         first = (str(error).strip().splitlines() or [""])[0][:300]
     except UnicodeDecodeError:
@@ -280,7 +285,9 @@ def _words(error: BaseException) -> str:
 
 
 def _limit(limits: Limits) -> None:
-    """The kernel's part: address space, size of a file, processor time should the parent die."""
+    """Limits that the kernel enforces: address space, file size, and CPU time if the parent
+    dies.
+    """
     import resource
 
     seconds = math.ceil(limits.time) * (os.cpu_count() or 1)

@@ -1,4 +1,4 @@
-"""The one place where Taichi is imported and started."""
+"""The only module that imports and starts Taichi."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from typing import Any
 
 from gf_usd.core.errors import GfUsdError, UsageError
 from gf_usd.system.fast_start.imports import quick_import
-from gf_usd.system.fast_start.kernels import quicken, restore
+from gf_usd.system.fast_start.kernels import install_replacements, remove_replacements
 
 DEVICES = ("cpu", "cuda")
 MULTIPROCESSOR_COUNT = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT of the CUDA driver's interface
-THREADS = 8  # that kernels are compiled for, at least
-# [bytes] Taichi's own limit of 100 MB holds 175 kernels: a few laws, mass matrices and precisions
-# in turn remove each other's, and each bake compiles them again.
+THREADS = 8  # least number of threads that kernels are compiled for
+# [bytes] Taichi's default of 100 MB holds 175 kernels: with a few laws, masses and precisions
+# in turn, kernels are evicted and compiled again.
 KERNEL_CACHE = 1 << 30
-# Numbers of Taichi's configuration by whether it searches for statements that are written twice:
-# see `without_merging`.  Its pass that keeps what a loop does not change relies on that search: a
-# sum over a loop into one number of an array is wrong without it (docs/upstream.md).
-MERGING = {
+# Taichi's configuration with and without its elimination of common subexpressions:
+# see `without_common_subexpressions`.  Its hoisting of loop invariants relies on that pass: a
+# reduction over a loop into an array element is wrong without it (docs/upstream.md).
+MERGE_OPTIONS = {
     True: {"opt_level": 1, "cache_loop_invariant_global_vars": True},
     False: {"opt_level": 0, "cache_loop_invariant_global_vars": False},
 }
-CACHE_FOLDER = "TI_OFFLINE_CACHE_FILE_PATH"  # variable of the environment: where they are
+CACHE_FOLDER = "TI_OFFLINE_CACHE_FILE_PATH"  # environment variable with the folder of kernels
 
 FORKED = "this process was forked from one that had started Taichi, which does not run in it"
 SPAWN = (
@@ -40,18 +40,18 @@ SPAWN = (
     " ProcessPoolExecutor(mp_context=...)"
 )
 
-# Variables of the environment while it is imported and started.
+# Environment variables while Taichi is imported and started.
 QUIET = {
     "ENABLE_TAICHI_HEADER_PRINT": "0",
     "TI_SKIP_VERSION_CHECK": "ON",  # a weekly request to the network
-    "TI_ENABLE_PYBUF": "0",  # a word on stderr where stdout is wrapped
+    "TI_ENABLE_PYBUF": "0",  # a message on stderr where stdout is wrapped
 }
 
 _started: dict[str, Any] = {}
 _starts = 0
 _runtime: Any = None  # that of the last start here
 _process = 0  # that of the last start here
-_guests = 0  # nested `borrowed`
+_guests = 0  # nested `as_guest`
 _watchers: list[Callable[[bool], None]] = []  # of `watching`
 
 
@@ -61,13 +61,13 @@ def import_taichi() -> ModuleType:
     Raises GfUsdError where a system library that Taichi links to is missing.
     """
     taichi = _imported()
-    quicken(taichi)
+    install_replacements(taichi)
     return taichi
 
 
 @contextlib.contextmanager
-def borrowed() -> Iterator[None]:
-    """Use Taichi within the block, and leave nothing of it replaced after it."""
+def as_guest() -> Iterator[None]:
+    """Use Taichi within the block, and remove all replacements in it afterwards."""
     global _guests  # noqa: PLW0603  (blocks of a process nest)
     if "taichi" in sys.modules:
         import_taichi()
@@ -77,7 +77,7 @@ def borrowed() -> Iterator[None]:
     finally:
         _guests -= 1
         if not _guests:
-            restore()
+            remove_replacements()
 
 
 @contextlib.contextmanager
@@ -102,8 +102,8 @@ def compiling() -> Iterator[None]:
             watcher(False)
 
 
-def is_taken() -> bool:
-    """Whether somebody else started Taichi in this process: of which there is one."""
+def is_started_by_host() -> bool:
+    """Whether other code of this process has started Taichi, which has one runtime per process."""
     if "taichi" not in sys.modules:
         return False
     now = importlib.import_module("taichi.lang.impl").get_runtime()
@@ -111,9 +111,7 @@ def is_taken() -> bool:
 
 
 def is_forked() -> bool:
-    """Whether Taichi was started before this process was forked: its threads are not in it, and
-    whoever waits for them waits for ever.
-    """
+    """Whether Taichi was started before this process was forked; its threads do not exist here."""
     return _starts > 0 and os.getpid() != _process
 
 
@@ -125,7 +123,7 @@ def _quiet() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set variables of the environment within the block."""
+    """Set environment variables within the block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -138,18 +136,18 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
                 os.environ[name] = text
 
 
-def is_ours() -> bool:
-    """Whether Taichi runs as it was started here: nobody reset it, or started it anew, since."""
+def is_running() -> bool:
+    """Whether Taichi runs as it was started here, without a reset or another start since."""
     if _runtime is None or is_forked():
         return False
     now = importlib.import_module("taichi.lang.impl").get_runtime()
     return now is _runtime and now.prog is not None
 
 
-def _find_home() -> None:
-    """Set HOME where there is none, as in units of systemd: Taichi would abort the process.
+def _set_home() -> None:
+    """Set HOME where it is not set, as in systemd units: Taichi would abort the process.
 
-    It stays set, because Taichi asks for it whenever it is reset, at the end of the process too.
+    It stays set, because Taichi reads it at each reset, including at the end of the process.
     """
     if os.name != "posix" or {"HOME", "XDG_CACHE_HOME"} & os.environ.keys():
         return
@@ -157,16 +155,16 @@ def _find_home() -> None:
 
     try:
         home = pwd.getpwuid(os.getuid()).pw_dir
-    except KeyError:  # a number without a name, in a container
-        home = os.devnull  # holds no folder; others could put kernels into the temporary one
+    except KeyError:  # a user id without a name, as in containers
+        home = os.devnull  # cannot contain a folder; the temporary one is open to others
     os.environ["HOME"] = home
 
 
 @cache
 def _kernel_cache() -> tuple[bool, str]:
-    """Whether there is a folder for compiled kernels, and a note where they cannot be kept in it.
+    """Whether the folder of compiled kernels exists, and a note where it cannot be written.
 
-    To be asked before Taichi is started, which crashes at its end where it cannot make the folder.
+    Called before Taichi is started, which crashes at its end where it cannot create the folder.
     """
     default = importlib.import_module("taichi").lang.impl.default_cfg().offline_cache_file_path
     folder = os.environ.get(CACHE_FOLDER) or default
@@ -187,17 +185,17 @@ def _kernel_cache() -> tuple[bool, str]:
 
 
 def kernel_cache_notes() -> tuple[str, ...]:
-    """What is to be said of the folder of compiled kernels, once Taichi was started."""
+    """Notes on the folder of compiled kernels, once Taichi was started."""
     note = _kernel_cache()[1] if _starts else ""
     return (note,) if note else ()
 
 
 @cache
 def _imported() -> ModuleType:
-    _find_home()
+    _set_home()
     try:
         with _quiet(), quick_import(), warnings.catch_warnings():
-            # it calls what is to be gone from Python; with -W error that would end its import
+            # Taichi uses deprecated functions, which would fail with -W error
             warnings.simplefilter("ignore", DeprecationWarning)
             return importlib.import_module("taichi")
     except ImportError as error:
@@ -213,21 +211,21 @@ def _imported() -> ModuleType:
 
 
 def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = False) -> None:
-    """Start Taichi, or leave it alone where it already runs with the same arguments.
+    """Start Taichi, unless it already runs with the same arguments.
 
-    Another set of arguments starts it anew, which invalidates every field and ndarray made
-    before.  On the CPU ``real_matrix_scalarize`` is off because the solver's SIMD kernels need it
-    off; with it off a kernel must build vectors by hand and never load one from a ``Vector.field``.
-    For CUDA Taichi has no square root of a vector: there it is on.
-    ``fast_math`` is off so that a result does not depend on how a loop was vectorised.
-    In 64 bits, and for CUDA, all kernels are compiled as by `without_merging`: they are those of
-    tests and of verification, most of whose time is compiling, or have scalars for vectors.  In 32
-    bits on the CPU a substep of the Total Lagrangian solver would take 1 to 2 % more.
+    Other arguments restart it, which invalidates all existing fields and ndarrays.  On the CPU
+    ``real_matrix_scalarize`` is off, as the solver's SIMD kernels require; a kernel must then build
+    vectors by hand and never load one from a ``Vector.field``.  On CUDA it is on, because Taichi
+    has no square root of a vector there.  ``fast_math`` is off so that results do not depend on the
+    vectorization of a loop.  In 64 bits and on CUDA, all kernels are compiled as by
+    `without_common_subexpressions`: those in 64 bits are of tests and verification, where compiling
+    dominates, and those on CUDA use scalars for vectors.  In 32 bits on the CPU, a substep of the
+    Total Lagrangian solver would take 1 to 2 % longer.
 
     Parameters
     ----------
     device : "cpu" or "cuda".
-    threads : CPU threads; None: every one this process may use.
+    threads : CPU threads; None: all that this process may use.
     f64 : floating-point literals and unnamed types are 64 bits wide.
 
     Raises
@@ -242,7 +240,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     if threads is not None and threads < 1:
         raise UsageError(f"{threads} CPU threads were requested.", "give 1 or more")
     wanted = {"device": device, "threads": threads or cores(), "f64": f64}
-    if _started == wanted and is_ours():
+    if _started == wanted and is_running():
         return
     ti = import_taichi()
     if device == "cuda" and not _has_cuda(ti):
@@ -253,11 +251,11 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     global _starts, _runtime, _process  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _started.clear()
     if _starts:
-        _abandon()
+        _keep_arrays_allocated()
     kept = _kernel_cache()[0]
-    # with the cache off nothing is written there, but the folder must exist
+    # without the cache nothing is written there, but the folder must exist
     elsewhere = {} if kept else {CACHE_FOLDER: os.path.abspath(os.sep)}
-    # ti.init prints the architecture on stdout, which belongs to the data of --json
+    # ti.init prints the architecture on stdout, which is for the data of --json
     with _quiet(), _environment(elsewhere), contextlib.redirect_stdout(io.StringIO()):
         ti.init(
             arch=ti.cuda if device == "cuda" else ti.cpu,
@@ -269,29 +267,29 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             fast_math=False,
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
             log_level=ti.ERROR,
-            **MERGING[not f64 and device == "cpu"],
+            **MERGE_OPTIONS[not f64 and device == "cpu"],
         )
-    _leave_threads_out(ti, wanted["threads"])
+    _fix_compiled_thread_count(ti, wanted["threads"])
     _started.update(wanted)
     _starts += 1
     _process = os.getpid()
     _runtime = ti.lang.impl.get_runtime()
 
 
-def without_merging(kernel: Callable[..., None]) -> Callable[..., None]:
-    """The kernel, compiled without Taichi's search for statements that are written twice.
+def without_common_subexpressions(kernel: Callable[..., None]) -> Callable[..., None]:
+    """The kernel, compiled without Taichi's elimination of common subexpressions.
 
-    Taichi goes through the whole kernel for each that it finds: three quarters of the time that the
-    kernels of the Updated Lagrangian solver took to compile, and more where vectors become scalars.
-    LLVM finds most of them as well.  Results stay the same to the bit.
+    For each match, Taichi traverses the whole kernel: three quarters of the compile time of the
+    Updated Lagrangian solver's kernels, and more where vectors become scalars.  LLVM finds most of
+    the matches too.  Results are identical to the bit.
     """
 
-    @wraps(kernel)  # with what Taichi keeps at it
+    @wraps(kernel)  # including the attributes that Taichi sets
     def launch(*values: Any) -> None:
         config = importlib.import_module("taichi").lang.impl.get_runtime().prog.config()
-        before = {name: getattr(config, name) for name in MERGING[False]}
+        before = {name: getattr(config, name) for name in MERGE_OPTIONS[False]}
         try:
-            for name, value in MERGING[False].items():
+            for name, value in MERGE_OPTIONS[False].items():
                 setattr(config, name, value)
             kernel(*values)
         finally:
@@ -301,10 +299,11 @@ def without_merging(kernel: Callable[..., None]) -> Callable[..., None]:
     return launch
 
 
-def _abandon() -> None:
-    """Have no array of before a restart freed after it: that goes by its address.
+def _keep_arrays_allocated() -> None:
+    """Prevent arrays that were made before a restart from being freed after it.
 
-    The restart takes all memory back, and what is made then may stand at the same address.
+    Taichi frees by address.  The restart has freed all memory, and new arrays may have the same
+    addresses.
     """
     gc.collect()
     kinds = (
@@ -313,49 +312,48 @@ def _abandon() -> None:
     )
     for one in gc.get_objects():
         if issubclass(type(one), kinds):
-            object.__setattr__(one, "__class__", _abandoned(type(one)))
+            object.__setattr__(one, "__class__", _without_destructor(type(one)))
 
 
 @cache
-def _abandoned(kind: type) -> type:
+def _without_destructor(kind: type) -> type:
     return type(kind.__name__, (kind,), {"__del__": lambda self: None})
 
 
-def _leave_threads_out(ti: ModuleType, threads: int) -> None:
-    """Compile for THREADS threads whatever their number, so that it is no part of a kernel's key.
+def _fix_compiled_thread_count(ti: ModuleType, threads: int) -> None:
+    """Compile for THREADS threads, so that a kernel's key does not depend on the thread count.
 
-    How many there are was settled with the pool, which gives a loop no more than it has.  Compiled
-    in is in how many pieces a loop is cut: more than there are threads do no harm.
+    The thread pool is already created and limits the threads of a loop.  Only the number of pieces
+    of a loop is compiled in: more pieces than threads do no harm.
     """
     config = ti.lang.impl.get_runtime().prog.config()
     config.cpu_max_num_threads = max(THREADS, threads)
 
 
 def epoch() -> int:
-    """How often Taichi was started: what was built in another epoch must be built anew."""
+    """Number of starts of Taichi; objects of an earlier epoch must be rebuilt."""
     return _starts
 
 
 def ensure_taichi() -> None:
     """Start Taichi on the CPU unless it already runs in 32 bits, on any device.
 
-    For code that draws between the frames of a solver and should not restart it.  Kernels with
-    32-bit vectors do not compile where literals are 64 bits wide, so that a runtime started with
-    ``f64`` is started anew.
+    For drawing between the frames of a solver, which should not restart Taichi.  Kernels with
+    32-bit vectors do not compile where literals are 64 bits wide, so a runtime with ``f64`` is
+    restarted.
     """
-    if not is_ours() or _started["f64"]:
+    if not is_running() or _started["f64"]:
         init_taichi(_started.get("device", "cpu"), _started.get("threads"))
 
 
 def ensure_running() -> None:
-    """Start Taichi unless it runs, whatever it was started with."""
-    if not is_ours():
+    """Start Taichi unless it runs, with any arguments."""
+    if not is_running():
         init_taichi()
 
 
 def resident_blocks() -> int:
-    """Blocks of a kernel's threads that the GPU holds at once, two for each of its multiprocessors;
-    0 on a CPU.
+    """Thread blocks that the GPU runs concurrently, two per multiprocessor; 0 on a CPU.
 
     Taichi compiles each kernel so that two of its blocks fit (`minctasm` in its code generator).
     """
@@ -370,7 +368,7 @@ def cuda_driver() -> ctypes.CDLL:
 
 @cache
 def _multiprocessors() -> int:
-    """Of the first device that the driver shows, which is the one that Taichi takes."""
+    """Number of multiprocessors of the driver's first device, which Taichi uses."""
     driver = cuda_driver()
     device, count = ctypes.c_int(), ctypes.c_int()
     failed = (
@@ -387,17 +385,17 @@ def _multiprocessors() -> int:
 
 
 def threads() -> int:
-    """Threads that Taichi was started with; those of `cores` where it does not run."""
+    """Number of threads that Taichi was started with; `cores` where it does not run."""
     return _started.get("threads") or cores()
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _has_cuda(ti: ModuleType) -> bool:
-    ti.set_logging_level(ti.ERROR)  # looking for the driver is no reason to warn of its absence
+    ti.set_logging_level(ti.ERROR)  # no warning where there is no driver
     return bool(ti.lang.misc.is_arch_supported(ti.cuda))

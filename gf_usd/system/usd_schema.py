@@ -1,9 +1,9 @@
-"""The schema library gaussianFlesh, made known to USD when this module is imported.
+"""Registers the schema library gaussianFlesh with USD when this module is imported.
 
-USD reads schema definitions once, at the first use of its registry (opening a stage is one).  So
-this module has to be imported before any stage is opened.  Where that is too late files can still
-be read, which has no need of definitions; whoever writes or checks asks `require` first, so that
-APIs are not applied that have no attributes.
+USD reads schema definitions once, at the first use of its registry, for example by opening a stage.
+This module must therefore be imported before any stage is opened.  Where it is too late, files can
+still be read, which does not need the definitions; code that writes or checks calls `require`
+first, so that no API without attributes is applied.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ DEFINITIONS = "generatedSchema.usda"
 
 
 def schema_path() -> Path:
-    """The folder of the library, to be added to ``PXR_PLUGINPATH_NAME`` of other programs.
+    """The folder of the library, for the ``PXR_PLUGINPATH_NAME`` of other programs.
 
-    A wheel carries it inside the package, a source checkout next to it.
+    A wheel has it inside the package, a source checkout next to it.
 
     Raises
     ------
@@ -48,11 +48,11 @@ def schema_path() -> Path:
 
 
 def register(folder: Path) -> None:
-    """Register the library in ``folder`` and prove that USD knows its APIs.
+    """Register the library in ``folder`` and check that USD knows its APIs.
 
     Raises
     ------
-    GfUsdError : another version of the library was registered before.
+    GfUsdError : another version of the library is registered.
     SchemaTooLate : USD had read its schema definitions before this call.
     """
     Plug.Registry().RegisterPlugins(str(folder))
@@ -69,7 +69,7 @@ def register(folder: Path) -> None:
 
 
 def _refuse_another_version(folder: Path) -> None:
-    """USD keeps the first plugin of a name: a second copy must hold the same definitions."""
+    """USD keeps the first plugin of a name, so a second copy must have the same definitions."""
     plugin = Plug.Registry().GetPluginWithName(NAMESPACE)
     registered = Path(plugin.resourcePath) if plugin else folder
     if registered.resolve() == folder.resolve():
@@ -84,12 +84,12 @@ def _refuse_another_version(folder: Path) -> None:
 
 
 def property_names(api: str) -> tuple[str, ...]:
-    """The attributes and relationships of ours that the API named ``api`` declares."""
+    """The attributes and relationships of gf-usd that the API ``api`` declares."""
     layer = Sdf.Layer.FindOrOpen(str(schema_path() / DEFINITIONS))
     return tuple(spec.name for spec in layer.GetPrimAtPath(f"/{api}").properties)
 
 
-LATE: SchemaTooLate | None = None  # why the definitions are not there
+LATE: SchemaTooLate | None = None  # why the definitions are missing
 try:
     register(schema_path())
 except SchemaTooLate as error:

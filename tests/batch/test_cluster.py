@@ -29,7 +29,7 @@ class Cluster:
         return {worker: ModuleSpec(name, None) for worker in self._workers} | self._answers
 
 
-class Ended:
+class ProcessResult:
     """Stands for a future that has ended; result : its value, or what is raised."""
 
     status = "finished"
@@ -47,7 +47,7 @@ class Ended:
 def ended(result: object, status: str = "running") -> Outcome | None:
     client = SimpleNamespace(status=status)
     job = Job(name="a", asset=Path("a.usda"), root=Path("b.usda"), options={})
-    return _outcome(Ended(result), job, client, stopping=False)  # type: ignore[arg-type]
+    return _outcome(ProcessResult(result), job, client, stopping=False)  # type: ignore[arg-type]
 
 
 def test_a_result_that_is_gone_is_waited_for() -> None:

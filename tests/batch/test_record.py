@@ -11,7 +11,7 @@ import pytest
 from batch_jobs import TRIANGLE
 
 from gf_usd.batch.record import InputTable
-from gf_usd.system.processes import Children, Ended
+from gf_usd.system.processes import Children, ProcessResult
 
 
 class Fragile(Children):
@@ -23,7 +23,7 @@ class Fragile(Children):
 
     def run(
         self, command: Sequence[str], on_line: Callable[[str], None], **how: Any
-    ) -> Ended | None:
+    ) -> ProcessResult | None:
         names = list(command[command.index("--json") + 1 :])
         self.asked.append(names)
         out, status, late = "", 0, False
@@ -35,7 +35,7 @@ class Fragile(Children):
                 status, late = -15, True
                 break
             out += json.dumps({"asset": name, "files": [[name, "0"]], "missing": []}) + "\n"
-        return Ended(
+        return ProcessResult(
             status=status, out=out, err="", seconds=1.0, cpu_seconds=1.0, peak_memory=1,
             timed_out=late, stopped=False,
         )  # fmt: skip

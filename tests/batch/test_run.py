@@ -19,7 +19,7 @@ from gf_usd.batch.run import collect_outcomes, run_locally
 from gf_usd.batch.task import Limits
 from gf_usd.core.errors import UsageError
 from gf_usd.system.file_locks import acquire
-from gf_usd.system.processes import Children, Ended
+from gf_usd.system.processes import Children, ProcessResult
 
 RESULT = {"warnings": [], "check": [], "bakes": [{"frames": 2, "health": {}}]}
 KILLED = (-9, {}, "")
@@ -37,7 +37,7 @@ class Bakes(Children):
 
     def run(
         self, command: Sequence[str], on_line: Callable[[str], None], **how: Any
-    ) -> Ended | None:
+    ) -> ProcessResult | None:
         if "inputs" in command:
             return super().run(command, on_line, **how)
         assert list(command[:4]) == [sys.executable, "-m", "gf_usd", "bake"]
@@ -57,7 +57,7 @@ class Bakes(Children):
             os.write(writer, json.dumps(event).encode() + b"\n")
         if status < 0:
             os.write(writer, b'{"event": "fini')  # cut short
-        return Ended(
+        return ProcessResult(
             status=status, out="", err=err, seconds=1.0, cpu_seconds=1.0, peak_memory=1,
             timed_out=False, stopped=False,
         )  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from batch_jobs import job
 
 from gf_usd.batch.verdict import attempt_outcome
-from gf_usd.system.processes import Ended
+from gf_usd.system.processes import ProcessResult
 
 RESULT = {
     "outputs": ["a.usda", "a.cache.usdc"],
@@ -26,9 +26,9 @@ ERROR = {"error": {"event": "error", "status": 3, "message": DAMAGED, "hint": "e
 STDERR = f"note: centimeters\nerror: {DAMAGED}\n\nhint: export it again\n"
 
 
-def ended(status: int, err: str = "", **more: Any) -> Ended:
+def ended(status: int, err: str = "", **more: Any) -> ProcessResult:
     kwargs = {"timed_out": False, "stopped": False, **more}
-    return Ended(
+    return ProcessResult(
         status=status, out="", err=err, seconds=2.0, cpu_seconds=1.0, peak_memory=5, **kwargs
     )
 
@@ -66,7 +66,7 @@ def test_a_whole_result_is_done(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_every_other_end_has_its_name(
-    tmp_path: Path, process: Ended, events: Any, state: str, message: str, hint: str
+    tmp_path: Path, process: ProcessResult, events: Any, state: str, message: str, hint: str
 ) -> None:
     bake = attempt_outcome(job(tmp_path), process, events)
     assert (bake.outcome.state, bake.outcome.message, bake.outcome.hint) == (state, message, hint)

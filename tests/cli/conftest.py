@@ -40,7 +40,7 @@ def gf_usd(
     """Run ``gf-usd`` with these words, catching what any part of the process prints."""
     numbers = (signal.SIGTERM, signal.SIGINT)
     handlers = {number: signal.getsignal(number) for number in numbers}
-    sandbox.start_by(start_reader)
+    sandbox.set_starter(start_reader)
 
     def call(*words: object) -> Done:
         capfd.readouterr()
@@ -52,7 +52,7 @@ def gf_usd(
         return Done(0 if code is None else int(code), out, err)
 
     yield call
-    sandbox.start_by(sandbox.start)
+    sandbox.set_starter(sandbox.start)
     for number, handler in handlers.items():
         signal.signal(number, handler)
 

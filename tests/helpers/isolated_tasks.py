@@ -15,7 +15,7 @@ from pathlib import Path
 
 from gf_usd.core.errors import GfUsdError, InputError
 from gf_usd.readers.isolated import read_untrusted
-from gf_usd.system.sandbox import Limits, attempt
+from gf_usd.system.sandbox import Limits, run_isolated
 
 IMPORTED_BY = os.getpid()
 
@@ -153,12 +153,12 @@ def stopped(files: Sequence[Path], limits: Limits) -> dict[Path, str]:
     """
     together = replace(limits, time=limits.time * max(1.0, len(files) / 10.0))
     with contextlib.suppress(InputError):
-        attempt(files[0], "isolated_tasks:read_each", together, files)
+        run_isolated(files[0], "isolated_tasks:read_each", together, files)
         return {}
     found = {}
     for file in files:
         try:
-            attempt(file, "isolated_tasks:read_each", limits, [file])
+            run_isolated(file, "isolated_tasks:read_each", limits, [file])
         except InputError as error:
             found[file] = error.message
     return found

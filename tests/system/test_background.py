@@ -7,22 +7,22 @@ import threading
 import pytest
 
 from gf_usd.core.errors import BakeError
-from gf_usd.system.background import BackgroundWriter, at_work
+from gf_usd.system.background import BackgroundWriter, running_threads
 
 
 def test_work_goes_on_while_the_caller_does() -> None:
     gate, said = threading.Event(), []
     writer = BackgroundWriter()
-    before = at_work()
+    before = running_threads()
     writer.start(lambda: said.append(gate.wait(10.0)))
     assert writer.busy
-    assert at_work() == before + 1
+    assert running_threads() == before + 1
     assert said == []
     gate.set()
     writer.settle()
     assert said == [True]
     assert not writer.busy
-    assert at_work() == before
+    assert running_threads() == before
     writer.settle()  # nothing to wait for
 
 
@@ -45,6 +45,6 @@ def test_what_it_raises_is_raised_once_and_by_settle() -> None:
     with pytest.raises(BakeError, match="the disk is full"):
         writer.settle()
     writer.settle()
-    assert at_work() == 0
+    assert running_threads() == 0
     writer.start(lambda: None)
     writer.settle()

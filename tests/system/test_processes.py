@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from gf_usd.system import processes
-from gf_usd.system.processes import Child, Children, Ended
+from gf_usd.system.processes import Child, Children, ProcessResult
 
 STUBBORN = (
     "import signal, sys, time; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
@@ -21,7 +21,7 @@ STUBBORN = (
 )
 
 
-def python(code: str, **kwargs) -> Ended:
+def python(code: str, **kwargs) -> ProcessResult:
     return Child([sys.executable, "-c", code]).wait(lambda line: None, **kwargs)
 
 

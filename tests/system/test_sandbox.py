@@ -24,7 +24,7 @@ from gf_usd.pipeline.inspect import inspect
 from gf_usd.pipeline.prepared import prepare
 from gf_usd.readers.isolated import Reading, read_untrusted
 from gf_usd.system import exchange
-from gf_usd.system.sandbox import Isolated, Limits, attempt, parse_limits
+from gf_usd.system.sandbox import Isolated, Limits, parse_limits, run_isolated
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="nothing is isolated here")
 
@@ -53,7 +53,7 @@ def test_what_goes_wrong_is_said(tmp_path: Path, work: str, words: str) -> None:
     file.write_text("#usda 1.0\n")
     seconds = 0.2 if work == "hang" else 60.0
     with pytest.raises(InputError) as caught:
-        attempt(file, f"isolated_tasks:{work}", Limits(time=seconds))
+        run_isolated(file, f"isolated_tasks:{work}", Limits(time=seconds))
     assert words in caught.value.message
     assert str(file) in caught.value.message
     assert caught.value.hint
@@ -63,7 +63,7 @@ def test_a_refusal_is_raised_here_and_temporary_files_go(tmp_path: Path) -> None
     file, seen = tmp_path / "a.usda", tmp_path / "seen"
     file.write_text("#usda 1.0\n")
     with pytest.raises(InputError) as caught:
-        attempt(file, "isolated_tasks:refuse_beside", Limits(), seen)
+        run_isolated(file, "isolated_tasks:refuse_beside", Limits(), seen)
     assert (caught.value.message, caught.value.hint) == ("no", "none")
     assert type(caught.value) is InputError
     assert seen.read_text()
@@ -74,14 +74,14 @@ def test_a_refusal_for_want_of_memory_names_the_limit(tmp_path: Path) -> None:
     file = tmp_path / "a.usdc"
     file.write_bytes(b"PXR-USDC")
     with pytest.raises(InputError, match="needed more than 16 GB"):
-        attempt(file, "isolated_tasks:refuse_for_memory", Limits())
+        run_isolated(file, "isolated_tasks:refuse_for_memory", Limits())
 
 
 def test_output_is_limited(tmp_path: Path) -> None:
     file, large = tmp_path / "a.usda", tmp_path / "large"
     file.write_text("#usda 1.0\n")
     with pytest.raises(InputError, match="OSError"):
-        attempt(file, "isolated_tasks:write", Limits(output=1000), large, 5000)
+        run_isolated(file, "isolated_tasks:write", Limits(output=1000), large, 5000)
     assert large.stat().st_size <= 1000
 
 
@@ -111,7 +111,7 @@ def test_errors_of_others_are_named(tmp_path: Path, work: str, words: str) -> No
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
     with pytest.raises(InputError, match=words) as caught:
-        attempt(file, f"isolated_tasks:{work}", Limits())
+        run_isolated(file, f"isolated_tasks:{work}", Limits())
     assert "please report it" in caught.value.hint
 
 
@@ -134,7 +134,7 @@ def test_a_child_loads_what_reading_takes_and_no_more(tmp_path: Path) -> None:
     """It is started for each file: what it imports is the price of it."""
     file = tmp_path / "a.usda"
     file.write_text('#usda 1.0\ndef Sphere "Ball" {}\n')
-    names = set(attempt(file, "isolated_tasks:loaded", Limits(), file))
+    names = set(run_isolated(file, "isolated_tasks:loaded", Limits(), file))
     assert "gf_usd.readers.usd.asset" in names
     assert names.isdisjoint({"scipy", "taichi", "trimesh", "PIL", "igl", "typer", "rich"})
 
@@ -160,7 +160,7 @@ def test_a_child_that_takes_too_long_is_not_tried_again(tmp_path: Path, task: st
     file.write_text("#usda 1.0\n")
     began = time.monotonic()
     with pytest.raises(InputError, match="took longer than 2 s"):
-        attempt(file, f"isolated_tasks:{task}", Limits(time=2.0), count, 60.0)
+        run_isolated(file, f"isolated_tasks:{task}", Limits(time=2.0), count, 60.0)
     assert count.read_text() == "x"
     assert time.monotonic() - began < 30.0
 
@@ -207,8 +207,8 @@ def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     file.write_text("#usda 1.0\n")
     code = (
         f"import sys; sys.path[:] = {sys.path!r}; from pathlib import Path;"
-        "from gf_usd.system.sandbox import Limits, attempt;"
-        f"attempt(Path({str(file)!r}), 'isolated_tasks:stay', Limits(), Path({str(note)!r}))"
+        "from gf_usd.system.sandbox import Limits, run_isolated;"
+        f"run_isolated(Path({str(file)!r}), 'isolated_tasks:stay', Limits(), Path({str(note)!r}))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code])
     reader, program = numbers(note)
@@ -247,7 +247,7 @@ def test_many_at_once_with_threads_beside_them(tmp_path: Path) -> None:
 def test_what_a_task_prints_is_not_its_result(tmp_path: Path, capfd) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
-    assert attempt(file, "isolated_tasks:talk", Limits()) == "done"
+    assert run_isolated(file, "isolated_tasks:talk", Limits()) == "done"
     assert capfd.readouterr() == ("", "")
 
 
@@ -257,7 +257,7 @@ def test_what_does_not_pass_between_processes_is_said(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match="TypeError: <class 'object'> cannot be passed between processes"
     ):
-        attempt(file, "isolated_tasks:unknown", Limits())
+        run_isolated(file, "isolated_tasks:unknown", Limits())
 
 
 def test_a_module_of_the_folder_it_runs_in_is_not_imported(tmp_path: Path, monkeypatch) -> None:
@@ -265,14 +265,14 @@ def test_a_module_of_the_folder_it_runs_in_is_not_imported(tmp_path: Path, monke
     file.write_text("#usda 1.0\n")
     (tmp_path / "json.py").write_text("raise SystemExit(9)\n")
     monkeypatch.chdir(tmp_path)
-    assert attempt(file, "isolated_tasks:same", Limits(), 1) == (1,)
+    assert run_isolated(file, "isolated_tasks:same", Limits(), 1) == (1,)
 
 
 def test_arguments_may_be_longer_than_a_command_line(tmp_path: Path) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
     many = tuple(f"/Root/prim_{number}" for number in range(100_000))
-    assert attempt(file, "isolated_tasks:same", Limits(), many) == (many,)
+    assert run_isolated(file, "isolated_tasks:same", Limits(), many) == (many,)
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".obj"])

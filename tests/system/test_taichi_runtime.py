@@ -161,7 +161,7 @@ def test_only_the_kernel_asked_for_is_compiled_without_merging() -> None:
             raise ValueError
 
     kernel._primal = kernel  # type: ignore[attr-defined]  (as Taichi has it)
-    launch = taichi_runtime.without_merging(kernel)
+    launch = taichi_runtime.without_common_subexpressions(kernel)
     config.opt_level = 1  # as without `tests/conftest.py`
     try:
         launch(1)
@@ -180,7 +180,7 @@ def test_a_sum_over_a_loop_into_one_number_is_right_without_merging(f64: bool) -
 
     taichi_runtime.init_taichi(f64=f64)
     values, out = np.arange(1.0, 11.0, dtype=np.float32), np.zeros(1, np.float32)
-    taichi_runtime.without_merging(sum_kernel())(values, out, len(values))
+    taichi_runtime.without_common_subexpressions(sum_kernel())(values, out, len(values))
     assert out[0] == 2 * values.sum()
 
 

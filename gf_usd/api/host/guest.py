@@ -17,7 +17,7 @@ from typing import Any
 
 from gf_usd.core.errors import UsageError
 from gf_usd.system.atomic_files import require_working_folder
-from gf_usd.system.taichi_runtime import FORKED, SPAWN, borrowed, is_forked, is_taken
+from gf_usd.system.taichi_runtime import FORKED, SPAWN, as_guest, is_forked, is_started_by_host
 
 # Taichi, and USD's registry of schemas, are the process's: calls of several threads take turns.
 _TURN = threading.RLock()
@@ -28,7 +28,7 @@ TAKEN = "another part of this program already runs Taichi"
 def guest() -> Iterator[None]:
     """Have its turn, and leave Taichi as it was."""
     require_working_folder()
-    with _TURN, borrowed():
+    with _TURN, as_guest():
         yield
 
 
@@ -39,7 +39,7 @@ def why_away(*, schema: bool = True) -> str:
     """
     if is_forked():
         return FORKED
-    if is_taken():
+    if is_started_by_host():
         return TAKEN
     if schema:
         from gf_usd.system import usd_schema
@@ -75,7 +75,7 @@ def require_here(what: str) -> None:
     """Raise UsageError where something that hands over its solver cannot be in this process."""
     if is_forked():
         raise UsageError(f"{FORKED}: {what} needs it", SPAWN)
-    if is_taken():
+    if is_started_by_host():
         raise UsageError(
             f"{TAKEN}, and a process can run it only once: {what} would end that computation",
             "call it in a separate process (multiprocessing with the spawn method), or before "

@@ -28,7 +28,7 @@ from gf_usd.physics.total_lagrangian.layout import LANES
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS, STUCK
 from gf_usd.physics.total_lagrangian.state import State
-from gf_usd.system.background import at_work
+from gf_usd.system.background import running_threads
 from gf_usd.system.taichi_runtime import cores
 
 FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
@@ -147,7 +147,7 @@ class ThreadCount:
         particles: int,
         clock: Callable[[], float] = time.perf_counter,
         ran: Callable[[], float] = time.process_time,
-        others: Callable[[], int] = at_work,
+        others: Callable[[], int] = running_threads,
     ) -> None:
         self.most = max(1, min(threads, particles // FEW))
         self.size = self.most

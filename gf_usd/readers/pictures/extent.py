@@ -14,7 +14,7 @@ from gf_usd.core.scene import Bounds, to_frame
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.skeleton import Skins
-from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_ours
+from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_running
 
 SAMPLED_TIMES = (
     48  # times at which a longer motion is looked at, evenly spread, first and last included
@@ -251,7 +251,7 @@ def _world_points(
         values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
         if values is not None and len(values):
             local = np.asarray(values, dtype=np.float64).reshape(-1, 3)
-            if str(prim.GetTypeName()) == SPLAT_TYPE and not is_ours(prim):
+            if str(prim.GetTypeName()) == SPLAT_TYPE and not is_running(prim):
                 local = local[_of_the_object(prim, time, local)]
             reach = _reach(prim, time)
             return np.concatenate([place.points(local - reach), place.points(local + reach)])

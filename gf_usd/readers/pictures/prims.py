@@ -17,7 +17,7 @@ from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.core.scene import Harmonics, RenderEllipsoids, RenderMesh, RenderSplats
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd.stage import LeftAlone, Placement, is_ours
+from gf_usd.readers.usd.stage import LeftAlone, Placement, is_running
 
 LEFT_OUT = "not drawn: "  # a note, with a type
 Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
@@ -29,7 +29,7 @@ GRAY = 0.5  # linear, where nothing says a color
 def stands_for_meshes(prim: Usd.Prim) -> bool:
     """True for points of flowing bodies, which a bake shows in addition to meshes."""
     named = prim.HasRelationship("gaussianFlesh:sourceMeshes")
-    return prim.IsA(UsdGeom.Points) and named and not is_ours(prim)
+    return prim.IsA(UsdGeom.Points) and named and not is_running(prim)
 
 
 def placed_prims(stage: Usd.Stage, notes: Notes) -> Iterator[Usd.Prim]:
@@ -108,7 +108,7 @@ def read_splats(
         axes=linear @ local[finite],
         colors=np.maximum(colors[finite], 0.0),
         opacities=np.clip(opacities[finite, 0], 0.0, 1.0),
-        lit=is_ours(prim),
+        lit=is_running(prim),
         harmonics=None
         if coefficients.shape[1] == 1
         else Harmonics(coefficients=coefficients, frame=harmonics.frame, srgb=harmonics.srgb),
@@ -209,7 +209,7 @@ def _is_srgb(prim: Usd.Prim, notes: Notes) -> bool:
     """How radiance is encoded: as the color space says; bakes of ours are linear."""
     attribute = prim.GetAttribute("radiance:sphericalHarmonicsCoefficients")
     space = str(Usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, None) or "")
-    if not space and not is_ours(prim):
+    if not space and not is_running(prim):
         notes.add(
             "no color space is authored: sRGB is assumed, as in captured Gaussians",
             str(prim.GetPath()),

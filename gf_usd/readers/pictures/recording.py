@@ -39,7 +39,7 @@ from gf_usd.readers.usd.stage import (
     SPLAT_TYPE,
     LeftAlone,
     Placement,
-    is_ours,
+    is_running,
     open_stage,
     reading,
     stage_facts,
@@ -221,12 +221,12 @@ class BakedMotion:
         """Meshes, Gaussians and their times."""
         prims = list(placed_prims(self._stage, self._notes))
         clouds = [p for p in prims if str(p.GetTypeName()) == SPLAT_TYPE]
-        clouds.sort(key=lambda p: not is_ours(p))
+        clouds.sort(key=lambda p: not is_running(p))
         if len(clouds) > 1:
             self._notes.add(ONE_SET, str(clouds[0].GetPath()))
         self._cloud = clouds[0] if clouds else Usd.Prim()
         candidates = [p for p in prims if has_surface(p)]
-        ours = clouds[:1] if clouds and is_ours(clouds[0]) else []
+        ours = clouds[:1] if clouds and is_running(clouds[0]) else []
         self._times = sample_times(ours or [*candidates, *clouds])
         if len(self._times) < 2:
             raise InputError(
@@ -235,7 +235,7 @@ class BakedMotion:
             )
         self._stand_ins = [prim for prim in prims if stands_for_meshes(prim)]
         for prim in prims:
-            if prim.IsA(UsdGeom.Points) and not is_ours(prim) and _moves(prim):
+            if prim.IsA(UsdGeom.Points) and not is_running(prim) and _moves(prim):
                 self._notes.add("its points move and are left out", str(prim.GetPath()))
         self._read_rest(candidates)
 

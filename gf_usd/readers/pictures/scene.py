@@ -52,7 +52,7 @@ from gf_usd.readers.usd.stage import (
     SPLAT_TYPE,
     LeftAlone,
     Placement,
-    is_ours,
+    is_running,
     open_stage,
     reading,
     stage_facts,
@@ -309,7 +309,7 @@ class PictureStage:
             if has_surface(prim):
                 found.append(("mesh", prim))
             elif name == SPLAT_TYPE:
-                found.append(("gaussians" if is_ours(prim) else "splats", prim))
+                found.append(("gaussians" if is_running(prim) else "splats", prim))
             elif stands_for_meshes(prim):
                 found.append(("grains", prim))
             elif prim.IsA(UsdGeom.Points):
@@ -341,7 +341,7 @@ class PictureStage:
             for kind, prim in self._all()
             if kind in kinds
             and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
-            and (sometimes_visible(prim, time) or is_ours(prim))
+            and (sometimes_visible(prim, time) or is_running(prim))
         ]
 
     def _visible_kinds(self) -> set[str]:

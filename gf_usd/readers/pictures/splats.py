@@ -17,7 +17,7 @@ from gf_usd.readers.usd.stage import (
     SPLAT_TYPE,
     LeftAlone,
     Placement,
-    is_ours,
+    is_running,
     open_stage,
     reading,
     stage_facts,
@@ -67,7 +67,7 @@ class SplatMotion:
             self._prims = [
                 prim
                 for prim in prims
-                if (particles if is_ours(prim) else captured and self._is_visible(prim))
+                if (particles if is_running(prim) else captured and self._is_visible(prim))
             ]
             self.time_codes = tuple(sample_times(self._prims))
 

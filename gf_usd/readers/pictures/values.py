@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import Quantity
-from gf_usd.readers.usd.stage import SPLAT_TYPE, is_ours
+from gf_usd.readers.usd.stage import SPLAT_TYPE, is_running
 
 GRADIENTS = "gaussianFlesh:deformationGradients"
 
@@ -85,7 +85,7 @@ class Values:
                 f"Unknown --color {what}.", f"choose one of: {', '.join((*MEASURES, 'none'))}"
             )
         walk = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
-        clouds = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_ours(p)]
+        clouds = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_running(p)]
         self._carriers = [_carrier(prim) for prim in clouds]
         if not self._carriers:
             raise InputError(

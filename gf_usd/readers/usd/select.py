@@ -20,7 +20,7 @@ from pxr import Pcp, Sdf, Usd, UsdGeom
 from gf_usd.core.errors import InputError
 from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.solids.points import is_body
-from gf_usd.readers.usd.stage import SPLAT_TYPE, is_ours
+from gf_usd.readers.usd.stage import SPLAT_TYPE, is_running
 
 # Prims of an instance are read in place, as if it were not one.
 PROXIES = Usd.TraverseInstanceProxies()
@@ -128,7 +128,7 @@ def _is_hidden(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 def _why_not(prim: Usd.Prim, time: Usd.TimeCode) -> str:
     """Words for a visible gprim that is not made soft; empty for one that is."""
     name = str(prim.GetTypeName())
-    if is_ours(prim):
+    if is_running(prim):
         what = "Gaussians" if name == SPLAT_TYPE else "points"
         return f"these {what} are the particles of a bake"
     if prim.IsA(UsdGeom.Points):

@@ -16,7 +16,7 @@ from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Splats, tidy
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import ANIMATED, Notes
-from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_ours
+from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_running
 
 Types = Sdf.ValueTypeNames
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
@@ -27,7 +27,7 @@ WIDTHS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, HARMON
 
 def is_captured(prim: Usd.Prim) -> bool:
     """True for Gaussians that no bake of ours wrote."""
-    return str(prim.GetTypeName()) == SPLAT_TYPE and not is_ours(prim)
+    return str(prim.GetTypeName()) == SPLAT_TYPE and not is_running(prim)
 
 
 def read_captured(

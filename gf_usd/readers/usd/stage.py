@@ -30,7 +30,7 @@ RATES = ("timeCodesPerSecond", "framesPerSecond")
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
 
 
-def is_ours(prim: Usd.Prim) -> bool:
+def is_running(prim: Usd.Prim) -> bool:
     """True for particles that a bake wrote: their colors are albedo, to be lit."""
     return bool(prim.HasAttribute("gaussianFlesh:restPositions"))
 

@@ -25,7 +25,7 @@ from gf_usd.readers.usd.solids.tets import boundary
 from gf_usd.readers.usd.stage import (
     SPLAT_TYPE,
     Placement,
-    is_ours,
+    is_running,
     open_stage,
     reading,
     stage_facts,
@@ -84,7 +84,7 @@ class BakedArrays:
     def _find(self) -> None:
         prims = list(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
         clouds = sorted(
-            (prim for prim in prims if is_ours(prim)),
+            (prim for prim in prims if is_running(prim)),
             key=lambda prim: str(prim.GetTypeName()) != SPLAT_TYPE,
         )
         self._cloud = clouds[0] if clouds else Usd.Prim()

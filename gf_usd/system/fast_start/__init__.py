@@ -1,1 +1,1 @@
-"""The start of a command without the detours of libraries: their imports, and Taichi's kernels."""
+"""Faster start of commands: imports of libraries, and Taichi's lookup of compiled kernels."""

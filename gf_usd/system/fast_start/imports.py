@@ -1,14 +1,13 @@
-"""Imports of Taichi and SciPy, without what no command has a use for.
+"""Faster imports of Taichi and SciPy, without parts that no command uses.
 
-- Taichi announces 93 functions of its own, and searches through all modules for the frame of each:
-  a third of a CPU second where a thousand are loaded, more than the rest of its import.
-- It imports dill for functions that are typed at a prompt, and what asks the network for a newer
-  version of it.
-- SciPy's view of NumPy, which `scipy.sparse` imports, asks NumPy for all of its names, and thereby
-  imports what NumPy leaves until it is asked for: f2py, its tests, masked arrays; 0.08 CPU seconds.
+- Taichi registers 93 functions of its own, and searches all loaded modules for the frame of each.
+With a thousand modules this takes a third of a CPU second, more than the rest of the import.
+- It imports dill, for functions that are typed at a prompt, and its check for a newer version.
+- SciPy's view of NumPy, which `scipy.sparse` imports, reads all attributes of NumPy, which imports
+its lazy modules: f2py, its tests, masked arrays; 0.08 CPU seconds.
 
-Nothing that is left out is missing: it is imported when it is asked for.  The environment variable
-`GF_USD_FAST_START=0` switches all of this off, and only the start takes longer.
+Skipped modules are imported on first use.  The environment variable `GF_USD_FAST_START=0` disables
+all of this; only the start then takes longer.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
 from typing import Any
 
-from gf_usd.system.fast_start.kernels import SWITCH, VERSION, asked_of_files
+from gf_usd.system.fast_start.kernels import SWITCH, VERSION, faster_inside_class
 
 KERNELS = "taichi.lang.kernel_impl"
-LATER = ("dill", "taichi._version_check")  # modules
+LAZY = ("dill", "taichi._version_check")  # modules
 SKIP = "TI_SKIP_VERSION_CHECK"  # environment variable of Taichi
 VIEW = "scipy._lib.array_api_compat.numpy"
 
@@ -36,8 +35,8 @@ Loads = Callable[[Any, Callable[[], None]], None]  # with a module, and what exe
 
 @contextlib.contextmanager
 def quick_import() -> Iterator[None]:
-    """Within the block Taichi, of the version that `kernels` knows, is imported quickly."""
-    if os.environ.get(SWITCH) == "0" or "taichi" in sys.modules or not _is_known():
+    """Within the block, Taichi is imported faster, if its version is that of `kernels`."""
+    if os.environ.get(SWITCH) == "0" or "taichi" in sys.modules or not _is_supported_version():
         yield
         return
     restore: list[Callable[[], None]] = []
@@ -46,18 +45,18 @@ def quick_import() -> Iterator[None]:
         execute()
         old = module._inside_class
         words = tuple(module._KERNEL_CLASS_STACKFRAME_STMT_RES)
-        module._inside_class = asked_of_files(old, words)
+        module._inside_class = faster_inside_class(old, words)
         restore.append(lambda: setattr(module, "_inside_class", old))
 
-    later = [name for name in LATER if name not in sys.modules]
-    finder = _Finder({KERNELS: announce}, later)
+    lazy = [name for name in LAZY if name not in sys.modules]
+    finder = _Finder({KERNELS: announce}, lazy)
     sys.meta_path.insert(0, finder)
     try:
         yield
     finally:
         sys.meta_path.remove(finder)
-        for name in later:
-            if isinstance(sys.modules.get(name), _Later):
+        for name in lazy:
+            if isinstance(sys.modules.get(name), _LazyModule):
                 package, _, own = name.rpartition(".")
                 vars(sys.modules.get(package)).pop(own, None) if package else None
                 del sys.modules[name]
@@ -66,13 +65,13 @@ def quick_import() -> Iterator[None]:
 
 
 def install() -> None:
-    """Have SciPy's view of NumPy imported quickly in this process, whenever it is."""
+    """Make a later import of SciPy's view of NumPy faster in this process."""
     if VIEW not in sys.modules and os.environ.get(SWITCH) != "0":
         sys.meta_path.insert(0, _Finder({VIEW: _view}, ()))
 
 
-def _is_known() -> bool:
-    """Whether the version of Taichi that would be imported is VERSION, by what pip wrote of it."""
+def _is_supported_version() -> bool:
+    """Whether the installed version of Taichi is VERSION, from its package metadata."""
     found = PathFinder.find_spec("taichi")
     known = f"taichi-{'.'.join(map(str, VERSION))}.dist-info"
     folders = (found.submodule_search_locations or ()) if found else ()
@@ -80,7 +79,7 @@ def _is_known() -> bool:
 
 
 def _view(module: Any, execute: Callable[[], None]) -> None:
-    """Execute SciPy's view of NumPy, which has what NumPy has loaded, and asks it for the rest."""
+    """Execute SciPy's view of NumPy with the attributes that NumPy has loaded; others are lazy."""
     maker: Any = importlib.import_module("scipy._lib.array_api_compat._internal")
     complete = getattr(maker, "clone_module", None)
 
@@ -100,16 +99,16 @@ def _view(module: Any, execute: Callable[[], None]) -> None:
 
 
 class _Finder:
-    """Finds the modules of `loads`, each loaded by what stands there, and those of `later`."""
+    """Finds the modules of `loads`, with their loaders, and the lazy modules."""
 
-    def __init__(self, loads: dict[str, Loads], later: Any) -> None:
-        self._loads, self._later = loads, later
-        self._thread = threading.get_ident()  # others import what `later` names as ever
+    def __init__(self, loads: dict[str, Loads], lazy: Any) -> None:
+        self._loads, self._lazy = loads, lazy
+        self._thread = threading.get_ident()  # other threads import the lazy modules as usual
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """See `importlib.abc.MetaPathFinder`; None for all other modules."""
-        if name in self._later and threading.get_ident() == self._thread:
-            return ModuleSpec(name, _Postponed())
+        if name in self._lazy and threading.get_ident() == self._thread:
+            return ModuleSpec(name, _LazyLoader())
         found = PathFinder.find_spec(name, path, target) if name in self._loads else None
         if found is None or not isinstance(found.loader, SourceFileLoader):
             return None
@@ -118,7 +117,7 @@ class _Finder:
 
 
 class _Loader(SourceFileLoader):
-    """Loads a module by `load`."""
+    """Loads a module with a given function."""
 
     def __init__(self, name: str, path: str, load: Loads) -> None:
         super().__init__(name, path)
@@ -129,11 +128,11 @@ class _Loader(SourceFileLoader):
         self._load(module, lambda: super(_Loader, self).exec_module(module))
 
 
-class _Later(ModuleType):
-    """Stands for a module of its name, which is imported when something of it is asked for."""
+class _LazyModule(ModuleType):
+    """A placeholder for a module, which is imported on first access to an attribute."""
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # asked of every module
+        if name.startswith("__"):  # read of every module
             raise AttributeError(name)
         return getattr(importlib.import_module(self.__name__), name)
 
@@ -143,14 +142,14 @@ def _check_version() -> None:
         importlib.import_module("taichi._version_check").start_version_check_thread()
 
 
-class _Postponed(Loader):
-    """Makes a `_Later`."""
+class _LazyLoader(Loader):
+    """Creates a `_LazyModule`."""
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         """See `importlib.abc.Loader`."""
-        made = _Later(spec.name)
+        made = _LazyModule(spec.name)
         if spec.name == "taichi._version_check":
-            made.start_version_check_thread = _check_version  # whenever Taichi is started
+            made.start_version_check_thread = _check_version  # called at each start of Taichi
         return made
 
     def exec_module(self, module: ModuleType) -> None:

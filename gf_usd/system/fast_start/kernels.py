@@ -1,22 +1,21 @@
-"""Taichi's way from a kernel's source to its key in the cache on disk, without the detours.
+"""Faster lookup of Taichi's compiled kernels: from a kernel's source to its key in the disk cache.
 
-That way is gone at every start, also where the cache holds all kernels.  What is replaced here
-builds the same, to the bit of the key, and says the same where Taichi complains of a kernel:
+Taichi computes the key at every start, even if the cache has all kernels.  The replacements here
+compute the same key, bit by bit, and give the same error messages.  Taichi 1.7.4
 
-- it words the position of every expression it meets, some 50,000 where loops are unrolled, with a
-  copy of the source: here with file and line, and with the source only where something is wrong;
-- it asks for the source of the frame in which a function is announced, which at the level of a
-  module is the import system, and looking for it goes through all modules loaded: here it is one
-  line of one file, or of none;
-- it reads and parses a function's source anew for every call of it in a kernel, and splits it into
-  tokens to see where it ends: here it is parsed once, up to the last line of its code;
-- it gives every name a place of its own, and asks NumPy for the range of every number;
-- it puts the name of what builds a node together at every node, and makes a dozen functions for
-  every sum to choose one of: here that is looked up.
+- formats the position of every expression with a copy of the source, some 50,000 with unrolled
+loops; here with file and line, and with the source only for an error;
+- looks up the source of the frame that registers a function, which at module level is the import
+system, and searches all loaded modules for it; here it reads one line of the file, if there is one;
+- reads and parses a function's source for every call of it in a kernel, and tokenizes it to find
+its end; here it is parsed once, up to the last line of its code;
+- attaches debug information to every name, and queries NumPy for the range of every number;
+- composes the name of the method that builds each node, and creates a dozen functions per sum to
+choose one; here they are looked up in a table.
 
-All of this replaces private parts of Taichi 1.7.4.  With any other version, or with the environment
-variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `quicken` and
-`restore` are called by `taichi_runtime`.
+The replacements are of private parts of Taichi 1.7.4.  With any other version, or with the
+environment variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.
+`install_replacements` and `remove_replacements` are called by `taichi_runtime`.
 """
 
 from __future__ import annotations
@@ -35,61 +34,67 @@ from functools import cache, lru_cache, partial
 from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
-VERSION = (1, 7, 4)  # of Taichi, whose private parts these are
-SWITCH = "GF_USD_FAST_START"  # environment variable; "0" leaves Taichi as it is
+VERSION = (1, 7, 4)  # of Taichi, for which the replacements are valid
+SWITCH = "GF_USD_FAST_START"  # environment variable; "0" disables the replacements
 
 
-Part = tuple[Any, str, Any, Any]  # owner, name, what Taichi has there, what replaces it
+Replacement = tuple[Any, str, Any, Any]  # owner, attribute, Taichi's value, its replacement
 
-_replaced: list[Part] = []  # now
+_replaced: list[Replacement] = []  # installed now
 
 
-def quicken(taichi: ModuleType) -> None:
-    """Replace the detours of an imported Taichi of this version, unless switched off."""
+def install_replacements(taichi: ModuleType) -> None:
+    """Replace parts of an imported Taichi of this version, unless switched off."""
     if _replaced or taichi.__version__ != VERSION or os.environ.get(SWITCH) == "0":
         return
-    for owner, name, _, new in _parts():
+    for owner, name, _, new in _replacements():
         setattr(owner, name, new)
-    _replaced.extend(_parts())
+    _replaced.extend(_replacements())
 
 
-def restore() -> None:
-    """Give Taichi back what `quicken` replaced."""
+def remove_replacements() -> None:
+    """Restore Taichi's own functions."""
     for owner, name, old, _ in _replaced:
         setattr(owner, name, old)
     _replaced.clear()
 
 
 @cache
-def _parts() -> tuple[Part, ...]:
-    """All that is replaced, made once of Taichi as it was imported."""
+def _replacements() -> tuple[Replacement, ...]:
+    """All replacements, made once from Taichi as it was imported."""
     numbers: Any = importlib.import_module("taichi.lang.expr")
     words: Any = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
     context = words.ASTTransformerContext
     transformer: Any = importlib.import_module("taichi.lang.ast.ast_transformer").ASTTransformer
     kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
-    trees = Trees(kernels.transform_tree)
+    trees = SyntaxTrees(kernels.transform_tree)
     statements = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
     ranges = ("_check_in_range", "_clamp_unsigned_to_range")
     new: tuple[tuple[Any, str, Any], ...] = (
         *((numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name))) for name in ranges),
-        (words.Builder, "__call__", _looked_up(words.Builder.__call__, context.get_pos_info)),
-        (context, "get_pos_info", _briefly),
-        (transformer, "build_Name", staticmethod(_named)),
-        (transformer, "build_BinOp", staticmethod(_chosen(transformer.build_BinOp))),
+        (
+            words.Builder,
+            "__call__",
+            _fast_builder_call(words.Builder.__call__, context.get_pos_info),
+        ),
+        (context, "get_pos_info", _short_position),
+        (transformer, "build_Name", staticmethod(_fast_build_name)),
+        (transformer, "build_BinOp", staticmethod(_fast_build_binary(transformer.build_BinOp))),
         (kernels, "ast", SimpleNamespace(**{**vars(ast), "parse": trees.parse})),
-        (kernels, "textwrap", SimpleNamespace(**{**vars(textwrap), "fill": _filled})),
+        (kernels, "textwrap", SimpleNamespace(**{**vars(textwrap), "fill": _fast_fill})),
         (kernels, "transform_tree", trees.transform),
-        (kernels, "getsourcelines", cache(_up_to_its_end(kernels.getsourcelines))),
+        (kernels, "getsourcelines", cache(_fast_source_lines(kernels.getsourcelines))),
         (kernels, "getsourcefile", cache(kernels.getsourcefile)),
-        (kernels, "_inside_class", asked_of_files(kernels._inside_class, statements)),
+        (kernels, "_inside_class", faster_inside_class(kernels._inside_class, statements)),
     )
-    # as they stand in their owners: a static method is not what it looks up to
+    # Taichi's values from the owner's dict, because attribute access unwraps static methods
     return tuple((owner, name, vars(owner)[name], value) for owner, name, value in new)
 
 
-def _briefly(self: Any, node: Any) -> str:
-    """Where a node is, for an ASTTransformerContext: without its source, which few ask for."""
+def _short_position(self: Any, node: Any) -> str:
+    """Position of a node for an ASTTransformerContext, without its source, which is rarely
+    needed.
+    """
     function = self.func.func
     try:
         said_of, said = node.said
@@ -103,19 +108,19 @@ def _briefly(self: Any, node: Any) -> str:
     return said
 
 
-def asked_of_files(
+def faster_inside_class(
     inside: Callable[[int], bool], words: tuple[re.Pattern[str], ...]
 ) -> Callable[[int], bool]:
-    """`inside(level)`, whether the line that a frame is at begins with one of these words.
+    """A faster `inside(level)`: whether the line at a frame matches one of the patterns `words`.
 
-    False at once where the frame is of no file; else the line is looked up by the file's name,
-    where `inside` looks for the module, and the files of all other modules on the way.
+    False at once where the frame has no file.  Otherwise the line is looked up by file name;
+    `inside` searches for the module, and on the way through the files of all other modules.
     """
 
     def inside_class(level_of_class_stackframe: int) -> bool:
         try:
             frame = sys._getframe(level_of_class_stackframe)
-        except ValueError:  # a script's own level has nothing above it
+        except ValueError:  # the top level of a script has no frame above it
             return False
         if frame.f_code.co_filename.startswith("<"):
             return False
@@ -127,8 +132,8 @@ def asked_of_files(
     return inside_class
 
 
-def _up_to_its_end(complete: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """`complete(function)`: its lines of source, and the number of the first."""
+def _fast_source_lines(complete: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A faster `complete(function)`: its lines of source, and the number of the first."""
 
     def lines_of(function: Any) -> tuple[list[str], int]:
         code = getattr(function, "__code__", None)
@@ -145,12 +150,13 @@ def _last_line(code: CodeType) -> int:
     return max([code.co_firstlineno, *inner, *(place[1] or 0 for place in code.co_positions())])
 
 
-def _looked_up(
+def _fast_builder_call(
     complete: Callable[[Any, Any, Any], Any], word: Callable[[Any, Any], str]
 ) -> Callable[[Any, Any, Any], Any]:
-    """`complete(builder, context, node)`, which visits a node, and is left to say what went wrong.
+    """A faster `complete(builder, context, node)`, which visits a node and reports errors by
+    `complete`.
 
-    word : (context, node), where that is, with the source.
+    word : (context, node), the position with the source.
     """
     runtime = importlib.import_module("taichi.lang.impl").get_runtime
     known: dict[tuple[type, type], tuple[Any, bool]] = {}
@@ -164,7 +170,7 @@ def _looked_up(
             known[type(self), kind] = method, issubclass(kind, ast.stmt | ast.expr)
         method, placed = known[type(self), kind]
         if kind is ast.Attribute:
-            node.__dict__.pop("caller", None)  # of another visit of the tree
+            node.__dict__.pop("caller", None)  # of an earlier visit of the tree
         stack = runtime().src_info_stack
         stack.append(ctx.get_pos_info(node) if placed else "")
         done = False
@@ -174,16 +180,16 @@ def _looked_up(
         finally:
             stack.pop()
             error = None if done else sys.exception()
-            if isinstance(error, Exception):  # goes on, with the place and in Taichi's words
+            if isinstance(error, Exception):  # re-raised with the position, by Taichi's own code
                 ctx.get_pos_info = partial(word, ctx)
-                complete(_Failed(error), ctx, node)
+                complete(_RaisingBuilder(error), ctx, node)
         return made
 
     return build
 
 
-class _Failed:
-    """A builder whose every method raises this error."""
+class _RaisingBuilder:
+    """A builder of which every method raises the given error."""
 
     def __init__(self, error: Exception) -> None:
         self._error = error
@@ -195,8 +201,8 @@ class _Failed:
         return build
 
 
-def _named(ctx: Any, node: Any) -> Any:
-    """What a name stands for; what is built of it says where it was built."""
+def _fast_build_name(ctx: Any, node: Any) -> Any:
+    """The value of a name, without debug information, which expressions built from it have."""
     node.ptr = ctx.get_var_by_name(node.id)
     return node.ptr
 
@@ -209,8 +215,8 @@ SUMS: dict[type, Callable[[Any, Any], Any]] = {
 }
 
 
-def _chosen(complete: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """`complete(context, node)` of a binary operation; sums and products without it."""
+def _fast_build_binary(complete: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """A faster `complete(context, node)` of a binary operation, for SUMS."""
     build = importlib.import_module("taichi.lang.ast.ast_transformer").build_stmt
     wrong = importlib.import_module("taichi.lang.exception").TaichiTypeError
 
@@ -229,13 +235,13 @@ def _chosen(complete: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     return build_binary
 
 
-class Trees:
-    """Syntax trees of functions that one kernel calls, each parsed once.
+class SyntaxTrees:
+    """Syntax trees of functions that a kernel calls, each parsed once.
 
-    Taichi hangs what it makes of a node on the node.  So a tree serves one call at a time, and none
-    stays when the kernel is done.
+    Taichi stores results in the nodes of a tree.  A tree is therefore used by one call at a time,
+    and discarded at the end of the kernel.
 
-    transform : (tree, context), what Taichi does with a tree.
+    transform : (tree, context), Taichi's transformation of a tree.
     """
 
     def __init__(self, transform: Callable[[Any, Any], Any]) -> None:
@@ -250,9 +256,10 @@ class Trees:
         return tree
 
     def transform(self, tree: Any, ctx: Any) -> Any:
-        """Do what Taichi does; then the tree is free for another call within the same kernel.
+        """Transform a tree as Taichi does; it is then free for another call within the same kernel.
 
-        No search for cycles meanwhile: it goes through all that a kernel is made of, which stays.
+        Garbage collection is disabled meanwhile, since it would traverse all objects of the kernel,
+        none of which are garbage.
         """
         searches = self._depth == 0 and gc.isenabled()
         if searches:
@@ -260,7 +267,7 @@ class Trees:
         self._depth += 1
         try:
             result = self._transform(tree, ctx)
-            # The arguments of these are cut off the tree.
+            # Taichi removes the arguments of these from the tree.
             if not (ctx.is_kernel or ctx.is_real_function):
                 self._free.setdefault(tree.source, []).append(tree)
         finally:
@@ -272,8 +279,8 @@ class Trees:
         return result
 
 
-def _filled(text: str, **how: Any) -> str:
-    """`textwrap.fill`, for whose widths a line of source is short."""
+def _fast_fill(text: str, **how: Any) -> str:
+    """`textwrap.fill`, with a shortcut for lines that are shorter than the width."""
     line = text.rstrip()
     if len(line) < how["width"] and line.isprintable():
         return line

@@ -1,1 +1,1 @@
-"""Warm processes, each for one command of gf-usd after the other, and their server."""
+"""Warm processes, each of which runs one command of gf-usd after another, and their server."""

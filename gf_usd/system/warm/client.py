@@ -14,10 +14,9 @@ from gf_usd.system.warm.server import ENDED, SERVER
 
 
 def events(path: Path, request: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Send a request to the server at a path; its events as they come.
+    """Send a request to the server at a path; yields its events.
 
-    To close the iterator early ends the command.
-
+    Closing the iterator early ends the command.
     Raises UsageError where no server listens, BakeError where it ends before the command does.
     """
     end = connect(path)
@@ -41,7 +40,7 @@ def events(path: Path, request: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def status(path: Path, *, stop: bool = False) -> dict[str, Any] | None:
-    """What the server at a path is doing, which then ends if asked; None where there is none."""
+    """The status of the server at a path; None where there is none. stop : the server then ends."""
     end = connect(path)
     if end is None:
         return None

@@ -1,10 +1,10 @@
-"""Children that read files, forked from a process that has loaded all they need.
+"""Children that read files, forked from a process that has loaded their modules.
 
-The process has one thread and opens no file, so that a fork inherits no lock that is held and
-nothing of another file.  Without it a child loads Python, NumPy and USD for every file.
+The process has one thread and opens no file, so that a fork inherits no held lock and no file.
+Without it, each child would load Python, NumPy and USD for every file.
 
-Of many files the process is one of its own, a `ForkServer`.  A command that reads one file forks
-the child itself, before it has threads or files: `fork_ahead`.
+For many files it is a separate process, a `ForkServer`.  A command that reads one file forks the
+child itself, before it has threads or files: `fork_ahead`.
 """
 
 from __future__ import annotations
@@ -25,11 +25,18 @@ from pathlib import Path
 from typing import NoReturn
 
 from gf_usd.system import sandbox
-from gf_usd.system.processes import PARENT, Ended, Owned, Process, Running, peak_memory
+from gf_usd.system.processes import (
+    PARENT,
+    Process,
+    ProcessResult,
+    Running,
+    SessionProcess,
+    peak_memory,
+)
 from gf_usd.system.warm.workers import receive, send
 
 AVAILABLE = hasattr(os, "pidfd_open") and Path("/proc/self/task").is_dir()  # Linux
-# no threads of libraries, which a child would not have
+# without threads of libraries, which a fork does not have
 ALONE = ("PXR_WORK_THREAD_LIMIT", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 START = (
     f"import json, os, sys; os.environ.update(dict.fromkeys({ALONE}, '1'));"
@@ -39,7 +46,7 @@ START = (
 
 
 class ForkServer:
-    """The process, which ends with this one.
+    """The forking process, which ends with this one.
 
     Parameters
     ----------
@@ -53,12 +60,12 @@ class ForkServer:
             number = other.fileno()
             self._process = Process([*command, str(number), *modules], inherit=[number], grace=0.0)
         self._busy = threading.Lock()
-        self.cpu_seconds = 0.0  # of the process and its children, at the end of the last one
+        self.cpu_seconds = 0.0  # of the process and its children, when the last child ended
 
     def start(self, request: Path) -> sandbox.Reader:
-        """A child for a request, as `sandbox.start` starts one.
+        """Start a child for a request, as `sandbox.start` does.
 
-        That starts it where the process cannot: it is busy, gone, or has several threads.
+        `sandbox.start` is used where the process is busy, has ended, or has several threads.
         """
         if not self._busy.acquire(blocking=False):
             return sandbox.start(request)
@@ -79,12 +86,12 @@ class ForkServer:
         return Forked(self, out[0], err[0])
 
     def kill(self) -> None:
-        """End the child that runs."""
+        """End the running child."""
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             send(self._end, {"kill": True})
 
     def ended(self) -> tuple[int, float, int]:
-        """Wait for the end of the child that runs; see `Running.reap`."""
+        """Wait for the end of the running child; see `Running.reap`."""
         answer = receive(self._end)
         if answer is None:
             return -signal.SIGKILL, 0.0, 0
@@ -93,11 +100,11 @@ class ForkServer:
         return reply["status"], reply["cpu_seconds"], reply["memory"]
 
     def release(self) -> None:
-        """Be free for another child."""
+        """Allow another child."""
         self._busy.release()
 
     def close(self) -> None:
-        """End the process, which has no child."""
+        """End the process, which must not have a child."""
         self._end.close()
         self._process.reap()
 
@@ -107,7 +114,7 @@ class Forked(Running):
 
     Parameters
     ----------
-    out, err : descriptors of what it writes.
+    out, err : descriptors of its output.
     """
 
     def __init__(self, server: ForkServer, out: int, err: int) -> None:
@@ -116,7 +123,7 @@ class Forked(Running):
         self._lock = threading.Lock()
         self._reaped = False
 
-    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> ProcessResult:
         """See `Child.wait`."""
         with os.fdopen(self._out, "rb") as out, os.fdopen(self._err, "rb") as err:
             return self._read(out, err, on_line, timeout, binary=True)
@@ -126,7 +133,7 @@ class Forked(Running):
         ended = self._server.ended()
         with self._lock:
             self._reaped = True
-        self._server.release()  # not before: `_signal` would reach the next child
+        self._server.release()  # only now: otherwise `_signal` could reach the next child
         return ended
 
     def _signal(self, number: int) -> None:
@@ -135,14 +142,14 @@ class Forked(Running):
                 self._server.kill()
 
 
-class ForkedAhead(Owned):
-    """A child of this process that waits for its one request, and ends where none comes.
+class ForkedAhead(SessionProcess):
+    """A child of this process that waits for a single request, and ends if none arrives.
 
     Parameters
     ----------
     pid : of the child.
-    request : descriptor by which it is told where its request is.
-    out, err : descriptors of what it writes.
+    request : descriptor to which the path of the request is sent.
+    out, err : descriptors of its output.
     """
 
     def __init__(self, pid: int, request: int, out: int, err: int) -> None:
@@ -150,8 +157,8 @@ class ForkedAhead(Owned):
         self._request, self._out, self._err = request, out, err
 
     def start(self, request: Path) -> sandbox.Reader:
-        """This child, for a request; those after it are started by `sandbox.start`."""
-        sandbox.start_by(sandbox.start)
+        """This child, for a request; further children are started by `sandbox.start`."""
+        sandbox.set_starter(sandbox.start)
         try:
             with os.fdopen(self._request, "wb") as file:
                 file.write(os.fsencode(request))
@@ -159,17 +166,17 @@ class ForkedAhead(Owned):
             return sandbox.start(request)
         return self
 
-    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> ProcessResult:
         """See `Child.wait`."""
         with os.fdopen(self._out, "rb") as out, os.fdopen(self._err, "rb") as err:
             return self._read(out, err, on_line, timeout, binary=True)
 
 
 def fork_ahead(modules: Sequence[str]) -> bool:
-    """Fork the child that reads the next file now, with these modules imported here.
+    """Fork the child that reads the next file, with these modules imported.
 
-    Returns False where the system cannot, or where this process has other threads, whose locks a
-    child would inherit: children are then started as before.
+    Returns False where the system does not support it, or where this process has other threads,
+    whose locks a child would inherit: children are then started as new processes.
     """
     if not AVAILABLE:
         return False
@@ -184,12 +191,12 @@ def fork_ahead(modules: Sequence[str]) -> bool:
         _await(parent, request[0], out[1], err[1])
     for descriptor in (request[0], out[1], err[1]):
         os.close(descriptor)
-    sandbox.start_by(ForkedAhead(process, request[1], out[0], err[0]).start)
+    sandbox.set_starter(ForkedAhead(process, request[1], out[0], err[0]).start)
     return True
 
 
 def _await(parent: int, request: int, out: int, err: int) -> NoReturn:
-    """The child of `fork_ahead`: it keeps none of the parent's files, among them locks."""
+    """The child of `fork_ahead`: it closes the parent's files, including locks."""
     os.setsid()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
@@ -204,26 +211,26 @@ def _await(parent: int, request: int, out: int, err: int) -> NoReturn:
     os.environ[PARENT] = str(parent)
     try:
         sandbox.serve(path)
-    finally:  # the hook of `serve`, before the handlers of what forked it
+    finally:  # the exit hook of `serve`, before the handlers of the parent
         error = sys.exception()
         assert error is not None
         sys.excepthook(type(error), error, error.__traceback__)
 
 
 def _threads() -> int:
-    """Of this process."""
+    """Number of threads of this process."""
     return len(os.listdir("/proc/self/task"))
 
 
 def run(descriptor: int, modules: Sequence[str]) -> None:
-    """The process: fork a child for each request until the other end is closed."""
+    """The forking process: fork a child for each request until the other end is closed."""
     os.environ[PARENT] = str(os.getpid())
     for module in modules:
         importlib.import_module(module)
     end = socket.socket(fileno=descriptor)
     while (asked := receive(end)) is not None:
         request, descriptors = asked
-        if "request" not in request:  # to end a child that has ended
+        if "request" not in request:  # the child has already ended
             continue
         process = os.fork() if _threads() == 1 else -1
         if not process:
@@ -242,7 +249,7 @@ def run(descriptor: int, modules: Sequence[str]) -> None:
 
 
 def _follow(end: socket.socket, process: int) -> None:
-    """Wait for a child, and end it where that is asked or nobody is there to ask."""
+    """Wait for a child, and end it on request or when the requesting process ends."""
     watched = os.pidfd_open(process)
     while watched not in (ready := select.select([end, watched], [], [])[0]):
         assert end in ready
@@ -252,7 +259,7 @@ def _follow(end: socket.socket, process: int) -> None:
             break
     os.close(watched)
     os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT)
-    _kill(process)  # what it leaves running
+    _kill(process)  # its descendants
     _, code, usage = os.wait4(process, 0)
     own, children = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     reply = {
@@ -266,8 +273,8 @@ def _follow(end: socket.socket, process: int) -> None:
 
 
 def _kill(process: int) -> None:
-    """End a child that is not reaped, and all that it started."""
+    """End a child that is not reaped, and its descendants."""
     try:
         os.killpg(process, signal.SIGKILL)
-    except ProcessLookupError:  # it has not come to making its group
+    except ProcessLookupError:  # it has not created its group yet
         os.kill(process, signal.SIGKILL)

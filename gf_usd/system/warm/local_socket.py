@@ -1,4 +1,4 @@
-"""A socket in the file system that only the user who owns it may use."""
+"""A socket in the file system that only its owner can use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CREDENTIALS = struct.Struct("3i")  # process, user and group at the other end
 
 
 def socket_path() -> Path:
-    """Where the server of this user listens unless another path is given."""
+    """Default path of this user's server."""
     if named := os.environ.get(VARIABLE):
         return Path(named)
     runtime = os.environ.get("XDG_RUNTIME_DIR")
@@ -41,14 +41,14 @@ def require_available() -> None:
 
 @contextlib.contextmanager
 def listening_socket(path: Path) -> Iterator[socket.socket]:
-    """Listen at a path; the socket and its lock are removed when the block ends.
+    """Listen at a path; the socket and its lock are removed at the end of the block.
 
     A socket that a killed server left there is replaced.
 
     Raises
     ------
-    UsageError : another server listens there, the path is too long or no socket, or the folder may
-        be used by others.
+    UsageError : another server listens there, the path is too long or is not a socket, or other
+        users can use the folder.
     BakeError : the folder cannot be written.
     """
     require_available()
@@ -68,7 +68,7 @@ def listening_socket(path: Path) -> Iterator[socket.socket]:
     try:
         if path.exists() and not path.is_socket():
             raise UsageError(f"{path} exists but is not a socket", "give another --socket")
-        # its server holds no lock, so it was killed
+        # its server does not hold the lock, so it was killed
         path.unlink(missing_ok=True)
         with socket.socket(socket.AF_UNIX) as end:
             end.bind(str(path))
@@ -82,7 +82,7 @@ def listening_socket(path: Path) -> Iterator[socket.socket]:
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder for this user alone, or see that it is one."""
+    """Create a folder for this user only, or check that it is private."""
     try:
         folder.mkdir(mode=PRIVATE, parents=True, exist_ok=True)
         found = folder.stat()
@@ -117,9 +117,9 @@ def connect(path: Path) -> socket.socket | None:
 
 
 def is_same_user(end: socket.socket) -> bool:
-    """Whether the process at the other end belongs to this user; True where no system call tells.
+    """Whether the process at the other end belongs to this user.
 
-    The mode of the folder keeps others away there.
+    True where the system has no such call; the mode of the folder then excludes other users.
     """
     if not hasattr(socket, "SO_PEERCRED"):
         return True

@@ -1,7 +1,7 @@
 """The server of ``gf-usd serve``: commands from a local socket, run in warm processes.
 
-A client sends one line of JSON and gets lines of JSON until the connection ends; docs/farm.md lists
-them.  A command ends with its connection.
+A client sends one line of JSON and receives lines of JSON until the connection ends; docs/farm.md
+lists them.  A command ends with its connection.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from typing import Any
 
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, UsageError
-from gf_usd.system.processes import Children, Ended
+from gf_usd.system.processes import Children, ProcessResult
 from gf_usd.system.warm.local_socket import is_same_user
 from gf_usd.system.warm.workers import Worker, Workers, listening
 
 LONGEST = 1 << 20  # bytes of a request
 PATIENCE = 10.0  # [s] for the whole request to arrive
-TICK = 0.25  # [s] between looks at the clock
+TICK = 0.25  # [s] between checks of the time
 
 QUESTIONS = ("status", "stop")
-ENDED, SERVER = "ended", "server"  # events of the server's own
+ENDED, SERVER = "ended", "server"  # events of the server itself
 
 Words = Callable[[dict[str, Any]], list[str]]  # from a request to the arguments of gf-usd
 
 
 class Server:
-    """Runs the commands that clients ask for.
+    """Runs the commands of clients.
 
     Parameters
     ----------
-    words : the arguments of a request; it raises GfUsdError for one that is refused.
-    at_once : commands that run at the same time; others wait for their turn.
-    timeout : [s] after which a command that gives no time of its own is ended; None: never.
+    words : the arguments of a request; raises GfUsdError for an invalid one.
+    at_once : number of concurrent commands; others wait.
+    timeout : [s] after which a command without its own limit is ended; None: never.
     idle : [s] without a command after which `run` returns; None: never.
     workers : the warm processes, ended by `children`.
     """
@@ -61,18 +61,18 @@ class Server:
         self._turns = threading.Semaphore(at_once)
         self._lock = threading.Lock()
         self._clients: set[threading.Thread] = set()
-        self._commands = 0  # that run or wait
+        self._commands = 0  # running or waiting commands
         self._done = 0
         self._last = time.monotonic()  # when a command ended, or the server began
         self._wake, self._woken = socket.socketpair()
 
     def stop(self) -> None:
-        """End the commands that run, and let `run` return; it may be called by a signal handler."""
-        with contextlib.suppress(OSError):  # it ends already
+        """End the running commands and `run`; can be called by a signal handler."""
+        with contextlib.suppress(OSError):  # it is ending already
             self._wake.send(b".")
 
     def run(self, end: socket.socket) -> None:
-        """Serve the clients of a listening socket until `stop` is called or nothing is asked."""
+        """Serve the clients of a listening socket until `stop` is called or the server is idle."""
         with self._wake, self._woken:
             while True:
                 ready, _, _ = select.select([end, self._woken], [], [], TICK)
@@ -139,7 +139,7 @@ class Server:
         )  # fmt: skip
 
     def _tell(self, what: str, send: _Events) -> None:
-        """Answer a question that is no command."""
+        """Answer a request to the server itself."""
         with self._lock:
             send(SERVER, pid=os.getpid(), version=__version__, at_once=self._at_once,
                 running=self._commands, done=self._done)  # fmt: skip
@@ -153,13 +153,13 @@ class Server:
         words: list[str],
         folder: str,
         timeout: float | None,
-    ) -> Ended | None:
-        """Run a command; it is stopped when its client is gone."""
+    ) -> ProcessResult | None:
+        """Run a command; it is stopped when its client disconnects."""
         over = threading.Event()
         running: list[Worker] = []
 
         def follow() -> None:
-            """Stop the command once the connection ends."""
+            """Stop the command when the connection ends."""
             while not over.wait(0.0):
                 if select.select([client], [], [], TICK)[0] and not _is_open(client):
                     for worker in running:
@@ -197,8 +197,8 @@ class _Events:
         self.line(json.dumps({"event": event, "time": round(time.time(), 3), **values}) + "\n")
 
     def line(self, line: str) -> None:
-        """One that is JSON already."""
-        with contextlib.suppress(OSError):  # it is gone, which `_run` finds out
+        """Send a line that is JSON already."""
+        with contextlib.suppress(OSError):  # the client is gone, which `_run` detects
             self._client.sendall(line.encode())
 
 
@@ -229,7 +229,7 @@ def _request(client: socket.socket) -> dict[str, Any]:
 
 
 def _question(asked: dict[str, Any]) -> str:
-    """What is asked of the server itself.  Raises UsageError for what it does not know."""
+    """A request to the server itself.  Raises UsageError for an unknown one."""
     what = asked["ask"]
     if len(asked) > 1 or what not in QUESTIONS:
         raise UsageError(
@@ -240,7 +240,7 @@ def _question(asked: dict[str, Any]) -> str:
 
 
 def _timeout(asked: dict[str, Any], default: float | None) -> float | None:
-    """[s] that a request may take.  Raises UsageError for anything but a number above 0."""
+    """[s] time limit of a request.  Raises UsageError unless it is a number above 0."""
     seconds = asked.get("timeout", default)
     if seconds is None:
         return None
@@ -250,7 +250,7 @@ def _timeout(asked: dict[str, Any], default: float | None) -> float | None:
 
 
 def _folder(asked: dict[str, Any]) -> str:
-    """The working directory of a request.  Raises UsageError where it is no folder."""
+    """The working directory of a request.  Raises UsageError where it is not a folder."""
     folder = Path(str(asked.get("folder") or Path.cwd()))
     if not folder.is_absolute() or not folder.is_dir():
         raise UsageError(
@@ -261,8 +261,8 @@ def _folder(asked: dict[str, Any]) -> str:
 
 
 def _is_open(client: socket.socket) -> bool:
-    """Whether the other end is open still, where there is something to read."""
+    """Whether the client is still connected; called when there is something to read."""
     try:
-        return bool(client.recv(1 << 16))  # no client has anything more to say
+        return bool(client.recv(1 << 16))  # no client sends anything more
     except OSError:
         return False

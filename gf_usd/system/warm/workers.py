@@ -1,11 +1,11 @@
-"""Warm processes: each runs one command of gf-usd after the other.
+"""Warm processes: each runs one command of gf-usd after another.
 
-Imports, kernels and caches stay loaded between commands, which is most of what a small bake costs.
-A worker is a process in a session of its own: a command that hangs, crashes or grows too large ends
-its worker, and the next command gets a new one.
+Imports, kernels and caches stay loaded between commands, which saves most of the time of a small
+bake.  A worker is a process in its own session: a command that hangs, crashes or uses too much
+memory ends its worker, and the next command gets a new one.
 
-A request and its reply are a length (4 bytes, network order) and so many bytes of JSON, over a
-socket.  With a request come file descriptors: stderr, then that of the events, then those of locks.
+A request and its reply are a length (4 bytes, network order) and a JSON text of that length, over a
+socket.  A request carries file descriptors: stderr, that of the events, and those of locks.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from gf_usd.system.processes import Children, Ended, Process, tail_of
+from gf_usd.system.processes import Children, Process, ProcessResult, tail_of
 
 LENGTH = struct.Struct("!I")
 MOST = 16  # descriptors of a request
@@ -30,7 +30,7 @@ WORKER = (sys.executable, "-m", "gf_usd", "worker")
 
 
 def send(end: socket.socket, message: dict[str, Any], descriptors: Sequence[int] = ()) -> None:
-    """Send a message, and file descriptors with it."""
+    """Send a message with file descriptors."""
     body = json.dumps(message).encode()
     socket.send_fds(end, [LENGTH.pack(len(body))], list(descriptors))
     end.sendall(body)
@@ -50,7 +50,7 @@ def receive(end: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
 
 
 def _exactly(end: socket.socket, count: int) -> bytes:
-    """So many bytes, or fewer where the other end is closed."""
+    """`count` bytes, or fewer where the other end is closed."""
     out = b""
     while len(out) < count and (more := end.recv(count - len(out))):
         out += more
@@ -62,7 +62,7 @@ class Worker(Process):
 
     Parameters
     ----------
-    command : what starts it; the number of its socket is added.
+    command : the command line that starts it, without the number of its socket.
     err : stderr until its first request.
     """
 
@@ -71,8 +71,8 @@ class Worker(Process):
         with other:
             number = other.fileno()
             super().__init__([*command, str(number)], inherit=[number], err=err)
-        self._cpu_seconds = 0.0  # of the commands before
-        self.spent = False  # it has ended, or is to get no more commands
+        self._cpu_seconds = 0.0  # of earlier commands
+        self.spent = False  # it has ended, or gets no more commands
 
     def run(
         self,
@@ -80,15 +80,12 @@ class Worker(Process):
         descriptors: Sequence[int],
         stderr: tuple[int, int],
         timeout: float | None,
-    ) -> Ended:
-        """Run one command to its end.
-
-        stderr : a pipe, of which both ends are closed in the end.
-        """
+    ) -> ProcessResult:
+        """Run one command to its end. stderr : a pipe, both ends of which are closed at the end."""
         began = time.monotonic()
         reader, writer = stderr
         with self._timed(timeout):
-            # a worker that is gone already says so by its missing reply
+            # if the worker has ended, its missing reply shows that
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 send(self._end, request, [writer, *descriptors])
             os.close(writer)
@@ -105,14 +102,14 @@ class Worker(Process):
             cpu_seconds -= self._cpu_seconds
             status = status if answer is None else answer[0]["status"]
             self._end.close()
-        return Ended(
+        return ProcessResult(
             status=status, out="", err=tail, seconds=time.monotonic() - began,
             cpu_seconds=cpu_seconds, peak_memory=memory, timed_out=self._timed_out,
             stopped=self._stopped and not self._timed_out,
         )  # fmt: skip
 
     def close(self) -> None:
-        """Let it end, and wait for that."""
+        """End the process, and wait for it."""
         if not self.spent:
             self.spent = True
             self._end.close()
@@ -120,12 +117,12 @@ class Worker(Process):
 
 
 class Workers:
-    """As many warm workers as there are commands at once.
+    """As many warm workers as concurrent commands.
 
     Parameters
     ----------
     children : its `stop` ends the workers that run a command.
-    command : what starts a worker, which calls `cli.worker.follow`.
+    command : the command line of a worker, which calls `cli.worker.follow`.
     """
 
     def __init__(self, children: Children, command: Sequence[str] = WORKER) -> None:
@@ -142,12 +139,12 @@ class Workers:
         inherit: Sequence[int] = (),
         folder: str | None = None,
         started: Callable[[Worker], None] = lambda worker: None,
-    ) -> Ended | None:
-        """Run ``gf-usd`` with these arguments; None where nothing is to be started any more.
+    ) -> ProcessResult | None:
+        """Run ``gf-usd`` with these arguments; None where `stop` was called before.
 
         events : file descriptor to which it writes its events (`--events`).
         inherit : descriptors of locks that it holds while it runs.
-        folder : its working directory; None: the one of this process.
+        folder : its working directory; None: that of this process.
         started : called with the process before the command begins.
         """
         stderr = os.pipe()
@@ -171,14 +168,14 @@ class Workers:
         return ended
 
     def start_one(self) -> None:
-        """Start a process before there is a command for it."""
+        """Start a process in advance of a command."""
         with open(os.devnull, "wb") as quiet:
             worker = Worker(self._command, err=quiet.fileno())
         with self._lock:
             self._idle.append(worker)
 
     def close(self) -> None:
-        """End the workers, none of which runs a command."""
+        """End the workers, none of which may run a command."""
         with self._lock:
             idle, self._idle = self._idle, []
         for worker in idle:
@@ -186,12 +183,12 @@ class Workers:
 
 
 class Commands:
-    """Runs commands of gf-usd, each in a process of its own or in one of the warm processes.
+    """Runs commands of gf-usd, each in a new process or in a warm one.
 
     Parameters
     ----------
-    children : its `stop` ends the commands that run and keeps the others from starting.
-    workers : the warm processes; None: each command has a process of its own.
+    children : its `stop` ends the running commands and prevents the others from starting.
+    workers : the warm processes; None: each command has a new process.
     """
 
     def __init__(self, children: Children, workers: Workers | None = None) -> None:
@@ -200,7 +197,7 @@ class Commands:
 
     @property
     def stopping(self) -> bool:
-        """Nothing more is to be started."""
+        """Whether no more commands may be started."""
         return self._children.stopping
 
     def run(
@@ -210,7 +207,7 @@ class Commands:
         events: int,
         timeout: float | None = None,
         inherit: Sequence[int] = (),
-    ) -> Ended | None:
+    ) -> ProcessResult | None:
         """Run ``gf-usd`` with these arguments; see `Workers.run`."""
         if self._workers is not None:
             return self._workers.run(arguments, events=events, timeout=timeout, inherit=inherit)
@@ -222,7 +219,7 @@ class Commands:
 
 @contextlib.contextmanager
 def commands(children: Children, *, warm: bool) -> Iterator[Commands]:
-    """Commands for a block, in warm processes where they are wanted and the system has them."""
+    """`Commands` within a block, with warm processes where requested and supported."""
     if not warm or not AVAILABLE:
         yield Commands(children)
         return
@@ -235,9 +232,9 @@ def commands(children: Children, *, warm: bool) -> Iterator[Commands]:
 
 @contextlib.contextmanager
 def listening(heard: Callable[[str], None]) -> Iterator[int]:
-    """A file descriptor for the events of a process; all are heard when the context ends.
+    """A file descriptor for the events of a process; all of them are handled before the block ends.
 
-    heard : called with each whole line, in a thread; one that a crash cut short is left out.
+    heard : called with each complete line, in a thread; a line that a crash cut short is ignored.
     """
     reader, writer = os.pipe()
 

@@ -13,11 +13,12 @@ from resumed import require_same
 from small_bakes import BLOCK
 
 import gf_usd
-from gf_usd.system.taichi_runtime import MERGING
+from gf_usd.system.taichi_runtime import MERGE_OPTIONS
 
 
 @pytest.mark.skipif(
-    MERGING[True] != MERGING[False], reason="this process has the shipped kernels as well"
+    MERGE_OPTIONS[True] != MERGE_OPTIONS[False],
+    reason="this process has the shipped kernels as well",
 )
 def test_the_search_for_what_is_written_twice_changes_no_bit(tmp_path: Path) -> None:
     block = tmp_path / "block.usda"
@@ -28,8 +29,8 @@ def test_the_search_for_what_is_written_twice_changes_no_bit(tmp_path: Path) -> 
         folder.mkdir()
     code = (
         "import gf_usd\n"
-        "from gf_usd.system.taichi_runtime import MERGING\n"
-        "assert MERGING[True]['opt_level'] == 1\n"
+        "from gf_usd.system.taichi_runtime import MERGE_OPTIONS\n"
+        "assert MERGE_OPTIONS[True]['opt_level'] == 1\n"
         f"gf_usd.bake({str(block)!r}, output={str(shipped / 'out.usda')!r}, **{asked!r})\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

@@ -131,7 +131,7 @@ def test_a_tree_serves_one_call_at_a_time_and_none_outlives_its_kernel() -> None
             seen.append(inner := trees.parse(source))
             trees.transform(inner, context)
 
-    trees = kernels.Trees(transform)
+    trees = kernels.SyntaxTrees(transform)
     assert gc.isenabled()
     kernel = SimpleNamespace(is_kernel=True, is_real_function=False)
     trees.transform(trees.parse("def k(): pass"), kernel)
@@ -153,7 +153,7 @@ def test_lines_of_source_are_filled_as_textwrap_does() -> None:
         "ä = 'é'",
     ):
         filled = textwrap.fill(line, tabsize=4, width=30)
-        assert kernels._filled(line, tabsize=4, width=30) == filled, repr(line)
+        assert kernels._fast_fill(line, tabsize=4, width=30) == filled, repr(line)
 
 
 def test_a_fault_in_a_kernel_is_still_placed() -> None:
@@ -181,7 +181,7 @@ def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
     taichis = sys.modules["taichi.lang.kernel_impl"]
     asked: list[int] = []
     words = tuple(taichis._KERNEL_CLASS_STACKFRAME_STMT_RES)
-    inside = kernels.asked_of_files(lambda level: bool(asked.append(level)), words)
+    inside = kernels.faster_inside_class(lambda level: bool(asked.append(level)), words)
 
     class Here:
         found = inside(2)  # from the body of a class to what is at its first line
@@ -189,7 +189,7 @@ def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
     assert Here.found
     assert not inside(0)
     assert asked == []
-    unknown = kernels.asked_of_files(lambda level: bool(asked.append(level)), ())
+    unknown = kernels.faster_inside_class(lambda level: bool(asked.append(level)), ())
     assert not unknown(0)
     assert asked == [1], "this frame is of a file, one level further up for the one who looks"
     code = compile("found = inside(1)", "<nowhere>", "exec")
@@ -231,7 +231,7 @@ def branch_at_the_end(a: int) -> None:
 
 @pytest.mark.parametrize("function", [long_signature, text_at_the_end, branch_at_the_end])
 def test_a_function_is_read_up_to_its_end(function: Any) -> None:
-    lines, first = kernels._up_to_its_end(inspect.getsourcelines)(function)
+    lines, first = kernels._fast_source_lines(inspect.getsourcelines)(function)
     complete, known = inspect.getsourcelines(function)
     assert first == known
     assert ast.dump(ast.parse("".join(lines))) == ast.dump(ast.parse("".join(complete)))
@@ -241,7 +241,7 @@ def test_a_function_without_a_file_is_left_to_inspect() -> None:
     space: dict[str, Any] = {}
     exec("def nowhere(): return 1", space)
     with pytest.raises(OSError, match="source"):
-        kernels._up_to_its_end(inspect.getsourcelines)(space["nowhere"])
+        kernels._fast_source_lines(inspect.getsourcelines)(space["nowhere"])
 
 
 @pytest.mark.parametrize("version", [(1, 7, 3), (1, 7, 5), (1, 8, 0), (2, 0, 0)])
@@ -254,7 +254,7 @@ def test_another_version_of_taichi_is_left_alone(
     taichis = sys.modules["taichi.lang.kernel_impl"]
     before = dict(vars(taichis))
     monkeypatch.setattr(kernels.importlib, "import_module", None)  # would be called
-    kernels.quicken(taichi)
+    kernels.install_replacements(taichi)
     assert dict(vars(taichis)) == before
 
 

@@ -14,7 +14,7 @@ import pytest
 from gf_usd.core.errors import InputError
 from gf_usd.system import sandbox
 from gf_usd.system.memory_and_disk import system_file
-from gf_usd.system.sandbox import Isolated, Limits, attempt
+from gf_usd.system.sandbox import Isolated, Limits, run_isolated
 from gf_usd.system.warm.fork_server import ALONE, AVAILABLE, ForkServer
 
 pytestmark = pytest.mark.skipif(not AVAILABLE, reason="not this system")
@@ -29,11 +29,11 @@ def forks() -> Iterator[ForkServer]:
 
 @pytest.fixture
 def file(forks: ForkServer, tmp_path: Path) -> Iterator[Path]:
-    sandbox.start_by(forks.start)
+    sandbox.set_starter(forks.start)
     path = tmp_path / "a.usda"
     path.write_text("#usda 1.0\n")
     yield path
-    sandbox.start_by(sandbox.start)
+    sandbox.set_starter(sandbox.start)
 
 
 def _is_gone(process: int) -> bool:
@@ -48,10 +48,10 @@ def _is_gone(process: int) -> bool:
 
 
 def test_children_are_forked_one_after_the_other(file: Path, forks: ForkServer) -> None:
-    parents = [attempt(file, "isolated_tasks:parent", Limits()) for _ in range(2)]
+    parents = [run_isolated(file, "isolated_tasks:parent", Limits()) for _ in range(2)]
     assert parents == 2 * [forks._process.pid]
     before = forks.cpu_seconds
-    attempt(file, "isolated_tasks:spin", Limits(), 0.2)
+    run_isolated(file, "isolated_tasks:spin", Limits(), 0.2)
     assert forks.cpu_seconds - before > 0.2
 
 
@@ -59,7 +59,7 @@ def test_a_child_works_where_its_parent_does(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert attempt(file, "isolated_tasks:folder", Limits()) == str(tmp_path)
+    assert run_isolated(file, "isolated_tasks:folder", Limits()) == str(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -75,30 +75,30 @@ def test_a_child_works_where_its_parent_does(
 def test_what_goes_wrong_is_said_and_harms_no_other(file: Path, work: str, words: str) -> None:
     seconds = 0.2 if work == "hang" else 60.0
     with pytest.raises(InputError) as caught:
-        attempt(file, f"isolated_tasks:{work}", Limits(time=seconds))
+        run_isolated(file, f"isolated_tasks:{work}", Limits(time=seconds))
     assert words in caught.value.message
-    assert attempt(file, "isolated_tasks:folder", Limits()) == str(Path.cwd())
+    assert run_isolated(file, "isolated_tasks:folder", Limits()) == str(Path.cwd())
 
 
 def test_two_at_once_and_one_that_is_given_up(file: Path, forks: ForkServer) -> None:
     with Isolated(file, "isolated_tasks:hang", Limits()):
-        other = attempt(file, "isolated_tasks:parent", Limits())
+        other = run_isolated(file, "isolated_tasks:parent", Limits())
         assert other == os.getpid(), "started afresh while the first runs"
-    assert attempt(file, "isolated_tasks:parent", Limits()) == forks._process.pid
+    assert run_isolated(file, "isolated_tasks:parent", Limits()) == forks._process.pid
 
 
 def test_without_the_process_a_child_is_started(file: Path) -> None:
     forks = ForkServer(["isolated_tasks"])
-    sandbox.start_by(forks.start)
+    sandbox.set_starter(forks.start)
     forks._process.stop()
     forks._process.reap()
-    assert attempt(file, "isolated_tasks:parent", Limits()) == os.getpid()
+    assert run_isolated(file, "isolated_tasks:parent", Limits()) == os.getpid()
     forks._end.close()
 
 
 def test_children_end_with_the_process_that_wants_them(file: Path, tmp_path: Path) -> None:
     forks = ForkServer(["isolated_tasks"])
-    sandbox.start_by(forks.start)
+    sandbox.set_starter(forks.start)
     told = tmp_path / "told"
     isolated = Isolated(file, "isolated_tasks:stay", Limits(), told)
     until = time.monotonic() + 30.0
@@ -116,7 +116,7 @@ AHEAD = """
 import os, sys, threading
 from pathlib import Path
 from gf_usd.core.errors import InputError
-from gf_usd.system.sandbox import Limits, attempt, starts_afresh
+from gf_usd.system.sandbox import Limits, run_isolated, starts_new_processes
 from gf_usd.system.warm.fork_server import fork_ahead
 
 file, task, threads = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
@@ -124,10 +124,10 @@ for _ in range(threads):
     threading.Thread(target=threading.Event().wait, daemon=True).start()
 held = os.open(file, os.O_RDONLY)
 forked = fork_ahead(["isolated_tasks"])
-assert forked is not starts_afresh()
+assert forked is not starts_new_processes()
 for number in range(2):
     try:
-        said = attempt(file, f"isolated_tasks:{task}", Limits(time=1.0))
+        said = run_isolated(file, f"isolated_tasks:{task}", Limits(time=1.0))
     except InputError as error:
         said = error.message
     print(forked, said)

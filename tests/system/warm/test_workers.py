@@ -14,7 +14,7 @@ import pytest
 from warm_commands import SCRIPT
 
 from gf_usd.system.file_locks import acquire
-from gf_usd.system.processes import Children, Ended
+from gf_usd.system.processes import Children, ProcessResult
 from gf_usd.system.warm.workers import Workers
 
 
@@ -25,7 +25,7 @@ def workers() -> Iterator[Workers]:
     made.close()
 
 
-def run(workers: Workers, *arguments: str, **how: object) -> tuple[Ended, int]:
+def run(workers: Workers, *arguments: str, **how: object) -> tuple[ProcessResult, int]:
     """How a command ended, and the process that ran it."""
     reader, writer = os.pipe()
     try:

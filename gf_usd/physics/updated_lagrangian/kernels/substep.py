@@ -49,7 +49,7 @@ from gf_usd.physics.updated_lagrangian.kernels.transfer import (
     trial,
 )
 from gf_usd.physics.updated_lagrangian.kernels.walls import add_given, move_walled_node
-from gf_usd.system.taichi_runtime import without_merging
+from gf_usd.system.taichi_runtime import without_common_subexpressions
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 
@@ -233,4 +233,6 @@ def build(
     kernels = {
         "serial": serial, "parallel": parallel, "start": start, "energy": energy, "stress": stress,
     }  # fmt: skip
-    return SimpleNamespace(**{name: without_merging(one) for name, one in kernels.items()})
+    return SimpleNamespace(
+        **{name: without_common_subexpressions(one) for name, one in kernels.items()}
+    )
