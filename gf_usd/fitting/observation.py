@@ -13,7 +13,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.measures.figures import Series
 from gf_usd.system import exchange
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.atomic_files import dropped_on_failure, publish
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +90,10 @@ def rest_points(surface: Surface) -> Floats:
 
 def save(path: Path, observation: Observation) -> None:
     """Write it under its name in one step."""
-    with partial_path(path).open("wb") as file:
-        exchange.write(observation, file)
-    publish(path)
+    with dropped_on_failure(path) as partial:
+        with partial.open("wb") as file:
+            exchange.write(observation, file)
+        publish(path)
 
 
 def load(path: Path) -> Observation:

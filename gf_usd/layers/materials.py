@@ -21,7 +21,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import new_layer, refresh, save, to_metadata
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
-from gf_usd.system.atomic_files import publish
+from gf_usd.system.atomic_files import dropped_on_failure, publish
 
 Types = Sdf.ValueTypeNames
 
@@ -70,19 +70,20 @@ def write_material_file(
 
     Raises UsageError where path is the asset, and BakeError where the disk refuses.
     """
-    layer = new_layer(path, source)
-    stage = Usd.Stage.Open(layer)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    (written,) = write_materials(
-        stage, Sdf.Path("/Materials"), [material], material.name, StageUnits()
-    )
-    stage.SetDefaultPrim(stage.GetPrimAtPath("/Materials"))
-    stage.GetPrimAtPath(written).SetCustomDataByKey("gaussianFlesh", to_metadata(about))
-    save(layer)
-    del stage, layer
-    publish(path)
-    refresh(path)
+    with dropped_on_failure(path):
+        layer = new_layer(path, source)
+        stage = Usd.Stage.Open(layer)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        (written,) = write_materials(
+            stage, Sdf.Path("/Materials"), [material], material.name, StageUnits()
+        )
+        stage.SetDefaultPrim(stage.GetPrimAtPath("/Materials"))
+        stage.GetPrimAtPath(written).SetCustomDataByKey("gaussianFlesh", to_metadata(about))
+        save(layer)
+        del stage, layer
+        publish(path)
+        refresh(path)
     return path
 
 

@@ -54,7 +54,7 @@ from gf_usd.layers.variants import (
     free_display_set,
 )
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
-from gf_usd.system.atomic_files import asset_path, partial_path, publish
+from gf_usd.system.atomic_files import asset_path, dropped_on_failure, partial_path, publish
 
 # metadata of the root layer that is not the source's to say, or that only holds for its own layer
 OWN = {
@@ -111,32 +111,31 @@ def write_root(
     source_path = source or asset.facts.path
     stage = open_source(source_path)
     home = find_home(stage, asset, choices)
-    layer = new_layer(path, source_path)
-    _author_metadata(layer, stage, asset, home, bakes, settled=choices.settled)
-    reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
-    display_set = free_display_set(stage, asset, home)
-    switches = roots_of(asset, home)
-    for root in switches:
-        add_variants(layer, root, asset, home, bakes, display_set, display, choices)
-    skinned = [s.path for s in asset.surfaces if s.skinned and choices.drawn(s.path)]
-    unskinned = frozenset(map(Sdf.Path, skinned))
-    retargeted = repeat_edits(stage, layer, unskinned)
-    notes = _restore(stage, layer, switches)
-    if display_set != DISPLAY_SET:
-        notes = (
-            *notes,
-            f"the asset already has a variant set {DISPLAY_SET!r}: that of gf-usd is named"
-            f" {display_set!r}",
-        )
-    save(layer)
-    del layer
-    if partial:
-        path = partial_path(path)
-    else:
-        publish(path)
-        refresh(path)
+    with dropped_on_failure(path):
+        layer = new_layer(path, source_path)
+        _author_metadata(layer, stage, asset, home, bakes, settled=choices.settled)
+        reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
+        display_set = free_display_set(stage, asset, home)
+        switches = roots_of(asset, home)
+        for root in switches:
+            add_variants(layer, root, asset, home, bakes, display_set, display, choices)
+        skinned = [s.path for s in asset.surfaces if s.skinned and choices.drawn(s.path)]
+        unskinned = frozenset(map(Sdf.Path, skinned))
+        retargeted = repeat_edits(stage, layer, unskinned)
+        notes = _restore(stage, layer, switches)
+        if display_set != DISPLAY_SET:
+            notes = (
+                *notes,
+                f"the asset already has a variant set {DISPLAY_SET!r}: that of gf-usd is named"
+                f" {display_set!r}",
+            )
+        save(layer)
+        del layer
+        if not partial:
+            publish(path)
+            refresh(path)
     return RootSummary(
-        path=path,
+        path=partial_path(path) if partial else path,
         default_prim=home.root.name,
         switches=tuple(str(root) for root in switches),
         display_set=display_set,

@@ -36,7 +36,7 @@ from gf_usd.core.stage import Collider
 from gf_usd.pipeline.health.log import health_of
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Variant
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.atomic_files import dropped_on_failure, partial_path, publish
 from gf_usd.system.fingerprint import program
 
 FORMAT = 2
@@ -69,17 +69,17 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     arrays = {ABOUT: np.array(json.dumps(about))}
     for part in ("solver", "track"):
         arrays |= {f"{part}.{k}": np.asarray(v) for k, v in getattr(checkpoint, part).items()}
-    partial = partial_path(path)
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
-    except OSError as error:
-        raise BakeError(
-            f"{partial} could not be written: {error.strerror}.",
-            f"check that {path.absolute().parent} is writable and has space left; the bake then"
-            " goes on with --resume",
-        ) from error
-    publish(path)
+    with dropped_on_failure(path) as partial:
+        try:
+            with partial.open("wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+        except OSError as error:
+            raise BakeError(
+                f"{partial} could not be written: {error.strerror}.",
+                f"check that {path.absolute().parent} is writable and has space left; the bake"
+                " then goes on with --resume",
+            ) from error
+        publish(path)
 
 
 def read_checkpoint(path: Path) -> Checkpoint:

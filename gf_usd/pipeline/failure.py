@@ -13,7 +13,7 @@ from gf_usd.core.errors import BakeError, SolverError
 from gf_usd.core.frames import Particles, Settings, sampled
 from gf_usd.pipeline.deliver import Delivery
 from gf_usd.prepare.outputs import report_of_failure
-from gf_usd.system.atomic_files import publish_text
+from gf_usd.system.atomic_files import dropped_on_failure, publish_text
 
 if TYPE_CHECKING:
     from gf_usd.layers.variants import BakedVariant
@@ -102,18 +102,34 @@ def write_failure(
     path = report_of_failure(delivery.files)
     outputs = [str(file) for file in (*files, *clips, path)]
     text = json.dumps({**report(notes, findings), "outputs": outputs, "failed": failed}, indent=1)
-    if path == delivery.files.report:
-        publish_text(path, text + "\n")
-    else:
-        path.write_text(text + "\n", encoding="utf-8")
+    told = f"the report is {path}"
+    try:
+        _write_report(path, text + "\n", delivery.files.report)
+    except BakeError as third:  # why the simulation ended counts for more
+        told = f"there is no report: {third.message}"
     return SolverError(
         f"{where}: {failed['why']}\n"
         f"the frames before it are kept in {', '.join(str(file) for file in files)}{opened};"
-        f" the report is {path}",
+        f" {told}",
         error.hint,
         frame=failed["frame"],
         particle=error.particle,
     )
+
+
+def _write_report(path: Path, text: str, final: Path) -> None:
+    """Write it under the report's final name, or under its partial name, where it then stays."""
+    if path == final:
+        publish_text(path, text)
+        return
+    with dropped_on_failure(final):
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise BakeError(
+                f"{path} could not be written: {error.strerror}.",
+                f"check that {path.absolute().parent} is writable and has space left",
+            ) from error
 
 
 def _require_source(delivery: Delivery) -> None:

@@ -15,7 +15,7 @@ from gf_usd.core.asset import Splats
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import SOURCE_VARIANT
 from gf_usd.readers.splats.write import WRITERS
-from gf_usd.system.atomic_files import is_utf8, partial_path, publish
+from gf_usd.system.atomic_files import dropped_on_failure, is_utf8, partial_path, publish
 
 REPORT = ".report.json"
 SHEET = ".sheet.png"
@@ -258,16 +258,16 @@ class SplatSequence:
     def write(self, splats: Splats, index: int) -> Path:
         """Write a frame, whole or not at all.  Raises BakeError where the disk refuses."""
         path = self.path(index)
-        partial = partial_path(path)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            partial.write_bytes(WRITERS[self.suffix](splats))
-        except OSError as error:
-            raise BakeError(
-                f"{partial} could not be written: {error.strerror}.",
-                f"check that {self.folder} is writable and has space left",
-            ) from error
-        return publish(path)
+        with dropped_on_failure(path) as partial:
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                partial.write_bytes(WRITERS[self.suffix](splats))
+            except OSError as error:
+                raise BakeError(
+                    f"{partial} could not be written: {error.strerror}.",
+                    f"check that {self.folder} is writable and has space left",
+                ) from error
+            return publish(path)
 
 
 def sequences(

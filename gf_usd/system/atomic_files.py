@@ -10,6 +10,8 @@ from __future__ import annotations
 import glob
 import os
 import re
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from gf_usd.core.errors import BakeError, InputError, UsageError
@@ -32,6 +34,26 @@ def drop_working(path: Path) -> None:
     for left in path.parent.glob(f"{glob.escape(stem)}.??????"):
         if WORKING.fullmatch(left.name.removeprefix(stem)):
             left.unlink(missing_ok=True)
+
+
+@contextmanager
+def dropped_on_failure(path: Path) -> Iterator[Path]:
+    """Yield `partial_path(path)`, and delete that file where the block ends in an exception.
+
+    For files that are of no use before they are complete.  After a success nothing is deleted: by
+    then another process may be writing under the same partial name.
+    """
+    partial = partial_path(path)
+    with ExitStack() as failed:
+        failed.callback(_drop, partial)
+        yield partial
+        failed.pop_all()
+
+
+def _drop(partial: Path) -> None:
+    # The first error is already being raised; one of the deletion would hide it.
+    with suppress(OSError):
+        partial.unlink(missing_ok=True)
 
 
 def publish(path: Path) -> Path:
@@ -68,17 +90,17 @@ def publish_text(path: Path, text: str) -> Path:
 def publish_bytes(path: Path, data: bytes) -> Path:
     """Write a small file atomically; returns path.
 
-    Raises BakeError where the file cannot be written.
+    Raises BakeError where the file cannot be written; nothing of it remains then.
     """
-    partial = partial_path(path)
-    try:
-        partial.write_bytes(data)
-    except OSError as error:
-        raise BakeError(
-            f"{partial} could not be written: {error.strerror}.",
-            f"check that {path.parent} exists, is writable and has space left",
-        ) from error
-    return publish(path)
+    with dropped_on_failure(path) as partial:
+        try:
+            partial.write_bytes(data)
+        except OSError as error:
+            raise BakeError(
+                f"{partial} could not be written: {error.strerror}.",
+                f"check that {path.parent} exists, is writable and has space left",
+            ) from error
+        return publish(path)
 
 
 def _sync_folder(folder: Path) -> None:

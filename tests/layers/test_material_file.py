@@ -6,8 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from full_disk import full_disk  # noqa: F401
 from pxr import Usd
 
+from gf_usd.core.errors import BakeError
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.layers.materials import write_material_file
 from gf_usd.readers.usd_bake.material_file import read_material
@@ -38,3 +40,11 @@ def test_a_layer_is_replaced(tmp_path: Path) -> None:
         write_material_file(path, material, {}, source=ASSET)
         assert read_material(path).density == density
     assert [file.name for file in tmp_path.iterdir()] == ["found.usda"]
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_full_disk_leaves_no_part_of_a_layer(tmp_path: Path) -> None:
+    with pytest.raises(BakeError, match=r"found\.partial\.usda"):
+        write_material_file(tmp_path / "found.usda", find_preset("rubber").material(0.1), {},
+                            source=ASSET)  # fmt: skip
+    assert list(tmp_path.iterdir()) == []

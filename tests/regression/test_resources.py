@@ -104,6 +104,32 @@ def test_a_disk_that_is_full_before_the_first_frame_is_an_error_without_files(
         assert not any("jelly.cache" in name for name in there)
 
 
+def test_a_disk_without_a_byte_for_the_report_leaves_the_frames_and_no_empty_files(
+    disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = {**FEW, "material": ["rubber", "jelly"], "frames": 2}
+    required = budget.ResourceGuard.require
+    guards: list[object] = []
+
+    def require(guard: budget.ResourceGuard, index: int, unsaved: int) -> None:
+        if guard not in guards:
+            guards.append(guard)
+            if len(guards) == 2:
+                fill_up(disk, 0)
+        required(guard, index, unsaved)
+
+    monkeypatch.setattr(budget.ResourceGuard, "require", require)
+    with pytest.raises(BakeError) as caught:
+        gf_usd.bake(SAMPLE, output=f"{disk}/", **asked)
+    assert "jelly failed at frame 0 (time code 1)" in caught.value.message
+    assert "there is no report: " in caught.value.message
+    assert "sphere.rubber-jelly.report.partial.json could not be written" in caught.value.message
+    assert "sphere.rubber-jelly.rubber.cache.partial.usdc" in names(disk)
+    # the root layer may find room in pages that the second cache gave back
+    assert all(path.stat().st_size > 0 for path in disk.iterdir())
+    assert not list(disk.glob("*.report*"))
+
+
 def test_a_memory_that_is_too_small_is_refused_before_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

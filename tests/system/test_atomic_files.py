@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+from full_disk import full_disk  # noqa: F401
 
 from gf_usd.core.errors import BakeError
 from gf_usd.system.atomic_files import drop_working, partial_path, publish, publish_text
@@ -41,6 +42,15 @@ def test_text_is_written_in_one_step(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == "{}\nμ"
     with pytest.raises(BakeError, match="could not be written"):
         publish_text(tmp_path / "no" / "report.json", "{}")
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_full_disk_leaves_no_part_of_a_file_and_the_old_one(tmp_path: Path) -> None:
+    path = publish_text(tmp_path / "duck.job.json", "old")
+    with pytest.raises(BakeError, match=r"duck\.job\.partial\.json could not be written: "):
+        publish_text(path, "x" * 1000)
+    assert [p.name for p in tmp_path.iterdir()] == ["duck.job.json"]
+    assert path.read_text() == "old"
 
 
 def test_bytes_of_a_name_that_are_no_text_are_spelled_out(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from gf_usd.core.errors import BakeError
 from gf_usd.readers.mesh.data import MeshFile
 from gf_usd.readers.mesh.usd_layer import write_layer
 from gf_usd.readers.usd.asset import read_usd
-from gf_usd.system.atomic_files import asset_path, partial_path, publish
+from gf_usd.system.atomic_files import asset_path, dropped_on_failure, publish
 from gf_usd.system.sandbox import Scratch
 
 RECORD = "convertedFrom"  # in customLayerData
@@ -150,14 +150,14 @@ class MeshSource:
             return asset_path(file, target.parent)
 
         UsdUtils.ModifyAssetPaths(layer, moved)
-        partial = partial_path(target)
-        try:
-            exported = layer.Export(str(partial))
-        except Tf.ErrorException as error:
-            raise _refused(partial) from error
-        if not exported:
-            raise _refused(partial)
-        publish(target)
+        with dropped_on_failure(target) as partial:
+            try:
+                exported = layer.Export(str(partial))
+            except Tf.ErrorException as error:
+                raise _refused(partial) from error
+            if not exported:
+                raise _refused(partial)
+            publish(target)
         if open_already := Sdf.Layer.Find(str(target.absolute())):
             open_already.Reload(force=True)
         return target
@@ -197,13 +197,13 @@ def textures_folder(target: Path) -> Path:
 
 
 def _write_bytes(path: Path, data: bytes) -> None:
-    partial = partial_path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(data)
-    except OSError as error:
-        raise _refused(partial) from error
-    publish(path)
+    with dropped_on_failure(path) as partial:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            partial.write_bytes(data)
+        except OSError as error:
+            raise _refused(partial) from error
+        publish(path)
 
 
 def _refused(partial: Path) -> BakeError:
