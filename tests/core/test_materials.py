@@ -120,6 +120,16 @@ def test_names_lead_to_presets_looks_first() -> None:
     assert all(find_preset(name).name == name for name in presets())
 
 
+def test_every_preset_has_a_name_of_its_own() -> None:
+    assert not DIMENSIONLESS.keys() & PHYSICAL.keys()
+
+
+def test_a_name_stands_for_the_same_parameter_in_every_law() -> None:
+    """The schema has one attribute of each name, with one default and one range."""
+    every = {p for law in LAWS.values() for p in law.parameters}
+    assert len({p.name for p in every}) == len({p.attribute for p in every}) == len(every)
+
+
 @pytest.mark.parametrize(
     ("name", "guess"),
     [

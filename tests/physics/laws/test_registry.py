@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from flowing import ROW, registered
-from lane_kernels import alike, evaluate, rotations
+from lane_kernels import alike, evaluate, flow_with_loss, rotations
 from random_turns import random_turns
 
 from gf_usd.core.materials.laws import LAWS, LawSpec
@@ -140,6 +140,18 @@ def test_small_strains_follow_hooke_with_the_moduli_given(token):
     hooke = 2.0 * MU * sym + LAM * np.trace(sym, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     # The next term of the series is of order (lam + mu) 9 size^2 = 5e-11.
     np.testing.assert_allclose(P, hooke, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("token", [*(token for token, row in LAWS.items() if row.flows), ROW.token])
+def test_no_law_flows_where_a_body_is_slightly_pressed_from_all_sides(token):
+    F = 0.995 * np.concatenate([np.eye(3)[None], turns(7, 9)])
+    rest = np.tile([value.rest for value in LAWS[token].internal], (len(F), 1))
+    E, after, loss = flow_with_loss(token, F, rest, MU, LAM, dt=1e-3)
+    # Less than the compression of which snow is compacted.  A fluid bears no shear, of which
+    # the rounding of a turned gradient is some.
+    np.testing.assert_allclose(E, F, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(after, rest, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(loss, 0.0, atol=1e-30)
 
 
 @every_law
