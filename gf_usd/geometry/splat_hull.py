@@ -48,7 +48,12 @@ def with_hulls(asset: Asset) -> Asset:
     if not asset.splats:
         return asset
     up = int(np.argmax(asset.facts.up))
-    made = [hull(splats, up) for splats in asset.splats]
+    made = []
+    for splats in asset.splats:
+        try:
+            made.append(hull(splats, up))
+        except InputError as error:
+            raise InputError(f"{asset.facts.path}: {error.message}", error.hint) from error
     notes = (*asset.facts.notes, *(f"{s.path}: {text}" for s, lines in made for text in lines))
     surfaces = (*asset.surfaces, *(surface for surface, _ in made))
     return replace(asset, surfaces=surfaces, splats=(), facts=replace(asset.facts, notes=notes))
@@ -152,8 +157,8 @@ def _field(splats: Splats, rows: Ints, spacing: float) -> tuple[Grid, Floats]:
 def _require(splats: Splats, rows: Ints) -> None:
     if len(rows) < LEAST:
         raise InputError(
-            f"<{splats.path}>: {len(rows)} of its {len(splats)} Gaussians could bound a body"
-            f" (at least {LEAST})",
+            f"<{splats.path}>: {len(rows)} of its {len(splats)} Gaussians can bound a body,"
+            f" and at least {LEAST} are needed",
             "give a capture with more Gaussians, whose opacities are above"
             f" {FAINT:g} where the object is",
         )

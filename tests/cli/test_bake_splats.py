@@ -160,7 +160,8 @@ def test_what_is_no_body_is_refused(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "few.ply", ball(20))
     done = gf_usd("bake", path)
     assert done.status == 3
-    assert "20 of its 20 Gaussians could bound a body (at least 50)" in done.err
+    assert f"{path}: </few/Splats>: 20 of its 20 Gaussians can bound a body" in done.err
+    assert "at least 50 are needed" in done.err
     assert names(here) == []
 
 

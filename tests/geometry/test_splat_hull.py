@@ -213,10 +213,10 @@ def test_cells_grow_where_too_many_would_be_looked_at(monkeypatch):
 
 
 def test_too_few_are_refused():
-    with pytest.raises(InputError, match="9 of its 9 Gaussians could bound a body"):
+    with pytest.raises(InputError, match="9 of its 9 Gaussians can bound a body"):
         hull(ball(9), up=1)
     haze = replace(ball(800), opacities=np.full(800, 0.01))
-    with pytest.raises(InputError, match="0 of its 800 Gaussians could bound a body"):
+    with pytest.raises(InputError, match="0 of its 800 Gaussians can bound a body"):
         hull(haze, up=1)
 
 
