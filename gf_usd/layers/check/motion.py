@@ -127,8 +127,8 @@ class Tally:
         """Count the points of one window; v is (3, n), motion (3, 3, n) is v2, v4 and k.
 
         range_ : (n,) of each point in the window, over the time of a sample.  Nothing counts as
-        moving below the speed ``floor``; positions that move at less than ``noise``, their rounding
-        per sample, stand still.
+        moving below the speed ``floor``; positions whose range is less than ``noise``, their
+        rounding per sample, stand still.
         """
         v2, v4, k = motion
         squares = (v4 * v4).sum(0)
@@ -140,7 +140,8 @@ class Tally:
         if smooth.sum() < MAJORITY * moving.sum():
             return
         self.smooth += int(smooth.sum())
-        self.frozen += int((smooth & (speed <= noise)).sum())
+        # What swings between two places from sample to sample has no speed by them, but moves.
+        self.frozen += int((smooth & (range_ <= noise)).sum())
         square = float(squares[smooth].sum())
         if square > 0.0:
             self.factors.append(float((v * v4).sum(0)[smooth].sum()) / square)
@@ -228,6 +229,11 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
                 f"{name} is not zero in {tally.frozen} of {tally.smooth} places where "
                 f"{position.GetName()} does not move",
                 fix,
+            )
+        elif not tally.factors:
+            yield speak.skip(
+                f"{name}: {position.GetName()} is at the same places in every other sample: the"
+                " motion is too fast for the samples"
             )
         elif not tally.off and abs(tally.factor - 1.0) > WRONG:
             yield speak.skip(

@@ -166,6 +166,22 @@ def test_velocities_of_points_that_stand_still(tmp_path: Path) -> None:
     )
 
 
+def test_what_swings_from_sample_to_sample_does_not_stand_still(tmp_path: Path) -> None:
+    """A vibration at half the rate of the samples has no speed by them: nothing can be said."""
+    stage = good_stage(tmp_path / "swinging.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    for at, code in enumerate(CODES):
+        x = CUBE + np.array([0.0, 0.25 * (-1) ** at, 0.0])
+        prim.GetAttribute("points").Set(vec3(x), code)
+        prim.GetAttribute("velocities").Set(vec3(np.full(CUBE.shape, 0.5 * (-1) ** at)), code)
+        prim.GetAttribute("extent").Set(box(x), code)
+    result = check_stage(stage)
+    assert result.findings == ()
+    (skip,) = result.skipped
+    assert (skip.rule, skip.prim_path) == ("velocities", MESH)
+    assert "too fast for the samples" in skip.reason
+
+
 def test_windows_that_disagree_are_left_undecided(tmp_path: Path) -> None:
     """Bounces too fast for the samples stretch each moment in its own way, a wrong unit not."""
     stage = good_stage(tmp_path / "bounces.usda")
