@@ -22,7 +22,14 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.attachments import attachments_of
-from gf_usd.readers.usd_physics.attributes import apis, authored, body_of, refuse, vector
+from gf_usd.readers.usd_physics.attributes import (
+    apis,
+    authored,
+    body_of,
+    refuse,
+    switch,
+    vector,
+)
 from gf_usd.readers.usd_physics.bodies import PhysicsMaterials, read_body
 from gf_usd.readers.usd_physics.colliders import obstacles, read_colliders, without_instancers
 from gf_usd.readers.usd_physics.motion import Readings
@@ -63,6 +70,7 @@ def read_physics(
         others, own = obstacles(prims, baked, time, notes)
         colliders = read_colliders(others, facts, materials, time, times, notes)
         hard, soft = attachments_of(prims, bodies, time, notes, file=facts.path)
+        note_joints(prims, baked, time, notes)
         return StagePhysics(
             gravity=gravity,
             scene=scene,
@@ -102,6 +110,26 @@ def _stand_ins(body: Usd.Prim, own: Sequence[Usd.Prim], time: Usd.TimeCode) -> t
         if prim.GetPath().HasPrefix(path) or (owner and body_of(prim, time) == owner)
     ]
     return (path, *(one for one in mine if one != path))
+
+
+def note_joints(
+    prims: Iterable[Usd.Prim], baked: Sequence[Usd.Prim], time: Usd.TimeCode, notes: Notes
+) -> None:
+    """Say of enabled joints that connect a baked surface, or a body that it is of, what happens."""
+    for prim in prims:
+        if not prim.IsA(UsdPhysics.Joint):
+            continue
+        if not switch(prim, "physics:jointEnabled", time, otherwise=True):
+            continue
+        joint = UsdPhysics.Joint(prim)
+        ends = [*joint.GetBody0Rel().GetForwardedTargets()]
+        ends += joint.GetBody1Rel().GetForwardedTargets()
+        if any(one.GetPath().HasPrefix(end) for end in ends for one in baked):
+            notes.add(
+                "is a joint, and joints are not simulated: what it connects moves freely; --pin"
+                " holds regions in place, and the meshes below one RigidBodyAPI are one body",
+                str(prim.GetPath()),
+            )
 
 
 FILTER = "PhysicsFilteredPairsAPI"

@@ -80,6 +80,39 @@ def test_gravity_that_is_no_number_is_refused(write: Write, line: str, words: st
     assert "author" in caught.value.hint
 
 
+JOINT = "is a joint"
+
+
+def joint(kind: str, name: str, *lines: str, one: str = "", two: str = "") -> str:
+    ends = [f"rel physics:body{k} = <{path}>" for k, path in enumerate((one, two)) if path]
+    return prim(kind, name, *ends, *lines)
+
+
+@pytest.mark.parametrize(
+    "kind", ["PhysicsFixedJoint", "PhysicsRevoluteJoint", "PhysicsSphericalJoint", "PhysicsJoint"]
+)
+def test_a_joint_of_what_is_baked_is_named_as_not_simulated(write: Write, kind: str) -> None:
+    rig = prim("Xform", "Rig", mesh("Asset"), apis=["PhysicsRigidBodyAPI"])
+    said = physics_of(write(head() + rig + joint(kind, "Weld", one="/Rig")), "/Rig/Asset")
+    (note,) = said.notes
+    assert note.startswith(f"/Weld: {JOINT}")
+    assert "--pin" in note
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        joint("PhysicsFixedJoint", "Off", "bool physics:jointEnabled = 0", two="/Asset"),
+        mesh("Far") + joint("PhysicsFixedJoint", "Elsewhere", one="/Far"),
+        joint("PhysicsFixedJoint", "Loose"),
+    ],
+    ids=["switched off", "of others", "of nothing"],
+)
+def test_joints_of_nothing_that_is_baked_are_no_matter(write: Write, other: str) -> None:
+    said = physics_of(write(head() + mesh("Asset") + other), "/Asset", facts_from="/Asset")
+    assert said.notes == ()
+
+
 def test_a_body_that_is_no_prim_is_refused(write: Write) -> None:
     with pytest.raises(InputError, match="there is no prim /Aset"):
         physics_of(write(ASSET), "/Aset")
