@@ -176,7 +176,7 @@ class Solver(ABC):
         if self.settings.substeps:
             return "this preset uses the same few substeps for every frame: leave out --preset"
         gentler = "slow down what moves it" if self.in_place else "lower the impact (--drop)"
-        return f"{gentler}, use a stiffer material or --law neoHookean"
+        return f"{gentler}, use a stiffer material or, if it is corotated, --law neoHookean"
 
     def next(self, index: int, last: Health) -> Frame:
         """Move by a frame; where it fails, roll back and redo it with half the step.

@@ -362,7 +362,10 @@ def _run_variant(
         at_rest=len(log.frames) if settled else None,
         health=health,
         per_frame=log.per_frame(),
-        warnings=(*plan_warnings(plan.odd), *health_warnings(health)),
+        warnings=(
+            *plan_warnings(plan.odd),
+            *health_warnings(health, [m.law for m in variant.table]),
+        ),
         certificate=certificate,
         storage=None if summary.storage is None else summary.storage.as_json(),
     )

@@ -235,8 +235,8 @@ def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SolverError) as caught:
         list(free.frames())
     assert caught.value.hint == (
-        "lower the impact (--drop), use a stiffer material or --law neoHookean;"
-        " the frames before it are in the partial cache"
+        "lower the impact (--drop), use a stiffer material or, if it is corotated, --law"
+        " neoHookean; the frames before it are in the partial cache"
     )
     assert (caught.value.frame, caught.value.particle) == (1, 7)
 

@@ -179,6 +179,25 @@ def test_only_what_falls_is_to_fall_from_a_lower_height(about: str) -> None:
         assert "lower the impact (--drop)" in warning.hint
 
 
+@pytest.mark.parametrize("about", ["inside-out", "redone"])
+def test_a_law_is_named_only_to_those_that_do_not_have_it(about: str) -> None:
+    """The presets are Neo-Hookean already: "use --law neoHookean" told them nothing."""
+    unsound = CASES[about][1]
+    (corotated,) = health_warnings(unsound, ["neoHookean", "corotated"])
+    assert "use --law neoHookean" in corotated.hint
+    (flowing,) = health_warnings(unsound, ["vonMisesCorotated"])
+    assert "use --law vonMisesNeoHookean" in flowing.hint
+    (there,) = health_warnings(unsound, ["neoHookean", "vonMises"])
+    assert "--law" not in there.hint
+
+
+def test_lengths_of_large_bodies_are_in_meters() -> None:
+    """A tractor read in the wrong unit had "2.69e+04 mm"."""
+    large = summary(Health(outside_share=0.02, outside_depth=26.9, outside_mesh="</Box>"))
+    (warning,) = health_warnings(large)
+    assert warning.message.endswith("up to 26.9 m")
+
+
 def test_friction_at_its_limit_is_how_a_sample_sticks() -> None:
     assert health_warnings(summary(Health(friction_capped=10**9))) == ()
 

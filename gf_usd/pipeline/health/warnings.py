@@ -8,7 +8,7 @@ that were repeated, and contact at the friction limit, which is a sticking sampl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -37,6 +37,10 @@ SPARSE = 2.0  # flowing particles per grid cell: a layer of one spacing has four
 ALTERED = 0.01  # of the particle-frames: the material no longer behaves as specified
 
 
+# A law without a term in ln J lets particles through J = 0 at a finite stress.
+SAFER = {"corotated": "neoHookean", "vonMisesCorotated": "vonMisesNeoHookean"}
+LAWS_OF = "laws"  # in a summary, for the rules
+
 WARNING, ERROR = "warning", "error"
 ERRORS = ("planes",)  # of RULES
 
@@ -55,11 +59,15 @@ class HealthWarning:
         return asdict(self)
 
 
-def health_warnings(health: HealthSummary) -> tuple[HealthWarning, ...]:
-    """The warnings about a summary of `HealthLog`, in the order of RULES."""
+def health_warnings(health: HealthSummary, laws: Collection[str] = ()) -> tuple[HealthWarning, ...]:
+    """The warnings about a summary of `HealthLog`, in the order of RULES.
+
+    laws : tokens of those that the materials have, for hints that name another.
+    """
     found = []
+    known = {**health, LAWS_OF: laws}
     for about, rule in RULES.items():
-        if (said := rule(health)) is not None:
+        if (said := rule(known)) is not None:
             level = ERROR if about in ERRORS else WARNING
             found.append(HealthWarning(about=about, message=said[0], hint=said[1], level=level))
     return tuple(found)
@@ -82,6 +90,17 @@ def _gentler(h: HealthSummary) -> str:
     return "lower the impact (--drop)" if h["falls"] else "slow down what moves the body"
 
 
+def _length(meters: float) -> str:
+    """In millimeters; in meters where those are thousands."""
+    return f"{1000.0 * meters:.3g} mm" if meters < 1.0 else f"{meters:.3g} m"
+
+
+def _other_law(h: HealthSummary) -> str:
+    """The option of a law that withstands more compression than those of the body; "": none."""
+    better = [SAFER[law] for law in h[LAWS_OF] if law in SAFER]
+    return f"--law {better[0]}" if better else ""
+
+
 def _energy(h: HealthSummary) -> Said:
     share = h["energy_gain_max_share"]
     if share <= ENERGY_GAIN:
@@ -98,21 +117,23 @@ def _inverted(h: HealthSummary) -> Said:
     if not count:
         return None
     left = h["inverted_at_end"]
+    law = f"{_other_law(h)}, " if _other_law(h) else ""
     end = f"{left} still are at the end" if left else "none is at the end"
     return (
         f"particles turned inside out: up to {h['inverted_max']} at once, from frame"
         f" {h['first_inverted_frame']} on, down to J = {h['min_J']:.2g}; {end}",
-        f"{_gentler(h)}, use --law neoHookean, a stiffer material or more --particles",
+        f"{_gentler(h)}, use {law}a stiffer material or more --particles",
     )
 
 
 def _rollbacks(h: HealthSummary) -> Said:
     if h["rollbacks"] <= max(1.0, REDONE * h["frames"]):
         return None
+    law = f", or use {_other_law(h)}" if _other_law(h) else ""
     return (
         f"the step was too long {h['rollbacks']} times in {h['frames']} frames, which were redone"
         " with half of it",
-        f"{_gentler(h)}, or use --law neoHookean",
+        f"{_gentler(h)}{law}",
     )
 
 
@@ -199,7 +220,7 @@ def _inside(h: HealthSummary) -> Said:
         return None
     return (
         f"{100.0 * share:.2g} % of the surface is half a spacing or more inside a body at the"
-        f" end, up to {1000.0 * h['inside_at_end_m']:.3g} mm deep",
+        f" end, up to {_length(h['inside_at_end_m'])} deep",
         "take more --particles or a stiffer material,"
         f" {_gentler(h)}, and do not use --no-self-contact",
     )
@@ -212,7 +233,7 @@ def _outside(h: HealthSummary) -> Said:
     return (
         f"the mesh {h['outside_mesh']} is too coarse to show how its body bends: in some frame"
         f" {100.0 * share:.2g} % of the particles are a spacing or more outside it, up to"
-        f" {1000.0 * h['outside_mesh_max_m']:.3g} mm",
+        f" {_length(h['outside_mesh_max_m'])}",
         "divide its faces (--max-edge-length auto); the particles and Gaussians show the true"
         " shape",
     )
