@@ -127,6 +127,16 @@ class Surface:
     # that was put around them, which is not written; None: all are
     limit: LimitSurface | None = None  # of a cage that is far from it; None: drawn as it is
 
+    @property
+    def face_points(self) -> Floats:
+        """(n, 3) [m] those of `points` that a face has: others are not drawn and enclose nothing.
+
+        Exporters leave points without a face behind, often at the origin.
+        """
+        used = np.zeros(len(self.points), bool)
+        used[self.triangles] = True
+        return self.points[used] if used.any() else self.points
+
 
 @dataclass(frozen=True, kw_only=True)
 class Asset:

@@ -59,7 +59,7 @@ class Solid:
         if len(members) == len(self.surfaces):
             return self
         surfaces = tuple(self.surfaces[k] for k in members)
-        points = np.concatenate([s.points for s in surfaces])
+        points = np.concatenate([s.face_points for s in surfaces])
         return replace(
             self,
             surfaces=surfaces,
@@ -134,7 +134,7 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
             "close the holes or give the mesh thickness"
             + ("" if repaired else "; --repair makes open and flat sheets one spacing thick"),
         )
-    points = np.concatenate([s.points for s in kept])
+    points = np.concatenate([s.face_points for s in kept])
     low, high = points.min(0), points.max(0)
     partial = Solid(
         surfaces=tuple(kept), triangles=tuple(triangles), sources=tuple(sources), volume=0.0,
@@ -216,8 +216,8 @@ def _by_box(solid: Solid) -> tuple[Ints, Ints]:
 
     Second: where each group after the first begins.
     """
-    low = np.array([s.points.min(0) for s in solid.surfaces])
-    high = np.array([s.points.max(0) for s in solid.surfaces])
+    low = np.array([s.face_points.min(0) for s in solid.surfaces])
+    high = np.array([s.face_points.max(0) for s in solid.surfaces])
     n = len(low)
     one, two = [], []
     for k in range(n):

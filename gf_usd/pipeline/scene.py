@@ -82,8 +82,8 @@ def plan_scene(spec: SceneSpec) -> Plan:
         asset, request, [Authored("simulated")], None, files, None, spec=said, repair=False,
         more_pins=partial(_pins, spec),
     )  # fmt: skip
-    lowest = min(float((s.points @ facts.up).min()) for s in spec.surfaces)
-    extent = float(np.ptp(np.concatenate([s.points for s in spec.surfaces]), axis=0).max())
+    lowest = min(float((s.face_points @ facts.up).min()) for s in spec.surfaces)
+    extent = float(np.ptp(np.concatenate([s.face_points for s in spec.surfaces]), axis=0).max())
     if spec.floor is not None and lowest < spec.floor - BELOW * extent:
         raise UsageError(
             f"a body starts {spec.floor - lowest:.4g} m below the floor, which is at"
@@ -112,8 +112,8 @@ def _physics(spec: SceneSpec, path: str) -> BodyPhysics:
 def _pins(spec: SceneSpec, solid: Solid) -> Sequence[Pin]:
     from gf_usd.geometry.regions import make_pin
 
-    low = np.min([s.points.min(0) for s in solid.surfaces], axis=0)
-    high = np.max([s.points.max(0) for s in solid.surfaces], axis=0)
+    low = np.min([s.face_points.min(0) for s in solid.surfaces], axis=0)
+    high = np.max([s.face_points.max(0) for s in solid.surfaces], axis=0)
     made = []
     for region, axes in spec.pins:
         if (region.points.max(0) < low).any() or (region.points.min(0) > high).any():

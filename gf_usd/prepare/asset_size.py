@@ -15,8 +15,8 @@ COMMON_UNITS = (0.01, 1.0, 0.001)  # [m]
 
 def size(asset: Asset) -> Floats:
     """(3,) [m] of the box around all surfaces."""
-    low = np.min([s.points.min(0) for s in asset.surfaces], axis=0)
-    high = np.max([s.points.max(0) for s in asset.surfaces], axis=0)
+    low = np.min([s.face_points.min(0) for s in asset.surfaces], axis=0)
+    high = np.max([s.face_points.max(0) for s in asset.surfaces], axis=0)
     return high - low
 
 

@@ -182,7 +182,7 @@ def fill(
     floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, unit)
     # a sheet that was thickened reaches below what is drawn
     every_surface = (*asset.surfaces, *solid.surfaces)
-    lowest = min(float((s.points @ normal).min()) for s in every_surface)
+    lowest = min(float((s.face_points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
     animation = read_animation(asset, file, request.start) if request.flesh and file else None
     cached = animation is not None and animation.cached
@@ -278,7 +278,7 @@ def fill(
     )  # fmt: skip
     weak = require_standing(
         asset.facts.path, [m for table in materials.tables for m in table],
-        max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
+        max(float(np.ptp(s.face_points @ asset.facts.up)) for s in solid.surfaces),
         abs(float(np.dot(settings.gravity, asset.facts.up))),
         carried=request.flesh or (settings.floor is None and not physics.colliders),
     )  # fmt: skip

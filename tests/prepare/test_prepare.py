@@ -220,6 +220,20 @@ def test_sizes_that_no_one_means(stage, radius, unit, said):
     assert not said or warnings[0].endswith(said)
 
 
+@pytest.mark.parametrize("stray", [(0.0, -8.0, 0.0), (40.0, 1.0, 0.0)], ids=["below", "beside"])
+def test_points_of_no_face_change_nothing(stage, tmp_path, monkeypatch, stray):
+    """Points that exporters leave behind made a body fall from as high as they lie below it."""
+    monkeypatch.chdir(tmp_path)
+    body = sphere(1.0, (0.0, 1.0, 0.0), subdivisions=2)
+    plain, odd = (
+        prepare(stage(mesh("Ball", points, body.triangles)), **FEW, material="jelly").plan
+        for points in (body.points, [*body.points, stray])
+    )
+    assert len(odd.asset.surfaces[0].points) == len(body.points) + 1  # it still moves with the body
+    assert (odd.settings.lift, odd.odd, odd.notes) == (plain.settings.lift, "", plain.notes)
+    assert np.allclose(odd.particles.X, plain.particles.X)
+
+
 def test_the_suggested_unit_removes_the_warning(stage):
     path = stage(ball(radius=56.0))
     seen = inspect(path, meters_per_unit=0.01, **FEW)
