@@ -204,9 +204,9 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 
 def _said(seen: Inspection) -> list[str]:
     """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
-    from gf_usd.prepare.fill import not_filled_note
+    from gf_usd.prepare.fill import not_baked_notes
 
-    left = {not_filled_note(path, why) for path, why in seen.asset.skipped}
+    left = set(not_baked_notes(seen.asset.skipped))
     left |= {one.note for one in (seen.plan.advice if seen.plan else ())}
     said = [note for note in seen.notes if note not in left]
     for mesh in seen.diagnoses:

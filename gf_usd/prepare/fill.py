@@ -6,7 +6,7 @@ it, `options.implied` and `options.choices`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -140,7 +140,7 @@ def fill(
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
         None if follows else lambda: (solid.volume, thickness(solid)),
     )  # fmt: skip
-    wanted = asked.particles if fitted else 0
+    wanted = 0 if paper or (asked.spacing and not fitted) else asked.particles
     asked = replace(asked, spacing=fitted or asked.spacing)
 
     def sample(of: Ints) -> Particles:
@@ -165,7 +165,7 @@ def fill(
         asset, solid, spacing, sample, characters or owners, combine=combine,
         kinds=flow.first if mixed else None, characters=bool(characters),
     )  # fmt: skip
-    mended += _count_note(wanted, len(particles))
+    mended += _count_note(wanted, particles, sheets=bool(fitted))
     _require_one_body(request, bodies.count)
     if paper or (flow.flows.any() and not mixed):
         # There every particle feels the floor; a mass of rho * area * spacing is its own.
@@ -288,10 +288,13 @@ def fill(
         choices = replace(choices, flowing=drawn.meshes)
     require_stored(choices.precision, particles, settings)
     unfilled = [
-        f"<{p}> is not filled: it moves with the nearest body and does not collide; {why}"
-        for p, why in solid.embedded
+        f"<{path}> is not filled: it moves with the nearest body and does not collide; {why}"
+        if not more
+        else f"<{path}> and {more} more are not filled: they move with the nearest body and do not"
+        f" collide; {why}"
+        for path, more, why in _alike(solid.embedded)
     ]
-    left = [not_filled_note(path, why) for path, why in asset.skipped]
+    left = not_baked_notes(asset.skipped)
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
     limbs = LimbPlan(
@@ -365,17 +368,42 @@ def fill(
     return plan, solid
 
 
-def not_filled_note(path: str, why: str) -> str:
-    """The note on a prim that is not baked, for a reason of the reader."""
-    from gf_usd.readers.usd.select import KINDS, REPEATED
+def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """The notes on prims that are not baked, each with a reason of the reader."""
+    from gf_usd.readers.usd.select import KINDS, PROXY, REPEATED
 
     stays = "keeps the place and motion of its source and does not follow what is baked"
     ways = {
         KINDS: f"; it {stays}: attach it to a baked mesh in another program, or convert it to one",
         REPEATED: f"; it {stays}: attach its instances in another program, or make them prims",
+        PROXY: f"; it {stays}: viewers that draw proxies, as usdview does by default, show it at"
+        " rest unless it is hidden, or the purpose render is drawn instead",
     }
-    more = next((said for end, said in ways.items() if why.endswith(end)), "")
-    return f"<{path}> is not baked: {why}{more}"
+
+    def note(path: str, more: int, why: str) -> str:
+        way = next((said for end, said in ways.items() if why.endswith(end)), "")
+        others = f" and {more} more are" if more else " is"
+        return f"<{path}>{others} not baked: {why}{way}"
+
+    return tuple(note(*one) for one in _alike(skipped))
+
+
+MOST_NAMED = 3  # prims that each have a note of their own for the same reason
+
+
+def _alike(said: Iterable[tuple[str, str]]) -> list[tuple[str, int, str]]:
+    """Paths with their reasons; of more than `MOST_NAMED` with the same one, the first alone.
+
+    In between: how many more there are.
+    """
+    paths: dict[str, list[str]] = {}
+    for path, why in said:
+        paths.setdefault(why, []).append(path)
+    return [
+        (path, len(all_) - 1 if len(all_) > MOST_NAMED else 0, why)
+        for why, all_ in paths.items()
+        for path in (all_ if len(all_) <= MOST_NAMED else all_[:1])
+    ]
 
 
 def _scaled(vector: Triple | None, unit: float) -> Triple | None:
@@ -429,13 +457,27 @@ def _resolution(
     return resolution(request.particles, spacing, spec, volumes, thin, paper=paper)
 
 
-def _count_note(wanted: int, count: int) -> tuple[str, ...]:
-    """What to say where sheets have another number of particles than was asked for."""
+def _count_note(wanted: int, particles: Particles, *, sheets: bool) -> tuple[str, ...]:
+    """What to say where there are other than the wanted number of particles; 0: none was wanted.
+
+    sheets : sheets of one layer are filled at a spacing that was to give as many.
+    """
+    count = len(particles)
     if not wanted or abs(count - wanted) <= OTHER_COUNT * wanted:
         return ()
+    if sheets:
+        return (
+            f"sheets of one layer have {count} particles instead of {wanted}: --spacing sets how"
+            " fine they are",
+        )
+    if count < wanted:
+        return ()
+    from gf_usd.geometry.sampling.particles import CELL_PER_LATTICE
+
     return (
-        f"sheets of one layer have {count} particles instead of {wanted}: --spacing sets how fine"
-        " they are",
+        f"there are {count} particles instead of {wanted}: cells at the surface have four or eight"
+        f" each, and parts are thinner than a cell, {CELL_PER_LATTICE * particles.lattice:.3g} m;"
+        " fewer --particles make the cells larger",
     )
 
 

@@ -234,6 +234,32 @@ def test_points_of_no_face_change_nothing(stage, tmp_path, monkeypatch, stray):
     assert np.allclose(odd.particles.X, plain.particles.X)
 
 
+def test_what_many_prims_have_in_common_is_one_note(stage, tmp_path, monkeypatch):
+    """A bush of forty leaves, with proxies, had eighty notes."""
+    monkeypatch.chdir(tmp_path)
+
+    def leaves(count):
+        quad = [[0, 2, 0], [0.1, 2, 0], [0.1, 2, 0.1], [0, 2, 0.1]]
+        return [mesh(f"Leaf{k}", quad, [[0, 1, 2, 3]]) for k in range(count)]
+
+    def proxies(count):
+        shown = 'uniform token purpose = "proxy"\n'
+        return [ball(f"Proxy{k}").replace("{\n", "{\n" + shown, 1) for k in range(count)]
+
+    def notes(count):
+        return prepare(stage(ball(), *leaves(count), *proxies(count)), **FEW).plan.notes
+
+    filled, baked = (note for note in notes(5) if " not " in note)
+    assert filled.startswith("</Root/Leaf0> and 4 more are not filled: they move with")
+    assert baked.startswith("</Root/Proxy0> and 4 more are not baked: purpose proxy; it keeps")
+    assert "usdview" in baked
+    (leaf, other, proxy, last) = (note for note in notes(2) if " not " in note)
+    assert leaf.startswith("</Root/Leaf0> is not filled: it moves with")
+    assert other.startswith("</Root/Leaf1> is not")
+    assert proxy.startswith("</Root/Proxy0> is not baked: purpose proxy;")
+    assert last.startswith("</Root/Proxy1> is not")
+
+
 def test_the_suggested_unit_removes_the_warning(stage):
     path = stage(ball(radius=56.0))
     seen = inspect(path, meters_per_unit=0.01, **FEW)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from physics_stages import prim
+from physics_stages import mesh, prim
 from planned import at, noted, plan_fixture  # noqa: F401
 
 from gf_usd.core.stage import StageSpec
@@ -64,6 +64,17 @@ def test_where_nobody_says_anything_the_thickness_is_asked() -> None:
     made = resolution(None, None, StageSpec(), dict, lambda: (1.0, thick(0.12)), paper=False)
     assert made.particles == 15625
     assert resolution(None, None, StageSpec(), dict, None, paper=False).particles == 8000
+
+
+def test_thin_walls_that_take_more_particles_than_asked_for_are_told(plan) -> None:
+    """A plate of a tenth of a cell has eight particles in each cell, whatever its volume."""
+    scaled = 'float3 xformOp:scale = (1, 0.01, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    thin = plan(mesh("Plate", scaled), particles=200)
+    assert len(thin.particles) > 400
+    assert noted(thin, f"there are {len(thin.particles)} particles instead of 200")
+    assert not noted(plan(mesh("Block"), particles=200), "instead of")
+    # a spacing asks for no number
+    assert not noted(plan(mesh("Plate", scaled), particles=None, spacing=0.05), "instead")
 
 
 def test_sheets_have_as_many_particles_as_asked_for_or_a_note_says_so(plan) -> None:

@@ -27,6 +27,7 @@ PROXIES = Usd.TraverseInstanceProxies()
 BAKED_PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 # Why a prim is left out: the whole reason, how it begins, and how two end.
 INVISIBLE, PURPOSE, REPEATED = "invisible", "purpose ", ": its instances are not made soft"
+PROXY = f"{PURPOSE}proxy"
 KINDS = ": only meshes, solid shapes, points and splats are made soft"
 
 
