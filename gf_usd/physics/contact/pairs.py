@@ -19,7 +19,6 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.floor import HARD, FloorContact
@@ -41,7 +40,7 @@ from gf_usd.physics.contact.planes.contact_planes import (
     moved,
     nothing,
 )
-from gf_usd.physics.contact.planes.continuity import EASE, Stored, continued
+from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
 from gf_usd.physics.contact.planes.intervals import until_contact, until_slid
 from gf_usd.physics.contact.rest_gaps import RestGaps
 from gf_usd.physics.contact.self_contact.search import AHEAD, FACE, NEARLY, SelfContact
@@ -56,9 +55,6 @@ FEWEST = 4  # substeps that are worth a detection of their own before something 
 # Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
 # those of planes it carries, and each of the two strained by both bodies.
 CROWD = 4.0
-# Of m g r in T: what planes may give to a pair so that its samples come to be as deep as they truly
-# are, which lifts what rests on them.  In a whole bake of ten T it is a thousandth.
-BUDGET = 1e-4
 
 
 class BodyContact:
@@ -80,7 +76,7 @@ class BodyContact:
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins: dict[int, BodySkin] = {}  # see `_skin`, of bodies that others came near
         g, r = float(np.linalg.norm(body.settings.gravity)), body.particles.radius
-        self._budget = BUDGET * g * r * float(body.m.sum()) / time_scale(r)  # [W]
+        self._budget = EnergyBudget.of_body(float(body.m.sum()), g, r)
         self._placed: tuple[ref[StateView], Floats, Floats] | None = None  # `motion` of a view
         self._own = {
             k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)
@@ -134,6 +130,7 @@ class BodyContact:
             "contact_own_gap": self._own_gap,
             "contact_x": self._x,
             "contact_stiffness": self._k,
+            "contact_given": self._budget.given,
         }
 
     def load(self, saved: Mapping[str, Any]) -> None:
@@ -145,6 +142,7 @@ class BodyContact:
         self._own_gap = np.asarray(saved["contact_own_gap"])
         self._x = np.asarray(saved["contact_x"])
         self._k = np.asarray(saved["contact_stiffness"])
+        self._budget.given = float(saved["contact_given"])
 
     def begin(self, state: State) -> None:
         """Count from zero."""
@@ -334,8 +332,10 @@ class BodyContact:
             hardening=self._hardening,
             pair=self._pairs(search.planes),
         )
-        budget = self._budget * (time - self._detected)
-        new = continued(old, true, ease=EASE * self._spacing, budget=budget)
+        new = continued(
+            old, true, ease=EASE * self._spacing, budget=self._budget,
+            elapsed=time - self._detected,
+        )  # fmt: skip
         self.planes, self._k = new.planes, new.stiffness
         self.injected += new.energy - old.energy
         self._gap, self._detected, self._x = search.gap, time, x

@@ -27,14 +27,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
 from gf_usd.physics.contact.narrow_phase import FACING, TRAVEL
 from gf_usd.physics.contact.obstacles import Obstacle, obstacles
 from gf_usd.physics.contact.planes.carriers import cross, spin
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
-from gf_usd.physics.contact.planes.continuity import EASE, Stored, continued
+from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
 
 # Numbers of a plane in the kernels' array: of its springs; where it is; what came of it.
 STIFFNESS, DAMPING, FRICTION, HARDENING = range(4)
@@ -44,8 +43,6 @@ ROW = 24
 # first.
 CLOSER = 2.0 * TRAVEL
 NOTHING = -1
-# Of m g r in T: what planes may give so that samples come to be as deep as they truly are.
-BUDGET = 1e-4
 ARRAYS = ("face", "carriers", "weights", "normal", "point", "velocity", "gap", "spring")
 
 
@@ -110,8 +107,7 @@ class FlowPlanes:
         self._walls = [(c.spec.friction, c.spec.restitution) for c in setup.colliders]
         self._obstacles: tuple[Obstacle, ...] = obstacles(setup.colliders, frame_time)
         self._g = float(np.linalg.norm(gravity))
-        mass = float(contact.mass.sum())
-        self._power = BUDGET * self._g * radius * mass / time_scale(radius)  # [W]
+        self._budget = EnergyBudget.of_body(float(contact.mass.sum()), self._g, radius)
         self._frame_time = frame_time
         self.reach = (FACING + TRAVEL) * spacing
         self.hardening = (HARD * spacing) ** -2
@@ -139,13 +135,14 @@ class FlowPlanes:
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
         arrays = {f"plane_{name}": getattr(self, name).copy() for name in ARRAYS}
-        return {**arrays, "plane_detected": self.detected}
+        return {**arrays, "plane_detected": self.detected, "plane_given": self._budget.given}
 
     def load(self, saved: Mapping[str, Any]) -> None:
         """See `Saved`."""
         for name in ARRAYS:
             setattr(self, name, np.array(saved[f"plane_{name}"]))
         self.detected = float(saved["plane_detected"])
+        self._budget.given = float(saved["plane_given"])
         self._remember()
 
     def set_contact(self, contact: FloorContact) -> None:
@@ -209,7 +206,7 @@ class FlowPlanes:
         if not first:
             time = (frame - self.detected) * self._frame_time
             new = continued(
-                old, self._stored(x), ease=EASE * self._spacing, budget=self._power * time
+                old, self._stored(x), ease=EASE * self._spacing, budget=self._budget, elapsed=time
             )
             self.point, self.spring = new.planes.point, new.planes.spring
             self.injected += new.energy - old.energy

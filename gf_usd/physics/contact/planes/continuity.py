@@ -1,11 +1,12 @@
-"""From the planes of one detection to those of the next without energy out of nothing.
+"""From the planes of one detection to those of the next without a gain of energy.
 
 A detection changes points and normals although nothing moved, and so what the springs store.  The
 new planes of a pair (a body, and what it faces) are therefore moved along their normals, so that
 its samples are f times as deep as the true surface says: with A and B the energy of the first and
 the second term of the springs under the true planes, f^2 A + f^4 B = E_old, and the pair stores
-what it stored.  f differs from 1 by the few percent of such a jump, and is found anew at each
-detection from the true depths; it goes back to 1 by what a small budget of energy allows.
+what it stored.  f differs from 1 by the few percent of such a jump, and is computed anew at each
+detection from the true depths.  An `EnergyBudget` returns f to 1 in time: it bounds the power by
+which, and the energy that is given in all.
 
 The springs of friction stay with a sample as long as it faces the same body or obstacle: they turn
 into the new plane, with their length.  Those of a sample that faces something else are released.
@@ -18,11 +19,44 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, nonzero_rows, row_dots
+from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 
 EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
 # A pair of which a detection leaves hardly a sample inside does not pass all it holds to that one.
 MOST = 2.0
+# Of m g r: power in T, and energy in all, by which detections may bring pairs to their true depths.
+# This lifts what rests on them, and takes a few T.  Without a bound of the whole, a sample between
+# two sheets, whose plane changes sides at every detection, is given energy for ever.
+POWER = 1e-4
+RESERVE = 4e-4
+
+
+@dataclass
+class EnergyBudget:
+    """Energy that detections may give to the contact springs of a body so that depths are true."""
+
+    power: float  # [W] for each pair
+    reserve: float  # [J] in all
+    given: float = 0.0  # [J] so far; what was taken back does not count
+
+    @classmethod
+    def of_body(cls, mass: float, g: float, radius: float) -> EnergyBudget:
+        """For a body of a mass [kg] and a radius [m] under gravity g [m/s^2]."""
+        energy = mass * g * radius
+        return cls(power=POWER * energy / time_scale(radius), reserve=RESERVE * energy)
+
+    def spend(self, missing: Floats, elapsed: float) -> Floats:
+        """(p,) [J] given to each pair, below 0: taken, of what is missing (p,) [J] to its true
+        energy; elapsed : [s] since the last detection."""
+        most = self.power * elapsed
+        given = np.clip(missing, -most, most)
+        asked, taken = float(given[given > 0.0].sum()), -float(given[given < 0.0].sum())
+        left = self.reserve - self.given + taken
+        if asked > left:
+            given = np.where(given > 0.0, given * (max(left, 0.0) / asked), given)
+        self.given += float(given.sum())
+        return given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +82,13 @@ class Stored:
         return float(self.normal_energy.sum() + 0.5 * self.stiffness @ row_dots(xi, xi))
 
 
-def continued(old: Stored, true: Stored, *, ease: float, budget: float) -> Stored:
+def continued(
+    old: Stored, true: Stored, *, ease: float, budget: EnergyBudget, elapsed: float
+) -> Stored:
     """The true planes moved along their normals so that each pair stores what it stored.
 
-    ease : [m] that a sample may become deeper at once; budget : [J] by which the energy of a pair
-    may come nearer to the true one.
+    ease : [m] that a sample may become deeper at once; budget : by which the energies of pairs come
+    nearer to the true ones; elapsed : [s] since the last detection.
     """
     eased = replace(true, depth=np.minimum(true.depth, old.depth + ease))
     pairs = 1 + int(max(old.pair.max(initial=-1), true.pair.max(initial=-1)))
@@ -62,7 +98,7 @@ def continued(old: Stored, true: Stored, *, ease: float, budget: float) -> Store
         return np.bincount(pair[some], energy[some], pairs)
 
     had, aim = summed(old.pair, old.normal_energy), summed(true.pair, true.normal_energy)
-    goal = had + np.clip(aim - had, -budget, budget)
+    goal = had + budget.spend(aim - had, elapsed)
     linear = 0.5 * eased.stiffness * eased.depth**2
     a, b = summed(true.pair, linear), summed(true.pair, eased.normal_energy - linear)
     root = a + np.sqrt(a * a + 4.0 * b * goal)
