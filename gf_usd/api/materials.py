@@ -97,7 +97,9 @@ def fit(
     """
     from gf_usd.prepare.options.table import FITTED, taken
 
-    with keywords("bounds", "unknowns", "evaluations", "overwrite", "jobs", target="targets"):
+    with keywords(
+        "bounds", "unknowns", "evaluations", "overwrite", "jobs", "max_minutes", target="targets"
+    ):
         if isinstance(targets, Mapping):
             texts = [f"{name}={values.real(name, value):g}" for name, value in targets.items()]
         else:
@@ -164,6 +166,8 @@ def prepared_fit(
             )
         if not file.absolute().parent.is_dir():
             raise UsageError(f"the folder of {file} does not exist", "create it first")
+    if not max_minutes >= 0.0:
+        raise UsageError(f"--max-minutes is {max_minutes:g}", "give minutes, 0 or more")
     known = {name: value for name, value in options.items() if value not in (None, [], ())}
     one = known.get("device") == "cuda"
     limited = {**known, "limits": options.get("limits")}

@@ -70,7 +70,7 @@ class Scene:
         if up not in UP:
             raise UsageError(f"up is {up!r}", "give 'Y' or 'Z'")
         self.up: str = up
-        self.floor: float | None = None if floor is None else values.real("floor", floor)
+        self.floor: float | None = None if floor is None else _finite("floor", floor)
         down = [0.0, 0.0, 0.0]
         if values.is_number(gravity):
             down[UP[up]] = -values.real("gravity", gravity)
@@ -228,6 +228,13 @@ def at_frames(scene: Scene, times: Sequence[float], options: dict[str, Any]) -> 
         up_axis=scene.up,
         options=options,
     )
+
+
+def _finite(name: str, value: Any) -> float:
+    number = values.real(name, value)
+    if not np.isfinite(number):
+        raise UsageError(f"{name} is {number}", "give a finite number")
+    return number
 
 
 def _triple(name: str, value: Any) -> Triple:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any
@@ -108,7 +109,16 @@ class HelpfulCommand(TyperCommand):
         """An option that may stand alone gets the value that this says."""
         known = {flag for param in self.get_params(ctx) for flag in param.opts}
         args = present(self.name or "", args)
-        return super().parse_args(ctx, with_bare_values(args, known))
+        left = super().parse_args(ctx, with_bare_values(args, known))
+        self._refuse_nan(ctx)
+        return left
+
+    def _refuse_nan(self, ctx: Any) -> None:
+        """The parser takes nan for a number in any range: no comparison with it is true."""
+        for param in self.params:
+            value = ctx.params.get(param.name)
+            if in_range(param) and isinstance(value, float) and math.isnan(value):
+                raise typer.BadParameter("nan is not a number", ctx=ctx, param=param)
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """What may stand on the line, without the braces that typer puts around arguments."""
@@ -152,6 +162,11 @@ class HelpfulCommand(TyperCommand):
             rows = [row for p in mine if (row := _row(p, ctx)) is not None]
             if rows:
                 yield group, rows
+
+
+def in_range(param: Any) -> bool:
+    """Whether the parser itself judges how large a number is: other code judges the rest."""
+    return param.type.name == "float range"
 
 
 def _row(param: Any, ctx: Any) -> tuple[str, str] | None:

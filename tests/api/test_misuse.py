@@ -216,6 +216,12 @@ def test_targets_that_are_none_are_refused(targets: Any) -> None:
         gf_usd.fit("duck.usda", targets)
 
 
+@pytest.mark.parametrize("minutes", [math.nan, -1.0])
+def test_a_time_for_a_fit_that_is_none_is_refused(minutes: float) -> None:
+    with pytest.raises(gf_usd.UsageError, match=rf"^max_minutes is {minutes:g}\n"):
+        gf_usd.fit("duck.usda", {"squash": 0.1}, max_minutes=minutes)
+
+
 def test_a_refusal_that_is_part_of_the_result_names_keywords(tmp_path: Path) -> None:
     path = tmp_path / "block.usda"
     path.write_text(BLOCK, encoding="utf-8")

@@ -231,6 +231,7 @@ def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
 
 MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.Scene(up="X"), "up is 'X'"),
+    (lambda s: gf_usd.Scene(floor=np.nan), "floor is nan"),
     (lambda s: gf_usd.Scene(gravity=(0, 1)), "gravity is (0, 1), of type tuple"),
     (lambda s: gf_usd.Scene(floor="0"), "floor is '0', of type str"),
     (lambda s: s.add_body(UNIT), "has points but no faces"),

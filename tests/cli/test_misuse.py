@@ -5,6 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import typer
+
+from gf_usd.cli.help import in_range
+from gf_usd.cli.main import program
 
 ASSET = "{asset}"
 MISUSES = (
@@ -103,6 +107,7 @@ bake {asset} --slice 0
 bake {asset} --flatten --clip-frames 5
 bake {asset} --limits time=soon
 bake {asset} --max-hours -1
+bake {asset} --max-hours nan
 bake {asset} --meters-per-unit 0
 bake {asset} --up-axis X
 bake {asset} --prim /Nobody
@@ -122,6 +127,9 @@ report
 report no.usda
 batch
 batch no.toml
+batch {asset} --memory nan
+batch {asset} --timeout nan
+fit {asset} --max-minutes nan --target squash=0.1
 materials rubber
 verify --nonsense
 schema-path here
@@ -147,6 +155,24 @@ def test_a_misuse_is_answered_in_words(gf_usd, here: Path, block: Path, line: st
     for word in ("Traceback", "Usage:", "Error:", "<class"):
         assert word not in done.err
     assert done.out == ""
+    assert list(here.iterdir()) == []
+
+
+RANGES = [
+    (name, param.opts[0])
+    for name, command in typer.main.get_command(program()).commands.items()  # type: ignore[attr-defined]
+    for param in command.params
+    if in_range(param)
+]
+
+
+@pytest.mark.parametrize(("command", "flag"), RANGES)
+def test_no_number_is_in_no_range(gf_usd, here: Path, block: Path, command: str, flag: str) -> None:
+    asset = ["--status"] if command == "serve" else [str(block)]  # which does not listen
+    needed = ["--target", "squash=0.1"] if command == "fit" else []
+    done = gf_usd(command, *asset, *needed, flag, "nan")
+    assert done.err.startswith(f"error: {flag}: nan is not a number\n\nhint: ")
+    assert done.status == 2
     assert list(here.iterdir()) == []
 
 
