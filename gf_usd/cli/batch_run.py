@@ -59,6 +59,7 @@ from gf_usd.batch.run import collect_outcomes, run_locally
 from gf_usd.batch.slices import Part, exit_status, failing_outcomes, require_clips
 from gf_usd.batch.task import Limits
 from gf_usd.cli.batch_console import voice
+from gf_usd.cli.streams import outlived
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.system.processes import Children
 
@@ -271,7 +272,18 @@ def bundle(
 
 
 def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
-    """Run the jobs and sum up; the exit status."""
+    """Run the jobs and sum up; the exit status.
+
+    Records and page come before an error of stdout, and so does a status that says more than it.
+    """
+    with outlived() as fail_of_stdout:
+        status = _go(plan, jobs, how)
+        if status == 0:
+            fail_of_stdout()
+    return status
+
+
+def _go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
     began = time.monotonic()
     run.require_processes()
     if how.slice:

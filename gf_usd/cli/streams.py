@@ -38,6 +38,8 @@ class Stream:
 
     def __init__(self, stream: TextIO, failed: Callable[[OSError], None]) -> None:
         self._stream, self._failed = stream, failed
+        self._waits = False
+        self._late: OSError | None = None
 
     def write(self, text: str) -> int:
         """See `TextIO`."""
@@ -62,7 +64,24 @@ class Stream:
             os.dup2(nowhere, self._stream.fileno())
             self._stream.flush()  # what is left in its buffer would fail again at the end
         os.close(nowhere)
-        self._failed(error)
+        if self._waits:
+            self._late = error
+        else:
+            self._failed(error)
+
+    @contextmanager
+    def failing_late(self) -> Iterator[Callable[[], None]]:
+        """Within the block no write fails; the function that is given then does, if one had to."""
+        self._waits = True
+
+        def fail() -> None:
+            if self._late is not None:
+                self._failed(self._late)
+
+        try:
+            yield fail
+        finally:
+            self._waits = False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -87,3 +106,17 @@ def guarded() -> Iterator[list[OSError]]:
         yield broken
     finally:
         sys.stdout, sys.stderr = before
+
+
+@contextmanager
+def outlived() -> Iterator[Callable[[], None]]:
+    """Within the block an stdout that nobody reads any more, or that is full, ends nothing.
+
+    For work whose result are files.  The function that is given raises the error of stdout, if it
+    had one; call it when the files are there.
+    """
+    if isinstance(sys.stdout, Stream):
+        with sys.stdout.failing_late() as fail:
+            yield fail
+    else:
+        yield lambda: None

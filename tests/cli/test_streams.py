@@ -62,3 +62,20 @@ def test_a_result_that_nobody_wants_is_none(here: Path) -> None:
 def test_a_reader_that_has_enough_gets_no_traceback(here: Path) -> None:
     done = run(here, "GF materials | true")
     assert done.stderr == ""
+
+
+# `head` is gone when the jobs begin; of events, the first is out before
+@pytest.mark.parametrize(
+    ("where", "status", "said"), [("| head -1", 0, ""), (">/dev/full", 1, NO_ROOM)]
+)
+def test_a_batch_ends_its_work_before_an_error_of_stdout(
+    here: Path, block: Path, where: str, status: int, said: str
+) -> None:
+    few = "--particles 100 --frames 2 -j 1 --material rubber,jelly"
+    done = run(here, f"GF batch {block} -o out {few} --json -q {where}")
+    assert done.returncode == status
+    assert done.stderr.startswith("2 done, ")
+    assert done.stderr.endswith(f"out.batch.html\n{said}")
+    there = {path.name for path in (here / "out").rglob("*") if path.is_file()}
+    assert {"out.batch.html", "out.batch.json"} <= there
+    assert {"block.rubber.job.json", "block.jelly.job.json"} <= there
