@@ -8,7 +8,7 @@ files make the same bytes.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tomllib
 import zipfile
 from pathlib import Path
@@ -30,5 +30,15 @@ def pack(folder: Path) -> Path:
     return target
 
 
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("folder", type=Path, nargs="?", default=Path(), help="default: this one")
+    folder = parser.parse_args().folder
+    if not folder.is_dir():
+        parser.error(f"{folder} is no folder")
+    print(pack(folder))
+
+
 if __name__ == "__main__":
-    print(pack(Path(sys.argv[1] if len(sys.argv) > 1 else ".")))
+    main()

@@ -8,8 +8,8 @@ first.  Run with the Python that tools/clients.py installed Blender for.
 
 from __future__ import annotations
 
+import argparse
 import math
-import sys
 import tempfile
 from pathlib import Path
 
@@ -131,10 +131,13 @@ def pixels(path: Path) -> np.ndarray:
 
 def main() -> None:
     """Render what is asked for and put it side by side."""
-    out, *wanted = sys.argv[1:]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("out", type=Path, help="picture to write (.png)")
+    parser.add_argument("wanted", nargs="+", metavar="STAGE:FRAME")
+    asked = parser.parse_args()
     view, row = None, []
     with tempfile.TemporaryDirectory() as folder:
-        for number, word in enumerate(wanted):
+        for number, word in enumerate(asked.wanted):
             stage, _, frame = word.rpartition(":")
             picture = Path(folder) / f"{number}.png"
             view = render(stage, int(frame), view, picture)
@@ -142,7 +145,7 @@ def main() -> None:
     strip = np.concatenate(row, axis=1)
     image = bpy.data.images.new("strip", strip.shape[1], strip.shape[0])
     image.pixels.foreach_set(strip.ravel())
-    image.filepath_raw, image.file_format = str(Path(out).resolve()), "PNG"
+    image.filepath_raw, image.file_format = str(asked.out.resolve()), "PNG"
     image.save()
 
 

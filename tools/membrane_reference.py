@@ -11,7 +11,7 @@ With --current the traction acts on the right edge as long as it becomes, not as
 
 from __future__ import annotations
 
-import sys
+import argparse
 
 import numpy as np
 from scipy import sparse
@@ -144,7 +144,12 @@ def corner(n: int, current: bool = False) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    words = [word for word in sys.argv[1:] if word != "--current"]
-    for count in map(int, words or ("8", "16", "32")):
-        right, up = corner(count, "--current" in sys.argv)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("counts", type=int, nargs="*", default=[8, 16, 32], metavar="N")
+    parser.add_argument(
+        "--current", action="store_true", help="the traction acts on the edge as long as it becomes"
+    )
+    said = parser.parse_args()
+    for count in said.counts:
+        right, up = corner(count, said.current)
         print(f"{count} along a side: {-right:.4f} mm left, {up:.4f} mm up", flush=True)

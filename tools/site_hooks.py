@@ -13,10 +13,10 @@ dist/mermaid.min.js of the npm package mermaid.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import posixpath
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +138,6 @@ def draw(mermaid: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit((__doc__ or "").strip())
-    draw(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description="Draw the diagrams of the documents for the site.")
+    parser.add_argument("mermaid", type=Path, help="dist/mermaid.min.js of the npm package mermaid")
+    draw(parser.parse_args().mermaid)

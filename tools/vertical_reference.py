@@ -10,7 +10,7 @@ Prints when and how far the bottom corner has come down at the lowest.
 
 from __future__ import annotations
 
-import sys
+import argparse
 
 import numpy as np
 
@@ -75,6 +75,8 @@ def fall(n: int) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    for count in map(int, sys.argv[1:] or ("8", "16", "24")):
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("counts", type=int, nargs="*", default=[8, 16, 24], metavar="N")
+    for count in parser.parse_args().counts:
         at, tip = fall(count)
         print(f"{count} along the edge: {tip:.4f} m at {at:.4f} s", flush=True)
