@@ -37,6 +37,8 @@ LOCK_TIMEOUT = (
 CONNECT = 20.0  # [s] to find the scheduler
 RESULT = 1.0  # [s] timeout of one request for a result
 ANSWER = 5.0  # [s] for the workers to report whether they have gf-usd
+LOOK = 5.0  # [s] between two queries of the workers
+ALONE = 30.0  # [s] without a worker until the note is repeated: a restart takes less
 END = GRACE + 5.0  # [s] for the workers to end their bakes, on request
 # A worker's results are lost with it; the scheduler then assigns its tasks to another worker.
 PENDING = ("pending", "lost")
@@ -72,6 +74,7 @@ def run_on_cluster(
     batch = uuid.uuid4().hex
     events: queue.Queue[Event] = queue.Queue()
     topic = f"gf-usd-{batch}"
+    ended = threading.Event()
     try:
         _require_program(client)
         client.subscribe_topic(topic, lambda event: events.put(event[1]))
@@ -84,9 +87,14 @@ def run_on_cluster(
         }  # fmt: skip
         if missing := _missing_resources(client, address, amounts):
             yield {"event": "note", "message": missing}
+        absence = Absence(told=bool(missing))
+        threading.Thread(  # a scheduler that hangs does not answer
+            target=_watch, args=(client, address, amounts, absence, events, ended), daemon=True
+        ).start()
         yield from _follow(client, futures, events, batch, children)
         client.unsubscribe_topic(topic)
     finally:
+        ended.set()
         client.close()
 
 
@@ -136,6 +144,45 @@ def _missing_resources(client: Client, address: str, amounts: Mapping[str, float
         return ""
     asked = ", ".join(f"{name}={amount:g}" for name, amount in amounts.items())
     return f"no worker at {address} offers {asked}: the jobs wait for one that does"
+
+
+class Absence:
+    """Says what the jobs wait for where they have for ALONE seconds; once until somebody is there.
+
+    told : whether it was said before.
+    """
+
+    def __init__(self, *, told: bool) -> None:
+        self._told = told
+        self._since: float | None = None
+
+    def heard(self, missing: str, now: float) -> str:
+        """What is to be said at a time [s], of what `_wanting` says; empty for nothing."""
+        if not missing:
+            self._told, self._since = False, None
+            return ""
+        if self._since is None:
+            self._since = now
+        if self._told or now - self._since < ALONE:
+            return ""
+        self._told = True
+        return missing
+
+
+def _watch(
+    client: Client,
+    address: str,
+    amounts: Mapping[str, float],
+    absence: Absence,
+    events: queue.Queue[Event],
+    ended: threading.Event,
+) -> None:
+    """A note for the events whenever the workers have been gone for long, until the batch ends."""
+    with suppress(*CLOSED):
+        while not ended.wait(LOOK):
+            missing = _missing_resources(client, address, amounts)
+            if said := absence.heard(missing, time.monotonic()):
+                events.put({"event": "note", "message": said})
 
 
 def _follow(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,7 +11,15 @@ from typing import Any
 
 import pytest
 
-from gf_usd.batch.cluster import _amount, _missing_resources, _outcome, _require_program
+from gf_usd.batch import cluster
+from gf_usd.batch.cluster import (
+    ALONE,
+    Absence,
+    _amount,
+    _missing_resources,
+    _outcome,
+    _require_program,
+)
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.core.errors import UsageError
 
@@ -70,6 +80,36 @@ def test_what_the_jobs_wait_for_is_told() -> None:
     assert "offers memory=2e+09" in wanting({"a": {"memory": 1e9}}, memory=2e9)
     apart = {"a": {"memory": 2e9}, "b": {"seats": 1.0}}
     assert "no worker" in wanting(apart, memory=1e9, seats=1.0)
+
+
+def test_workers_that_are_gone_for_long_are_told_once_each_time() -> None:
+    absence = Absence(told=True)  # as at the start of a batch
+    assert [absence.heard("none", now) for now in (0.0, 2.0 * ALONE)] == ["", ""]
+    assert absence.heard("", 70.0) == ""
+    for gone in (100.0, 1000.0):
+        times = (gone, gone + 0.9 * ALONE, gone + ALONE, gone + 9.0 * ALONE)
+        assert [absence.heard("none", now) for now in times] == ["", "", "none", ""]
+        assert absence.heard("", gone + 10.0 * ALONE) == ""
+
+
+def test_the_workers_are_looked_at_until_the_batch_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "LOOK", 0.01)
+    monkeypatch.setattr(cluster, "ALONE", 0.02)
+    workers: dict[str, dict[str, float]] = {"a": {}}
+    events: queue.Queue[Any] = queue.Queue()
+    ended = threading.Event()
+    client: Any = Cluster(workers)
+    thread = threading.Thread(
+        target=cluster._watch, args=(client, "tcp://here", {}, Absence(told=False), events, ended)
+    )
+    thread.start()
+    workers.clear()
+    said = events.get(timeout=60.0)
+    assert said["event"] == "note"
+    assert said["message"].startswith("the cluster at tcp://here has no worker")
+    ended.set()
+    thread.join()
+    assert events.empty()
 
 
 def test_a_worker_without_the_program_gets_no_job() -> None:
