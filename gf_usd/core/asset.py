@@ -32,6 +32,10 @@ from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import DEGREE, Y_0
 from gf_usd.core.units import StageUnits
 
+# Linear, of what has neither a material nor displayColor: what Storm, and so usdview, draws then.
+# (UsdPreviewSurface's own fallback, 0.18, is that of a material that says no color.)
+NO_COLOR = (0.5, 0.5, 0.5)
+
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceMaterial:

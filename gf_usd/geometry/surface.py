@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.asset import Texture
+from gf_usd.core.asset import NO_COLOR, Texture
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.geometry.solid import Solid
-
-DEFAULT_COLOR = (0.18, 0.18, 0.18)  # mid gray, UsdPreviewSurface's own fallback
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +72,7 @@ def colors(solid: Solid, at: Nearest) -> NDArray[np.float64]:
 
     A bound material's texture comes first, then its constant, then displayColor, then gray.
     """
-    out = np.tile(np.asarray(DEFAULT_COLOR), (len(at.triangle), 1))
+    out = np.tile(NO_COLOR, (len(at.triangle), 1))
     for index, surface in enumerate(solid.surfaces):
         mine = np.flatnonzero(at.surface == index)
         if len(mine) == 0:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pxr import Usd
 from solids import CUBE_TRIANGLES, cube, solid, sphere, surface
 
-from gf_usd.core.asset import SurfaceMaterial, Texture
+from gf_usd.core.asset import NO_COLOR, SurfaceMaterial, Texture
 from gf_usd.core.radiance import srgb_to_linear
-from gf_usd.geometry.surface import DEFAULT_COLOR, barycentric, colors, nearest, sample
+from gf_usd.geometry.surface import barycentric, colors, nearest, sample
+from gf_usd.readers.pictures.prims import to_render_mesh
 
 RED, GREEN, BLUE = (0.8, 0.1, 0.1), (0.1, 0.7, 0.2), (0.0, 0.2, 0.9)
 
@@ -65,8 +67,11 @@ def face_colors(shape, X=((0.5, 0.4, 0.05), (0.5, 0.6, 0.95))):
     return colors(body, nearest(body, np.array(X)))
 
 
-def test_nothing_said_is_gray():
-    np.testing.assert_array_equal(face_colors(cube()), [DEFAULT_COLOR] * 2)
+def test_nothing_said_is_the_gray_that_the_mesh_is_drawn_in():
+    """What a body turns into, particles or the surface of a flow, keeps its color."""
+    np.testing.assert_array_equal(face_colors(cube()), [NO_COLOR] * 2)
+    drawn = to_render_mesh(cube(), Usd.Stage.CreateInMemory(), Usd.TimeCode.Default())
+    np.testing.assert_array_equal(drawn.colors, np.tile(NO_COLOR, (12, 3, 1)))
 
 
 def test_display_colors_are_blended_over_the_triangle():

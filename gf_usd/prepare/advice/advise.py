@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.asset import Asset, Surface, Texture
+from gf_usd.core.asset import NO_COLOR, Asset, Surface, Texture
 from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.physical import PHYSICAL
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PICTURE = (512, 512)  # pixels of what an advisor sees: what vision models take in one tile
 Draw = Callable[["Scene", tuple[int, int]], Any]  # scene, size -> pixels (height, width, 3)
-GRAY, ROUGHNESS = 0.5, 0.5  # where nothing says a color; of all surfaces in the picture
+ROUGHNESS = 0.5  # of all surfaces in the picture
 
 
 def parse_auto(material: str | None, preset: str | None) -> Auto | None:
@@ -144,7 +144,7 @@ def _mesh(surface: Surface) -> RenderMesh:
     from gf_usd.core.scene import RenderMesh
 
     count = len(surface.triangles)
-    colors = np.full((count, 3, 3), GRAY)
+    colors = np.tile(NO_COLOR, (count, 3, 1))
     if surface.triangle_colors is not None:
         colors = np.array(surface.triangle_colors, float)
     skin, textures = np.full(count, -1), list[Texture]()

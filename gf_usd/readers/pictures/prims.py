@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Surface, Texture
+from gf_usd.core.asset import NO_COLOR, Surface, Texture
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.core.scene import Harmonics, RenderEllipsoids, RenderMesh, RenderSplats
@@ -21,9 +21,6 @@ from gf_usd.readers.usd.stage import LeftAlone, Placement, is_running
 
 LEFT_OUT = "not drawn: "  # a note, with a type
 Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
-
-
-GRAY = 0.5  # linear, where nothing says a color
 
 
 def stands_for_meshes(prim: Usd.Prim) -> bool:
@@ -93,7 +90,7 @@ def read_splats(
     local = gaussian_axes(orientations[:, [3, 0, 1, 2]], scales)
     linear = place.matrix[:3, :3].T * unit
     harmonics = _harmonics(prim, time, count, place, notes)
-    base = GRAY + Y_0 * harmonics.coefficients[:, 0]
+    base = 0.5 + Y_0 * harmonics.coefficients[:, 0]
     colors = srgb_to_linear(base) if harmonics.srgb else base
     finite = np.isfinite(positions).all(axis=1) & np.isfinite(local).all(axis=(1, 2))
     finite &= np.isfinite(harmonics.coefficients).all(axis=(1, 2)) & np.isfinite(opacities[:, 0])
@@ -224,7 +221,7 @@ def _display_colors(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> Floats:
     flat = primvar.ComputeFlattened(time) if primvar and primvar.HasValue() else None
     values = np.asarray([] if flat is None else flat, dtype=np.float64).reshape(-1, 3)
     if len(values) not in (1, count) or not np.isfinite(values).all():
-        values = np.full((1, 3), GRAY)
+        values = np.array([NO_COLOR])
     return np.broadcast_to(values, (count, 3))
 
 
@@ -236,7 +233,7 @@ CREASE_SUBDIVIDED = 80.0  # [deg] for the cage of a subdivision surface, which i
 def to_render_mesh(surface: Surface, stage: Usd.Stage, time: Usd.TimeCode) -> RenderMesh:
     """The triangles of a surface with what is bound to them."""
     count = len(surface.triangles)
-    colors = np.full((count, 3, 3), GRAY)
+    colors = np.tile(NO_COLOR, (count, 3, 1))
     if surface.triangle_colors is not None:
         colors = np.array(surface.triangle_colors, dtype=np.float64)
     skin = np.full(count, -1)
