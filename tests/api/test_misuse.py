@@ -62,6 +62,11 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
     ({"material": {"/Duck": "metal"}}, "of type dict", "material_boxes and material_labels"),
     ({"material": material(poissons_ratio=0.5)}, "poissons_ratio is 0.5", "from -1 to 0.5"),
     ({"material": material(density=-1.0)}, "density is -1", "give a number above 0"),
+    (
+        {"material": material(youngs_modulus=math.nan)},
+        "youngs_modulus is nan",
+        "give a number above 0",
+    ),
     ({"material": material(law="hooke")}, "there is no law 'hooke'", "choose one of"),
     ({"material": material(name="a b")}, "named 'a b'", "letters, digits, _ and -"),
     ({"material": material(parameters={"yield_stress": 1.0})}, "has no parameter", "none"),

@@ -229,6 +229,9 @@ def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
     assert next(other).index == 0
 
 
+WRONG = gf_usd.Material(
+    name="wrong", law="corotated", density=1e3, youngs_modulus=-1.0, poissons_ratio=0.3
+)
 MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.Scene(up="X"), "up is 'X'"),
     (lambda s: gf_usd.Scene(floor=np.nan), "floor is nan"),
@@ -241,6 +244,7 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: s.add_body(UNIT, [[0, 1]]), "the smallest with 2 corners"),
     (lambda s: s.add_body(UNIT, [[0.0, 1.0, 2.0]]), "a face is [0.0, 1.0, 2.0]"),
     (lambda s: s.add_body(UNIT, FACES, material="ruber"), "there is no material 'ruber'"),
+    (lambda s: s.add_body(UNIT, FACES, material=WRONG), "youngs_modulus is -1"),
     (lambda s: s.add_body(UNIT, FACES, name="block"), "already has a block"),
     (lambda s: s.add_body(UNIT, FACES, name="a b"), "name is 'a b'"),
     (lambda s: s.add_body(UNIT, FACES, velocity=3.0), "velocity is 3.0, of type float"),

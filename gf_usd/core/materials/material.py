@@ -23,7 +23,11 @@ def young_poisson(mu: Any, lam: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A constitutive law with its parameters, in SI."""
+    """A constitutive law with its parameters, in SI.
+
+    Its values are checked where it is first used, as by `bake` or `Scene.add_body`: a UsageError
+    then names the field and the number.
+    """
 
     name: str
     law: str  # a row of LAWS
