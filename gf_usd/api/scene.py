@@ -315,6 +315,15 @@ def _poses(one: _Moving, times: Sequence[float]) -> Array | None:
         )
     if not np.isfinite(poses).all():
         raise UsageError(f"{one.name}: its motion is not finite", "repair it")
+    if poses.shape[1:] == (4, 4):
+        wrong = np.flatnonzero((poses[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
+        if len(wrong):
+            row = ", ".join(f"{value:g}" for value in poses[wrong[0], 3])
+            raise UsageError(
+                f"{one.name}: the last row of its matrix {wrong[0]} is ({row}), not (0, 0, 0, 1)",
+                "give matrices that act on columns, x = M[:3, :3] X + M[:3, 3]: those of USD are"
+                " transposed",
+            )
     return poses[: len(times)]
 
 

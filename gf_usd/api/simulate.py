@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gf_usd.api.call import keywords, named
 from gf_usd.api.host.guest import guest, require_here
 from gf_usd.api.scene import Scene, at_frames
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.core.frames import Health
 from gf_usd.prepare.options import values
 
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from gf_usd.core.materials.material import Material
 
 Array = NDArray[np.float64]
+# What `Simulation.save` adds to the state of the solver.
+STATE = {"index", "health", "disturbed", "forces", "added_acceleration", "rest"}
 FRAMES = 48
 FPS = 24.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SimulationFrame:
     """One frame of a simulation, in SI and in the world frame of the scene."""
 
@@ -41,15 +43,21 @@ class SimulationFrame:
     health: Health  # energies, momentum, strains and contact
     stress: Array | None  # (N,) [Pa] von Mises; None unless requested
 
+    def __repr__(self) -> str:
+        return (
+            f"SimulationFrame(index={self.index}, time={self.time:.6g},"
+            f" particles={len(self.positions)})"
+        )
+
 
 class Simulation(Iterator[SimulationFrame]):
     """A scene in motion; iterate over it, or call `next`.
 
     Between two frames `push`, `accelerate` and `set_velocities` act on the bodies, and `save` and
-    `load` store and restore a state.  `close` frees the memory; so does the end of a ``with``
-    block.  All simulations of a process share one Taichi runtime, so they have the same device and
-    threads.  Taichi keeps the memory of freed arrays (about 2 MB for 4,000 particles): to run one
-    scene many times, save its first state and load it again.
+    `load` store and restore a state.  Forces and an acceleration add up.  `close` frees the memory;
+    so does the end of a ``with`` block.  All simulations of a process share one Taichi runtime, so
+    they have the same device and threads.  Taichi keeps the memory of freed arrays (about 2 MB for
+    4,000 particles): to run one scene many times, save its first state and load it again.
     """
 
     def __init__(self, scene: Scene, frames: int, options: Mapping[str, Any]) -> None:
@@ -66,6 +74,8 @@ class Simulation(Iterator[SimulationFrame]):
         self._index = -1  # of the last frame
         self._last: Health | None = None
         self._disturbed = False  # since the last frame
+        self._forces: Any = 0.0  # (n, 3) [m/s^2] of free nodes by `push`; 0: none
+        self._acceleration: Any = 0.0  # the same by `accelerate`
         self.bodies: tuple[str, ...] = scene.bodies
         self.notes: tuple[str, ...] = self._plan.notes  # what was assumed, in words
 
@@ -118,7 +128,7 @@ class Simulation(Iterator[SimulationFrame]):
             else:
                 # what was changed since is not judged as if the solver had done it
                 last = solver.read(self._index).health if self._disturbed else self._last
-                frame = solver.next(self._index + 1, last)
+                frame = _next(solver, self._index + 1, last)
         self._index, self._last, self._disturbed = frame.index, frame.health, False
         return self._made(frame)
 
@@ -150,8 +160,8 @@ class Simulation(Iterator[SimulationFrame]):
         """
         solver = self._pushed()
         wanted = self._rows("forces", forces)
-        with guest():
-            solver.push(solver.body.mass.acceleration(solver.body.rows.combined.T @ wanted))
+        self._forces = solver.body.mass.acceleration(solver.body.rows.combined.T @ wanted)
+        self._act(solver)
         self._disturbed = True
 
     def accelerate(self, acceleration: ArrayLike | Callable[[Array], ArrayLike]) -> None:
@@ -162,10 +172,13 @@ class Simulation(Iterator[SimulationFrame]):
         Raises UsageError if a body of the scene flows.
         """
         solver = self._pushed()
-        field = _field("acceleration", acceleration, solver.body.stencil.free_X)
-        with guest():
-            solver.push(field)
+        self._acceleration = _field("acceleration", acceleration, solver.body.stencil.free_X)
+        self._act(solver)
         self._disturbed = True
+
+    def _act(self, solver: Any) -> None:
+        with guest():
+            solver.push(self._forces + self._acceleration + np.zeros(solver.places().shape))
 
     def set_velocities(self, velocities: ArrayLike | Callable[[Array], ArrayLike]) -> None:
         """Set the velocities at the start of the next frame; pinned parts keep theirs.
@@ -178,19 +191,45 @@ class Simulation(Iterator[SimulationFrame]):
         self._disturbed = True
 
     def save(self) -> dict[str, Any]:
-        """Return the state after the last frame, for `load` in a simulation of the same scene."""
+        """Return the state, for `load` in a simulation of the same scene.
+
+        It is that after the last frame, with what was set since, and with forces and acceleration.
+        """
         if self._last is None:
             raise UsageError("the simulation has not started", "request its first frame: next(it)")
         with guest():
-            return {**self._running().save(), "index": self._index, "health": self._last}
+            state = self._running().save()
+        return {
+            **state, "index": self._index, "health": self._last, "disturbed": self._disturbed,
+            "forces": self._forces, "added_acceleration": self._acceleration,
+            "rest": self._plan.particles.X,
+        }  # fmt: skip
 
     def load(self, state: Mapping[str, Any]) -> None:
-        """Continue from a state of `save`; the frames that follow are identical to the bit."""
-        if not isinstance(state, Mapping) or not {"index", "health"} <= state.keys():
+        """Continue from a state of `save`; the frames that follow are identical to the bit.
+
+        Raises UsageError for a state of another scene.
+        """
+        if not isinstance(state, Mapping) or not state.keys() >= STATE:
             raise UsageError("the state was not made by save()", "give what save() returned")
+        solver = self._running()
         with guest():
-            self._running().load(state)
-        self._index, self._last, self._disturbed = state["index"], state["health"], False
+            own = {name: np.shape(value) for name, value in solver.save().items()}
+        theirs = {name: np.shape(value) for name, value in state.items() if name not in STATE}
+        if own != theirs or not np.array_equal(state["rest"], self._plan.particles.X):
+            raise UsageError(
+                f"the state is of another scene: of {len(state['rest'])} particles, and this one"
+                f" has {len(self._plan.particles)}, or at other places, or of other kinds",
+                "load it in a simulation of the same scene with the same options",
+            )
+        before = self._forces + self._acceleration
+        self._forces, self._acceleration = state["forces"], state["added_acceleration"]
+        if not np.array_equal(before, self._forces + self._acceleration):
+            self._act(solver)  # before the rest, of which it wakes what sleeps
+        with guest():
+            solver.load(state)
+        self._index, self._last = state["index"], state["health"]
+        self._disturbed = state["disturbed"]
 
     def close(self) -> None:
         """End the simulation and free its solver."""
@@ -256,6 +295,20 @@ class Simulation(Iterator[SimulationFrame]):
         return rows
 
 
+def _next(solver: Any, index: int, last: Health) -> Frame:
+    """The solver's next frame; its failure with a hint for a scene, which has no options."""
+    try:
+        return solver.next(index, last)
+    except SolverError as error:
+        raise SolverError(
+            error.message,
+            "slow down what moves or meets the bodies, use a stiffer material or one of the law"
+            " neoHookean, or take more frames per second",
+            frame=error.frame,
+            particle=error.particle,
+        ) from error
+
+
 def _field(name: str, given: Any, at: Array) -> Array:
     """(n, 3) of a vector or a function at points (n, 3)."""
     form = f"three numbers, or a function of (n, 3) that returns (n, 3): here {at.shape}"
@@ -264,7 +317,8 @@ def _field(name: str, given: Any, at: Array) -> Array:
         found = np.asarray(made, float)
     except (TypeError, ValueError):
         raise values.refuse(name, made, form) from None
-    if found.shape not in ((3,), at.shape, ()) or not np.isfinite(found).all():
+    whole = found.shape in ((3,), at.shape) or (found.shape == () and found == 0.0)
+    if not (whole and np.isfinite(found).all()):
         raise UsageError(
             f"{name} has the shape {found.shape}, or is not finite",
             f"give {form}",

@@ -162,6 +162,83 @@ def test_a_force_of_0_ends_the_forces() -> None:
     assert np.allclose(rest, fast, rtol=ROUNDING)
 
 
+def test_forces_and_an_acceleration_add_up_and_end_one_by_one() -> None:
+    simulation = gf_usd.simulate(alone(gravity=0.0), frames=4, particles=100)
+    next(simulation)
+    masses = simulation.masses
+    simulation.push(np.outer(masses, (24.0, 0.0, 0.0)))  # [N] for 24 m/s^2
+    simulation.accelerate((0.0, 24.0, 0.0))
+    momenta = [np.array(next(simulation).health.momentum) / masses.sum()]
+    simulation.accelerate(0)
+    momenta.append(np.array(next(simulation).health.momentum) / masses.sum())
+    simulation.push(0)
+    momenta.append(np.array(next(simulation).health.momentum) / masses.sum())
+    assert np.allclose(momenta, [(1, 1, 0), (2, 1, 0), (2, 1, 0)], atol=1e-3)
+
+
+def test_a_saved_state_has_its_forces_and_velocities() -> None:
+    """What was changed since the last frame, too, and without a fault that is none."""
+    simulation = gf_usd.simulate(alone(), frames=6, particles=100)
+    next(simulation)
+    start = simulation.save()
+    simulation.push(np.outer(simulation.masses, (24.0, 0.0, 0.0)))
+    next(simulation)
+    simulation.set_velocities((1.0, 0.0, 0.0))
+    saved = simulation.save()
+    once = next(simulation)
+    simulation.accelerate((0.0, 5.0, 0.0))
+    simulation.push(0)
+    next(simulation)
+    simulation.load(saved)
+    assert np.array_equal(next(simulation).positions, once.positions)
+    other = gf_usd.simulate(alone(), frames=6, particles=100)
+    other.load(saved)
+    assert np.array_equal(next(other).positions, once.positions)
+    simulation.load(start)  # nothing pushes there
+    assert next(simulation).health.momentum[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("moved", "material", "particles"),
+    [(0.0, "jelly", 200), (0.1, "jelly", 100), (0.0, "clay", 100)],
+    ids=["particles", "places", "kinds"],
+)
+def test_the_state_of_another_scene_is_refused(moved: float, material: str, particles: int) -> None:
+    simulation = gf_usd.simulate(alone(), frames=3, particles=100)
+    next(simulation)
+    other = gf_usd.Scene()
+    other.add_body(UNIT + moved, FACES, material=material, name="block")
+    with pytest.raises(gf_usd.UsageError, match="another scene") as caught:
+        gf_usd.simulate(other, frames=3, particles=particles).load(simulation.save())
+    assert "same options" in caught.value.hint
+
+
+def test_a_failure_has_a_hint_that_fits_a_scene() -> None:
+    simulation = gf_usd.simulate(alone(floor=0.99), frames=6, particles=100)
+    next(simulation)
+    simulation.set_velocities(lambda x: 1e8 * (x - 0.5))
+    with pytest.raises(gf_usd.SolverError, match="frame") as caught:
+        list(simulation)
+    assert caught.value.frame > 0
+    assert "cache" not in caught.value.hint
+    assert "drop" not in caught.value.hint
+
+
+def test_a_frame_that_blows_up_is_redone() -> None:
+    """There the strain asks for a step of length 0, which was divided by."""
+    simulation = gf_usd.simulate(alone(floor=0.99), frames=6, particles=100)
+    next(simulation)
+    simulation.set_velocities(lambda x: 4000.0 * (x - 0.5))  # [1/s] for 167 lengths a frame
+    frames = list(simulation)
+    assert max(frame.health.rollbacks for frame in frames) > 0
+    assert all(np.isfinite(frame.positions).all() for frame in frames)
+
+
+def test_a_frame_is_shown_in_a_line() -> None:
+    (frame,) = gf_usd.simulate(alone(), frames=1, particles=100)
+    assert repr(frame) == "SimulationFrame(index=0, time=0, particles=112)"
+
+
 def test_what_is_pinned_follows_its_motion() -> None:
     scene = gf_usd.Scene(gravity=0.0)
     scene.add_body(block((0, 0, 0), (3, 1, 1)), FACES, material="metal", name="bar")
@@ -256,6 +333,11 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.simulate(s, frames=0), "frames is 0"),
     (lambda s: gf_usd.simulate(s, particle=3), "simulate() has no option 'particle'"),
     (lambda s: gf_usd.simulate(s, particles=100).accelerate("x"), "acceleration is 'x', of type"),
+    (lambda s: gf_usd.simulate(s, particles=100).accelerate(1.0), "acceleration has the shape ()"),
+    (
+        lambda s: gf_usd.simulate(s, particles=100).set_velocities(1.0),
+        "velocities has the shape ()",
+    ),
     (lambda s: gf_usd.simulate(s, particles=100).push("x"), "forces is 'x', of type str"),
     (lambda s: gf_usd.simulate(s, particles=100).push(1.0), "forces has the shape ()"),
     (lambda s: gf_usd.simulate(s, particles=100).load(None), "was not made by save()"),
@@ -280,6 +362,10 @@ def test_a_scene_that_makes_no_sense_is_refused(call: Any, message: str) -> None
         (np.eye(4)[None], "its motion has 1 frames, but 3 are simulated"),
         (lambda time: np.eye(3), "its motion is an array of shape (3, 3, 3)"),
         (np.full((3, 4, 4), np.nan), "its motion is not finite"),
+        (
+            np.array([np.eye(4), np.eye(4), np.eye(4) + np.eye(4, k=-3)]),
+            "the last row of its matrix 2 is (1, 0, 0, 1)",
+        ),
     ],
 )
 def test_a_motion_that_is_none_is_refused(motion: Any, message: str) -> None:
