@@ -16,6 +16,7 @@ from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.stage import Collider, PhysicsMaterialSpec, Region, Triple
 from gf_usd.prepare.options import values
+from gf_usd.prepare.options.fields import upward_note
 
 if TYPE_CHECKING:
     from gf_usd.core.materials.material import Material
@@ -75,6 +76,9 @@ class Scene:
         if values.is_number(gravity):
             down[UP[up]] = -values.real("gravity", gravity)
         self.gravity: Triple = _triple("gravity", down if values.is_number(gravity) else gravity)
+        self._notes: tuple[str, ...] = ()
+        if values.is_number(gravity):
+            self._notes = upward_note(values.real("gravity", gravity))
         self._surfaces: list[Surface] = []
         self._materials: dict[str, str | Material] = {}
         self._velocities: dict[str, tuple[Triple, Triple]] = {}

@@ -77,7 +77,8 @@ class Simulation(Iterator[SimulationFrame]):
         self._forces: Any = 0.0  # (n, 3) [m/s^2] of free nodes by `push`; 0: none
         self._acceleration: Any = 0.0  # the same by `accelerate`
         self.bodies: tuple[str, ...] = scene.bodies
-        self.notes: tuple[str, ...] = self._plan.notes  # what was assumed, in words
+        # what was assumed, in words
+        self.notes: tuple[str, ...] = (*scene._notes, *self._plan.notes)
 
     @property
     def particles(self) -> Particles:

@@ -48,6 +48,7 @@ from gf_usd.prepare.materials.flowing import dispatch, require_dispatched, requi
 from gf_usd.prepare.materials.over_time import with_value_keys
 from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.choices import chosen, require_resolved, require_stored
+from gf_usd.prepare.options.fields import upward_note
 from gf_usd.prepare.options.implied import stated_values, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
@@ -193,6 +194,7 @@ def fill(
         request, asset.facts, radius, lowest, animation, keys,
         stated_fields=spec.physics.fields, attached=bool(attachments or springs),
     )  # fmt: skip
+    stated += upward_note(request.parsed["gravity"])
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     require_resolved(request, settings, gap, particles.spacing)
     pins = tuple(more_pins(solid)) if more_pins else ()

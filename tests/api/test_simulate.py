@@ -58,6 +58,12 @@ def test_gravity_and_floor_stand_on_any_axis() -> None:
     assert abs(frames[-1].health.momentum[0]) < 1e-3 * frames[-1].health.mass
 
 
+def test_a_negative_number_of_gravity_points_up_with_a_note() -> None:
+    simulation = gf_usd.simulate(alone(gravity=-G), frames=2, particles=100)
+    assert simulation.settings.gravity == (0.0, G, 0.0)
+    assert simulation.notes[0].startswith("gravity of -9.81 m/s^2 points up")
+
+
 def test_forces_on_particles_give_their_momentum() -> None:
     simulation = gf_usd.simulate(alone(gravity=0.0), frames=5, particles=100)
     first = next(simulation)

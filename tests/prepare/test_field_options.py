@@ -55,6 +55,18 @@ def test_a_file_of_keys(tmp_path: Path) -> None:
     assert (moving.kind, moving.times, wind.kind) == ("gravity", (1.0, 12.5), "wind")
 
 
+def test_a_negative_number_of_gravity_points_up_with_a_note(tmp_path: Path) -> None:
+    block = tmp_path / "block.usda"
+    block.write_text(BLOCK)
+    up, _ = prepare(block, draw=None, particles=100, gravity="-9.81")
+    assert up.settings.gravity == pytest.approx(tuple(9.81 * up.asset.facts.up))
+    said = "gravity of -9.81 m/s^2 points up: numbers above 0 point down"
+    assert said in up.notes
+    down, _ = prepare(block, draw=None, particles=100, gravity="9.81")
+    vector, _ = prepare(block, draw=None, particles=100, gravity="0,9.81,0")
+    assert not [note for note in (*down.notes, *vector.notes) if "points up" in note]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -105,6 +105,13 @@ def is_key_file(text: str) -> bool:
     return text.lower().endswith(KEY_FILES)
 
 
+def upward_note(asked: object) -> tuple[str, ...]:
+    """What is said of a negative number, which in other programs points down; of keys nothing."""
+    if not isinstance(asked, float) or asked >= 0.0:
+        return ()
+    return (f"gravity of {asked:g} m/s^2 points up: numbers above 0 point down",)
+
+
 def read_gravity_keys(path: Path) -> GravityKeys:
     """The keys of a file with lines `time code, g` or `time code, x, y, z` [m/s^2].
 
