@@ -27,6 +27,9 @@ class BakeFrame:
         self.index: int = index  # 0 for the first
         self.time_code: float = arrays.time_codes[index]  # of the stage
 
+    def __repr__(self) -> str:
+        return f"BakeFrame(index={self.index}, time_code={self.time_code:g})"
+
     @property
     def time(self) -> float:
         """[s] of playback since the first frame."""

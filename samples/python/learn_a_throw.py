@@ -1,4 +1,4 @@
-"""A loop that learns: find the speed at which a ball of jelly comes to lie at a mark.
+"""A loop that learns: find the speed at which a ball of jelly is over a mark after half a second.
 
 python samples/python/learn_a_throw.py
 """
@@ -26,7 +26,7 @@ class Throw:
         self.start = self.simulation.save()
 
     def __call__(self, speed: float) -> float:
-        """[m] where the middle of the ball is in the end; speed : [m/s] along x at the start."""
+        """[m] of the middle of the ball in the last frame; speed : [m/s] along x at the start."""
         self.simulation.load(self.start)
         self.simulation.set_velocities((speed, 0.0, 0.0))
         middle = 0.0

@@ -1,6 +1,6 @@
 """Read a bake as arrays: how high the body is, how much it is squashed, and where it is strained.
 
-python samples/python/read_a_bake.py out/duck.rubber.usda table.csv
+python samples/python/read_a_bake.py out/duck.rubber-soft-foam.usda table.csv
 """
 
 from __future__ import annotations

@@ -60,7 +60,11 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
     ({"material": []}, "material is [], of type list", "give a preset such as 'rubber'"),
     ({"material": 3}, "material is 3, of type int", "give a preset such as 'rubber'"),
     ({"material": {"/Duck": "metal"}}, "of type dict", "material_boxes and material_labels"),
-    ({"material": material(poissons_ratio=0.5)}, "poissons_ratio is 0.5", "from -1 to 0.5"),
+    (
+        {"material": material(poissons_ratio=0.5)},
+        "poissons_ratio is 0.5",
+        "between -1 and 0.5, without",
+    ),
     ({"material": material(density=-1.0)}, "density is -1", "give a number above 0"),
     (
         {"material": material(youngs_modulus=math.nan)},

@@ -34,6 +34,7 @@ def test_it_is_a_sequence_of_frames(result: gf_usd.BakeResult, bake: gf_usd.Bake
     assert (len(bake), bake.particles, bake.variant) == (FRAMES, result.particles, "rubber")
     assert bake.variants == ("clay", "rubber")
     assert [frame.index for frame in bake] == list(range(FRAMES))
+    assert repr(bake[0]) == f"BakeFrame(index=0, time_code={bake.time_codes[0]:g})"
     assert [frame.time_code for frame in bake[1:]] == list(bake.time_codes[1:])
     assert bake[-1].index == FRAMES - 1
     assert bake[1].time == pytest.approx(1.0 / result.settings.fps)

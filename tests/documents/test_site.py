@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tools import site_hooks
-from tools.documents import ROOT
+from tools.documents import PAGES, ROOT
 from tools.site_hooks import adapted
 
 # Attributes by which a page loads something at once; a link to follow (a href) loads nothing.
@@ -64,6 +64,17 @@ def test_every_page_has_its_place_in_the_site() -> None:
     docs = ROOT / "docs"
     pages = {page.relative_to(docs).as_posix() for page in docs.rglob("*.md")}
     assert sorted(listed) == sorted(pages | set(site_hooks.ROOT_PAGES.values()))
+
+
+def test_no_row_of_a_table_goes_on_in_the_next_line() -> None:
+    """It would end there, and the rest would stand below the table."""
+    cut = [
+        f"{page.relative_to(ROOT)}:{number}"
+        for page in PAGES
+        for number, line in enumerate(page.read_text("utf-8").splitlines(), start=1)
+        if line.startswith("|") and not line.rstrip().endswith("|")
+    ]
+    assert cut == []
 
 
 class Loads(HTMLParser):

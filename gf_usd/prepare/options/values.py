@@ -386,7 +386,9 @@ def sound_material(given: Any) -> Any:
         value = real(f"{where}: {key}", getattr(given, key))
         inside = low < value < high if open_ else low <= value <= high
         if not inside:
-            bounds = f"above {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
+            between = f"between {low:g} and {high:g}, without these"
+            bounds = between if open_ else f"from {low:g} to {high:g}"
+            bounds = f"above {low:g}" if high == math.inf else bounds
             raise UsageError(f"{where}: {key} is {value:g}", f"give a number {bounds}")
     known = {p.name: p for p in law_parameters([given.law])}
     for key, value in given.parameters.items():
