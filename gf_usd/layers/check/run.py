@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pxr import Tf, Usd
+from pxr import Sdf, Tf, Usd
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import SOURCE_VARIANT
@@ -90,16 +90,26 @@ def check_file(path: str | Path) -> CheckResult:
 def _less_source(result: CheckResult, stage: Usd.Stage) -> CheckResult:
     """What a bake is to blame for: errors that are also there with its source selected are apart.
 
-    A stage that is no bake, or that shows the source already, is returned as it is.
+    A stage that is no bake, or that shows the source already, is returned as it is.  In a shot
+    over bakes all else is the shot's own: only errors in their prims can be those of sources.
     """
-    sets = [prim.GetVariantSet(VARIANT_SET) for prim in _looks(stage)]
+    baked = _looks(stage)
+    sets = [prim.GetVariantSet(VARIANT_SET) for prim in baked]
+    roots = [prim.GetPath() for prim in baked]
+    layer = stage.GetRootLayer()
+    if any((spec := layer.GetPrimAtPath(p)) and VARIANT_SET in spec.variantSets for p in roots):
+        roots = [Sdf.Path.absoluteRootPath]
     if result.ok or not any(one.GetVariantSelection() != SOURCE_VARIANT for one in sets):
         return result
     stage.SetEditTarget(stage.GetSessionLayer())
     for one in sets:
         one.SetVariantSelection(SOURCE_VARIANT)
     known = {_key(found) for found in check_stage(stage).findings}
-    theirs = [f for f in result.findings if f.severity == "error" and _key(f) in known]
+    theirs = [
+        f for f in result.findings
+        if f.severity == "error" and _key(f) in known
+        and any(Sdf.Path(f.prim_path).HasPrefix(root) for root in roots)
+    ]  # fmt: skip
     return replace(
         result,
         findings=tuple(f for f in result.findings if f not in theirs),

@@ -86,6 +86,18 @@ def test_a_fault_of_the_source_is_not_the_bake_s(tmp_path: Path) -> None:
     assert checked.ok
     assert ("finite", "/stars") in {(f.rule, f.prim_path) for f in checked.inherited}
     assert {(f.rule, f.prim_path) for f in checked.inherited} <= of_source
+    # of a shot over the bake only what is in the bake's prims can be the source's
+    shot = tmp_path / "shot.usda"
+    shot.write_text(
+        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y" )\n'
+        f'def "duck" ( references = @{root.path.name}@</duck> ) {{}}\n{STARS}'
+    )
+    checked = check_file(shot)
+    own = {(f.rule, f.prim_path) for f in checked.findings if f.severity == "error"}
+    assert not checked.ok
+    assert ("finite", "/stars") in own
+    assert "/" in {path for _, path in own}  # it has no default prim
+    assert all(f.prim_path.startswith("/duck") for f in checked.inherited)
     # and does not hide another one of the same kind elsewhere
     spoil(tmp_path / "duck.rubber.cache.usdc")
     found = prims(review(root.path, asset.facts.path))
