@@ -147,9 +147,9 @@ def _missing_resources(client: Client, address: str, amounts: Mapping[str, float
 
 
 class Absence:
-    """Says what the jobs wait for where they have for ALONE seconds; once until somebody is there.
+    """Repeats the note on missing workers after ALONE seconds, once per absence.
 
-    told : whether it was said before.
+    told : whether the note was emitted before.
     """
 
     def __init__(self, *, told: bool) -> None:
@@ -157,7 +157,7 @@ class Absence:
         self._since: float | None = None
 
     def heard(self, missing: str, now: float) -> str:
-        """What is to be said at a time [s], of what `_wanting` says; empty for nothing."""
+        """The note to emit at a time `now` [s]; "" for none.  missing : of `_missing_resources`."""
         if not missing:
             self._told, self._since = False, None
             return ""
@@ -177,7 +177,7 @@ def _watch(
     events: queue.Queue[Event],
     ended: threading.Event,
 ) -> None:
-    """A note for the events whenever the workers have been gone for long, until the batch ends."""
+    """Put a note into `events` when the workers have been missing for long; until `ended`."""
     with suppress(*CLOSED):
         while not ended.wait(LOOK):
             missing = _missing_resources(client, address, amounts)
