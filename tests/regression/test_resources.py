@@ -171,7 +171,7 @@ def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> 
 def test_want_of_memory_ends_the_bake_at_its_last_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(budget, "ASKED", 0.0)
+    monkeypatch.setattr(budget, "MEMORY_INTERVAL", 0.0)
 
     def others(done: int, total: int) -> None:
         if done == 3:
