@@ -1,1 +1,1 @@
-"""Frames become USD layers, and layers are checked."""
+"""Writes frames into USD layers, and checks layers."""

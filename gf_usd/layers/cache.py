@@ -35,8 +35,8 @@ from gf_usd.layers.stage import (
     author_facts,
     clock,
     find_home,
-    hold_source,
-    hold_still,
+    freeze_at_last_sample,
+    freeze_source,
     new_layer,
     open_source,
     require,
@@ -48,7 +48,7 @@ from gf_usd.layers.stage import (
 from gf_usd.layers.tracks.bounds import block_hints, skel_bounds
 from gf_usd.layers.tracks.captured import SplatTrack
 from gf_usd.layers.tracks.health import HealthTrack, bake_root
-from gf_usd.layers.tracks.meshes import MeshTrack, free_instances
+from gf_usd.layers.tracks.meshes import MeshTrack, end_instancing
 from gf_usd.layers.tracks.particles import ParticleTrack
 from gf_usd.layers.tracks.sparse import Saved
 from gf_usd.layers.tracks.storage import (
@@ -64,20 +64,20 @@ from gf_usd.layers.tracks.storage import (
 from gf_usd.system.atomic_files import partial_path
 from gf_usd.system.background import BackgroundWriter
 
-SAVE = 64e6  # [bytes] that are held before they are saved
+SAVE = 64e6  # [bytes] of unsaved samples, at most
 
 
 @dataclass(frozen=True, kw_only=True)
 class CacheSummary:
     """A finished cache, not yet published."""
 
-    path: Path  # final name; the file is still ``partial_path(path)``
+    path: Path  # final name; the file is at ``partial_path(path)``
     partial: Path
     bytes: int
     frames: int
     clips: tuple[Path, ...] = ()  # published already
-    notes: tuple[str, ...] = ()  # what was left out, in words
-    storage: Storage | None = None  # what storing less saved; None: nobody asked for it
+    notes: tuple[str, ...] = ()  # notes on omitted samples
+    storage: Storage | None = None  # the saved space; None: not requested
 
 
 class CacheWriter:
@@ -121,13 +121,13 @@ class CacheWriter:
         self.path = Path(path)
         choices = choices or Choices()
         self._every = save_every or _samples_in(SAVE, asset, particles)
-        self._frames = 0  # written, each sample one
+        self._frames = 0  # number of written samples
         self._per_frame = info.settings.samples_per_frame
         self._time_code = float("-inf")
         self._summary: CacheSummary | None = None
         self._lost: BakeError | None = None
-        self._known = None  # the layer in which every attribute has its spec
-        self._saving = BackgroundWriter()  # while it is busy nothing touches the layers
+        self._known = None  # the layer with the specs of all attributes
+        self._saving = BackgroundWriter()  # while it is busy, no other code uses the layers
         source_path = source or asset.facts.path
         stage = open_source(source_path)
         self._clock = time = clock(stage, info.settings)
@@ -154,7 +154,7 @@ class CacheWriter:
         else:
             self._stage = Usd.Stage.Open(self._layer)
         for prim in prims:
-            free_instances(self._stage, prim)
+            end_instancing(self._stage, prim)
         unit, rates = self._unit, choices.velocities
         self._meshes = {
             surface.path: MeshTrack(self._stage, prim, surface, time, unit, velocities=rates)
@@ -203,7 +203,7 @@ class CacheWriter:
             assert self._tolerance is not None
             found = [self._meshes.get(s.path) or self._splats.get(s.path) for s in asset.surfaces]
             groups = sample_groups(self._tolerance, info.settings, found, self._particles)
-            if self._clips:  # each begins and ends with a sample of everything
+            if self._clips:  # each begins and ends with a sample of every attribute
                 groups = [replace(group, rest=None) for group in groups]
             self._adaptive = AdaptiveSamples(groups, _samples_in(SAVE, asset, particles))
         save(self._layer)
@@ -213,11 +213,11 @@ class CacheWriter:
         elif self._moving is not None:
             self._stage.SetEditTarget(self._moving)
         if since:
-            self._go_on(since)
+            self._restore(since)
 
     @property
     def full(self) -> bool:
-        """Whether the last sample that was written completed a value clip."""
+        """Whether the last sample completed a value clip."""
         return self._clips is not None and self._clips.full
 
     @property
@@ -236,17 +236,17 @@ class CacheWriter:
             "adaptive": self._adaptive.state() if self._adaptive else {},
         }
 
-    def _go_on(self, since: Mapping[str, Any]) -> None:
+    def _restore(self, since: Mapping[str, Any]) -> None:
         self._frames, self._time_code = int(since["samples"]), since["clips"][-1][-1]
         if self._particles:
-            self._particles.go_on(since["particles"])
+            self._particles.restore(since["particles"])
         for path, saved in since["meshes"].items():
             self._meshes[path].saved = Saved(**saved)
         if self._adaptive:
-            self._adaptive.go_on(since["adaptive"])
+            self._adaptive.restore(since["adaptive"])
 
     def _rounding(self) -> Floats | None:
-        """(N,) [stage units] that rounding may move shapes; None: nobody asked for less."""
+        """(N,) [stage units] tolerance of shapes for rounding; None: not requested."""
         if self._tolerance is None:
             return None
         return self._tolerance.particles * (ROUNDING if self._choices.adaptive else 1.0)
@@ -256,8 +256,8 @@ class CacheWriter:
 
         Raises
         ------
-        BakeError : a mesh is missing or not of this asset, an array has the wrong length or holds
-            numbers that are not finite, time goes backwards, or the disk is full.
+        BakeError : a mesh is missing or is not of this asset, an array has the wrong length or
+            values that are not finite, time decreases, or the disk is full.
         """
         self._settle()
         time_code = float(frame.time_code)
@@ -312,7 +312,9 @@ class CacheWriter:
         self._health.write(frame.health, time_code)
 
     def close(self) -> CacheSummary:
-        """Save what is left and let go of the file under its partial name; again: the summary."""
+        """Save unsaved samples and close the file under its partial name; further calls return the
+        summary.
+        """
         if self._summary is None:
             self._save()
             if self._clips:
@@ -346,7 +348,7 @@ class CacheWriter:
         if kind is None:
             self.close()
         elif self._summary is None:
-            # what went wrong first is what the user has to hear
+            # report the first error
             with contextlib.suppress(BakeError):
                 self._save()
             self._release()
@@ -358,9 +360,9 @@ class CacheWriter:
         if self._frames:
             self._layer.endTimeCode = self._time_code
             if self._settled:
-                hold_still(self._layer)
+                freeze_at_last_sample(self._layer)
                 at = self._clock.source_time(self._time_code)
-                self._held = hold_source(self._layer, self._source, self._roots, at)
+                self._held = freeze_source(self._layer, self._source, self._roots, at)
         self._guarded(self._save_layers)
 
     def _save_layers(self) -> None:
@@ -369,7 +371,7 @@ class CacheWriter:
             self._clips.save()
 
     def _settle(self) -> None:
-        """Wait for the last save.  USD crashes when a layer that met a full disk is touched."""
+        """Wait for the last save.  USD crashes if a layer is used after its disk was full."""
         if self._lost is not None:
             raise self._lost
         self._guarded(self._saving.settle)
@@ -386,7 +388,7 @@ class CacheWriter:
         return (*of_meshes, *self._held, *(self._particles.notes if self._particles else ()))
 
     def _storage(self, size: int) -> Storage | None:
-        """What storing less came to; None where all was to be stored."""
+        """The saved space; None where all samples are stored in full."""
         chosen = self._choices
         if chosen.precision is None and chosen.velocities:
             return None
@@ -414,7 +416,7 @@ class CacheWriter:
 
 
 def _samples_in(size: float, asset: Asset, particles: Particles) -> int:
-    """How many samples are about so many bytes: 1 to 24."""
+    """Number of samples of about `size` bytes: 1 to 24."""
     each = 76 * len(particles)
     for s in asset.surfaces:
         each += 24 * len(s.points) if s.splats is None else s.splats.frame_bytes

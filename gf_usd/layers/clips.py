@@ -32,7 +32,7 @@ from gf_usd.system.atomic_files import asset_path, partial_path, publish
 
 FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
 MANIFEST = "manifest.usda"
-# USD saves to NAME.partial.XXXXXX first, which a kill leaves
+# a killed process leaves the temporary file NAME.partial.XXXXXX of USD
 OURS = re.compile(
     r"(\d{4,}(\.partial)?\.usdc|manifest(\.partial)?\.usda|(\d{4,}|manifest)\.partial\.\w{6})"
 )
@@ -79,7 +79,7 @@ class ClipStore:
         self._roots: list[Sdf.Path] = []
         self._border: dict[Sdf.Path, object] = {}  # values of the last sample of the last clip
         if since:
-            self._go_on(since["clips"])
+            self._restore(since["clips"])
         try:
             self.folder.mkdir(parents=True, exist_ok=since is not None)
         except OSError as error:
@@ -96,7 +96,7 @@ class ClipStore:
         return (self.folder / MANIFEST, *(clip.path for clip in self._done)) if self._done else ()
 
     def begin(self) -> None:
-        """From here on samples are authored, no longer constants."""
+        """From now on samples are authored, not constants."""
         self.stage.SetEditTarget(self._moving)
         if self._done:
             self._list()
@@ -105,7 +105,7 @@ class ClipStore:
 
     @property
     def full(self) -> bool:
-        """Whether the last sample that was kept completed a clip."""
+        """Whether the last sample completed a clip."""
         return self._clip is None and bool(self._done)
 
     def state(self) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class ClipStore:
             "clips": [[clip.times[0], clip.times[-1]] for clip in self._done],
         }
 
-    def _go_on(self, clips: Sequence[Sequence[float]]) -> None:
+    def _restore(self, clips: Sequence[Sequence[float]]) -> None:
         """Take over the clips with these first and last time codes, and what the next repeats."""
         for count, times in enumerate(clips, 1):
             path = self.folder / f"{count:04d}.usdc"
@@ -130,7 +130,7 @@ class ClipStore:
         self._border = _values(_open_complete(last.path), last.times[-1])
 
     def keep(self, time_code: float) -> None:
-        """Move what was authored at this time code into the clip; complete it if it is full."""
+        """Move the samples at this time code into the clip; complete it if it is full."""
         if self._clip is None and not self._done:
             self._write_manifest()
             self._clip = self._open(time_code)
@@ -193,7 +193,7 @@ class ClipStore:
         self._list()
 
     def _list(self) -> None:
-        """Say in the cache which clips there are."""
+        """List the complete clips in the cache."""
         folder = Path(self._cache.realPath).parent
         paths = [Sdf.AssetPath(asset_path(done.path, folder)) for done in self._done]
         active = [Gf.Vec2d(done.first, k) for k, done in enumerate(self._done)]
@@ -211,7 +211,7 @@ class ClipStore:
         save(self._cache)
 
     def _write_manifest(self) -> None:
-        """Declare every attribute that has a sample; those at the first frame are all there are."""
+        """Declare every attribute that has a sample, which are those of the first frame."""
         path = self.folder / MANIFEST
         layer = new_layer(path, path)
         for attribute in _attributes(self._moving):
@@ -223,7 +223,7 @@ class ClipStore:
 
 
 def moving_layer(cache: Sdf.Layer) -> Sdf.Layer:
-    """A layer in memory for the samples of a frame, with the rate of the cache."""
+    """A layer in memory for the samples of a frame, with the time codes per second of the cache."""
     layer = Sdf.Layer.CreateAnonymous("moving.usda")
     layer.timeCodesPerSecond = cache.timeCodesPerSecond
     return layer
@@ -235,7 +235,7 @@ def folder_of(cache: Path) -> Path:
 
 
 def clips_of(cache: Path) -> Path | None:
-    """The folder in which a cache has its clips; None where it has none, or is no file."""
+    """The folder with the clips of a cache; None where it has none, or is no file."""
     if not cache.is_file():
         return None
     try:
@@ -247,7 +247,7 @@ def clips_of(cache: Path) -> Path | None:
 
 
 def remove_clips(folder: Path) -> None:
-    """Delete the clips in a folder, and the folder unless something else is in it."""
+    """Delete the clips in a folder, and the folder unless it has other files."""
     if not folder.is_dir():
         return
     for path in sorted(folder.iterdir()):
@@ -272,7 +272,7 @@ def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
 
 
 def _values(layer: Sdf.Layer, time_code: float) -> dict[Sdf.Path, object]:
-    """What has a sample at this time code."""
+    """The attributes that have a sample at this time code, with their values."""
     found = {path: layer.QueryTimeSample(path, time_code) for path in _attributes(layer)}
     return {path: value for path, value in found.items() if value is not None}
 

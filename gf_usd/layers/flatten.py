@@ -61,7 +61,7 @@ def write_flat(
     stage = Usd.Stage.Open(str(root.path), Usd.Stage.LoadAll)
     session = stage.GetSessionLayer()
     for switch in root.switches:
-        # a variant that is not there, so that nothing is hidden in the prims themselves
+        # a variant that does not exist, so that no prim is hidden by the selection
         Sdf.CreatePrimInLayer(session, switch).variantSelections[root.display_set] = NOWHERE
     layer = stage.Flatten(addSourceFileComment=False)
     anchor_tiles(stage, layer)
@@ -72,7 +72,7 @@ def write_flat(
 def _restore_displays(
     layer: Sdf.Layer, root: RootSummary, asset: Asset, source: Path, choices: Choices
 ) -> None:
-    """Variants that hide what a display hides; visibility of these prims moves into them."""
+    """Variants that hide prims of a display; the visibility of these prims moves into them."""
     home = find_home(open_source(source), asset, choices)
     for switch in map(Sdf.Path, root.switches):
         spec = layer.GetPrimAtPath(switch)
@@ -101,18 +101,20 @@ def _restore_displays(
 FOLDER = "files"  # in a package
 TILES = "<UDIM>"
 MADE = (2000, 1, 1, 12, 0, 0, 0, 1, 0)  # local time, as the times in a zip archive are
-# what a usdz may hold next to layers (OpenUSD's specification of the format)
+# file types allowed in a usdz besides layers (OpenUSD's specification)
 ALLOWED = {".png", ".jpg", ".jpeg", ".exr", ".avif", ".m4a", ".mp3", ".wav"}
 
 
 class Files(ABC):
-    """Says what becomes of each path; `place` is for ``UsdUtils.ModifyAssetPaths``."""
+    """The new path of each file; `place` is for ``UsdUtils.ModifyAssetPaths``."""
 
     def __init__(self) -> None:
-        self.notes: dict[str, None] = {}  # in words, each once and in order
+        self.notes: dict[str, None] = {}  # unique notes, in order
 
     def place(self, path: str) -> str:
-        """The new path; what is no file of this machine, a URI for instance, is left as it is."""
+        """The new path; anything that is not a file of this machine, such as a URI, is
+        unchanged.
+        """
         outer, inner = path, ""
         if Ar.IsPackageRelativePath(path):
             outer, inner = Ar.SplitPackageRelativePathOuter(path)
@@ -124,9 +126,9 @@ class Files(ABC):
 
 
 class FolderFiles(Files):
-    """Files stay where they are; paths are relative to the folder of the result.
+    """Leaves files in place; paths are relative to the folder of the result.
 
-    moved : files that go with the result, from where they are to where they will be.
+    moved : files that move with the result, from current to future path.
     """
 
     def __init__(self, folder: Path, moved: Mapping[Path, Path]) -> None:
@@ -139,10 +141,10 @@ class FolderFiles(Files):
 
 
 class Package(Files):
-    """Files go into a usdz.
+    """Puts files into a usdz.
 
-    scratch : a folder for what has to be taken out of other packages, and that stays until the
-        package is written: packages within packages are not allowed.
+    scratch : a folder for files that are extracted from other packages, which must exist until the
+        package is written: packages cannot contain packages.
     """
 
     def __init__(self, scratch: Path) -> None:
@@ -152,7 +154,7 @@ class Package(Files):
 
     def _placed(self, file: Path, inner: str) -> str:
         if inner:
-            file = self._taken_out(file, inner)
+            file = self._extracted(file, inner)
         if TILES in file.name:
             pattern = re.escape(file.name).replace(re.escape(TILES), r"\d{4}")
             tiles = sorted(p for p in file.parent.glob("*") if re.fullmatch(pattern, p.name))
@@ -175,11 +177,11 @@ class Package(Files):
         return name
 
     def _name(self, file: Path) -> str:
-        """One folder for each folder that files come from: names stay apart."""
+        """The name in the package: one folder per source folder keeps names unique."""
         folders = list(dict.fromkeys([*(p.parent for p in self._names), file.parent]))
         return f"{FOLDER}/{folders.index(file.parent)}/{file.name}"
 
-    def _taken_out(self, package: Path, inner: str) -> Path:
+    def _extracted(self, package: Path, inner: str) -> Path:
         target = self._scratch / f"{package.stem}{len(self._names)}" / Path(inner).name
         try:
             with zipfile.ZipFile(package) as archive:
@@ -215,10 +217,10 @@ class Package(Files):
 
 
 def anchor_tiles(stage: Usd.Stage, flat: Sdf.Layer) -> None:
-    """Make the paths of UDIM textures absolute that flattening leaves as they were authored.
+    """Make the paths of UDIM textures absolute, which flattening leaves unresolved.
 
-    It resolves every path but those without ./ whose file has another name, which UDIMs are; once
-    the layer that says them is gone they would mean nothing.
+    Flattening resolves every path for which a file exists; a UDIM path is a pattern.  Once the
+    layer that authored it is gone, a relative pattern has no base.
     """
     for prim in stage.Traverse():
         for attribute in prim.GetAuthoredAttributes():
@@ -272,7 +274,7 @@ def write_placed(
 
 
 def export(layer: Sdf.Layer, path: Path) -> None:
-    """Write a layer; raises BakeError where the folder or the disk refuses."""
+    """Write a layer; raises BakeError where the file cannot be written."""
     try:
         done = layer.Export(str(path))
     except Tf.ErrorException as error:

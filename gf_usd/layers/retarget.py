@@ -1,10 +1,10 @@
-"""Relationships and connections that a reference would lose.
+"""Relationships and connections that are lost in a reference.
 
-A reference to ``</root>`` ignores every target outside ``</root>``.  The root layer brings all
-root prims back under their own names, so the lost targets are right as they stand and only have
-to be said again there: each edit of such a property is repeated in the root layer, at the same
-path and inside the same variant of the source, so that its strength among the source's other
-opinions stays what it was.
+A reference to ``</root>`` ignores every target outside ``</root>``.  The root layer references all
+root prims under their own names, so the lost targets are valid there and only need to be authored
+again: each edit of such a property is repeated in the root layer, at the same path and inside the
+same variant of the source, so that its strength relative to the source's other opinions is
+unchanged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LISTS += ("addedItems", "orderedItems")  # of old files
 
 @dataclass(frozen=True)
 class _Edit:
-    """A target list at one site, and the strongest spec that says what kind of property it is."""
+    """A target list at one site, and the strongest spec that defines the kind of the property."""
 
     spec: Sdf.PropertySpec
     targets: Sdf.PathListOp
@@ -58,15 +58,14 @@ def repeat_edits(source: Usd.Stage, layer: Sdf.Layer, unskinned: frozenset[Sdf.P
 
 
 def restore_rest(source: Usd.Stage, result: Usd.Stage) -> tuple[str, ...]:
-    """Author in ``result`` what the source's composed targets are wherever they still differ.
+    """Author the source's composed targets in ``result`` wherever they still differ.
 
-    That is so for targets that reach a prim through a reference within the source, from a
-    prototype under another root prim for instance.  On instances they can only be said where
-    instancing ends.
+    They differ for targets that reach a prim through a reference within the source, for example
+    from a prototype under another root prim.  On instances this requires ending the instancing.
 
     Returns
     -------
-    Notes in words: instances ended, and what could not be restored.
+    Notes: instances that were ended, and targets that could not be restored.
     """
     notes: list[str] = []
     with _quiet():

@@ -56,7 +56,7 @@ from gf_usd.layers.variants import (
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
 from gf_usd.system.atomic_files import asset_path, dropped_on_failure, partial_path, publish
 
-# metadata of the root layer that is not the source's to say, or that only holds for its own layer
+# metadata of the source that is not copied to the root layer
 OWN = {
     *("subLayers", "subLayerOffsets", "layerRelocates", "expressionVariables", "primChildren"),
     *("primOrder", "hasOwnedSubLayers", "owner", "customLayerData", "defaultPrim", "upAxis"),
@@ -71,10 +71,10 @@ class RootSummary:
 
     path: Path
     default_prim: str  # name
-    switches: tuple[str, ...]  # prims that carry the variant set
+    switches: tuple[str, ...]  # prims with the variant set
     display_set: str  # name of the nested variant set
-    retargeted: int  # properties whose targets leave their root prim
-    notes: tuple[str, ...] = ()  # what was changed or could not be kept, in words
+    retargeted: int  # properties with targets outside their root prim
+    notes: tuple[str, ...] = ()  # notes on changes and losses
 
 
 def write_root(
@@ -178,13 +178,13 @@ def _author_metadata(
             "command": bakes[0].info.command,
             "version": bakes[0].info.version,
             "inputHash": bakes[0].info.input_hash,
-            "looks": {bake.name: _about(bake) for bake in bakes},
+            "looks": {bake.name: _bake_metadata(bake) for bake in bakes},
         },
     }
 
 
-def _said(settings: Settings) -> dict[str, object]:
-    """The settings, with the fields by their numbers: metadata has no list of dictionaries."""
+def _metadata_settings(settings: Settings) -> dict[str, object]:
+    """The settings as metadata, with fields by number: metadata has no list of dictionaries."""
     said = {**vars(settings)}
     fields = said.pop("fields")
     if fields:
@@ -196,20 +196,20 @@ def _said(settings: Settings) -> dict[str, object]:
     return said
 
 
-def _about(bake: BakedVariant) -> dict[str, object]:
+def _bake_metadata(bake: BakedVariant) -> dict[str, object]:
     materials = {f"{i}": to_metadata(m.values) for i, m in enumerate(bake.info.materials)}
     return {
         "materials": materials,
-        "settings": to_metadata(_said(bake.info.settings)),
+        "settings": to_metadata(_metadata_settings(bake.info.settings)),
         "health": to_metadata(bake.health),
         **({"warnings": to_metadata(bake.warnings)} if bake.warnings else {}),
         **({"failure": bake.failure} if bake.failure else {}),
-        **({"storage": _stored(bake.storage)} if bake.storage else {}),
+        **({"storage": _storage_metadata(bake.storage)} if bake.storage else {}),
     }
 
 
-def _stored(storage: Mapping[str, Any]) -> object:
-    """What storing less saved, without the samples of each prim: metadata is for numbers of all."""
+def _storage_metadata(storage: Mapping[str, Any]) -> object:
+    """The saved space in total, without the samples of each prim."""
     return to_metadata({key: value for key, value in storage.items() if key != "samples"})
 
 
@@ -225,9 +225,9 @@ CLASSES = (Pcp.ArcTypeInherit, Pcp.ArcTypeSpecialize)
 
 
 def reference_roots(layer: Sdf.Layer, source: Usd.Stage, asset: Asset, reference: str) -> None:
-    """Bring every root prim of the source into ``layer``.
+    """Reference every root prim of the source in ``layer``.
 
-    reference : the source's file as the layer refers to it.
+    reference : the path of the source in the layer.
     """
     inherited = _inherited(source, asset)
     pin_constraint = _holder(layer, source) if inherited else None

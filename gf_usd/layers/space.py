@@ -1,11 +1,11 @@
-"""From the world, in meters, to a prim's local space, in stage units.
+"""Transforms from world space, in meters, to a prim's local space, in stage units.
 
 With row vectors and W(t) the inverse of the prim's local-to-world matrix (rows 0-2 linear, row 3
 offset), a world point x(t) and its velocity v become
 
     p = x W,    dp/dt = v W + x dW/dt
 
-so that velocities stay right under animated transforms.
+so that velocities are right under animated transforms.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gf_usd.layers.stage import Clock
 
 Matrix = NDArray[np.float64]
 
-# Below this ratio of singular values float32 points cannot be brought back.
+# Below this ratio of singular values, float32 points cannot be transformed back.
 SINGULAR = 1e-7
 # Frames either side for dW/dt: small, so that its second-order error is (turn per frame)^2 / 2400,
 # and large against the 1e-7 of transforms that are authored as floats.
@@ -48,7 +48,7 @@ class Space:
     def from_world(self, time_code: float) -> Matrix:
         """W (4, 4) at a time code of the bake, for row vectors in stage units.
 
-        Raises InputError where the prim's transform flattens space.
+        Raises InputError where the prim's transform is singular.
         """
         return self._inverse(time_code) if self._still is None else self._still
 

@@ -1,6 +1,5 @@
-"""Shared by the writers: the source stage, the time line, and the place of the particle prims.
-
-NumPy arrays as USD's own.
+"""Shared by the writers: the source stage, time codes, the scope of the particle prims, and
+conversion of NumPy arrays to USD's.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ from gf_usd.system.atomic_files import partial_path
 VARIANT_SET = BAKES
 SCOPE = "GaussianFlesh"
 
-# Attributes that say how others change with time.
+# Attributes that are time derivatives of others.
 RATES = ("velocities", "accelerations", "angularVelocities")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Home:
-    """Where the particle prims live."""
+    """The scope of the particle prims."""
 
     root: Sdf.Path  # the root prim that counts as the asset: default prim of the output
     scope: Sdf.Path  # parent of Gaussians, Points and Materials
@@ -38,10 +37,10 @@ class Home:
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """The bake's time line and what it means to the source.
+    """The time codes of a bake and of its source.
 
-    A layer with another timeCodesPerSecond is scaled where it is referenced, so source time is
-    ``time_code * source_rate / rate``.
+    USD scales the time of a layer with another timeCodesPerSecond where it is referenced, so source
+    time is ``time_code * source_rate / rate``.
     """
 
     rate: float  # time codes per second of the output layers
@@ -51,7 +50,7 @@ class Clock:
     step: float  # time codes per frame
 
     def source_time(self, time_code: float) -> Usd.TimeCode:
-        """The source's time code for one of the bake's."""
+        """The source's time code at a time code of the bake."""
         return Usd.TimeCode(time_code * self.source_rate / self.rate)
 
 
@@ -60,7 +59,7 @@ def open_source(path: Path) -> Usd.Stage:
 
     Raises
     ------
-    InputError : it cannot be opened, its time codes stand still, or it is itself a bake.
+    InputError : it cannot be opened, has 0 time codes per second, or is itself a bake.
     """
     try:
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
@@ -90,11 +89,11 @@ def clock(source: Usd.Stage, settings: Settings) -> Clock:
 
 
 def find_home(source: Usd.Stage, asset: Asset, choices: Choices | None = None) -> Home:
-    """Where the particle prims go: a scope under the root prim, or next to one that is a Gprim.
+    """The scope of the particle prims: under the root prim, or next to one that is a Gprim.
 
-    The root prim is the default prim, or without one the first root prim that holds a surface
-    and stands on the stage.  Gprims may not nest, hence the sibling; a bake that writes no
-    particles needs none.
+    The root prim is the default prim, or else the first root prim that contains a surface and is
+    placed on the stage.  Gprims may not nest, hence the sibling; a bake that writes no particles
+    needs no scope.
     """
     roots = list(source.GetPseudoRoot().GetAllChildren())
     held = {Sdf.Path(surface.path).GetPrefixes()[0] for surface in asset.surfaces}
@@ -124,7 +123,7 @@ def roots_of(asset: Asset, home: Home) -> tuple[Sdf.Path, ...]:
 def author_facts(
     layer: Sdf.Layer, facts: StageFacts, settings: Settings, source: Usd.Stage
 ) -> None:
-    """Units, axis and rates: none of these is inherited from a referenced layer."""
+    """Author units, axis and rates, none of which are inherited from a referenced layer."""
     root = layer.pseudoRoot
     root.SetInfo("upAxis", facts.up_axis)
     root.SetInfo("metersPerUnit", facts.units.meters_per_unit)
@@ -139,8 +138,8 @@ def new_layer(path: Path, source: Path) -> Sdf.Layer:
 
     Raises
     ------
-    UsageError : ``path`` is the source itself, which is never written to.
-    BakeError : the folder or the disk refuses.
+    UsageError : ``path`` is the source itself, which is never overwritten.
+    BakeError : the folder cannot be written.
     """
     if path.exists() and source.exists() and path.samefile(source):
         raise UsageError(f"{path} is the asset itself.", "give the output another name with -o")
@@ -155,7 +154,7 @@ def new_layer(path: Path, source: Path) -> Sdf.Layer:
 
 
 def save(layer: Sdf.Layer) -> None:
-    """Write the layer's unsaved edits to its file; raises BakeError where the disk refuses."""
+    """Write the layer's unsaved edits to its file; raises BakeError where that fails."""
     try:
         saved = layer.Save()
     except Tf.ErrorException as error:
@@ -164,10 +163,10 @@ def save(layer: Sdf.Layer) -> None:
         raise _unsaved(layer)
 
 
-def hold_still(layer: Sdf.Layer) -> None:
-    """Make the last time sample of every attribute its value at all times; nothing moves.
+def freeze_at_last_sample(layer: Sdf.Layer) -> None:
+    """Make the last time sample of every attribute its value at all times.
 
-    Velocities and accelerations are blocked, so that none of the source shows through.
+    Velocities and accelerations are blocked, so that none of the source is visible.
     """
     paths: list[Sdf.Path] = []
     layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
@@ -184,16 +183,17 @@ def hold_still(layer: Sdf.Layer) -> None:
     layer.ClearEndTimeCode()
 
 
-def hold_source(
+def freeze_source(
     layer: Sdf.Layer, source: Usd.Stage, roots: Sequence[Sdf.Path], time: Usd.TimeCode
 ) -> tuple[str, ...]:
-    """Give ``layer`` what the animated attributes of the source say at one time, as their values.
+    """Author the source's animated attributes at one time as constant values of ``layer``.
 
-    Obstacles, lights and cameras then stay where they are with the pose at rest.  Attributes that
-    the layer has keep what it says.
+    Obstacles, lights and cameras then stay where they are with the rest pose.  Attributes that the
+    layer has are unchanged.
 
-    roots : root prims that the layer is composed with.  Returns notes: what is held, and which
-    animated prims under other roots, or inside instances, are not.
+    roots : root prims that the layer is composed with.
+    Returns notes: what is frozen, and which animated prims under other roots, or inside instances,
+    are not.
     """
     held, moving = set[Sdf.Path](), set[Sdf.Path]()
     for prim in source.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
@@ -223,16 +223,16 @@ def hold_source(
 
 
 def refresh(path: Path) -> None:
-    """Make a layer that this process already has open read the file that now has its name."""
+    """Reload a layer that this process has open from the file that now has its name."""
     layer = Sdf.Layer.Find(str(path.absolute()))
     if layer:
         layer.Reload(force=True)
 
 
 def to_metadata(value: Any) -> Any:
-    """A Python value as layer metadata can hold it: mappings become dictionaries, numbers vectors.
+    """A Python value as layer metadata: mappings become dictionaries, numbers vectors.
 
-    Raises TypeError for what metadata cannot hold.
+    Raises TypeError for unsupported types.
     """
     if isinstance(value, Mapping):
         return {str(k): to_metadata(v) for k, v in value.items() if v is not None}
@@ -263,7 +263,7 @@ def _unsaved(layer: Sdf.Layer) -> BakeError:
 
 
 def require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
-    """The prim at a path of a source that was read before; BakeError where it is gone."""
+    """The prim at a path of the source; BakeError where it no longer exists."""
     prim = stage.GetPrimAtPath(path)
     if not prim:
         raise BakeError(
@@ -274,7 +274,7 @@ def require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
 
 
 def f32(values: Floats) -> np.ndarray:
-    """Single precision, in one piece of memory as USD wants it."""
+    """Single precision, contiguous as USD requires."""
     return np.ascontiguousarray(values, np.float32)
 
 
@@ -284,7 +284,7 @@ def quaternions(wxyz: Floats) -> Vt.QuatfArray:
 
 
 def xyzw(wxyz: Floats) -> np.ndarray:
-    """The order in which USD's FromNumpy reads quaternions."""
+    """Quaternions in the order in which USD's FromNumpy reads them."""
     return np.asarray(wxyz)[:, [1, 2, 3, 0]]
 
 
@@ -292,8 +292,8 @@ POSE = "bind"  # instance of the API
 
 
 def author_bind_pose(prim: Usd.Prim, points: np.ndarray) -> None:
-    """Author the pose in which meshes of a deformable body are bound to each other, by the AOUSD
-    proposal (OpenUSD-proposals 111).
+    """Author the bind pose of meshes of a deformable body, by the AOUSD proposal (OpenUSD-proposals
+    111).
 
     points : (V, 3) single precision, in the prim's own space.
     """
@@ -307,12 +307,12 @@ def author_bind_pose(prim: Usd.Prim, points: np.ndarray) -> None:
 
 
 def box(low: Floats, high: Floats) -> Vt.Vec3fArray:
-    """The extent with these corners (3,)."""
+    """The extent with the corners `low` and `high` (3,)."""
     return Vt.Vec3fArray.FromNumpy(f32(np.stack([low, high])))
 
 
 def visibility(prim: Usd.Prim) -> Usd.Attribute:
-    """The attribute that says whether a prim is visible, with a spec in the edit target's layer."""
+    """The visibility attribute of a prim, with a spec in the edit target's layer."""
     return prim.CreateAttribute("visibility", Sdf.ValueTypeNames.Token, False)
 
 

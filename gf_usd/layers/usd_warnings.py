@@ -1,4 +1,4 @@
-"""USD's warnings, which go to the terminal line by line: gathered, counted and told once."""
+"""Collects USD's warnings, which would go to the terminal line by line, as counted notes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from contextlib import contextmanager
 
 from pxr import UsdUtils
 
-SHOWN = 2  # kinds that a note quotes
-# What tells one stage from another with the same fault.
+SHOWN = 2  # kinds of warnings that a note quotes
+# parts of a warning that differ between stages with the same fault
 PLACE = re.compile(r"\s*\((re)?(composing|instantiating)[^()]*( stage on stage [^()]*)?\)\s*$")
 
 
 class Warned:
-    """What USD warned of so far."""
+    """The warnings of USD so far."""
 
     def __init__(self) -> None:
         self._delegate: UsdUtils.CoalescingDiagnosticDelegate | None = (
@@ -25,18 +25,18 @@ class Warned:
 
     @property
     def said(self) -> Counter[str]:
-        """How often USD said what."""
+        """Number of occurrences of each warning."""
         for one in self._delegate.TakeUncoalescedDiagnostics() if self._delegate else ():
             self._said[_kind(one.commentary)] += 1
         return self._said
 
     def end(self) -> None:
-        """From here on the terminal has USD's words again."""
+        """Stop collecting; USD prints warnings again."""
         _ = self.said
         self._delegate = None
 
     def lines(self, told: Collection[str] = ()) -> tuple[str, ...]:
-        """One note on the warnings that were not told yet; none where there is nothing."""
+        """A note on the warnings that are not in `told`; none where there are none."""
         said = self.said
         kinds = sorted(text for text in said if text not in told)
         if not kinds:
@@ -50,7 +50,7 @@ class Warned:
 
 @contextmanager
 def gathered() -> Iterator[Warned]:
-    """Keep USD's warnings from the terminal: what is yielded has them."""
+    """Collect USD's warnings within the block, instead of printing them."""
     found = Warned()
     try:
         yield found

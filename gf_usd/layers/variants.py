@@ -34,13 +34,13 @@ class BakedVariant:
     """One variant of the root layer."""
 
     name: str  # of the variant, e.g. "rubber"
-    cache: Path  # final name of its cache layer, which need not be there yet
+    cache: Path  # final name of its cache layer, which may not exist yet
     info: BakeInfo
     health: Mapping[str, object] = field(default_factory=dict)  # `HealthLog.summary`
-    warnings: tuple[str, ...] = ()  # of its health, in words
+    warnings: tuple[str, ...] = ()  # health warnings, as text
     failure: str = ""  # why it ended before its last frame; "" where it did not
-    certificate: Mapping[str, Any] | None = None  # intervals of figures; None: not asked for
-    storage: Mapping[str, Any] | None = None  # what storing less saved; None: not asked for
+    certificate: Mapping[str, Any] | None = None  # intervals of figures; None: not requested
+    storage: Mapping[str, Any] | None = None  # the saved space; None: not requested
 
 
 def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices) -> None:
@@ -65,7 +65,9 @@ def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices
 
 
 def free_display_set(stage: Usd.Stage, asset: Asset, home: Home) -> str:
-    """``display``, or a longer name where a root prim of the source has a set of that name."""
+    """``display``, or a longer name where a root prim of the source has a variant set of that
+    name.
+    """
     # variant sets of one name on one prim share their selection
     prims = [p for p in (stage.GetPrimAtPath(r) for r in roots_of(asset, home)) if p]
     name = DISPLAY_SET
@@ -153,7 +155,7 @@ def _name_meshes(
     home: Home,
     choices: Choices,
 ) -> None:
-    # a payload cannot name what is outside its root prim, the root layer can
+    # a payload cannot refer to prims outside its root prim, the root layer can
     meshes = [Sdf.Path(surface.path) for surface in asset.surfaces]
     if all(mesh.HasPrefix(root) for mesh in meshes):
         return

@@ -16,7 +16,7 @@ from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import Health
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.stage import Collider
-from gf_usd.layers.stage import hold_source, hold_still
+from gf_usd.layers.stage import freeze_at_last_sample, freeze_source
 from gf_usd.physics.total_lagrangian.settling import CALM, LOW
 from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.prepare.options.texts import Length, parse_frames
@@ -95,7 +95,7 @@ def test_a_layer_that_is_held_still_has_its_last_sample_at_all_times() -> None:
         points.GetPointsAttr().Set([(time, 0.0, 0.0)], time)
         points.GetVelocitiesAttr().Set([(1.0, 0.0, 0.0)], time)
     points.GetWidthsAttr().Set([1.0])
-    hold_still(layer)
+    freeze_at_last_sample(layer)
     assert not any(a.GetNumTimeSamples() for a in points.GetPrim().GetAttributes())
     assert points.GetPointsAttr().Get() == [(2.0, 0.0, 0.0)]
     assert points.GetVelocitiesAttr().Get() is None
@@ -119,7 +119,7 @@ def test_what_is_animated_beside_a_pose_at_rest_is_held_at_its_time() -> None:
     layer = Sdf.Layer.CreateAnonymous()
     baked = Sdf.CreatePrimInLayer(layer, "/A/Baked")
     Sdf.AttributeSpec(baked, "xformOp:translate", Sdf.ValueTypeNames.Double3).default = (7, 7, 7)
-    notes = hold_source(layer, source, [Sdf.Path("/A")], Usd.TimeCode(4.0))
+    notes = freeze_source(layer, source, [Sdf.Path("/A")], Usd.TimeCode(4.0))
     assert notes == (
         "</A/Light> is animated and is kept in its pose at the time everything is at rest",
         "</B/Light> is animated by its source and keeps moving while the baked prims are at rest",

@@ -1,7 +1,7 @@
-"""The rules of ``gf-usd check``, one file for each family; importing this fills the registry.
+"""The rules of ``gf-usd check``, one file per family; importing this package fills the registry.
 
-A new rule is a function with the decorator ``rule`` in one of these files (or a new one, named
-below); the tests then ask for a file that breaks it.
+A new rule is a function with the decorator ``rule`` in one of these files, or in a new one that is
+listed below; a test then requires a file that violates it.
 """
 
 from gf_usd.layers.check import arrays, motion, structure, values

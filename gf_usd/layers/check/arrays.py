@@ -1,6 +1,6 @@
-"""Rules about how many elements arrays have, compared at every time where either has a sample.
+"""Rules about array lengths, which are compared at every time sample of either array.
 
-Rules about meshes: faces that fit their points and normals that fit their faces.
+Also rules about meshes: faces must match points, and normals must match faces.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pxr import Usd, UsdGeom, UsdVol
 
 from gf_usd.core.materials.laws import law_internals
-from gf_usd.layers.check.base import Finding, about, once, rule
+from gf_usd.layers.check.base import Finding, about, first_problem, rule
 from gf_usd.layers.check.read import (
     Array,
     Track,
@@ -52,16 +52,16 @@ Mismatch = tuple[Usd.TimeCode, int, int]
 
 
 def mismatches(count: Track[int], points: Track[int]) -> Iterator[Mismatch]:
-    """(time, have, want) wherever two lengths differ; nothing where one has no value."""
+    """(time, length, expected length) wherever two lengths differ; none where one has no value."""
     for time in joint_times(count, points):
         have, want = count.at(time), points.at(time)
         if have is not None and want is not None and have != want:
             yield time, have, want
 
 
-def told(found: Iterable[Mismatch]) -> str:
-    """Mismatches in words; empty where there are none."""
-    return once((time, f"{have} elements but {want} points") for time, have, want in found)
+def mismatch_text(found: Iterable[Mismatch]) -> str:
+    """Mismatches as text; "" where there are none."""
+    return first_problem((time, f"{have} elements but {want} points") for time, have, want in found)
 
 
 @rule("particle-lengths", "every array of GaussianFleshParticlesAPI has one element per particle")
@@ -72,7 +72,7 @@ def particle_lengths(stage: Usd.Stage) -> Iterator[Finding]:
             continue
         points = lengths(position_attribute(prim))
         for attribute in arrays:
-            if problem := told(mismatches(lengths(attribute), points)):
+            if problem := mismatch_text(mismatches(lengths(attribute), points)):
                 yield about("particle-lengths", prim).error(
                     f"{attribute.GetName()} has {problem}",
                     "author one element per particle, in the order of the positions",
@@ -83,9 +83,9 @@ def particle_lengths(stage: Usd.Stage) -> Iterator[Finding]:
 def point_lengths(stage: Usd.Stage) -> Iterator[Finding]:
     """Empty arrays count as not authored, as in USD.
 
-    A particle field's array that is too long is cut off by renderers (a warning); one that is too
-    short is thrown away whole.  A point-based prim's velocities, accelerations and ids are unused
-    unless they fit.
+    Renderers truncate an array of a particle field that is too long (a warning), and ignore one
+    that is too short.  Velocities, accelerations and ids of a point-based prim are ignored unless
+    their length matches.
     """
     for prim in prims(stage):
         position = position_attribute(prim)
@@ -104,7 +104,7 @@ def point_lengths(stage: Usd.Stage) -> Iterator[Finding]:
             speak = about("point-lengths", prim)
             say = speak.warning if cut_off else speak.error
             yield say(
-                f"{attribute.GetName()} has {told(found)}",
+                f"{attribute.GetName()} has {mismatch_text(found)}",
                 "author one element per point at every time sample",
             )
 
@@ -143,7 +143,7 @@ def sh_count(stage: Usd.Stage) -> Iterator[Finding]:
         if degree < 0:
             yield speak.error(f"{HARMONICS}Degree is {degree}", "author the degree as 0, 1, 2 or 3")
             continue
-        if problem := once(_sh_problems(lengths(coefficients), lengths(position), degree)):
+        if problem := first_problem(_sh_problems(lengths(coefficients), lengths(position), degree)):
             yield speak.error(
                 f"{coefficients.GetName()} has {problem}",
                 f"author {(degree + 1) ** 2} coefficients per particle, or correct the degree",
@@ -151,7 +151,7 @@ def sh_count(stage: Usd.Stage) -> Iterator[Finding]:
 
 
 def _degree(prim: Usd.Prim) -> int:
-    """The degree of a particle field; USD's fallback 3 where none is authored."""
+    """The degree of a particle field's harmonics; USD's fallback 3 where none is authored."""
     value = numbers(authored(prim, f"{HARMONICS}Degree"), Usd.TimeCode.Default())
     return 3 if value is None or value.ndim else int(value)
 
@@ -172,7 +172,7 @@ def _sh_problems(
 
 @dataclass(frozen=True)
 class Span:
-    """What a topology array comes down to."""
+    """The length, sum and range of a topology array."""
 
     count: int
     total: int
@@ -206,11 +206,11 @@ class Faces:
 
 @rule("mesh-topology", "faceVertexIndices match faceVertexCounts and index existing points")
 def mesh_topology(stage: Usd.Stage) -> Iterator[Finding]:
-    """A vertex that no face uses is no error; a face without its vertex is one."""
+    """A face with an invalid vertex index is an error; an unused vertex is not."""
     for prim in prims(stage):
         if not prim.IsA(UsdGeom.Mesh):
             continue
-        if problem := once(_face_problems(Faces.of(prim))):
+        if problem := first_problem(_face_problems(Faces.of(prim))):
             yield about("mesh-topology", prim).error(
                 problem, "author faces whose corners are points of this mesh, at every time sample"
             )
@@ -253,7 +253,7 @@ def point_count(stage: Usd.Stage) -> Iterator[Finding]:
             for code, size in zip(faces.points.codes, sizes)
             if size != first
         )
-        if problem := once(changes):
+        if problem := first_problem(changes):
             yield about("point-count", prim).error(
                 f"points has {problem}, but the topology is constant",
                 "author the same number of points in every sample, or matching samples of the "
@@ -263,7 +263,7 @@ def point_count(stage: Usd.Stage) -> Iterator[Finding]:
 
 @rule("normals-length", "normals have the count that their interpolation requires")
 def normals_length(stage: Usd.Stage) -> Iterator[Finding]:
-    """primvars:normals, where authored, is what USD reads instead of normals."""
+    """Where primvars:normals is authored, USD uses it instead of normals."""
     for prim in prims(stage):
         if not prim.IsA(UsdGeom.PointBased):
             continue
@@ -277,7 +277,9 @@ def normals_length(stage: Usd.Stage) -> Iterator[Finding]:
         mesh = prim.IsA(UsdGeom.Mesh)
         if attribute is None or (not mesh and interpolation not in ("vertex", "constant")):
             continue
-        if problem := once(_normal_problems(lengths(attribute), Faces.of(prim), interpolation)):
+        if problem := first_problem(
+            _normal_problems(lengths(attribute), Faces.of(prim), interpolation)
+        ):
             yield about("normals-length", prim).error(
                 f"{name} has {problem}",
                 "author as many normals as the interpolation needs, or set a matching "

@@ -13,18 +13,18 @@ Severity = Literal["error", "warning"]
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Something wrong in a file."""
+    """A fault in a file."""
 
     rule: str
     severity: Severity
-    prim_path: str  # "/" where the stage itself is meant
-    message: str  # what is wrong, with its numbers
-    fix: str  # what to do about it
+    prim_path: str  # "/" for the stage itself
+    message: str  # the fault, with its numbers
+    fix: str  # how to fix it
 
 
 @dataclass(frozen=True, kw_only=True)
 class Skip:
-    """Something that a rule could not decide, and why."""
+    """A check that a rule could not make, and why."""
 
     rule: str
     prim_path: str
@@ -40,9 +40,9 @@ class Rule:
     """One row of the registry."""
 
     name: str
-    holds: str  # what is true of a good file, in words
+    holds: str  # the requirement, as text
     judge: Judge
-    reads_samples: bool  # False: safe even where the time codes of a layer stand still
+    reads_samples: bool  # False: safe even with layers of 0 time codes per second
 
     def __call__(self, stage: Usd.Stage) -> Iterable[Verdict]:
         return self.judge(stage)
@@ -64,8 +64,8 @@ def rule(name: str, holds: str, *, reads_samples: bool = True) -> Callable[[Judg
 
 
 @dataclass(frozen=True)
-class Speaker:
-    """Findings of one rule about one prim."""
+class Reporter:
+    """Makes the findings of one rule about one prim."""
 
     rule: str
     prim_path: str
@@ -89,16 +89,17 @@ class Speaker:
         )
 
 
-def about(rule_name: str, prim: Usd.Prim | Sdf.Path | str) -> Speaker:
-    """Speak as ``rule_name`` about a prim."""
+def about(rule_name: str, prim: Usd.Prim | Sdf.Path | str) -> Reporter:
+    """The reporter of ``rule_name`` for a prim."""
     path = prim.GetPath() if isinstance(prim, Usd.Prim) else prim
-    return Speaker(rule_name, str(path))
+    return Reporter(rule_name, str(path))
 
 
-def once(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
-    """The first problem with its time, and how many samples more have one; empty where none.
+def first_problem(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
+    """The first problem with its time, and the number of other samples with one; "" where there is
+    none.
 
-    One broken array usually breaks in every sample: that is one finding, not hundreds.
+    An array is usually wrong in every sample: that is one finding, not hundreds.
     """
     rest = iter(problems)
     first = next(rest, None)
@@ -111,13 +112,13 @@ def once(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
 
 
 def reason(error: Tf.ErrorException) -> str:
-    """The first thing that USD complained of, without its place in USD's sources."""
+    """The first error of USD, without its location in USD's source."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[0].partition(" : ")[2].strip("'") if lines else "no reason given"
 
 
 def unreadable(rule_name: str, error: Tf.ErrorException) -> Finding:
-    """The finding that USD failed while a rule looked at the stage."""
+    """The finding that USD failed while a rule read the stage."""
     return about(rule_name, "/").error(
         f"USD cannot read the stage: {reason(error)}",
         "repair or re-export the named file: it is damaged, or was written for another USD version",

@@ -1,35 +1,35 @@
-"""The rule that velocities are the velocities of the points, per second.
+"""The rule that authored velocities match the motion of the points, per second.
 
 With five samples around a time, let ``v2`` be the central difference of the inner three, ``v4`` the
 derivative of the polynomial through all five, and ``k`` a quarter of their fourth difference, per
-step.  Where the motion is smooth on the scale of the samples, ``v2`` agrees with ``v4``.  Around a
-contact, or where a vibration is faster than the samples, they disagree, and nothing can be said
-there.  What stops at the middle sample is an exception: both are the mean of its velocities before
-and after, and only ``k``, half their difference, tells.  Wherever in the window a velocity jumps,
-the error of ``v4`` is at most twice ``|v2 - v4| + |k|``.
+step.  Where the motion is smooth on the scale of the samples, ``v2`` agrees with ``v4``.  At a
+contact, or with a vibration that the samples do not resolve, they disagree, and the velocity is
+not checked.  A point that stops at the middle sample is an exception: both are the mean of its
+velocities before and after, and only ``k``, half their difference, shows the jump.  Wherever in the
+window a velocity jumps, the error of ``v4`` is at most twice ``|v2 - v4| + |k|``.
 
-What is judged is one number per window, ``a = sum v . v4 / sum v4 . v4`` over its smooth places:
-the factor by which the authored velocities ``v`` stretch the motion.  A vibration too fast for the
-samples is in ``v`` but not in ``v4``; it has no direction of its own, so it drops out of ``a``
-although it can exceed ``v4`` at every single point.  So it does out of the bound of the error of
-``a`` where a body jumps, ``2 (|sum (v2 - v4) . v4| + |sum k . v4|) / sum v4 . v4``: a window whose
-factor is nearer to 1 than that says nothing against the velocities.  A window counts where most of
-what moves in it moves smoothly: in the others it does so by chance, and a small body that rings at
-twice the rate of the samples then looks as if it moved at a part of its speed (seen on a duck of 10
-cm at 24 a second: 0.6).  The median over the windows, each weighed by its smooth places, is the
-verdict, if the windows agree on it.  A wrong unit stretches them all alike; bounces at a third of
-the rate of the samples stretch each window in another way (seen on the same duck, stiff: 0.29 to
+The rule checks one number per window, ``a = sum v . v4 / sum v4 . v4`` over its smooth points: the
+factor by which the authored velocities ``v`` stretch the motion.  A vibration too fast for the
+samples is in ``v`` but not in ``v4``; its direction is random, so it averages out of ``a`` although
+it can exceed ``v4`` at every single point.  It also averages out of the error bound of ``a`` where
+a body jumps, ``2 (|sum (v2 - v4) . v4| + |sum k . v4|) / sum v4 . v4``: a window whose factor is
+nearer to 1 than that is no evidence against the velocities.  A window counts where most of the
+moving points move smoothly: in the others they do so by chance, and a small body that vibrates at
+twice the rate of the samples then appears to move at part of its speed (observed on a duck of 10 cm
+at 24 samples a second: 0.6).  The result is the median over the windows, weighted by their smooth
+points, if the windows agree on it.  A wrong unit scales all windows alike; bounces at a third of
+the rate of the samples scale each window differently (observed on the same duck, stiff: 0.29 to
 1.41).
 
-Positions and velocities are compared as they are in the world: in the space of a prim that a
-transform shears, a vibration that nobody sees can be the larger part of the motion.
+Positions and velocities are compared in world space: in the space of a prim that a transform
+shears, an invisible vibration can be the larger part of the motion.
 
-What trembles close to the rate of the samples, or to a multiple of it, looks as if it moved slowly
-and smoothly.  Its velocities carry it out of its range within a sample, be it that of the whole
-motion or of the window it is seen in; so would those in some wrong units, which are told by their
-factor.
+A vibration close to the rate of the samples, or to a multiple of it, is aliased to a slow, smooth
+motion.  Its velocities would move the point out of its range within a sample, either the range of
+the whole motion or that of the window; so would velocities in some wrong units, which are
+recognized by their factor.
 
-The rule that bounds bound.
+Also the rule that extents contain their points.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdVol
 
 from gf_usd.core.arrays import columns, corners
-from gf_usd.layers.check.base import Finding, Verdict, about, once, rule
+from gf_usd.layers.check.base import Finding, Verdict, about, first_problem, rule
 from gf_usd.layers.check.read import (
     Array,
     authored,
@@ -64,21 +64,21 @@ SMOOTH = 0.05
 # bouncing at 24 and 60 samples a second, radius 0.025 to 5, soft to stiff, undamped (so that every
 # vibration lasts), gave 0.98 to 1.01 for their own velocities: 0.12 lies between.
 WRONG = 0.12
-# Fewer windows than FEWEST_WINDOWS share a moment, and have nothing to agree with: a block that
-# lands on sand in five samples gave 1.14 for its own velocities, 1.00 at eight times the samples.
-# What they are believed to show is a wrong unit, not a rate that is near the right one.
+# Fewer windows than FEWEST_WINDOWS cover one event only, and cannot confirm each other: a block
+# that lands on sand in five samples gave 1.14 for its own velocities, 1.00 at eight times the
+# samples.  They are accepted as evidence of a wrong unit, not of a rate that is near the right one.
 FEWEST_WINDOWS, COARSE = 3, 0.5
-# Slower than a thousandth of the body per sample, blur cannot be seen and jitter rules.
+# Below a thousandth of the body's size per sample, motion blur is invisible and jitter dominates.
 STILL = 1e-3
 # Random motion looks smooth by chance in about SMOOTH^3 of its places, motion that the samples
 # resolve in far more.
 FEWEST_SHARE = 0.05
 FEWEST = 8
-# A window counts where this share of what moves in it is smooth.
+# A window counts where this share of its moving points is smooth.
 MAJORITY = 0.5
 WINDOW = 5
 MIDDLE = WINDOW // 2
-# Of more windows than this the verdict of so many, all along the motion, is the same.
+# With more windows than this, a subset spread over the motion gives the same result.
 MOST = 64
 # A factor is wrong where windows of this share of the smooth places agree with it.
 AGREE = 0.9
@@ -103,7 +103,7 @@ class Sample(NamedTuple):
 
 @dataclass
 class Tally:
-    """What was seen of one prim: counts, and two numbers per window."""
+    """Statistics of one prim: counts, and two numbers per window."""
 
     moving: int = 0  # places (points in windows) that move, or are said to
     smooth: int = 0  # of these, where v4 is trusted
@@ -117,7 +117,9 @@ class Tally:
     leaps: list[bool] = field(default_factory=list)  # whether it leaves the range of each window so
 
     def reach(self, x: Vectors, v: Vectors, step: float) -> None:
-        """Note where the points of a window are, (WINDOW, 3, n), and how far v carries them."""
+        """Record the range of the points in a window, (WINDOW, 3, n), and how far v would move
+        them.
+        """
         low, high = x.min(0), x.max(0)
         self.low = low if self.low is None else np.minimum(self.low, low)
         self.high = high if self.high is None else np.maximum(self.high, high)
@@ -156,9 +158,9 @@ class Tally:
 
     @property
     def agreed(self) -> float:
-        """Share of the smooth places whose window agrees with the factor and rules out 1.
+        """Share of the smooth points whose window agrees with the factor and excludes 1.
 
-        Of all but those that agree and do not rule it out; 0 where these are the most.
+        Windows that agree but do not exclude 1 are left out; 0 where these are the majority.
         """
         off = np.abs(np.array(self.factors) - self.factor)
         most = max(RELATIVE_SCATTER * abs(self.factor), WRONG)  # of velocities near 0, some noise
@@ -169,8 +171,10 @@ class Tally:
         for_it, unsure = weights[sure].sum(), weights[alike & ~sure].sum()
         return 0.0 if for_it < unsure else float(for_it / (weights.sum() - unsure))
 
-    def trembles(self, rate: float) -> bool:
-        """Whether its velocities carry the body out of its range in a sample, in no wrong unit."""
+    def jitters(self, rate: float) -> bool:
+        """Whether the velocities would move the points out of their range in a sample, in any
+        likely unit.
+        """
         if self.low is None or self.high is None:
             return False
         span = float(np.sqrt(((self.high - self.low) ** 2).sum(0)).mean())
@@ -180,13 +184,15 @@ class Tally:
 
     @property
     def off(self) -> bool:
-        """Whether the factor is farther from 1 than so many windows may be."""
+        """Whether the factor differs from 1 by more than its uncertainty with this number of
+        windows.
+        """
         few = len(self.factors) < FEWEST_WINDOWS
         return abs(self.factor - 1.0) > (COARSE if few else WRONG)
 
     @property
     def factor(self) -> float:
-        """Authored velocities over the motion's: the weighed median over the windows."""
+        """Authored velocities over those of the motion: the weighted median over the windows."""
         order = np.argsort(self.factors)
         reached = np.cumsum(np.array(self.weights)[order])
         return self.factors[order[np.searchsorted(reached, 0.5 * reached[-1])]]
@@ -213,7 +219,7 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
             yield speak.skip(f"{name}: {count} samples of motion; this check needs {WINDOW}")
             continue
         near = judged.setdefault(_key(position), [])
-        alike = (said for *both, said in near if _alike(both, (position, velocity)))
+        alike = (said for *both, said in near if _is_twin(both, (position, velocity)))
         tally = next(alike, None) or tally_of(position, velocity, rate)
         near.append((position, velocity, tally))
         if not tally.moving:
@@ -245,7 +251,7 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
                 f"{name}: {min(tally.factors):.2g} to {max(tally.factors):.2g} times the "
                 f"motion, depending on the moment: the motion is too fast for the samples"
             )
-        elif tally.off and tally.trembles(rate):
+        elif tally.off and tally.jitters(rate):
             yield speak.skip(
                 f"{name} is {tally.factor:.3g} times the motion and would carry a point farther "
                 f"in one sample than it ever moves: the point vibrates too fast for the samples"
@@ -262,7 +268,7 @@ Key = tuple[float | int | bytes | str, ...]
 
 
 def _key(position: Usd.Attribute) -> Key:
-    """Of which a prim has its own unless it may be `_alike` another."""
+    """A key of positions that differs between prims, unless one is the twin of the other."""
     codes = position.GetTimeSamples()
     x = vectors(position, Usd.TimeCode(codes[0]))
     first = (b"", "") if x is None else (sha256(x.tobytes()).digest(), x.dtype.str)
@@ -275,9 +281,9 @@ def _key(position: Usd.Attribute) -> Key:
     )
 
 
-def _alike(one: Sequence[Usd.Attribute], other: Sequence[Usd.Attribute]) -> bool:
-    """Whether positions and velocities are those of another prim, as of Gaussians and their twin
-    of points, and move with it.
+def _is_twin(one: Sequence[Usd.Attribute], other: Sequence[Usd.Attribute]) -> bool:
+    """Whether positions and velocities equal those of another prim that moves with it, such as
+    Gaussians and their points.
     """
     codes = one[0].GetTimeSamples()
     if any(a.GetTimeSamples() != codes for a in (one[1], *other)):
@@ -318,7 +324,7 @@ def tally_of(position: Usd.Attribute, velocity: Usd.Attribute, rate: float) -> T
 def _judge(
     tally: Tally, window: deque[Sample], v: Vectors | None, rate: float, to_world: Vectors
 ) -> None:
-    """Count the places of a window; to_world (3, 3) is for columns."""
+    """Count the points of a window; to_world (3, 3) is for columns."""
     codes = [sample.code for sample in window]
     local = np.array([sample.x for sample in window]).reshape(WINDOW, 3, -1)
     if v is None or len(v) != local.shape[2]:
@@ -396,7 +402,7 @@ def extent(stage: Usd.Stage) -> Iterator[Finding]:
                     "author extent at every time sample of the points",
                 )
             continue
-        if problem := once(_outside(prim, position, box)):
+        if problem := first_problem(_outside(prim, position, box)):
             yield speak.error(
                 f"extent {problem}", "compute extent from the points at every time sample"
             )

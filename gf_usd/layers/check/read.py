@@ -1,7 +1,7 @@
-"""Reading a stage for the rules: one sample at a time, and nothing taken for granted.
+"""Reads a stage for the rules: one sample at a time, without assumptions about types.
 
-Any file may come by, so an attribute with a well-known name need not have the type it should have:
-every reader here answers ``None`` rather than trusting it.
+Any file may be checked, so an attribute with a well-known name need not have the expected type: the
+readers here return ``None`` then.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ Array = NDArray[Any]
 
 
 def prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
-    """Every active prim that is no class, overs too; a prototype only through its first instance.
+    """Every active prim that is no class, including overs; a prototype through its first instance
+    only.
 
-    Overs count because a cache layer opened by itself holds nothing else.
+    Overs count because a cache layer that is opened by itself consists of overs.
     """
     predicate = Usd.TraverseInstanceProxies(Usd.PrimIsActive & ~Usd.PrimIsAbstract)
     seen: set[Sdf.Path] = set()
@@ -45,7 +46,7 @@ def authored(prim: Usd.Prim, *names: str) -> Usd.Attribute | None:
 
 
 def position_attribute(prim: Usd.Prim) -> Usd.Attribute | None:
-    """Where the points of a prim are: of a particle field or of a point-based prim.
+    """The attribute with the points of a particle field or a point-based prim.
 
     A prim without a type may be an over on a mesh, so its points count; the positions of a
     PointInstancer place whole prims and do not.
@@ -76,7 +77,7 @@ def _has_default(attribute: Usd.Attribute) -> bool:
 
 
 def numbers(attribute: Usd.Attribute | None, time: Usd.TimeCode) -> Array | None:
-    """The value as an array of numbers, halves widened; None where it is no such thing."""
+    """The value as an array of numbers, halves widened; None for other values."""
     return None if attribute is None else array_of(attribute.Get(time))
 
 
@@ -101,7 +102,7 @@ def vectors(attribute: Usd.Attribute | None, time: Usd.TimeCode) -> Array | None
 
 
 def samples(attribute: Usd.Attribute | None) -> Iterator[tuple[Usd.TimeCode, Array]]:
-    """Every value of an attribute with its time, one in memory at a time."""
+    """Every value of an attribute with its time, one at a time."""
     if attribute is None:
         return
     value_at = Usd.AttributeQuery(attribute).Get  # in half the time
@@ -112,10 +113,10 @@ def samples(attribute: Usd.Attribute | None) -> Iterator[tuple[Usd.TimeCode, Arr
 
 
 class Track(Generic[T]):
-    """A small fact about every sample of an attribute, looked up as USD holds samples.
+    """A property of every sample of an attribute, with USD's interpolation of held values.
 
-    Arrays of different lengths are not interpolated: the sample before the time asked for counts,
-    or the first one where there is none before.
+    Arrays of different lengths are not interpolated: the value at a time is that of the previous
+    sample, or of the first one where there is none.
     """
 
     def __init__(self, attribute: Usd.Attribute | None, fact: Callable[[Array], T]) -> None:

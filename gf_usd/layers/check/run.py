@@ -1,8 +1,7 @@
-"""``gf-usd check``: everything that can be known to be wrong with a USD file.
+"""``gf-usd check``: checks a USD file for everything that can be known to be wrong.
 
-The stage is judged as it composes: with every payload loaded and the variants that are selected.
-
-The check that every bake ends with: faults of the result that its source does not have.
+The stage is checked as composed: with every payload loaded and the selected variants.  Also the
+check at the end of every bake, for faults that the source does not have.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ VALIDATORS = "usd"
 
 @dataclass(frozen=True, kw_only=True)
 class CheckResult:
-    """What a check found."""
+    """The result of a check."""
 
     path: str
     findings: tuple[Finding, ...]  # errors first
-    skipped: tuple[Skip, ...]  # what could not be checked, and why
-    inherited: tuple[Finding, ...] = ()  # of a bake: errors that its source also has
+    skipped: tuple[Skip, ...]  # checks that were not possible, and why
+    inherited: tuple[Finding, ...] = ()  # for a bake: errors that its source has too
     warned: tuple[str, ...] = ()  # USD's own warnings, counted
     layers: int
     prims: int
@@ -56,9 +55,9 @@ class CheckResult:
 
 
 def check_file(path: str | Path) -> CheckResult:
-    """Judge a file by USD's validators and by every rule of ours.
+    """Check a file with USD's validators and with all rules of gf-usd.
 
-    Of a bake with variants the faults of its source are listed apart.
+    For a bake with variants, the faults of its source are listed separately.
 
     Raises
     ------
@@ -83,15 +82,15 @@ def check_file(path: str | Path) -> CheckResult:
                 f"{file} cannot be opened as USD: {reason(error)}",
                 "export the file again; its content does not match its suffix",
             ) from error
-        result = _less_source(check_stage(stage), stage)
+        result = _without_source_errors(check_stage(stage), stage)
     return replace(result, warned=warned.lines())
 
 
-def _less_source(result: CheckResult, stage: Usd.Stage) -> CheckResult:
-    """What a bake is to blame for: errors that are also there with its source selected are apart.
+def _without_source_errors(result: CheckResult, stage: Usd.Stage) -> CheckResult:
+    """Move errors that also occur with the source selected to `inherited`.
 
-    A stage that is no bake, or that shows the source already, is returned as it is.  In a shot
-    over bakes all else is the shot's own: only errors in their prims can be those of sources.
+    A stage that is not a bake, or that shows the source already, is returned unchanged.  In a shot
+    over bakes, errors outside the baked prims are the shot's own and are not moved.
     """
     baked = _looks(stage)
     sets = [prim.GetVariantSet(VARIANT_SET) for prim in baked]
@@ -126,7 +125,7 @@ def _looks(stage: Usd.Stage) -> list[Usd.Prim]:
 
 
 def check_stage(stage: Usd.Stage) -> CheckResult:
-    """Judge a stage as it is composed now, for example with another variant selected."""
+    """Check a stage as it is composed now, for example with another variant selected."""
     findings = [found for found in RULES[TIME_CODES](stage) if isinstance(found, Finding)]
     skipped: list[Skip] = []
     safe = not findings
@@ -159,7 +158,7 @@ def check_stage(stage: Usd.Stage) -> CheckResult:
 
 
 def _judge(rule: Rule, stage: Usd.Stage) -> Iterable[Finding | Skip]:
-    """A rule's verdicts; where USD itself fails to read a value, that is the finding."""
+    """The findings of a rule; if USD fails to read a value, that is the finding."""
     try:
         yield from rule(stage)
     except Tf.ErrorException as error:
@@ -167,9 +166,9 @@ def _judge(rule: Rule, stage: Usd.Stage) -> Iterable[Finding | Skip]:
 
 
 def review(root: Path, source: Path) -> list[dict[str, str]]:
-    """Errors in every variant of a root layer, less those that are in its source already.
+    """Errors in every variant of a root layer, except those that its source has too.
 
-    A finding is the same where rule and prim agree: numbers in its words may differ.
+    Findings with the same rule and prim are the same: the numbers in their texts may differ.
     """
     known = {_key(f) for f in check_file(source).findings}
     stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)

@@ -1,7 +1,4 @@
-"""Rules about what belongs together: relationships, indices into them, schemas and prim types.
-
-Rules about the metadata of layers and the time line.
-"""
+"""Rules about relationships, indices into them, schemas, prim types, layer metadata and time."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from collections.abc import Iterator
 
 from pxr import Usd, UsdGeom, UsdShade
 
-from gf_usd.layers.check.base import Finding, about, once, rule
+from gf_usd.layers.check.base import Finding, about, first_problem, rule
 from gf_usd.layers.check.read import applied_names, authored, prims, samples
 from gf_usd.system.usd_schema import APIS
 
@@ -51,7 +48,7 @@ def dangling_relationship(stage: Usd.Stage) -> Iterator[Finding]:
 
 
 def _may_be(prim: Usd.Prim, schema: type[Usd.SchemaBase]) -> bool:
-    """Whether the prim has this type, or a type that is not known here (an over, a plugin's)."""
+    """Whether the prim has this type, or an unknown type (an over, or a plugin's)."""
     return prim.GetPrimTypeInfo().GetSchemaType().isUnknown or prim.IsA(schema)
 
 
@@ -63,7 +60,7 @@ def material_indices(stage: Usd.Stage) -> Iterator[Finding]:
             continue
         relationship = prim.GetRelationship(MATERIALS)
         targets = len(relationship.GetTargets()) if relationship else 0
-        if problem := once(_beyond(indices, targets)):
+        if problem := first_problem(_beyond(indices, targets)):
             yield about("material-indices", prim).error(
                 f"{INDICES} has {problem}, but {MATERIALS} has {targets} targets",
                 "author the missing materials as targets, or indices of existing targets",
@@ -119,7 +116,7 @@ TIME_CODES = "time-codes-per-second"
     reads_samples=False,
 )
 def time_codes_per_second(stage: Usd.Stage) -> Iterator[Finding]:
-    """Zero or NaN over a sublayer makes USD search for samples for ever, so this comes first."""
+    """Zero or NaN over a sublayer makes USD search for samples forever, so this rule is first."""
     for layer in stage.GetUsedLayers():
         for key, said in (
             ("timeCodesPerSecond", layer.HasTimeCodesPerSecond()),
@@ -135,7 +132,7 @@ def time_codes_per_second(stage: Usd.Stage) -> Iterator[Finding]:
 
 @rule("stage-units", "metersPerUnit and kilogramsPerUnit are positive", reads_samples=False)
 def stage_units(stage: Usd.Stage) -> Iterator[Finding]:
-    """Unauthored is fine: USD then means 0.01 and 1."""
+    """Missing values are allowed: USD's fallbacks are 0.01 and 1."""
     for key in ("metersPerUnit", "kilogramsPerUnit"):
         if not stage.HasAuthoredMetadata(key):
             continue
@@ -150,7 +147,7 @@ def stage_units(stage: Usd.Stage) -> Iterator[Finding]:
 
 @rule("time-range", "every time sample is between startTimeCode and endTimeCode")
 def time_range(stage: Usd.Stage) -> Iterator[Finding]:
-    """Samples outside are no error: a shot may use a part of a longer animation."""
+    """Samples outside the range are allowed: a shot may use part of a longer animation."""
     speak = about("time-range", "/")
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     bounded = stage.HasAuthoredTimeCodeRange()

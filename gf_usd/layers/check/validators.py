@@ -1,7 +1,7 @@
-"""USD's own validators, their errors as findings.
+"""Findings of USD's own validators.
 
-All that the installation has are run, plugins' too.  They know nothing of arrays and time samples;
-the rules of ours begin where they end.
+All installed validators are run, including those of plugins.  They do not check arrays and time
+samples, which the rules of gf-usd do.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ FIXES = {
 
 
 def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
-    """Findings named ``usd:VALIDATOR.ERROR``, with the validator's own words."""
+    """Findings named ``usd:VALIDATOR.ERROR``, with the validator's message."""
     registry = UsdValidation.ValidationRegistry()
-    # the registry has no order of its own
+    # the registry has no fixed order
     for validator in sorted(registry.GetOrLoadAllValidators(), key=lambda v: v.GetMetadata().name):
         metadata = validator.GetMetadata()
-        # one at a time: a validator that stumbles over a damaged layer must not silence the others
+        # one at a time, so that a failure of one validator does not prevent the others
         try:
             errors = UsdValidation.ValidationContext([validator]).Validate(stage)
         except Tf.ErrorException as error:
@@ -54,7 +54,7 @@ def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
 
 
 def _path(error: UsdValidation.ValidationError) -> str:
-    """The first prim that the error is about; "/" for layers and the stage."""
+    """The first prim of an error; "/" for layers and the stage."""
     for site in error.GetSites():
         if site.IsPrim():
             return str(site.GetPrim().GetPath())

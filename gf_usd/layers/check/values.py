@@ -1,7 +1,4 @@
-"""Rules about what values mean something, sample by sample.
-
-The rule that numbers are numbers.
-"""
+"""Rules about the valid range of values, and about values that are not finite."""
 
 from __future__ import annotations
 
@@ -14,17 +11,17 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdVol
 
 from gf_usd.core.materials.laws import law_internals, law_parameters
 from gf_usd.core.units import StageUnits
-from gf_usd.layers.check.base import Finding, about, once, rule
+from gf_usd.layers.check.base import Finding, about, first_problem, rule
 from gf_usd.layers.check.read import Array, array_of, authored, prims, samples, times
 
 # Half floats round to 2^-11 = 4.9e-4 of a component, so a rounded unit quaternion is within that
-# of unit length; twice as much is a quaternion that nobody normalized.
+# of unit length; a larger error means that the quaternion is not normalized.
 UNIT_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Numbers from low to high; an open end does not belong to it."""
+    """Numbers from low to high; an open end is excluded."""
 
     low: float
     high: float
@@ -104,7 +101,7 @@ def value_range(stage: Usd.Stage) -> Iterator[Finding]:
             attribute = authored(prim, name)
             if attribute is None or (name in FIELD_ONLY and not field):
                 continue
-            if problem := once(_outside(attribute, interval)):
+            if problem := first_problem(_outside(attribute, interval)):
                 yield about("value-range", prim).error(
                     f"{name} has {problem}", f"author values in {interval}"
                 )
@@ -128,7 +125,7 @@ def unit_quaternions(stage: Usd.Stage) -> Iterator[Finding]:
         if prim.IsA(UsdVol.ParticleField):
             names += ["orientations", "orientationsh"]
         for attribute in (a for name in names if (a := authored(prim, name))):
-            if problem := once(_not_unit(attribute)):
+            if problem := first_problem(_not_unit(attribute)):
                 yield about("unit-quaternions", prim).error(
                     f"{attribute.GetName()} has {problem}",
                     "divide each quaternion by its length",
@@ -194,13 +191,13 @@ PREFIXES = ("gaussianFlesh:", "xformOp:")
 
 @rule("finite", "no sample of a geometric attribute holds NaN or infinity")
 def finite(stage: Usd.Stage) -> Iterator[Finding]:
-    """Only attributes that mean geometry: elsewhere infinity may be a value, as in UsdPhysics."""
+    """Checks geometry attributes only: elsewhere infinity may be valid, as in UsdPhysics."""
     for prim in prims(stage):
         for attribute in prim.GetAuthoredAttributes():
             name = attribute.GetName()
             if name not in NAMES and not name.startswith(PREFIXES):
                 continue
-            if problem := once(_problems(attribute)):
+            if problem := first_problem(_problems(attribute)):
                 yield about("finite", prim).error(
                     f"{name} holds {problem}",
                     "export the file again with finite numbers; in a bake it means that the "

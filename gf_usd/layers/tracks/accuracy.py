@@ -1,26 +1,27 @@
-"""How far what USD interpolates between two samples of a prim is from a sample left out.
+"""The error of USD's interpolation between two samples, relative to a sample that is left out.
 
-With s = (t - ta) / (tb - ta) in [0, 1], USD says between samples a and b
+With s = (t - ta) / (tb - ta) in [0, 1], USD interpolates samples a and b as
 
     arrays of numbers and vectors   (1 - s) a + s b
     arrays of quaternions           slerp(a, b; s) = (sin((1 - s) w) a + sin(s w) b) / sin w,
                                     cos w = |a . b|, b negated where a . b < 0
 
-and arrays of integers stay at a.  What is compared with the sample c at t, world:
+and holds arrays of integers at a.  The errors relative to the sample c at t, in world space, are
 
     positions     |x - x_c|
-    velocities    |v - v_c| h, with half the time h between samples: where a point is at the end of
+    velocities    |v - v_c| h, with h half the time between samples: the displacement at the end of
                   a shutter of 180 degrees
-    Gaussians     |V - V_c| of V = R diag(scales) R^T, Frobenius: it bounds how far the ellipsoid at
-                  one standard deviation is off in any direction n, where it reaches to |V n|
-    boxes         how far the one of c sticks out
+    Gaussians     |V - V_c| of V = R diag(scales) R^T, Frobenius norm: an upper bound of the error
+                  of the ellipsoid at one standard deviation in any direction n, where it extends
+                  to |V n|
+    boxes         how far the box of c extends beyond the interpolated one
     normals       the angle between them
-    anything else the largest difference over the largest number, as a share
+    other values  the largest difference over the largest number
 
-Half precision is off by 2^-11 of a number.  A component of a unit quaternion is then off by 2^-12,
-the quaternion by 2^-11, the rotation by 2^-10 rad and V by sqrt(2) 2^-10 of its largest scale; a
-scale is off by 2^-11 of itself, and V by sqrt(3) 2^-11.  USD interpolates halves as halves: both
-terms and their sum are rounded, each by as much of itself.
+Half precision has a relative error of 2^-11.  A component of a unit quaternion then has an error of
+2^-12, the quaternion 2^-11, the rotation 2^-10 rad and V sqrt(2) 2^-10 of its largest scale; a
+scale has a relative error of 2^-11, and V sqrt(3) 2^-11.  USD interpolates halves in half
+precision: both terms and their sum are rounded, each with the same relative error.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from gf_usd.core.matrices import gaussian_axes
 
 POSITIONS, VELOCITIES, NORMALS = "positions", "velocities", "normals"
 ORIENTATIONS, SCALES, SHAPES, BOX = "orientations", "scales", "shapes", "box"
-# attribute -> what it is judged as
+# attribute -> kind of error
 KINDS = {
     "points": POSITIONS,
     "positions": POSITIONS,
@@ -51,7 +52,7 @@ KINDS = {
     "scales": SCALES,
     "scalesh": SCALES,
 }
-LENGTHS = (POSITIONS, VELOCITIES, SHAPES, BOX)  # kinds that are off by a length
+LENGTHS = (POSITIONS, VELOCITIES, SHAPES, BOX)  # kinds whose error is a length
 EPS = float(np.finfo(np.float32).eps)
 HALF = 2.0**-11
 HALF_SHAPE = (2.0 * math.sqrt(2.0) + math.sqrt(3.0)) * HALF  # of the largest scale
@@ -61,19 +62,19 @@ Rows = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True, kw_only=True)
 class Allowed:
-    """What a sample that is left out may be off by."""
+    """Error tolerances of samples that are left out."""
 
     length: Floats  # () or (n,) [stage units] of each point
-    shape: Floats  # the same of Gaussians
+    shape: Floats  # the same for Gaussians
     angle: float  # [rad] of normals
-    share: float  # of all else
+    share: float  # relative, for all other values
     shutter: float  # [s of playback] half the time between samples
 
 
 def rows_of(values: Mapping[Sdf.Path, Any]) -> dict[str, np.ndarray]:
-    """The arrays of the samples of some prims that move as one, by what they are judged as.
+    """The sample arrays of prims that move together, by kind.
 
-    Of a kind that several prims have, the first by path stands for all: they share it.
+    Of a kind that several prims have, the first by path is used: they share the array.
     """
     rows: dict[str, np.ndarray] = {}
     for path in sorted(values):
@@ -83,35 +84,37 @@ def rows_of(values: Mapping[Sdf.Path, Any]) -> dict[str, np.ndarray]:
     return rows
 
 
-def off(a: Rows, b: Rows, c: Rows, s: float, allowed: Allowed, turn: Floats) -> dict[str, float]:
-    """How far off each kind is at c, between a and b.
+def interpolation_errors(
+    a: Rows, b: Rows, c: Rows, s: float, allowed: Allowed, turn: Floats
+) -> dict[str, float]:
+    """The largest error of each kind at c, interpolated between a and b.
 
-    Lengths [stage units], angles [rad], shares.
+    Lengths [stage units], angles [rad], relative errors.
 
     turn : (3, 3) from the space of the prim to the world, for rows.  Ends early, with infinity,
-    where something is farther off than allowed.
+        where an error exceeds its tolerance.
     """
     worst: dict[str, float] = {}
     plain = [kind for kind in c if kind not in (ORIENTATIONS, SCALES)]
-    for kind in sorted(plain, key=lambda one: one != POSITIONS):  # most likely to be off
-        error, most = _plain(kind, a[kind], b[kind], c[kind], s, allowed, turn)
+    for kind in sorted(plain, key=lambda one: one != POSITIONS):  # the likeliest first
+        error, most = _error_and_limit(kind, a[kind], b[kind], c[kind], s, allowed, turn)
         if (error > most).any():
             return {kind: np.inf}
         name = BOX if kind.startswith(BOX) else kind
         worst[name] = max(worst.get(name, 0.0), float(np.max(error, initial=0.0)))
     if ORIENTATIONS in c and SCALES in c:
-        error = _shapes_off(a, b, c, s) * np.linalg.norm(turn, 2)
+        error = _shape_errors(a, b, c, s) * np.linalg.norm(turn, 2)
         if (error > allowed.shape).any():
             return {SHAPES: np.inf}
         worst[SHAPES] = float(error.max(initial=0.0))
     return worst
 
 
-def _shapes_off(a: Rows, b: Rows, c: Rows, s: float) -> np.ndarray:
-    """(n,) what the shapes of Gaussians are off by, in the unit of their scales."""
+def _shape_errors(a: Rows, b: Rows, c: Rows, s: float) -> np.ndarray:
+    """(n,) error of the shapes of Gaussians, in the unit of their scales."""
     both = (ORIENTATIONS, SCALES)
     if all(np.array_equal(x[kind], c[kind]) for x in (a, b) for kind in both):
-        error = np.zeros(len(c[SCALES]))  # as in flight and at rest, in a fraction of the time
+        error = np.zeros(len(c[SCALES]))  # a shortcut for free flight and rest
     else:
         turned = slerp(a[ORIENTATIONS], b[ORIENTATIONS], s)
         between = turned, _lerp(a[SCALES], b[SCALES], s)
@@ -122,7 +125,7 @@ def _shapes_off(a: Rows, b: Rows, c: Rows, s: float) -> np.ndarray:
     return error
 
 
-def _plain(
+def _error_and_limit(
     kind: str,
     a: np.ndarray,
     b: np.ndarray,
@@ -131,7 +134,7 @@ def _plain(
     allowed: Allowed,
     turn: Floats,
 ) -> tuple[np.ndarray, Floats | float]:
-    """What one kind is off by, and may be."""
+    """The error of one kind, and its tolerance."""
     if c.dtype.kind in "iub":
         return np.asarray(0.0 if np.array_equal(a, c) else np.inf), 0.0
     between = _lerp(a, b, s)
@@ -144,7 +147,7 @@ def _plain(
         return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), allowed.angle
     apart = between - c
     if kind == POSITIONS:
-        # what USD says is rounded to single precision
+        # USD's result is rounded to single precision
         largest = max(float(np.abs(one).max(initial=0.0)) for one in (a, b))
         return lengths(apart @ turn) + EPS * largest * np.linalg.norm(turn, 2), allowed.length
     if kind == VELOCITIES:
@@ -156,7 +159,7 @@ def _plain(
 
 
 def slerp(a: np.ndarray, b: np.ndarray, s: float) -> np.ndarray:
-    """(n, 4) quaternions between two, as USD has it."""
+    """(n, 4) quaternions between two, as USD interpolates them."""
     a, b = a.astype(np.float64), b.astype(np.float64)
     cosine = np.einsum("ij,ij->i", a, b)
     b = np.where(cosine[:, None] < 0.0, -b, b)
@@ -172,7 +175,7 @@ Gaussians = tuple[np.ndarray, np.ndarray]  # quaternions (n, 4) as NumPy has USD
 
 
 def shape_errors(here: Gaussians, true: Gaussians) -> np.ndarray:
-    """(n,) |V - V_c| of Gaussians and of others, in the unit of their scales."""
+    """(n,) |V - V_c| between two sets of Gaussians, in the unit of their scales."""
     return np.sqrt(((_shape(*here) - _shape(*true)) ** 2).sum(axis=(1, 2)))
 
 

@@ -1,4 +1,4 @@
-"""Bounds that the source states above its meshes and that the motion makes untrue."""
+"""Bounds that the source authors above its meshes and that the simulated motion invalidates."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Boxed(Protocol):
 class SkelBound:
     """The extent of one SkelRoot, per frame.
 
-    A bounding box stops at a SkelRoot and takes its word for what is below, and once its meshes
-    are no longer skinned USD cannot compute that word.
+    USD does not compute bounds below a SkelRoot but uses its extent, and cannot compute that extent
+    once the meshes below are no longer skinned.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class SkelBound:
             wider = self._margin * np.linalg.norm(to_root[:3, :3], 2)
             boxes += [box - wider, box + wider] if wider else [box]
         if self._others:
-            # what is not baked is still posed by the skeleton: the source's own answer holds for it
+            # other prims are still posed by the skeleton, so the source's extent is right for them
             extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
                 UsdGeom.Boundable(self._root), source_time
             )
@@ -79,19 +79,19 @@ def skel_bounds(
     clock: Clock,
     margin: float = 0.0,
 ) -> list[SkelBound]:
-    """One for each SkelRoot above what is baked.
+    """One for each SkelRoot above a baked prim.
 
-    margin : [stage units] that what is below may be outside of its own box.
+    margin : [stage units] by which the prims below may exceed their own boxes.
     """
     roots = [p for p in _above(source, tracks) if p.IsA(UsdSkel.Root)]
     return [SkelBound(cache, root, tracks, clock, margin) for root in roots]
 
 
 def block_hints(cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[Boxed]) -> None:
-    """Block every authored extentsHint above what is baked.
+    """Block every authored extentsHint above a baked prim.
 
-    Bounds are then computed from the extents below.  Where the payload is not loaded the source's
-    hint, which is for that case, stands.
+    Bounds are then computed from the extents below.  Where the payload is not loaded, the source's
+    hint is still used.
     """
     for prim in _above(source, tracks):
         hint = prim.GetAttribute("extentsHint")

@@ -20,17 +20,17 @@ from gf_usd.layers.tracks.meshes import check
 Types = Sdf.ValueTypeNames
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
 HALVES = ("positionsh", "orientationsh", "scalesh")
-SUPPORT = 3.0  # [standard deviations] where a kernel ends (UsdVol)
+SUPPORT = 3.0  # [standard deviations] cutoff of a kernel (UsdVol)
 
 
 class SplatTrack:
-    """Streams one set of captured Gaussians.
+    """Writes one set of captured Gaussians.
 
     Parameters
     ----------
     cache : stage whose root layer is the cache.
     prim : their prim in the source.
-    surface : what stands for them; `surface.splats` is not None.
+    surface : their surface; `surface.splats` is not None.
     clock, meters_per_unit : of the bake.
     """
 
@@ -55,7 +55,7 @@ class SplatTrack:
         self._harmonics = None
         if self._splats.degree > 0:
             self._harmonics = over.CreateAttribute(f"{HARMONICS}h", Types.Half3Array, False)
-            # float is preferred where both are there
+            # float is preferred where both exist
             self._block(over, prim, HARMONICS)
 
     def write(self, pose: SplatPose, time_code: float) -> None:

@@ -1,8 +1,8 @@
-"""The surface of a body that flows: a Mesh with other points and faces at every time sample.
+"""The surface of a flowing body: a Mesh with a different topology at every time sample.
 
-USD interpolates arrays of equal length between samples and holds others.  Two frames may have as
-many points by chance while their faces differ; points interpolated between them would be torn, so
-the later frame then has its last point twice, the second of no face.
+USD interpolates arrays of equal length between samples and holds others.  Two frames may have the
+same number of points by chance while their faces differ; interpolated points would then be torn, so
+the later frame has its last point twice, the second not used by any face.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from gf_usd.layers.tracks.sparse import Saved
 
 
 def flow_name(body: int) -> str:
-    """Of the prim of a body's surface, in the scope of the particles."""
+    """Name of the prim of a body's surface, in the scope of the particles."""
     return f"Surface{body}" if body else "Surface"
 
 
 def flow_shading(asset: Asset, replaced: Sequence[str], root: Sdf.Path) -> Sdf.Path | None:
-    """The material of the meshes that a surface stands for, where all have one and the same.
+    """The material of the meshes that a surface replaces, where they share one.
 
     None where they have several, where it reads a texture, for which a surface has no coordinates,
-    and where it is outside of the root prim, which a payload cannot refer to.
+    and where it is outside the root prim, to which a payload cannot refer.
     """
     found = {
         material.path if material.texture is None else ""
@@ -44,14 +44,14 @@ def flow_shading(asset: Asset, replaced: Sequence[str], root: Sdf.Path) -> Sdf.P
 
 
 class FlowTrack:
-    """Streams one surface.
+    """Writes one surface.
 
     Parameters
     ----------
     cache, path : stage and prim path of the Mesh.
     meters_per_unit : [m] per stage length.
-    origin : (3,) [stage units] what points are counted from.
-    shading : a material of the source that is bound; None: displayColor alone says the color.
+    origin : (3,) [stage units] origin of the points.
+    shading : a material of the source that is bound; None: displayColor only.
     velocities : whether they are written.
     """
 
@@ -81,9 +81,9 @@ class FlowTrack:
         self._extent = mesh.CreateExtentAttr()
         self._velocities = mesh.CreateVelocitiesAttr() if velocities else None
         self._color = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-        self._last, self._faces, self._padded = 0, "", 0  # points of the last sample, its faces
+        self._last, self._faces, self._padded = 0, "", 0  # points and faces of the last sample
         if shading is not None:
-            # by path alone: the source is not in the cache
+            # by path only: the source is not in the cache
             UsdShade.MaterialBindingAPI.Apply(self.prim)
             self.prim.CreateRelationship("material:binding", False).SetTargets([shading])
 
@@ -125,8 +125,8 @@ class FlowTrack:
             "saved": vars(self.saved),
         }
 
-    def go_on(self, state: Mapping[str, Any]) -> None:
-        """Take over the state of the track that wrote what is there."""
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restore the state of the track that wrote the existing samples."""
         self._last, self._faces, self._padded = state["last"]
         self.saved = Saved(**state["saved"])
 

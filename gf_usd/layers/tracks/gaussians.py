@@ -74,7 +74,7 @@ class SplatTrack:
         self.low = self.high = np.zeros(3)
         self._positions = self._varying("positions", Types.Point3fArray)
         rest = np.asarray(p.scale, np.float64) / units.length
-        fits = halves_do(rest)
+        fits = half_is_precise(rest)
         self._range = "" if fits or not half else f"{rest.min():.3g} to {rest.max():.3g}"
         self._shape, self.shape_error = shape, 0.0
         bound = HALF_SHAPE * GROWTH * rest.max(axis=1)
@@ -139,7 +139,9 @@ class SplatTrack:
             stress = np.asarray(pose.stress) / self._units.pressure
             self._stress.Set(Vt.FloatArray.FromNumpy(f32(stress)), time_code)
         for name, (rest, attribute) in self._internal.items():
-            values = np.nan_to_num(pose.internal[name], nan=rest)  # laws without it: never moved
+            values = np.nan_to_num(
+                pose.internal[name], nan=rest
+            )  # for laws without the variable: its rest value
             check(values, (self._count,), self._named(name), time_code)
             attribute.Set(Vt.FloatArray.FromNumpy(f32(values)), time_code)
         reach = SUPPORT * np.sqrt(_variances(pose.orientations, scales))
@@ -148,7 +150,7 @@ class SplatTrack:
         self._extent.Set(box(self.low, self.high), time_code)
 
     def _require_shape(self, errors: Floats, time_code: float) -> None:
-        """Note the errors of shapes; raises BakeError where one is larger than was asked for."""
+        """Record the errors of shapes; raises BakeError where one exceeds its tolerance."""
         assert self._shape is not None
         self.shape_error = max(self.shape_error, float(errors.max(initial=0.0)))
         worst = int((errors / self._shape).argmax())
@@ -165,8 +167,8 @@ class SplatTrack:
         halves = [[one.error, vars(one.singles), vars(one.stored)] for one in self._halves]
         return {"halves": halves, "shape": self.shape_error}
 
-    def go_on(self, state: dict[str, Any]) -> None:
-        """Take over the state of the track that wrote what is there."""
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore the state of the track that wrote the existing samples."""
         for track, (error, singles, stored) in zip(self._halves, state["halves"]):
             track.error = error
             track.singles, track.stored = Saved(**singles), Saved(**stored)
@@ -234,20 +236,23 @@ NUMBERS = Form(
 
 
 class Track:
-    """One array attribute in the precision that was chosen.
+    """One array attribute in the selected precision.
 
     Parameters
     ----------
-    prim, name, form : where, and as what; a half gets an h behind the name.
+    prim, name, form : the attribute; a half attribute has the suffix h.
     half : whether to use it.
-    relative : measure the error against each number; else as it is.
+    relative : measure the relative error; else the absolute one.
     """
 
     def __init__(
         self, prim: Usd.Prim, name: str, form: Form, half: bool, *, relative: bool = False
     ) -> None:
         self.name, self.half, self.error = name, half, 0.0
-        self.singles, self.stored = Saved(), Saved()  # of what is half: as it came, as it is stored
+        self.singles, self.stored = (
+            Saved(),
+            Saved(),
+        )  # of half attributes: original and stored values
         self._relative = relative
         kind, self._make = form.half if half else form.single
         self._attribute = prim.CreateAttribute(f"{name}h" if half else name, kind, False)
@@ -281,14 +286,16 @@ class Track:
 
     @property
     def said(self) -> str:
-        """The largest error in words."""
+        """A note on the largest error."""
         if self._relative:
             return f"{self.name} by {100.0 * self.error:.2g} %"
         return f"{self.name} by {self.error:.2g}"
 
 
-def halves_do(values: Floats) -> bool:
-    """Whether positive numbers, and ones a few times smaller or larger, are precise as halves."""
+def half_is_precise(values: Floats) -> bool:
+    """Whether positive numbers, also multiplied by a small factor, are in the precise range of
+    halves.
+    """
     values = np.asarray(values, np.float64)
     low, high = values.min(initial=np.inf), values.max(initial=0.0)
     return bool(low >= LOWEST * SCALE_RANGE and high <= HIGHEST / SCALE_RANGE)

@@ -1,7 +1,8 @@
 """Health of a bake as attributes of its layers (GaussianFleshHealthAPI).
 
-The numbers of single frames are time samples in the cache; the totals stand in the root layer,
-inside the bake's variant, so that they show without the payload and go when another look is chosen.
+Values of single frames are time samples in the cache.  The totals are in the root layer, inside the
+bake's variant, so that they are available without the payload and disappear when another variant is
+selected.
 """
 
 from __future__ import annotations
@@ -96,17 +97,17 @@ CERTIFIED: dict[str, Any] = {
 
 
 def bake_root(asset: Asset, home: Home) -> Sdf.Path:
-    """The prim that carries the health: the home's root, or the scope where that has no switch."""
+    """The prim with the health: the home's root, or the scope where that has no variant set."""
     return home.root if home.root in roots_of(asset, home) else home.scope
 
 
 class HealthTrack:
-    """Streams the health of frames onto the bake's root prim in the cache.
+    """Writes the health of frames onto the bake's root prim in the cache.
 
-    A field that no frame departs from zero with (clamps, pins) is written all the same: zero says
-    that it was watched.
+    A field that is zero in all frames (clamps, pins) is written too: zero means that it was
+    measured.
 
-    flows : a law among the materials flows; settles : rolling resistance or settling acts.
+    flows : a law among the materials flows; settles : rolling resistance or settling is active.
     """
 
     def __init__(
@@ -133,12 +134,12 @@ class HealthTrack:
         """Author one frame."""
         layer = self._cache.GetEditTarget().GetLayer()
         if layer != self._layer:
-            # Here the attributes get their specs, if they have none in this layer.
+            # creates the specs of the attributes, if this layer has none
             for attribute, field, size in self._rows:
                 attribute.Set(_value(getattr(health, field), size), time_code)
             self._layer = layer
             return
-        # A stage takes several times as long for a number, and there are two dozen of them.
+        # writing two dozen numbers through a stage takes several times as long
         with Sdf.ChangeBlock():
             for path, (_, field, size) in zip(self._paths, self._rows):
                 layer.SetTimeSample(path, time_code, _value(getattr(health, field), size))
@@ -153,9 +154,8 @@ def author_totals(
 ) -> None:
     """Apply the API and author the totals of a bake on a prim spec.
 
-    health : `HealthLog.summary`; what it does not know stays without a value.
-    warnings : in words.
-    failure : why the bake ended early; "" where it did not.
+    health : `HealthLog.summary`; unknown values are not authored. warnings : texts. failure : why
+        the bake ended early; "" where it did not.
     """
     names = Sdf.TokenListOp()
     names.prependedItems = [usd_schema.HEALTH_API]
@@ -175,7 +175,7 @@ def author_certificate(
 ) -> None:
     """Author the intervals of the figures of a bake, in stage units.
 
-    certificate : as reports have it: docs/guide.md.
+    certificate : as in reports: docs/guide.md.
     """
     length = {"m": units.length}
     names, values, halves, unknown = [], [], [], []
@@ -220,7 +220,7 @@ def _value(value: Any, size: float) -> Any:
 
 
 def sizes(units: StageUnits) -> dict[str, float]:
-    """What one unit of the stage is in SI; seconds are seconds."""
+    """One unit of the stage in SI; seconds are seconds."""
     return {
         "": 1.0,
         "length": units.length,

@@ -77,15 +77,15 @@ class MeshTrack:
         self._normals = None
         self._shading = None
         if surface.type_name in KEPT:
-            self._take_normals(over, prim)
+            self._replace_normals(over, prim)
         if surface.type_name == "Mesh":
             mesh = UsdGeom.Mesh(prim)
             topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
             if any(attr.ValueMightBeTimeVarying() for attr in topology):
                 self._author_topology(over)
-                hold_elements(cache, prim, clock.source_time(clock.start))
+                freeze_varying_arrays(cache, prim, clock.source_time(clock.start))
         elif surface.type_name not in KEPT:
-            self._become_mesh(over)
+            self._convert_to_mesh(over)
         if prim.GetAttribute("accelerations").HasAuthoredValue():
             over.CreateAttribute("accelerations", Types.Vector3fArray, False).Block()
         if surface.skinned:
@@ -93,9 +93,9 @@ class MeshTrack:
         self._prim, self._over = prim, over
 
     def write_bind_pose(self, time_code: float) -> None:
-        """Author the rest pose as the one in which the mesh is bound to a simulation mesh.
+        """Author the rest pose as the bind pose of the mesh to a simulation mesh.
 
-        time_code : at which the prim's transform counts.
+        time_code : of the prim's transform.
         """
         points = self.space.points(self._surface.points[self._own], time_code)
         author_bind_pose(self._over, f32(points))
@@ -141,10 +141,11 @@ class MeshTrack:
 
     @property
     def rest(self) -> dict[Sdf.Path, Vt.Vec3fArray] | None:
-        """What the source shows of the arrays that are written, where none of them has a value.
+        """The source's values of the written arrays at rest, where none of them has an authored
+        sample.
 
-        None where that changes over time, lacks an extent, or is not the body: of skins, shapes
-        that become meshes and normals that are looked up by indices.
+        None where they change over time, lack an extent, or are not those of the body: for skinned
+        meshes, shapes that become meshes and indexed normals.
         """
         if self._surface.type_name not in KEPT or self._surface.skinned:
             return None
@@ -165,15 +166,15 @@ class MeshTrack:
             found[velocities] = found[velocities] or Vt.Vec3fArray(len(points))
         return None if any(one is None for one in found.values()) else found
 
-    def _become_mesh(self, over: Usd.Prim) -> None:
+    def _convert_to_mesh(self, over: Usd.Prim) -> None:
         surface = self._surface
         over.SetTypeName("Mesh")
         mesh = UsdGeom.Mesh(over)
         self._author_topology(over)
-        # a tessellated shape is already as fine as it is meant to be
+        # a tessellated shape needs no subdivision
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
         mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
-        # without normals such a mesh is drawn faceted
+        # without normals such a mesh is rendered faceted
         self._shading = CornerNormals(surface.points, surface.face_counts, surface.face_indices)
         self._normals = over.CreateAttribute("normals", Types.Normal3fArray, False)
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
@@ -185,7 +186,7 @@ class MeshTrack:
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices))
 
-    def _take_normals(self, over: Usd.Prim, prim: Usd.Prim) -> None:
+    def _replace_normals(self, over: Usd.Prim, prim: Usd.Prim) -> None:
         mesh = UsdGeom.PointBased(prim)
         primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
         named = primvar.GetAttr() if primvar.HasAuthoredValue() else mesh.GetNormalsAttr()
@@ -195,7 +196,7 @@ class MeshTrack:
         normals = self._surface.normals
         if normals is None:
             mine.Block()
-            if mesh.GetNormalsAttr().HasAuthoredValue():  # which the primvar hid
+            if mesh.GetNormalsAttr().HasAuthoredValue():  # which the primvar overrode
                 over.CreateAttribute("normals", Types.Normal3fArray, False).Block()
             self.notes.append(
                 f"<{self.path}>: its authored normals cannot follow the motion and are blocked"
@@ -203,13 +204,13 @@ class MeshTrack:
             return
         self._normals = mine
         if primvar.HasAuthoredValue() and primvar.IsIndexed():
-            # the surface's normals are looked up already
+            # the surface's normals are no longer indexed
             name = f"{named.GetName()}:indices"
             over.CreateAttribute(name, Types.IntArray, False).Block()
 
 
 def _widths(prim: Usd.Prim, time: Usd.TimeCode) -> np.ndarray | None:
-    """(n, 1) or (1, 1) widths of the balls of Points; None for what has none."""
+    """(n, 1) or (1, 1) widths of the balls of Points; None for other prims."""
     if prim.IsA(UsdGeom.Points):
         primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths")
         value = primvar.ComputeFlattened(time) if primvar.HasAuthoredValue() else None
@@ -235,7 +236,7 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
         )
 
 
-def free_instances(cache: Usd.Stage, prim: Usd.Prim) -> None:
+def end_instancing(cache: Usd.Stage, prim: Usd.Prim) -> None:
     """End every instance above a prim: opinions on instance proxies are ignored."""
     if not prim.IsInstanceProxy():
         return
@@ -255,21 +256,21 @@ def _unskin(over: Usd.Prim, prim: Usd.Prim) -> None:
     targets = binding.GetBlendShapeTargetsRel()
     if targets.HasAuthoredTargets():
         over.CreateRelationship(targets.GetName(), False).SetTargets([])
-    # some readers look for weights without asking for the API
+    # some readers use weights even without the API
     for name in ("primvars:skel:jointIndices", "primvars:skel:jointWeights", "skel:blendShapes"):
         attr = prim.GetAttribute(name)
         if attr.HasAuthoredValue():
             over.CreateAttribute(name, attr.GetTypeName(), attr.IsCustom()).Block()
 
 
-NORMALS = "primvars:normals"  # the bake has its own
+NORMALS = "primvars:normals"  # the bake writes its own
 TAGS = (
     *("holeIndices", "creaseIndices", "creaseLengths", "creaseSharpnesses"),
     *("cornerIndices", "cornerSharpnesses"),
 )
 
 
-def hold_elements(cache: Usd.Stage, prim: Usd.Prim, time: Usd.TimeCode) -> None:
+def freeze_varying_arrays(cache: Usd.Stage, prim: Usd.Prim, time: Usd.TimeCode) -> None:
     """Author in ``cache`` the value at ``time`` of every array of the mesh whose length changes."""
     for attribute in _arrays(prim):
         value = attribute.Get(time)
@@ -311,10 +312,10 @@ class CornerNormals:
 
     Parameters
     ----------
-    rest : (V, 3) points in which creases are looked for, any unit.
+    rest : (V, 3) points from which creases are computed, any unit.
     counts : (P,) corners of each face.
     indices : (C,) points of the corners.
-    crease : [deg] faces that meet at more than this stay sharp.
+    crease : [deg] faces that meet at a larger angle have separate normals.
     """
 
     def __init__(self, rest: Floats, counts: Ints, indices: Ints, crease: float = CREASE) -> None:
@@ -341,7 +342,7 @@ class CornerNormals:
         )
 
     def of(self, points: Floats) -> Floats:
-        """Unit normals (C, 3), counter-clockwise faces seen from outside; zero where no area is."""
+        """Unit normals (C, 3), outward for counter-clockwise faces; zero where the area is zero."""
         total = self._sum @ self._areas(points)
         length = np.linalg.norm(total, axis=1, keepdims=True)
         return np.divide(total, length, out=np.zeros_like(total), where=length > 0)

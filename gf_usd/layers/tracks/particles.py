@@ -1,9 +1,9 @@
-"""The particle prims of the cache: a Gaussian splat field and its twin of points.
+"""The particle prims of the cache: a Gaussian splat field and the same particles as points.
 
-Both stand in the world frame of the source: where the root prim above them has a transform of its
-own, theirs is its inverse, so that they follow the asset wherever a shot puts it.  Far from the
-world's origin, where single precision is coarse, they stand near the asset instead, moved there by
-their transform, which is in double precision.
+Both are in the world frame of the source: where the root prim above them has a transform, theirs is
+its inverse, so that they follow the asset when a shot moves it.  Far from the world's origin, where
+single precision is coarse, their origin is near the asset instead, by their transform, which is in
+double precision.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.points import PointsTrack
 from gf_usd.layers.tracks.sparse import Saved
-from gf_usd.layers.tracks.tets.attachments import Attachments, unknown_to
+from gf_usd.layers.tracks.tets.attachments import Attachments, not_in_source
 from gf_usd.layers.tracks.tets.mesh import TetTrack
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
 
@@ -50,14 +50,14 @@ FLOW = "Flow"  # the prim of flowing particles, which is shown together with mes
 
 
 class ParticleTrack:
-    """Streams the particles of a bake, in the forms that were chosen.
+    """Writes the particles of a bake as the selected prims.
 
     Parameters
     ----------
     cache : stage whose root layer is the cache.
     root : the home's root prim in the source.
     home, asset, particles, info, clock, choices, tets : of the bake.
-    shape : (N,) [stage units] that rounding may move the shape of each; None: none is rounded.
+    shape : (N,) [stage units] tolerance of each shape for rounding; None: no rounding.
     attachments : of points of the tets.
     """
 
@@ -79,7 +79,7 @@ class ParticleTrack:
         self._unit = asset.facts.units.length
         self.path = home.scope
         self.low = self.high = np.zeros(3)
-        self._origin = own_origin(particles) / self._unit
+        self._origin = particle_origin(particles) / self._unit
         UsdGeom.Scope.Define(cache, home.scope)
         self._splats = self._twin = None
         both = {"gaussians", "points"} & set(choices.shapes)
@@ -96,7 +96,7 @@ class ParticleTrack:
             self._twin = PointsTrack(
                 cache, where, particles, self._unit, velocities=choices.velocities
             )
-        self._grains, self._flow = shown_with_meshes(particles, info, choices), None
+        self._grains, self._flow = particles_shown_with_meshes(particles, info, choices), None
         self._body, self._waiting = particles.body_of, {body for _, body in choices.converting}
         if self._grains is not None:
             self._flow = PointsTrack(
@@ -133,7 +133,7 @@ class ParticleTrack:
             for one in tets
         }  # fmt: skip
         self._attachments = None
-        if new := unknown_to(root.GetStage(), attachments):
+        if new := not_in_source(root.GetStage(), attachments):
             self._attachments = Attachments(
                 cache, home.scope.AppendChild("Attachments"), root.GetStage(), new,
                 {one.body: (one, self._tets[one.key].path) for one in tets},
@@ -206,7 +206,7 @@ class ParticleTrack:
         full = [track for track in (self._flow, *self._flows.values()) if track and not track.empty]
         every = [self._splats, self._twin, *self._tets.values(), *full]
         boxes = [(track.low, track.high) for track in every if track]
-        if boxes:  # none where particles stand for meshes later
+        if boxes:  # none where particles replace meshes later
             self.low = np.min([low for low, _ in boxes], axis=0)
             self.high = np.max([high for _, high in boxes], axis=0)
         if self.space is not None and self.space.animated:
@@ -215,7 +215,7 @@ class ParticleTrack:
                 transform.Set(matrix, time_code)
 
     def _show(self, prim: Usd.Prim, shown: bool, time_code: float) -> None:
-        """Author whether a prim that begins with nothing in it is visible."""
+        """Author the visibility of a prim that is empty at the start."""
         if self._waiting:
             show(prim, shown, time_code)
 
@@ -226,19 +226,19 @@ class ParticleTrack:
         flows = {str(body): track.state() for body, track in self._flows.items()}
         return {"splats": splats, "tets": tets, "saved": vars(self._saved), "flows": flows}
 
-    def go_on(self, state: Mapping[str, Any]) -> None:
-        """Take over the state of the track that wrote what is there."""
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restore the state of the track that wrote the existing samples."""
         if self._splats:
-            self._splats.go_on(state["splats"])
+            self._splats.restore(state["splats"])
         self._saved = Saved(**state["saved"])
         for key, saved in state["tets"].items():
             self._tets[key].saved = Saved(**saved)
         for body, track in self._flows.items():
-            track.go_on(state["flows"][str(body)])
+            track.restore(state["flows"][str(body)])
 
     @property
     def saved(self) -> tuple[int, int]:
-        """[bytes] that half precision saves, and that no velocities do."""
+        """[bytes] saved by half precision and by omitted velocities."""
         others = (*self._tets.values(), *self._flows.values())
         without = self._saved.bytes + sum(track.saved.bytes for track in others)
         return self._splats.saved if self._splats else 0, without
@@ -250,7 +250,7 @@ class ParticleTrack:
 
     @property
     def rounded(self) -> bool:
-        """Whether shapes are in half precision because that is within what was asked for."""
+        """Whether shapes are in half precision, within the tolerance."""
         return self._splats is not None and self._splats.rounded
 
     @property
@@ -294,23 +294,27 @@ class ParticleTrack:
         return ops
 
 
-def shown_with_meshes(particles: Particles, info: BakeInfo, choices: Choices) -> Ints | None:
-    """(k,) the particles shown with meshes of others; None: none are, or their surface is."""
+def particles_shown_with_meshes(
+    particles: Particles, info: BakeInfo, choices: Choices
+) -> Ints | None:
+    """(k,) the particles displayed together with meshes; None: there are none, or their surface is
+    displayed.
+    """
     if choices.flows or not (choices.mesh and choices.replaced):
         return None
     return np.flatnonzero(moved_as_flow(particles, info.materials))
 
 
 def some(particles: Particles, rows: Ints) -> Particles:
-    """What a `PointsTrack` draws of some of the particles."""
+    """A subset of the particles, for a `PointsTrack`."""
     return replace(
         particles,
         **{name: np.asarray(getattr(particles, name))[rows] for name in ("X", "V0", "color")},
     )
 
 
-def own_origin(particles: Particles) -> Floats:
-    """(3,) [m] what positions are counted from: 0, or the body's middle where that is too far."""
+def particle_origin(particles: Particles) -> Floats:
+    """(3,) [m] origin of positions: 0, or the body's center where that is too far from 0."""
     X = np.asarray(particles.X, np.float64)
     rounding = np.finfo(np.float32).eps * np.abs(X).max(initial=0.0)
     return X.mean(axis=0) if rounding > COARSE * particles.spacing else np.zeros(3)

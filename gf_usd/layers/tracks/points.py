@@ -1,4 +1,4 @@
-"""The twin of the Gaussians for programs that do not know them: UsdGeomPoints."""
+"""The particles as UsdGeomPoints, for programs that do not support Gaussians."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gf_usd.layers.stage import box, f32
 
 
 class PointsTrack:
-    """Streams the particles as balls of their volumes.
+    """Writes the particles as balls of their volumes.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class PointsTrack:
     p : the particles.
     meters_per_unit : [m] per stage length.
     velocities : whether they are written.
-    some : the number of particles may change from one time code to the next.
+    some : the number of particles may change between time codes.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class PointsTrack:
     ) -> None:
         """Author positions (N, 3) and velocities in stage units.
 
-        rows : (n,) the particles that these are of; None: all.
+        rows : (n,) the particles of the positions; None: all.
         """
         # in single precision, so that it is bit for bit what USD computes from points and widths
         single = f32(positions)
@@ -82,7 +82,7 @@ class PointsTrack:
         self._extent.Set(box(self.low, self.high), time_code)
 
     def _write_constant(self, rows: Any, time: Any) -> None:
-        """Author what stays the same of each particle of `rows`."""
+        """Author the constant attributes of the particles of `rows`."""
         widths, ids, color = self._constant
         widths.Set(Vt.FloatArray.FromNumpy(self._widths[rows]), time)
         ids.Set(Vt.Int64Array.FromNumpy(self._ids[rows]), time)

@@ -1,12 +1,11 @@
-"""Which samples a cache needs: those between which USD's interpolation is off by too much.
+"""Selects the samples that a cache needs: USD's interpolation must be accurate in between.
 
-Prims that move as one have their samples at the same times, so that their arrays stay shared and
-what is made of several of them fits together.  From a sample that is kept, the next one is the
-farthest that can be had with every sample between within what is allowed (see `accuracy`): the
-first that fails ends it.  It is found as frames come, in a window of a few samples; at the end of
-one in which nothing moved, the prim is held: the sample is repeated only once it moves again.
-What is as the asset says from the start is held without a first sample, and has none if it never
-moves.
+Prims that move together have samples at the same times, so that they can share arrays.  The sample
+after a kept one is the farthest for which the interpolation error of every sample in between is
+within its tolerance (see `accuracy`), up to the first that is not.  It is found while frames
+arrive, in a window of a few samples.  After a window without motion the prim is held: the last held
+sample is written only once the prim moves again.  A prim that starts as the asset has it needs no
+first sample, and no sample at all if it never moves.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 from pxr import Sdf
 
 from gf_usd.core.arrays import Floats
-from gf_usd.layers.tracks.accuracy import Allowed, off, rows_of
+from gf_usd.layers.tracks.accuracy import Allowed, interpolation_errors, rows_of
 
 Values = Mapping[Sdf.Path, Any]
 Kept = tuple[float, Values]  # a time code and the samples at it
@@ -36,30 +35,32 @@ class _Sample:
 
 @dataclass
 class Tally:
-    """What leaving samples out came to, of prims that move as one."""
+    """Statistics of the samples of prims that move together."""
 
-    samples: int = 0  # that there were
+    samples: int = 0  # before selection
     kept: int = 0
-    bytes: int = 0  # of the arrays of all samples; what equals the one before counts once
+    bytes: int = 0  # of the arrays of all samples; repeated arrays count once
     written: int = 0  # of the arrays that are kept
-    largest: dict[str, float] = field(default_factory=dict)  # errors, as `accuracy.off` has them
+    largest: dict[str, float] = field(
+        default_factory=dict
+    )  # errors of `accuracy.interpolation_errors`
 
     def note(self, errors: Mapping[str, float]) -> None:
-        """Take errors into the largest ones."""
+        """Update the largest errors."""
         for kind, error in errors.items():
             self.largest[kind] = max(self.largest.get(kind, 0.0), error)
 
 
 class Sparse:
-    """The samples of prims that move as one.
+    """Selects the samples of prims that move together.
 
     Parameters
     ----------
-    allowed : what a sample that is left out may be off by.
-    window : samples that are held at most, and the longest gap in motion.
-    turn : gives (3, 3) from the space of the prims to the world at a time code, for rows.
-    tally : of a bake that is gone on with.
-    rest : what the asset says at all times, of all the arrays; None: it does not.
+    allowed : tolerances of a sample that is left out.
+    window : number of samples that are buffered at most, and the longest gap in motion.
+    turn : (3, 3) from the space of the prims to the world at a time code, for rows.
+    tally : of a resumed bake.
+    rest : the asset's constant values of all the arrays; None: it has none.
     """
 
     def __init__(
@@ -75,27 +76,29 @@ class Sparse:
         self._allowed, self._most, self._turn = allowed, max(2, window), turn
         self._start: _Sample | None = None
         self._window: list[_Sample] = []
-        self._errors: list[dict[str, float]] = []  # of the window but its last, on a line to it
-        self._held: float | None = None  # time code of the last sample of a hold
-        self._before: Values = {}  # the last sample that came
-        self._written: Values = {}  # the last that was kept
+        self._errors: list[
+            dict[str, float]
+        ] = []  # of the window's samples, interpolated to its last one
+        self._held: float | None = None  # time code of the last held sample
+        self._before: Values = {}  # the last sample
+        self._written: Values = {}  # the last kept sample
 
     def begin(self, time_code: float, values: Values) -> None:
-        """Go on from a sample that is written already, at the end of a clip."""
+        """Continue from a written sample, at the end of a clip."""
         self._start = self._sample(time_code, values)
         self._before = self._written = values
 
     def take(self, time_code: float, values: Values, *, last: bool = False) -> Iterator[Kept]:
-        """Samples to write, now that another one is there.
+        """Add a sample; yields the samples to write.
 
-        last : write it in any case; what comes then goes on from it.
+        last : write this sample in any case; later ones are selected relative to it.
         """
         self.tally.samples += 1
         self.tally.bytes += _new_bytes(values, self._before)
         self._before = values
         now = self._sample(time_code, values)
         if self._start is None:
-            if not last and self._unmoved(now):
+            if not last and self._rest_applies(now):
                 self._held = time_code
                 return
             self._start = now
@@ -104,50 +107,52 @@ class Sparse:
         yield from self._next(now)
         if last:
             yield from self._end_held()
-            yield from self._cut()
+            yield from self._keep_last()
             self._before = self._written
 
     def close(self) -> Iterator[Kept]:
-        """The samples that are still to be written; what is held to the end is not repeated."""
-        if self._window and self._still(self._window):
+        """The remaining samples to write; a hold at the end needs none."""
+        if self._window and self._is_held(self._window):
             self._window = []
-        yield from self._cut()
+        yield from self._keep_last()
         self._held = None
 
     def _next(self, now: _Sample) -> Iterator[Kept]:
         if self._held is not None:
-            if self._still([now]):
+            if self._is_held([now]):
                 self._held = now.time
                 return
             yield from self._end_held()
         errors = self._between(self._window, now)
         if errors is None:
-            yield from self._cut()
+            yield from self._keep_last()
             errors = []
         self._window.append(now)
         self._errors = errors
         if len(self._window) < self._most:
             return
-        if self._still(self._window):
+        if self._is_held(self._window):
             self._held, self._window = now.time, []
         else:
-            yield from self._cut()
+            yield from self._keep_last()
 
     def _between(self, window: Sequence[_Sample], now: _Sample) -> list[dict[str, float]] | None:
-        """Errors of a window on the line from the start to a sample; None: it cannot be."""
+        """Errors of a window, interpolated from the start to a sample; None: one exceeds its
+        tolerance.
+        """
         assert self._start is not None
         a, found = self._start, []
-        # the middle of the window is most likely to be off
+        # the middle of the window is likely to have the largest error
         for one in sorted(window, key=lambda x: abs(x.time - 0.5 * (a.time + now.time))):
             s = (one.time - a.time) / (now.time - a.time)
-            errors = off(a.rows, now.rows, one.rows, s, self._allowed, one.turn)
+            errors = interpolation_errors(a.rows, now.rows, one.rows, s, self._allowed, one.turn)
             if np.inf in errors.values():
                 return None
             found.append(errors)
         return found
 
-    def _unmoved(self, first: _Sample) -> bool:
-        """Whether what the asset says stands for the first sample, and is the start then."""
+    def _rest_applies(self, first: _Sample) -> bool:
+        """Whether the asset's values equal the first sample; they are then the start."""
         if self._rest is None:
             return False
         start = self._sample(first.time, self._rest)
@@ -156,17 +161,19 @@ class Sparse:
         }:
             return False
         self._start = start
-        if self._still([first]):
+        if self._is_held([first]):
             return True
         self._start = None
         return False
 
-    def _still(self, samples: Sequence[_Sample]) -> bool:
-        """Whether the start stands for these samples; their errors are noted if it does."""
+    def _is_held(self, samples: Sequence[_Sample]) -> bool:
+        """Whether these samples equal the start, within tolerance; if so, their errors are
+        recorded.
+        """
         assert self._start is not None
         rows, found = self._start.rows, []
         for one in samples:
-            errors = off(rows, rows, one.rows, 0.0, self._allowed, one.turn)
+            errors = interpolation_errors(rows, rows, one.rows, 0.0, self._allowed, one.turn)
             if np.inf in errors.values():
                 return False
             found.append(errors)
@@ -174,7 +181,7 @@ class Sparse:
             self.tally.note(errors)
         return True
 
-    def _cut(self) -> Iterator[Kept]:
+    def _keep_last(self) -> Iterator[Kept]:
         """Keep the last sample of the window."""
         if self._window:
             for errors in self._errors:
@@ -183,7 +190,7 @@ class Sparse:
             yield self._keep(self._start)
 
     def _end_held(self) -> Iterator[Kept]:
-        """Repeat the start where a hold ended."""
+        """Write the start again at the end of a hold."""
         if self._held is not None:
             assert self._start is not None
             self._start = self._sample(self._held, self._start.values)
@@ -202,23 +209,23 @@ class Sparse:
 
 @dataclass
 class Saved:
-    """[bytes] of the arrays of an attribute, or what a choice saves of them.
+    """[bytes] of the arrays of an attribute, or those saved by a choice.
 
-    Equal ones in a row are stored once.
+    Consecutive equal arrays are stored once.
     """
 
     bytes: int = 0
     digest: str = ""  # of the last array
 
     def count(self, array: np.ndarray, size: int) -> None:
-        """Add so many bytes for an array, unless it equals the one before."""
+        """Add the bytes of an array, unless it equals the previous one."""
         digest = hashlib.blake2b(np.ascontiguousarray(array).data, digest_size=8).hexdigest()
         if digest != self.digest:
             self.bytes, self.digest = self.bytes + size, digest
 
 
 def _new_bytes(values: Values, before: Values) -> int:
-    """[bytes] of arrays that a crate does not have yet: it stores equal ones once."""
+    """[bytes] of arrays that are not yet in the crate file, which stores equal ones once."""
     unique: list[np.ndarray] = []
     for path, value in values.items():
         array = np.asarray(value)

@@ -1,6 +1,6 @@
-"""What a cache stores instead of every sample in single precision, and what that saves.
+"""Reduced storage of a cache, with fewer samples and half precision, and the space saved.
 
-The tolerance of a mesh is that of the smallest body that fills it; particles have each their own.
+The tolerance of a mesh is that of the smallest body in it; each particle has its own.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ Sample = tuple[Sdf.Path, float, Any]  # path of an attribute, time code and valu
 
 
 class Tolerance:
-    """What the values of a bake may be off by, in stage units.
+    """Error tolerances of a bake, in stage units.
 
-    precision : as asked; particles : with their bodies; unit : [m] per stage length.
+    precision : as requested; particles : with their bodies; unit : [m] per stage length.
     """
 
     def __init__(self, precision: Precision, particles: Particles, unit: float) -> None:
@@ -68,28 +68,28 @@ class Tolerance:
         return float(self._each[body])
 
     def surface(self, number: int) -> float:
-        """Of a surface of the asset; what no particle stands for moves with any body."""
+        """Of a surface of the asset; one that no particle belongs to moves with any body."""
         bodies = np.unique(self._body[self._surface == number])
         return float(self._each[bodies].min() if len(bodies) else self._least)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Prims that move as one, and have their samples at the same times."""
+    """Prims that move together, with samples at the same times."""
 
     paths: tuple[Sdf.Path, ...]
     allowed: Allowed
     turn: Callable[[float], Floats]  # (3, 3) to the world at a time code, for rows
-    rest: Values | None = None  # what the asset says of all their arrays, at all times
+    rest: Values | None = None  # the asset's constant values of all their arrays
 
 
 def allowed(
     length: Floats | float, share: float, settings: Settings, *, shape: float = 1.0
 ) -> Allowed:
-    """A tolerance [stage units] as what samples of a prim may be off by.
+    """The tolerances of a prim's samples from a length [stage units].
 
-    share : the tolerance over the radius, which is that of a turn [rad] too; shape : what of it is
-    left for shapes.
+    share : the tolerance over the radius, also used for rotations [rad]; shape : share of the
+        tolerance that is available for shapes.
     """
     each = np.asarray(length, float)
     return Allowed(
@@ -107,9 +107,9 @@ def sample_groups(
     surfaces: Sequence[MeshTrack | SplatTrack | None],
     particles: ParticleTrack | None,
 ) -> list[Group]:
-    """What has its samples at the same times: each surface, and the particles of each body.
+    """The groups of prims with common sample times: each surface, and the particles of each body.
 
-    surfaces : tracks of those of the asset, in its order; None: it is not written.
+    surfaces : tracks of the asset's surfaces, in order; None: not written.
     """
     share, found = tolerance.share, []
     for number, track in enumerate(surfaces):
@@ -131,7 +131,7 @@ def _linear(to_world: Callable[[float], Floats], time_code: float) -> Floats:
 
 
 def _in_world(time_code: float) -> Floats:
-    """Of prims in the frame of the world, which are translated at most."""
+    """The transform of prims in world space, which have at most a translation."""
     del time_code
     return np.eye(3)
 
@@ -150,9 +150,9 @@ def take_samples(layer: Sdf.Layer, time_code: float) -> dict[Sdf.Path, Any]:
 
 
 class AdaptiveSamples:
-    """Chooses the samples of a cache.  What belongs to no group, and single values, stay as is.
+    """Selects the samples of a cache.  Prims without a group and single values are unchanged.
 
-    window : samples of a group that are held at most.
+    window : samples of a group that are buffered at most.
     """
 
     def __init__(self, groups: Sequence[Group], window: int) -> None:
@@ -168,12 +168,12 @@ class AdaptiveSamples:
         return {str(paths[0]): sparse.tally for paths, sparse in self._groups.items()}
 
     def begin(self, time_code: float, values: Values) -> None:
-        """Go on from samples that are written already, at the end of a clip."""
+        """Continue from written samples, at the end of a clip."""
         for paths, mine in self._sorted(values)[0].items():
             self._groups[paths].begin(time_code, mine)
 
     def take(self, time_code: float, values: Values, *, last: bool = False) -> Iterator[Sample]:
-        """Samples to write, now that those of another time code are there; see `Sparse.take`."""
+        """Add the samples of a time code; returns samples to write, see `Sparse.take`."""
         moving, rest = self._sorted(values)
         yield from ((path, time_code, value) for path, value in rest.items())
         for paths, mine in moving.items():
@@ -181,7 +181,7 @@ class AdaptiveSamples:
                 yield from ((path, code, value) for path, value in kept.items())
 
     def close(self) -> Iterator[Sample]:
-        """The samples that are still to be written."""
+        """The remaining samples to write."""
         for sparse in self._groups.values():
             for code, kept in sparse.close():
                 yield from ((path, code, value) for path, value in kept.items())
@@ -190,8 +190,8 @@ class AdaptiveSamples:
         """What others go on from, at the end of a clip; plain values."""
         return {name: vars(tally) for name, tally in self.tallies.items()}
 
-    def go_on(self, state: Mapping[str, Any]) -> None:
-        """Take over the state of those that chose what is there."""
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restore the state of the selection that wrote the existing samples."""
         for paths, sparse in self._groups.items():
             sparse.tally = Tally(**state[str(paths[0])])
 
@@ -209,7 +209,7 @@ class AdaptiveSamples:
 
 @dataclass(frozen=True, kw_only=True)
 class Storage:
-    """What storing less came to."""
+    """The result of reduced storage."""
 
     precision: Precision | None
     bytes: int  # of the cache, or of its clips
@@ -243,7 +243,7 @@ class Storage:
 
     @property
     def said(self) -> str:
-        """In a sentence."""
+        """A note on the saved space."""
         parts = [
             f"{_size(size)} by {how}"
             for size, how in (
@@ -280,7 +280,7 @@ ERRORS = {
 
 
 def errors_of(tallies: Sequence[Tally], rounding: float | None, unit: float) -> dict[str, float]:
-    """The largest errors, by the keys of ERRORS; those of all else as "others_share".
+    """The largest errors, by the keys of ERRORS; those of other values as "others_share".
 
     rounding : [stage units] of shapes, in half precision; unit : [m] per stage length.
     """

@@ -381,6 +381,6 @@ def test_prims_that_differ_are_not_compared_sample_by_sample(
             points.GetPointsAttr().Set(vec3(x + k - k % 2), code)
             points.GetVelocitiesAttr().Set(vec3(v), code)
     compared = []
-    monkeypatch.setattr(motion_rule, "_alike", lambda *given: compared.append(1))
+    monkeypatch.setattr(motion_rule, "_is_twin", lambda *given: compared.append(1))
     assert list(motion_rule.velocities(stage)) == []
     assert not compared

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, Vt
 
-from gf_usd.layers.tracks.accuracy import Allowed, off, rows_of, shape_errors, slerp
+from gf_usd.layers.tracks.accuracy import (
+    Allowed,
+    interpolation_errors,
+    rows_of,
+    shape_errors,
+    slerp,
+)
 
 EYE = np.eye(3)
 LOOSE = Allowed(
@@ -76,7 +82,7 @@ def test_positions_and_streaks_are_lengths_in_the_world() -> None:
         points=points((4, 0, 0)), velocities=points((8, 0, 0))
     )  # fmt: skip
     c = of(points=points((1, 0, 3)), velocities=points((2, 48, 0)))
-    found = off(a, b, c, 0.25, LOOSE, 2.0 * EYE)
+    found = interpolation_errors(a, b, c, 0.25, LOOSE, 2.0 * EYE)
     assert found["positions"] == pytest.approx(6.0, rel=1e-6)  # 3 along z, twice as large
     assert found["velocities"] == pytest.approx(2.0)  # 48 a second for a 48th of one, twice
 
@@ -84,23 +90,27 @@ def test_positions_and_streaks_are_lengths_in_the_world() -> None:
 def test_normals_are_off_by_an_angle_though_they_are_interpolated_shorter() -> None:
     a, b = of(normals=points((1, 0, 0))), of(normals=points((0, 1, 0)))
     c = of(normals=points((np.cos(1.0), np.sin(1.0), 0)))
-    assert off(a, b, c, 0.5, LOOSE, EYE)["normals"] == pytest.approx(1.0 - np.pi / 4, abs=1e-6)
+    assert interpolation_errors(a, b, c, 0.5, LOOSE, EYE)["normals"] == pytest.approx(
+        1.0 - np.pi / 4, abs=1e-6
+    )
 
 
 def test_a_box_is_off_where_the_true_one_sticks_out_only() -> None:
     a = b = of(extent=points((0, 0, 0), (1, 1, 1)))
     inside, outside = points((0.2, 0, 0), (1, 1, 1)), points((0, 0, -0.5), (1, 1.2, 1))
-    assert off(a, b, of(extent=inside), 0.5, LOOSE, EYE)["box"] == 0.0
-    assert off(a, b, of(extent=outside), 0.5, LOOSE, EYE)["box"] == pytest.approx(0.5)
+    assert interpolation_errors(a, b, of(extent=inside), 0.5, LOOSE, EYE)["box"] == 0.0
+    assert interpolation_errors(a, b, of(extent=outside), 0.5, LOOSE, EYE)["box"] == pytest.approx(
+        0.5
+    )
 
 
 def test_all_else_is_off_by_a_share_and_whole_numbers_are_right_or_wrong() -> None:
     a, b = of(stress=Vt.FloatArray([0.0, 100.0])), of(stress=Vt.FloatArray([0.0, 200.0]))
     c = of(stress=Vt.FloatArray([10.0, 150.0]))
-    assert off(a, b, c, 0.5, LOOSE, EYE) == {"stress": pytest.approx(0.05)}
+    assert interpolation_errors(a, b, c, 0.5, LOOSE, EYE) == {"stress": pytest.approx(0.05)}
     same, other = of(ids=Vt.IntArray([1, 2])), of(ids=Vt.IntArray([1, 3]))
-    assert off(same, other, same, 0.5, LOOSE, EYE) == {"ids": 0.0}
-    assert off(same, other, other, 0.5, LOOSE, EYE) == {"ids": np.inf}
+    assert interpolation_errors(same, other, same, 0.5, LOOSE, EYE) == {"ids": 0.0}
+    assert interpolation_errors(same, other, other, 0.5, LOOSE, EYE) == {"ids": np.inf}
 
 
 def test_the_shape_bounds_how_far_the_ellipsoid_is_off_in_any_direction() -> None:

@@ -87,7 +87,7 @@ def test_a_track_that_goes_on_writes_what_one_would(stage: Usd.Stage) -> None:
     made, _ = track(stage)
     made.write(pose(), 1.0)
     other, mesh = track(stage)
-    other.go_on(json.loads(json.dumps(made.state())))
+    other.restore(json.loads(json.dumps(made.state())))
     other.write(pose(faces=FACES[::-1].copy()), 2.0)
     assert len(mesh.GetPointsAttr().Get(2.0)) == 5
 

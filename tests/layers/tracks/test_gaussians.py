@@ -18,7 +18,7 @@ from gf_usd.core.frames import Choices, Particles
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.cache import CacheSummary, CacheWriter
 from gf_usd.layers.check.run import check_file
-from gf_usd.layers.tracks.gaussians import halves_do
+from gf_usd.layers.tracks.gaussians import half_is_precise
 from gf_usd.system.atomic_files import publish
 
 # A half has 11 bits: rounding to the nearest is off by half of the last.
@@ -106,6 +106,6 @@ def test_no_gaussians_no_halves(tmp_path: Path) -> None:
 
 
 def test_where_halves_do() -> None:
-    assert halves_do(np.array([[1e-3, 1.0, 100.0]]))
-    assert not halves_do(np.array([1e-4, 1.0]))
-    assert not halves_do(np.array([1.0, 2e4]))
+    assert half_is_precise(np.array([[1e-3, 1.0, 100.0]]))
+    assert not half_is_precise(np.array([1e-4, 1.0]))
+    assert not half_is_precise(np.array([1.0, 2e4]))

@@ -1,1 +1,1 @@
-"""Bodies as TetMeshes, with what pins hold of them, for other simulators."""
+"""Bodies as TetMeshes with attachments to pins, for other simulators."""

@@ -1,10 +1,10 @@
-"""What pins hold of the tetrahedra of a bake, as attachments that other simulators read.
+"""Attachments of a bake's tetrahedra to pins, for other simulators.
 
 They are PhysicsAttachment prims of the AOUSD proposal for deformables: points of a TetMesh (src0)
-at places in the frame of a prim (src1).  Where a pin moves as the prim does that it is named after,
-or one above that, this prim is src1 and the places stay; else they are in the frame of the
-attachments' own prim, with time samples.  Where a region ends between points the proposal cannot
-say: GaussianFleshAttachmentAPI has the region itself, and where its own points go.
+at positions in the frame of a prim (src1).  Where a pin moves like the prim that it is named after,
+or one above it, that prim is src1 and the positions are constant; otherwise they are in the frame
+of the attachments' own prim, with time samples.  The proposal cannot describe a region that ends
+between points: GaussianFleshAttachmentAPI has the region itself, and the motion of its own points.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ ATTACHMENTS = ("PhysicsAttachment", "OmniPhysicsVtxXformAttachment")
 SAME = 1e-5  # of the region: places are single precision
 
 
-def unknown_to(
+def not_in_source(
     source: Usd.Stage, attachments: Sequence[TetAttachment]
 ) -> tuple[TetAttachment, ...]:
-    """Those that a stage does not have as attachments itself."""
+    """The attachments that are not already in a stage."""
     return tuple(
         one
         for one in attachments
@@ -38,21 +38,21 @@ def unknown_to(
 
 
 def _named(source: Usd.Stage, one: TetAttachment) -> Usd.Prim:
-    """The prim that a pin is named after; an invalid one where it is named otherwise."""
+    """The prim that a pin is named after; an invalid prim for other names."""
     return source.GetPrimAtPath(one.pin) if one.pin.startswith("/") else Usd.Prim()
 
 
 class Attachments:
-    """Writes the attachments of the tetrahedra of a bake, under a prim of their own.
+    """Writes the attachments of a bake's tetrahedra, under a prim of their own.
 
     Parameters
     ----------
-    cache, path : stage and prim path of the prim that holds them.
-    source : stage that is baked.
+    cache, path : stage and path of the parent prim.
+    source : the baked stage.
     attachments : one for each pin and body.
     tets : by body, with the path of its TetMesh.
     asset, settings, clock : of the bake.
-    origin : (3,) [stage units] what positions are counted from.
+    origin : (3,) [stage units] origin of positions.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Attachments:
         for one in attachments:
             lattice, mesh = tets[one.body]
             prim = cache.DefinePrim(self._free(cache, path, one.pin), ATTACHMENTS[0])
-            carrier = self._carrier(_named(source, one), root, one, clock)
+            carrier = self._reference_prim(_named(source, one), root, one, clock)
             still = lattice.X[one.points] + lift
             prim.CreateRelationship("physics:src0", False).SetTargets([mesh])
             onto = path if carrier is None else carrier[0]
@@ -103,7 +103,7 @@ class Attachments:
             prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(meshes)
 
     def write(self, poses: Mapping[str, MeshPose], time_code: float) -> None:
-        """Author the places that move at a time code; poses : by `TetLattice.key`."""
+        """Author the moving positions at a time code; poses : by `TetLattice.key`."""
         frame = int(np.searchsorted(self._times, time_code - 1e-9))
         for key, one, coords, anchors in self._moving:
             coords.Set(_vectors(self._local(poses[key].points[one.points])), time_code)
@@ -113,12 +113,12 @@ class Attachments:
     def _local(self, x: Floats) -> np.ndarray:
         return np.asarray(x, np.float64) / self._unit - self._origin
 
-    def _carrier(
+    def _reference_prim(
         self, named: Usd.Prim, root: Sdf.Path, one: TetAttachment, clock: Clock
     ) -> tuple[Sdf.Path, Space] | None:
-        """The prim in whose frame the places stay; None where none is known.
+        """The prim in whose frame the positions are constant; None where there is none.
 
-        root : a payload may not point outside of its root prim.
+        root : a payload may not refer to prims outside its root prim.
         """
         while named and not named.IsA(UsdGeom.Xformable):
             named = named.GetParent()

@@ -30,7 +30,7 @@ COLLISION_API = "PhysicsCollisionAPI"
 
 
 class TetTrack:
-    """Streams the tetrahedra of one body.
+    """Writes the tetrahedra of one body.
 
     Parameters
     ----------
@@ -38,11 +38,11 @@ class TetTrack:
     tets : at rest.
     particles, info : of the bake.
     units : of the stage.
-    origin : (3,) [stage units] what positions are counted from.
+    origin : (3,) [stage units] origin of positions.
     materials : Material prims in the order of the bake's materials.
     velocities : whether they are written.
-    still : give the points a default value, which is where readers without a time look; not with
-        value clips, which it would hide.
+    still : give the points a default value, for readers without a time; not with value clips, which
+        it would hide.
     """
 
     def __init__(

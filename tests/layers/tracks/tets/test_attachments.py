@@ -14,7 +14,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.frames import MeshPose, sampled
 from gf_usd.layers.check.run import check_file
 from gf_usd.layers.stage import clock, open_source
-from gf_usd.layers.tracks.tets.attachments import Attachments, unknown_to
+from gf_usd.layers.tracks.tets.attachments import Attachments, not_in_source
 from gf_usd.physics.grid.pins import Motion, PinConstraint, pinned_by
 from gf_usd.pipeline.frames.attachments import tet_attachments
 from gf_usd.prepare.plan import Plan
@@ -200,7 +200,7 @@ def test_an_attachment_of_the_stage_is_not_written_again(tmp_path: Path) -> None
     assert [pin.name for pin in plan.pins] == ["/World/Hook"]
     found = tet_attachments(plan.pins, plan.tets, plan.particles)
     assert [one.pin for one in found] == ["/World/Hook"]
-    assert not unknown_to(open_source(plan.source), found)
+    assert not not_in_source(open_source(plan.source), found)
 
 
 def test_an_attachment_of_what_is_not_baked_holds_nothing(tmp_path: Path) -> None:
