@@ -47,7 +47,7 @@ from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.cost.budget import Cost
 from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
-from gf_usd.prepare.fill import fill, mend
+from gf_usd.prepare.fill import fill, repair_asset_for_fill
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.prepare import parse_request, read_stage, reading, would_fill
@@ -254,7 +254,7 @@ def inspect(
             read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
         )
     asset, spec = found.asset, found.spec
-    seen = examine(asset, mend(asset, request, spec)[2] if repair else ())
+    seen = examine(asset, repair_asset_for_fill(asset, request, spec)[2] if repair else ())
     files = outputs(source, [preset.name for preset in found.presets], None)
     try:
         plan, solid = fill(
@@ -263,7 +263,7 @@ def inspect(
         )  # fmt: skip
     except InputError as refusal:
         warnings = [implausible_size(asset)]
-        if not repair and would_fill(mend(asset, request, spec)[1]):
+        if not repair and would_fill(repair_asset_for_fill(asset, request, spec)[1]):
             warnings.append("it can be baked with --repair")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
     prepared = with_shot_length(Prepared(plan=plan))

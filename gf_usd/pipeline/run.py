@@ -45,7 +45,7 @@ from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.pipeline.prepared import Prepared, has_driven_motion, identity_of, solver_of
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
-from gf_usd.prepare.outputs import claim, clear
+from gf_usd.prepare.outputs import clear, create_output_folder
 from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
 from gf_usd.system.atomic_files import partial_path, publish_text
 from gf_usd.system.taichi_runtime import watching
@@ -156,7 +156,7 @@ def _run_locked(
         converted=prepared.converted,
     )  # fmt: skip
     earlier = sweep(files, prepared.resume)
-    claim(files)
+    create_output_folder(files)
     began = time.perf_counter()
     delivery.write_source(plan.seen_source)
     results: list[VariantResult] = []

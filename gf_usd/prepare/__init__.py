@@ -1,1 +1,1 @@
-"""The options and the asset become a Plan; nothing is simulated and nothing is written."""
+"""Makes a Plan from the options and the asset; nothing is simulated or written."""

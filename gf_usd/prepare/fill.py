@@ -1,7 +1,7 @@
-"""From an asset that was read to a plan: bodies, particles, materials, settings, contact.
+"""Makes a plan from an asset: bodies, particles, materials, settings, contact.
 
-Nothing that is called from here takes the whole request but `settings.resolve` and what completes
-it, `options.implied` and `options.choices`.
+No function that is called from here takes the whole request, except `settings.resolve`,
+`options.implied` and `options.choices`, which complete it.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from gf_usd.prepare.bodies.characters import characters_of
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
     contact_setup,
-    keep_limbs_apart,
+    penetration_notes,
     require_clear_start,
+    separate_limbs,
     skins,
-    sunk_notes,
 )
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.plan import plan_bodies
-from gf_usd.prepare.bodies.velocities import left_animation, start_velocities
+from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
 from gf_usd.prepare.materials.checks import require_standing
 from gf_usd.prepare.materials.conversion import with_conversions
@@ -92,13 +92,13 @@ def fill(
     built: Solid | None = None,
     more_pins: Callable[[Solid], Sequence[Pin]] | None = None,
 ) -> tuple[Plan, Solid]:
-    """A plan for an asset that was read.  Raises InputError where it is refused.
+    """A plan for an asset.  Raises InputError where the asset is refused.
 
     file : its USD form; None: it has none, and spec has the motion of its obstacles.
-    spec : what its stage says.
-    known : what `diagnose` said of its surfaces, if it was asked already.
-    built : its solid, if it was built already, and told; never one of `repair`.
-    more_pins : of the solid, besides those that are asked for.
+    spec : the specification of its stage.
+    known : result of `diagnose` for its surfaces, if available.
+    built : its solid without `repair`, if available.
+    more_pins : of the solid, in addition to those of the options.
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.diagnosis import diagnose, hollowed, tolerated
@@ -116,7 +116,7 @@ def fill(
     follows = False  # a sheet is as thick as the spacing
     fitted: float | None = None  # [m] spacing of as many particles as asked for, sheets included
     if repair:
-        asset, filled, repairs, fitted = mend(asset, request, spec)
+        asset, filled, repairs, fitted = repair_asset_for_fill(asset, request, spec)
         mended = notes(repairs)
         follows = any(one.thickened for one in repairs)
     else:
@@ -311,9 +311,9 @@ def fill(
     sunk: tuple[str, ...] = ()
     if not paper:
         require_clear_start(asset.facts.path, particles, settings.lift, limbs.contact_setup, unit)
-        sunk = sunk_notes(particles, settings.lift, limbs.contact_setup, bodies)
+        sunk = penetration_notes(particles, settings.lift, limbs.contact_setup, bodies)
     if not paper and request.solver != "ul":
-        limbs = keep_limbs_apart(solid, bodies, limbs, embedded_points(asset))
+        limbs = separate_limbs(solid, bodies, limbs, embedded_points(asset))
     tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
     copies = {t.key: t.copy for t in tets if t.copy is not None}
     goals = flesh.goals
@@ -323,7 +323,7 @@ def fill(
             body=bodies.embedded, copies=limbs.embedded_copies,
         )  # fmt: skip
         stated += (f"attachments pull parts of the body with springs: {', '.join(springs)}",)
-    alone = () if goals else left_animation(bodies, spec.bodies, limbs.particles, pins)
+    alone = () if goals else unpinned_animation_notes(bodies, spec.bodies, limbs.particles, pins)
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -413,7 +413,7 @@ def _scaled(vector: Triple | None, unit: float) -> Triple | None:
 
 
 def _require_one_body(request: Request, count: int) -> None:
-    """Raise UsageError for options that know one body only."""
+    """Raise UsageError for options that support a single body only."""
     asked = {
         "--skin " + str(request.skin): request.skin not in (None, "embed"),
         "--wls": bool(request.wls),
@@ -427,7 +427,7 @@ def _require_one_body(request: Request, count: int) -> None:
 
 
 def _weightless(settings: Settings) -> bool:
-    """Whether no gravity presses bodies on the floor."""
+    """Whether no gravity presses bodies against the floor."""
     return float(np.dot(settings.gravity, settings.normal)) >= 0.0
 
 
@@ -486,14 +486,14 @@ def _count_note(wanted: int, particles: Particles, *, sheets: bool) -> tuple[str
 OTHER_COUNT = 0.25  # of the number asked for: solids alone are as far from it
 
 
-def mend(
+def repair_asset_for_fill(
     asset: Asset, request: Request, spec: StageSpec
 ) -> tuple[Asset, Asset, tuple[Repairs, ...], float | None]:
-    """The asset mended, the same with its sheets thickened for the fill, and what was done.
+    """The repaired asset, the same with sheets thickened for the fill, and the repairs.
 
-    The first is what is drawn and carried: its points are those of the source.  Last comes the
-    spacing [m] at which there are as many particles as asked for; None: nothing is thickened, or
-    the spacing is given.
+    The first is for display: its points are those of the source.  The last value is the spacing [m]
+    that gives the requested number of particles; None: nothing is thickened, or the spacing is
+    given.
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.repair import repair_asset

@@ -1,6 +1,6 @@
 """Output files of a bake, and the check that they may be written.
 
-A sequence of splat files, one for each frame: what viewers of Gaussians play.
+Also sequences of splat files, one for each frame, for viewers of Gaussians.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Where a bake writes."""
+    """The output files of a bake."""
 
     root: Path
     caches: tuple[Path, ...]  # one for each variant
@@ -36,7 +36,7 @@ class Outputs:
 
     @property
     def own(self) -> tuple[Path, ...]:
-        """The files that no other bake has a part in."""
+        """The files that are not shared with other bakes."""
         if self.flat:
             return (self.root, *self.textures, self.report)
         sheet = (self.sheet,) if self.sheet else ()
@@ -44,13 +44,13 @@ class Outputs:
 
     @property
     def checkpoints(self) -> tuple[Path, ...]:
-        """Where an unfinished bake can be gone on from, one for each variant."""
+        """The checkpoints of an unfinished bake, one for each variant."""
         stems = (cache.name.removesuffix(".cache.usdc") for cache in self.caches)
         return tuple(self.root.with_name(f"{stem}.checkpoint.npz") for stem in stems)
 
     @property
     def layers(self) -> Path:
-        """The root layer over the caches: of a flat bake only there while it is made."""
+        """The root layer over the caches; for a flattened bake it exists only while it is made."""
         return self.root.with_name(f"{self.stem}.layers.usda") if self.flat else self.root
 
     @property
@@ -152,7 +152,7 @@ def _require_names(variants: Sequence[str]) -> None:
 
 
 def require_free(files: Outputs, overwrite: bool) -> None:
-    """Raise UsageError where a result is there already, or no folder could hold one."""
+    """Raise UsageError where a result exists already, or no folder can hold it."""
     there = [p for p in files.own if p.exists() and not is_failure_report(p)]
     if there and not overwrite:
         raise UsageError(
@@ -173,12 +173,13 @@ def require_free(files: Outputs, overwrite: bool) -> None:
         ) from error
 
 
-def require_source_free(files: Outputs, is_the_same: bool, overwrite: bool) -> None:
-    """Raise UsageError where the layer of a mesh file would replace one that is not the same.
+def require_source_free(files: Outputs, is_current: bool, overwrite: bool) -> None:
+    """Raise UsageError where the layer of a mesh file would replace a different one.
 
-    is_the_same : what lies there was made of the same file in the same way; it is used again.
+    is_current : the existing layer was made from the same file with the same options, and is
+        reused.
     """
-    if overwrite or is_the_same or files.source is None:
+    if overwrite or is_current or files.source is None:
         return
     there = [p for p in (files.source, *files.textures) if p.exists()]
     if there:
@@ -189,7 +190,7 @@ def require_source_free(files: Outputs, is_the_same: bool, overwrite: bool) -> N
 
 
 def is_failure_report(path: Path) -> bool:
-    """Whether a file is the report of a bake that failed, which is in nobody's way."""
+    """Whether a file is the report of a failed bake, which may be replaced."""
     if not path.name.endswith(REPORT):
         return False
     try:
@@ -201,20 +202,22 @@ def is_failure_report(path: Path) -> bool:
 
 
 def report_of_failure(files: Outputs) -> Path:
-    """Where a bake that fails says so: under the report's name, unless a good one has it."""
+    """The report file of a failed bake: the report's name, unless it has the report of a good
+    one.
+    """
     good = files.report.exists() and not is_failure_report(files.report)
     return partial_path(files.report) if good else files.report
 
 
 def interrupted(files: Outputs) -> bool:
-    """Whether a bake of these names ended early and can be resumed."""
+    """Whether a bake of these names was interrupted and can be resumed."""
     return any(path.exists() for path in files.checkpoints)
 
 
-def claim(files: Outputs) -> None:
-    """Make the folder of the results, without what a bake of these names left when it failed.
+def create_output_folder(files: Outputs) -> None:
+    """Make the folder of the results, and remove files of a failed bake of these names.
 
-    Raises UsageError where that cannot be removed.
+    Raises UsageError where they cannot be removed.
     """
     files.root.parent.mkdir(parents=True, exist_ok=True)
     made = {*files.own, *files.caches, files.layers}
@@ -236,7 +239,7 @@ DIGITS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class SplatSequence:
-    """Where the frames of one bake go: ``FOLDER/bob.jelly.0001.ply`` and so on."""
+    """The splat files of one bake: ``FOLDER/bob.jelly.0001.ply`` and so on."""
 
     folder: Path
     stem: str  # "bob.jelly"
@@ -248,15 +251,15 @@ class SplatSequence:
 
     @property
     def lock(self) -> Path:
-        """What is locked while the frames are written."""
+        """The lock file while frames are written."""
         return self.folder / f"{self.stem}.{self.suffix}"
 
-    def there(self) -> list[Path]:
-        """Frames of this name that lie in the folder."""
+    def existing_frames(self) -> list[Path]:
+        """The existing files of this sequence."""
         return sorted(self.folder.glob(f"{self.stem}.{'[0-9]' * DIGITS}*.{self.suffix}"))
 
     def write(self, splats: Splats, index: int) -> Path:
-        """Write a frame, whole or not at all.  Raises BakeError where the disk refuses."""
+        """Write a frame atomically.  Raises BakeError where it cannot be written."""
         path = self.path(index)
         with dropped_on_failure(path) as partial:
             try:
@@ -285,11 +288,11 @@ def sequences(
 
 
 def require_free_sequences(asked: Sequence[Sequence[SplatSequence]], overwrite: bool) -> None:
-    """Raise UsageError where a frame is there already, or a folder's name is that of a file."""
+    """Raise UsageError where a frame exists already, or a folder's name is that of a file."""
     for sequence in (one for each in asked for one in each):
         if sequence.folder.exists() and not sequence.folder.is_dir():
             raise UsageError(f"{sequence.folder} is not a folder", "name another for the frames")
-        there = sequence.there()
+        there = sequence.existing_frames()
         if there and not overwrite:
             raise UsageError(
                 f"{there[0]} exists already",
@@ -302,7 +305,7 @@ def clear(asked: Sequence[SplatSequence]) -> None:
 
     Raises UsageError where one cannot be removed.
     """
-    for path in (path for sequence in asked for path in sequence.there()):
+    for path in (path for sequence in asked for path in sequence.existing_frames()):
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
@@ -317,13 +320,13 @@ Stamps = tuple[tuple[Path, Stamp], ...]
 
 
 def stamps(files: Outputs) -> Stamps:
-    """Of each result and checkpoint."""
+    """Identities of all result and checkpoint files."""
     paths = (files.root, *files.caches, files.report, *files.checkpoints)
     return tuple((path, stamp(path)) for path in paths)
 
 
 def stamp(path: Path) -> Stamp:
-    """Which file lies there now."""
+    """Identity of the file at a path now."""
     try:
         found = path.stat()
     except FileNotFoundError:

@@ -1,9 +1,9 @@
-"""The paper's options: what was asked of `--wls`, `--procrustes`, `--clamp` and `--stress-cap`.
+"""The paper's options: `--wls`, `--procrustes`, `--clamp` and `--stress-cap`.
 
-All are off but in the preset `paper`, which has them as GaussianFlesh sections 3.2 and 4.3 do.  Two
-of its numbers hang on the material, so that settings are completed for each: the shape correction
-is rubber's alone, and the cap is tau = 100 in the units in which rubber has mu = 40, which are
-mu = 26.1 rho g0 r here (`materials`).
+All are off except in the preset `paper`, which has them as in GaussianFlesh sections 3.2 and 4.3.
+Two of its values depend on the material, so settings are completed for each material: shape
+correction is for rubber only, and the cap is tau = 100 in the units in which rubber has mu = 40,
+which are mu = 26.1 rho g0 r here (`materials`).
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def of_material(
     stress_cap: float | None,
     given: Collection[str],
 ) -> Settings:
-    """The settings of one material's bake, its options filled in.
+    """The settings of a bake with one material, with its options.
 
-    radius : r = (3 V / 4 pi)^(1/3) [m] of the body; paper : by the preset, for clamp and
-    stress_cap that are not `given`, which None may be.
+    radius : r = (3 V / 4 pi)^(1/3) [m] of the body; paper : use the preset's clamp and stress_cap
+        unless they are `given`; their value may be None.
     """
     total_lagrangian = settings.solver == "tl"
     if paper and procrustes is None and total_lagrangian and not pinned:

@@ -1,4 +1,4 @@
-"""Pins from `--pin`: a box, or the volume that a prim of the asset bounds; bones of `--flesh`."""
+"""Pins of `--pin`: a box, or the volume of a prim of the asset; bones of `--flesh`."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def make_pins(
     }
     found = [region for name in names for region in every[name]]
     for region in found:
-        _require_hold(region, asset, option)
+        _require_overlap(region, asset, option)
     make = make_rigid if option == "--rigid" else make_pin
     return tuple(make(region, solid, asset.surfaces) for region in found)
 
@@ -90,7 +90,7 @@ def attachment_pins(
     file: Path,
     rest: float | None,
 ) -> tuple[tuple[Pin, ...], tuple[str, ...]]:
-    """The pins of attachments of the stage, and notes; raises InputError as `read_attachments`."""
+    """Pins from attachments of the stage, and notes; raises InputError as `read_attachments`."""
     if not paths:
         return (), ()
     from gf_usd.geometry.regions import make_pin
@@ -125,7 +125,7 @@ def soft_attachment_goals(
     body: Mapping[str, int],
     copies: Mapping[str, Ints],
 ) -> Goals | None:
-    """The springs of soft attachments of the stage; raises InputError as `read_attachments`.
+    """Springs from soft attachments of the stage; raises InputError as `read_attachments`.
 
     body : of each surface, by prim path; copies : of cells, of the points of surfaces.
     """
@@ -156,8 +156,8 @@ def soft_attachment_goals(
 FREE = Goals(pose=lambda X: lambda frame: X, rate=lambda X: np.zeros(len(X)), moving=False)
 
 
-def _require_hold(region: Region, asset: Asset, option: str) -> None:
-    """Raise InputError where a region does not even touch the asset."""
+def _require_overlap(region: Region, asset: Asset, option: str) -> None:
+    """Raise InputError where a region does not touch the asset."""
     points = np.concatenate([s.points for s in asset.surfaces])
     low, high = points.min(0), points.max(0)
     box = region.points[np.unique(region.triangles)]
@@ -197,7 +197,7 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     if not (posed or has_animated_points(file, paths, asset.facts)):
         nearest = lone_skeleton(file)
     cached = not (posed or nearest)
-    loose = _loose(asset) if nearest else None
+    loose = _surface_points(asset) if nearest else None
     if cached:
         first, last = cache_range(file, paths, asset.facts)
     else:
@@ -220,14 +220,14 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     return Animation(first=first, last=last, reach=reach, closed=closed, nearest=nearest)
 
 
-def _loose(asset: Asset) -> dict[str, Floats]:
+def _surface_points(asset: Asset) -> dict[str, Floats]:
     """The points of the surfaces, (V, 3) [m] in the world, by prim path."""
     return {s.path: s.points for s in asset.surfaces}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flesh:
-    """What moves a character's flesh."""
+    """The pins and goals of a character's flesh."""
 
     pins: tuple[Pin, ...] = ()  # the cores of bones
     goals: Goals | None = None  # springs to the skinned pose
@@ -329,7 +329,7 @@ def _of_character(
             f" animated points as bones",
         )
     else:
-        loose = _loose(asset) if animation.nearest else None
+        loose = _surface_points(asset) if animation.nearest else None
         skeleton = read_skeleton(file, paths, asset.facts, **when, loose=loose)
     skeleton = _at_frames(skeleton, again.tolist())
     bones = skeleton.bones
@@ -388,7 +388,7 @@ def _of_character(
 
 
 def _at_frames(skeleton: Skeleton, rows: list[int]) -> Skeleton:
-    """A skeleton whose frames are these of its own."""
+    """A skeleton with a selection of its frames."""
     bones = tuple(replace(bone, path=bone.path[rows]) for bone in skeleton.bones)
     skin = skeleton.samples
     if skin is not None:
@@ -397,7 +397,7 @@ def _at_frames(skeleton: Skeleton, rows: list[int]) -> Skeleton:
 
 
 def _require_closed(asset: Asset, skeleton: Skeleton, first: int, cycle: int) -> None:
-    """Raise InputError where the way from the end of a cycle to its start is a jump.
+    """Raise InputError where the motion jumps from the end of a cycle to its start.
 
     first : sample at which the animation begins; cycle : samples of a period.
     """

@@ -1,4 +1,4 @@
-"""A bake made ready: plain values that say all of it, and what a dry run shows of them."""
+"""The plan of a bake, as plain values, and its description for a dry run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
 
 @dataclass(frozen=True)
 class Variant:
-    """One of the bakes of a plan, which is a variant of the root layer."""
+    """One bake of a plan, which is a variant of the root layer."""
 
     material: Material  # the main one, which it is named after
     table: tuple[Material, ...]  # what the particles' materials index
@@ -43,7 +43,7 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Everything known, nothing simulated or written yet."""
+    """Everything that determines a bake; nothing is simulated or written yet."""
 
     asset: Asset
     particles: Particles
@@ -81,7 +81,7 @@ class Plan:
 
     @property
     def held(self) -> bool:
-        """Whether pins or bones say where a part of the body is."""
+        """Whether pins or bones prescribe the motion of a part of the body."""
         return any(not pin.rigid for pin in self.pins)
 
     @property
@@ -129,12 +129,12 @@ def embedded_points(asset: Asset) -> dict[str, Floats]:
 
 
 def command_line(source: Path, **asked: Any) -> str:
-    """The ``gf-usd bake`` that asks for this; what was left to its default is left out."""
+    """The ``gf-usd bake`` command of the plan, without options at their default."""
     return shlex.join(["gf-usd", "bake", source.name, *arguments(asked)])
 
 
 def input_hash(path: Path) -> str:
-    """sha256 of the asset's file; raises BakeError where it is gone since it was read."""
+    """sha256 of the asset's file; raises BakeError where it no longer exists."""
     try:
         seen = path.stat()
         return _sha256(path.absolute(), seen.st_mtime_ns, seen.st_size)
@@ -147,14 +147,14 @@ def input_hash(path: Path) -> str:
 
 @cache
 def _sha256(path: Path, changed: int, size: int) -> str:
-    """Read once, however often it is asked for, until the file's time or size is another."""
+    """The hash, cached until the file's time or size changes."""
     del changed, size
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def describe(plan: Plan) -> dict[str, Any]:
-    """What ``--dry-run`` shows, estimates aside, and every report repeats."""
+    """The description for ``--dry-run`` and every report, without estimates."""
     return {
         "command": plan.command,
         "version": plan.version,
@@ -185,7 +185,7 @@ def describe(plan: Plan) -> dict[str, Any]:
 
 
 def settings_json(settings: Settings) -> dict[str, Any]:
-    """Plain values; an infinite one as the word "inf", since JSON has no number for it."""
+    """Plain values; infinity as the word "inf", since JSON has no number for it."""
     return {
         name: str(value) if value == math.inf else value for name, value in asdict(settings).items()
     }

@@ -1,4 +1,4 @@
-"""Before time is spent: read, check and fill an asset, and say what a bake of it would be."""
+"""Reads, checks and fills an asset, before anything is simulated."""
 
 from __future__ import annotations
 
@@ -77,12 +77,12 @@ def prepare(
 ) -> tuple[Plan, MeshSource | None]:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters.
 
-    draw : makes the picture of the asset that an advisor is shown.
-    once_read : is called when the file is read, before it is filled.
-    once_filled : is given what fills the same asset again, more coarsely.
+    draw : makes the picture of the asset for an advisor.
+    once_read : called after the file is read, before it is filled.
+    once_filled : called with a function that fills the same asset at a lower resolution.
 
-    Returns the plan, and the layer of an asset that is not USD, which lies in a temporary folder as
-    long as the object is there.
+    Returns the plan, and the layer of an asset that is not USD, which is in a temporary folder that
+    exists as long as the object.
     """
     from gf_usd.system import usd_schema
 
@@ -121,7 +121,7 @@ def prepare(
         once_filled(refill)
     lists = {name: getattr(request, name) for name, row in PLANNED.items() if row.repeated}
     command = command_line(
-        source, material=names_of(material), law=law, meters_per_unit=meters_per_unit,
+        source, material=material_names(material), law=law, meters_per_unit=meters_per_unit,
         up_axis=up_axis, repair=repair, **{k: v for k, v in options.items() if k not in lists},
         prims=tuple(prims), **lists,
     )  # fmt: skip
@@ -137,7 +137,7 @@ def prepare(
 
 @dataclass(frozen=True, kw_only=True)
 class Targets:
-    """Where a bake writes, and what lies there."""
+    """The output files of a bake, and those that exist."""
 
     files: Outputs
     sequences: tuple[tuple[SplatSequence, ...], ...]  # splat files of each variant
@@ -154,7 +154,7 @@ def _targets(
     overwrite: bool,
     resume: bool,
 ) -> Targets:
-    """The targets of a bake.  Raises UsageError where something is in their way."""
+    """The targets of a bake.  Raises UsageError where existing files prevent it."""
     names = [preset.name for preset in presets]
     sweep = presets[0].swept if isinstance(presets[0], Swept) else None
     files = outputs(
@@ -172,9 +172,9 @@ def _targets(
 
 
 def _with_layer(targets: Targets, converted: MeshSource | None) -> tuple[Outputs, Stamp]:
-    """The outputs with the pictures of a mesh file, and what lies where its layer is written.
+    """The outputs with the pictures of a mesh file, and the existing source layer.
 
-    Raises UsageError where something is in their way.
+    Raises UsageError where existing files prevent writing it.
     """
     files = targets.files
     if converted is None:
@@ -192,7 +192,7 @@ def _with_layer(targets: Targets, converted: MeshSource | None) -> tuple[Outputs
 
 @dataclass(frozen=True, kw_only=True)
 class SourceAsset:
-    """An asset that was read, and what it is to be made of."""
+    """An asset with its specification and presets."""
 
     asset: Asset
     spec: StageSpec  # what its stage says
@@ -211,14 +211,13 @@ def read_stage(
     limits: Limits | None,
     draw: Draw,
 ) -> SourceAsset:
-    """What is to be soft, what its stage says of that, and the presets that it is baked with.
+    """The asset, its stage's specification, and the presets of the bake.
 
-    presets : that were asked for; none: the stage says what it is made of, or it is rubber.
-
+    presets : of the options; none: the materials of the stage, or rubber.
     Raises InputError for the result of a bake.
     """
     read.asset.facts.require_not_baked()
-    asset, spec, converted = _hulled(read.asset), read.spec, read.converted
+    asset, spec, converted = _with_hulls(read.asset), read.spec, read.converted
     usd = source.suffix.lower() in USD
     file = source if converted is None else converted.layer
     if spec is None:
@@ -239,8 +238,8 @@ def read_stage(
     return SourceAsset(asset=asset, spec=spec, presets=presets, converted=converted, file=file)
 
 
-def _hulled(asset: Asset) -> Asset:
-    """See `with_hulls`, whose libraries only captured Gaussians need."""
+def _with_hulls(asset: Asset) -> Asset:
+    """See `with_hulls`, whose libraries are only imported for captured Gaussians."""
     if not asset.splats:
         return asset
     from gf_usd.geometry.splat_hull import with_hulls
@@ -249,7 +248,7 @@ def _hulled(asset: Asset) -> Asset:
 
 
 def _elastic(presets: Sequence[Any]) -> bool:
-    """Whether the stage is asked what its bodies are made of."""
+    """Whether the material specifications of the stage are used."""
     return not presets or isinstance(presets[0], Auto)
 
 
@@ -262,7 +261,7 @@ def reading(
     meters_per_unit: float | None,
     up_axis: str | None,
 ) -> Reading:
-    """The file, being read."""
+    """Start to read the file."""
     longest, count = request.parsed["max_edge_length"], None
     if longest == AUTO:
         longest = EDGE * request.spacing if request.spacing else None
@@ -289,8 +288,8 @@ def parse_request(
 ) -> tuple[Request, list[Any]]:
     """The request and the presets of a bake, checked before anything is read.
 
-    material : names with commas between, or names and materials given by their values.
-    No preset: the stage says what it is made of, or it is rubber.
+    material : names separated by commas, or names and materials given by value.  No preset: the
+        materials of the stage, or rubber.
     """
     request = Request.of(options)
     request.check()
@@ -300,7 +299,7 @@ def parse_request(
 
     if material is None and request.preset == "paper":
         material = "rubber"
-    auto = parse_auto(names_of(material), request.preset)
+    auto = parse_auto(material_names(material), request.preset)
     if auto is not None and request.material_sweep:
         raise UsageError(
             "--material-sweep does not go with --material auto", "name the material to vary"
@@ -321,15 +320,15 @@ def parse_request(
     return request, swept(found[0], sweep)
 
 
-def names_of(material: str | tuple[str | Material, ...] | None) -> str | None:
-    """The names of materials with commas between, also of those given by their values."""
+def material_names(material: str | tuple[str | Material, ...] | None) -> str | None:
+    """The names of materials, separated by commas, including those given by value."""
     if material is None or isinstance(material, str):
         return material
     return ",".join(one if isinstance(one, str) else one.name for one in material)
 
 
 def _find(name: str | Material, request: Request) -> Any:
-    """A preset, or a material of a file or of given values in the clothes of one."""
+    """A preset; materials of a file or given by value are wrapped as presets."""
     if isinstance(name, Material):
         return Fixed(
             name,

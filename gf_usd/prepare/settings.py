@@ -111,7 +111,7 @@ def _require_inside(
         )
 
 
-def slowed(asked: float | str | None, T: float) -> float:
+def time_scale_of(asked: float | str | None, T: float) -> float:
     """Simulated seconds per second of playback; "auto" plays T [s] as that of a 1 m body."""
     if asked is None:
         return 1.0
@@ -138,8 +138,8 @@ def floor_plane(asked: Floor | None, up: Floats, unit: float) -> tuple[float | N
 def fields_of(
     request: Request, facts: StageFacts, keys: Sequence[tuple[float, Triple]], stated: Sequence[str]
 ) -> tuple[Field, ...]:
-    """What pushes besides gravity; keys : of gravity [m/s^2] that the stage has; stated : its
-    fields, which count where the request has none.
+    """Body forces in addition to gravity; keys : of gravity [m/s^2] in the stage; stated : fields
+    of the stage, which are used where the request has none.
     """
     asked = request.parsed["gravity"]
     if isinstance(asked, GravityKeys):
@@ -154,7 +154,9 @@ def fields_of(
 
 
 def gravity_vector(asked: float | Triple | GravityKeys | None, up: Floats) -> Triple:
-    """[m/s^2] of a size along minus the unit vector up (3,), or of a vector; of keys the first."""
+    """[m/s^2] of a magnitude along minus the unit vector up (3,), or of a vector; of keys, the
+    first.
+    """
     if isinstance(asked, GravityKeys):
         asked = asked.values[0]
     if isinstance(asked, tuple):
@@ -164,7 +166,7 @@ def gravity_vector(asked: float | Triple | GravityKeys | None, up: Floats) -> Tr
 
 @dataclass(frozen=True, kw_only=True)
 class Animation:
-    """What a character's flesh follows."""
+    """The animation that a character's flesh follows."""
 
     first: float  # time code
     last: float
@@ -174,13 +176,13 @@ class Animation:
     nearest: str = ""  # the Skeleton whose nearest bones points without joint weights follow
 
     def cycle(self, frames: int) -> int:
-        """Frames of a period, of so many from the first to the last."""
+        """Frames of a period, from the first to the last time code."""
         return max(1, frames - 1 if self.closed else frames)
 
     def lead(self, settings: Settings, repeated: int = 0) -> int:
-        """Frames from the bind pose to the first pose, of those that are simulated.
+        """Number of simulated frames from the bind pose to the first pose.
 
-        repeated : frames of cycles before the one that is written.
+        repeated : frames of cycles before the written one.
         """
         step = settings.time_codes_per_second / settings.fps
         return round((self.first - settings.start) / step) - repeated
@@ -188,8 +190,8 @@ class Animation:
     def preroll(self, fps: float, time_scale: float) -> int:
         """Frames from the bind pose to the first pose.
 
-        Along s = 3 r^2 - 2 r^3 a way D takes the largest acceleration 6 D / T^2: T is at least that
-        of gravity.  time_scale : simulated seconds per second of playback.
+        Along s = 3 r^2 - 2 r^3, a distance D takes the largest acceleration 6 D / T^2: T is such
+        that it is at most gravity. time_scale : simulated seconds per second of playback.
         """
         seconds = max(LEAD, (6.0 * self.reach / G0) ** 0.5)
         return int(np.ceil(seconds * fps / time_scale - ROUNDING))
@@ -228,7 +230,7 @@ def resolve(
         lift = 0.0
     elif floor is None:
         lift = height
-    slow = slowed(asked["time_scale"], T)
+    slow = time_scale_of(asked["time_scale"], T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
     start, step = first_time_code(facts, request.start), (authored or fps) / fps
     if animation:
@@ -294,7 +296,7 @@ def _rolling(request: Request, paper: bool) -> float:
 
 
 def settled_frames(shot: int) -> int:
-    """Frames in which everything is to come to rest, of a shot of so many."""
+    """Frames in which all bodies should come to rest, for a shot of `shot` frames."""
     return SETTLING * (shot - 1) + 1
 
 
@@ -305,7 +307,7 @@ def shot_frames(settled: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """What is asked for."""
+    """The resolution of the fill."""
 
     spacing: float | None  # [m]; None: by the count
     particles: int  # that hold where there is no spacing
@@ -339,7 +341,7 @@ def resolution(
 
 
 def stated_spacing(spec: StageSpec, volumes: Mapping[str, float]) -> tuple[float | None, str]:
-    """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
+    """Spacing [m] that the stage states, and a note where it states several: the finest.
 
     volumes : [m^3] of each surface, by prim path.
     """
@@ -363,10 +365,11 @@ def stated_spacing(spec: StageSpec, volumes: Mapping[str, float]) -> tuple[float
 
 
 def by_thickness(volume: float, thick: Thickness | None) -> Resolution:
-    """`ACROSS` particles across all but the thinnest 5 % of the surface, as far as time allows.
+    """Number of particles for `ACROSS` particles across all but the thinnest 5 % of the surface.
 
-    Never fewer than `DEFAULT_PARTICLES`, nor more than `FINEST` times as many.  A bake takes a time
-    that grows as N^(4/3): N particles, and substeps as long as a wave needs between two of them.
+    Between `DEFAULT_PARTICLES` and `FINEST` times as many, because the time of a bake grows as
+    N^(4/3): N particles, and time steps proportional to the distance between them.
+
     volume : [m^3] of the solid.
     """
     base = DEFAULT_PARTICLES

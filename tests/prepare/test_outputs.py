@@ -12,7 +12,7 @@ import pytest
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.outputs import (
     Outputs,
-    claim,
+    create_output_folder,
     outputs,
     report_of_failure,
     require_free,
@@ -195,8 +195,8 @@ def test_the_layer_of_a_mesh_file_is_shared_by_its_bakes(tmp_path: Path) -> None
 
 def test_folders_are_made_when_the_bake_begins(tmp_path: Path) -> None:
     files = in_folder(tmp_path / "new" / "folder")
-    claim(files)
-    claim(files)
+    create_output_folder(files)
+    create_output_folder(files)
     assert files.root.parent.is_dir()
     assert list(files.root.parent.iterdir()) == []
 
@@ -209,7 +209,7 @@ def test_the_report_of_a_failure_is_in_nobodys_way(tmp_path: Path) -> None:
     partial_path(files.caches[0]).write_bytes(b"half")
     assert report_of_failure(files) == files.report
     require_free(files, overwrite=False)
-    claim(files)
+    create_output_folder(files)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -220,7 +220,7 @@ def test_any_other_report_is_kept(tmp_path: Path, text: str) -> None:
     with pytest.raises(UsageError, match="exists already"):
         require_free(files, overwrite=False)
     assert report_of_failure(files) == partial_path(files.report)
-    claim(files)
+    create_output_folder(files)
     assert files.report.read_text(encoding="utf-8") == text
 
 
@@ -228,4 +228,4 @@ def test_what_cannot_be_cleared_away_is_told(tmp_path: Path) -> None:
     files = outputs(Path("duck.usda"), ["rubber"], f"{tmp_path}/")
     partial_path(files.root).mkdir()
     with pytest.raises(UsageError, match=r"duck\.rubber\.partial\.usda of an earlier bake cannot"):
-        claim(files)
+        create_output_folder(files)

@@ -20,7 +20,7 @@ from gf_usd.prepare.settings import (
     floor_plane,
     gravity_vector,
     resolve,
-    slowed,
+    time_scale_of,
 )
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -172,7 +172,7 @@ def test_auto_plays_every_size_like_a_meter() -> None:
     assert small.frames == meter.frames
     assert settled(radius=0.01).frames < small.frames
     assert settled(time_scale="0.5").time_scale == 0.5
-    assert slowed(None, PAPER_T) == 1.0
+    assert time_scale_of(None, PAPER_T) == 1.0
 
 
 @pytest.mark.parametrize("radius", [0.025, 1.0, 5.0])

@@ -19,7 +19,7 @@ FALLBACK = "rubber"
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """What an advisor is asked: to name a preset for every subject."""
+    """The input of an advisor: assign a preset to every subject."""
 
     file: Path  # the asset, as the user named it
     subjects: tuple[Subject, ...]
@@ -29,7 +29,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Auto:
-    """The look of ``--material auto`` before anything is read."""
+    """The preset of ``--material auto`` before the asset is read."""
 
     advisor: str = ""  # empty: names and labels
 
@@ -38,8 +38,8 @@ class Auto:
         return AUTO
 
 
-def settled(advice: Advice) -> Advice:
-    """The advice, or rubber where its confidence is below LEAST, with the reason in words."""
+def with_fallback(advice: Advice) -> Advice:
+    """The advice, or rubber where its confidence is below LEAST, with the reason as text."""
     if advice.confidence >= LEAST:
         return advice
     reason = (
@@ -49,8 +49,8 @@ def settled(advice: Advice) -> Advice:
     return Advice(path=advice.path, material=FALLBACK, confidence=0.0, reason=reason, by=advice.by)
 
 
-def faults(answer: object, paths: Sequence[str], presets: Sequence[str]) -> str:
-    """What is wrong with an advisor's answer, in words; "" where nothing is."""
+def answer_errors(answer: object, paths: Sequence[str], presets: Sequence[str]) -> str:
+    """The errors in an advisor's answer, as text; "" where there are none."""
     if not isinstance(answer, (list, tuple)):
         return f"it answered with a {type(answer).__name__}, not a list of Advice"
     for one in answer:

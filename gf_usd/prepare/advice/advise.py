@@ -1,7 +1,7 @@
-"""``--material auto``: what each surface is made of, with the reason.
+"""``--material auto``: the material of each surface, with the reason.
 
-What the stage states itself goes before all: a preset that it names, or a physics material with a
-Young's modulus.  The rest is inferred from names and labels, or asked of an advisor.
+Materials that the stage states have precedence: a preset that it names, or a physics material with
+a Young's modulus.  Others are inferred from names and labels, or by an advisor.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ ROUGHNESS = 0.5  # of all surfaces in the picture
 def parse_auto(material: str | None, preset: str | None) -> Auto | None:
     """``auto`` or ``auto:NAME`` of --material; None for another material.
 
-    Raises UsageError where it stands among others, or the paper's set-up is asked for, and where
-    no advisor has that name.
+    Raises UsageError where it is combined with others or with the paper's set-up, and for an
+    unknown advisor.
     """
     parts = [part.strip() for part in (material or "").split(",")]
     mine = [part for part in parts if part == AUTO or part.startswith(f"{AUTO}:")]
@@ -68,12 +68,12 @@ def advise(
     rest: float | None,
     draw: Draw,
 ) -> StageSpec:
-    """What the stage says, with an `Advice` for every surface of the asset.
+    """The stage's specification, with an `Advice` for every surface of the asset.
 
     file : the asset's USD file, where `usd`; rest : time code of the rest pose; draw : makes the
-    picture that an advisor is shown.
+        picture for an advisor.
 
-    Raises BakeError where an advisor fails or answers wrongly.
+    Raises BakeError where an advisor fails or its answer is invalid.
     """
     stated = {s.path: one for s in asset.surfaces if (one := _stated(s.path, spec)) is not None}
     open_ = [s for s in asset.surfaces if s.path not in stated]
@@ -117,7 +117,7 @@ def _ask(asset: Asset, subjects: tuple[Subject, ...], auto: Auto, draw: Draw) ->
 
 
 def described() -> dict[str, str]:
-    """Every preset in words."""
+    """Every preset with its description."""
     looks = {look.name: look.note for look in DIMENSIONLESS.values()}
     return looks | {
         p.name: f"E = {p.youngs_modulus:.2g} Pa, {p.density:g} kg/m^3; {p.source}"
@@ -164,7 +164,7 @@ def _mesh(surface: Surface) -> RenderMesh:
 
 
 def _appearance(surface: Surface) -> tuple[str, ...]:
-    """Paths of the materials of a mesh file's surface, that of most triangles first."""
+    """Paths of the materials of a mesh file's surface, by number of triangles, largest first."""
     if surface.triangle_materials is None:
         return ()
     counts = [int((surface.triangle_materials == i).sum()) for i in range(len(surface.materials))]

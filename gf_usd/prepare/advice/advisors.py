@@ -1,4 +1,4 @@
-"""Advisors: plug-ins that say what things are made of, asked only by name (`auto:NAME`).
+"""Advisors: plug-ins that choose materials, used only by name (`auto:NAME`).
 
 An advisor is a callable in the entry point group `GROUP` of an installed distribution.  It takes a
 `Question` and returns a list of `Advice`, one for each subject, with presets of the question.
@@ -13,7 +13,7 @@ from types import TracebackType
 
 from gf_usd.core.errors import BakeError, GfUsdError, UsageError
 from gf_usd.core.stage import Advice
-from gf_usd.prepare.advice import AUTO, Question, faults, settled
+from gf_usd.prepare.advice import AUTO, Question, answer_errors, with_fallback
 
 GROUP = "gf_usd.material_advisors"
 TIMEOUT = 120.0  # [s] for an answer: a large model on a small machine
@@ -39,12 +39,12 @@ def find_advisor(name: str) -> EntryPoint:
 
 
 def ask(name: str, question: Question) -> tuple[Advice, ...]:
-    """An advisor's answer, in the order of the subjects; what is unsure has become rubber.
+    """An advisor's answer, in the order of the subjects; rubber where its confidence is low.
 
     Raises
     ------
     UsageError : there is no such advisor.
-    BakeError : it failed, gave no answer within TIMEOUT seconds, or a wrong one.
+    BakeError : it failed, gave no answer within TIMEOUT seconds, or an invalid one.
     """
     call = _Call(find_advisor(name), question)
     call.start()
@@ -58,17 +58,17 @@ def ask(name: str, question: Question) -> tuple[Advice, ...]:
     if call.error is not None:
         kind = type(call.error).__name__
         raise BakeError(f"{said} failed: {kind}: {call.error}", hint) from call.error
-    wrong = faults(call.answer, [s.path for s in question.subjects], list(question.presets))
+    wrong = answer_errors(call.answer, [s.path for s in question.subjects], list(question.presets))
     if wrong:
         raise BakeError(f"{said} gave a wrong answer: {wrong}", hint)
     by_path = {one.path: one for one in call.answer}
-    return tuple(settled(replace(by_path[s.path], by=name)) for s in question.subjects)
+    return tuple(with_fallback(replace(by_path[s.path], by=name)) for s in question.subjects)
 
 
 class _Call(threading.Thread):
-    """A call whose exception is a result too: what a stranger's code raises cannot be listed.
+    """A call whose exception is stored too, since the exceptions of a plug-in cannot be listed.
 
-    A daemon, so that one that hangs does not hold the program up.
+    It is a daemon thread, so that a plug-in that hangs does not prevent the program from ending.
     """
 
     def __init__(self, point: EntryPoint, question: Question) -> None:

@@ -18,7 +18,7 @@ import re
 from collections.abc import Iterator
 
 from gf_usd.core.stage import Advice, Subject
-from gf_usd.prepare.advice import FALLBACK, settled
+from gf_usd.prepare.advice import FALLBACK, with_fallback
 
 # confidence of each source
 LABEL, LOOK, NAME, LABEL_ABOVE, ABOVE, FILE = 0.9, 0.8, 0.7, 0.6, 0.5, 0.4
@@ -49,7 +49,7 @@ def phrases_in(name: str) -> list[tuple[str, str, float]]:
 
 
 def by_names(subject: Subject, file: str = "") -> Advice:
-    """What a subject is made of by its names; rubber with confidence 0 where no name is known.
+    """The preset of a subject from its names; rubber with confidence 0 where no name is known.
 
     file : name of the asset's file without its suffix.
     """
@@ -65,7 +65,7 @@ def by_names(subject: Subject, file: str = "") -> Advice:
         if others:
             confidence /= 2.0
             reason += f", and also what would be {' or '.join(others)}"
-        return settled(
+        return with_fallback(
             Advice(
                 path=subject.path, material=preset,
                 confidence=round(confidence * weight, 4), reason=reason,
@@ -78,7 +78,7 @@ def by_names(subject: Subject, file: str = "") -> Advice:
 
 
 def sources(subject: Subject, file: str) -> Iterator[tuple[str, str, float]]:
-    """(what it is, the name, confidence), best first."""
+    """(kind, name, confidence) of the names of a subject, best first."""
     *above, own = subject.path.strip("/").split("/")
     for label in subject.labels:
         yield "its label", label, LABEL

@@ -1,1 +1,1 @@
-"""The bodies of a bake: what falls as one, what may touch, and how each starts."""
+"""The bodies of a bake: which surfaces form one, which can touch, and their initial velocities."""

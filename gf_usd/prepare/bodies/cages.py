@@ -1,4 +1,6 @@
-"""Cages of subdivision surfaces: bodies are their polygons, and renderers draw another surface."""
+"""Cages of subdivision surfaces: bodies have the shape of the cage, renderers draw the limit
+surface.
+"""
 
 from __future__ import annotations
 

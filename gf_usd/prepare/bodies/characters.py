@@ -1,7 +1,7 @@
-"""The characters of a stage: what each skeleton poses is a body of its own with `--flesh`.
+"""The characters of a stage: with `--flesh`, the surfaces of each skeleton form a separate body.
 
-Bind poses may overlap where the characters of a shot stand far enough apart, and one body would
-glue them together there.
+Bind poses of characters may overlap although the characters are apart in the shot, and a single
+body would join them there.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, ...]]:
     """The SkelRoot of the character that each surface belongs to, by prim path, and notes.
 
-    Empty where there are fewer than two.  What no skeleton poses, such as a prop, belongs to the
-    character with which it has most of its path in common, of several to the nearest.
+    Empty where there are fewer than two.  A surface without a skeleton, such as a prop, belongs to
+    the character with the longest common path; among several, to the nearest.
     """
     from gf_usd.readers.usd.bones import skeletons
 
@@ -47,7 +47,7 @@ def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, 
 
 
 def _nearest(surface: Surface, posed: Sequence[Surface], found: dict[str, str]) -> str:
-    """The character that a surface which no skeleton poses goes with."""
+    """The character of a surface without a skeleton."""
     shared = [_shared(surface.path, found[s.path]) for s in posed]
     closest = [s for s, count in zip(posed, shared, strict=True) if count == max(shared)]
     tree = kd_tree(surface.points)
@@ -56,7 +56,7 @@ def _nearest(surface: Surface, posed: Sequence[Surface], found: dict[str, str]) 
 
 
 def _shared(one: str, other: str) -> int:
-    """How many names two prim paths begin with alike."""
+    """Number of leading names that two prim paths have in common."""
     pairs = zip(one.split("/"), other.split("/"))
     alike = [a == b for a, b in pairs]
     return alike.index(False) if False in alike else len(alike)

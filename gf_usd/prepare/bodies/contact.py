@@ -1,4 +1,4 @@
-"""Contacts that the bodies of a bake can have: with each other, with obstacles, with themselves."""
+"""Possible contacts of the bodies of a bake: with each other, with obstacles, with themselves."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LimbPlan:
-    """A filled solid whose near limbs share no nodes (docs/physics.md)."""
+    """A filled solid with separate nodes for near limbs (docs/physics.md)."""
 
     particles: Particles
     samples: SurfaceSamples
@@ -34,10 +34,10 @@ class LimbPlan:
     notes: tuple[str, ...] = ()
 
 
-def keep_limbs_apart(
+def separate_limbs(
     solid: Solid, bodies: BodyPlan, filled: LimbPlan, points: Mapping[str, Floats]
 ) -> LimbPlan:
-    """The particles with the copies of cells that limbs share; the copy of each embedded point.
+    """Particles with copies of the cells that limbs share; the cell copy of each embedded point.
 
     points : (n, 3) [m] embedded points, by prim path.
     """
@@ -77,7 +77,7 @@ LONGEST = 1.5
 
 
 def skins(solid: Solid, of: Ints, spacing: float = np.inf) -> tuple[Skin, ...]:
-    """The surface of each body, seen from outside, no edge longer than LONGEST spacings [m]."""
+    """The surface of each body, facing outward, with edges of at most LONGEST spacings [m]."""
     out = []
     for body in range(int(of.max()) + 1):
         points, triangles, first = [], [], 0
@@ -102,11 +102,11 @@ def contact_setup(
     self_contact: bool | None,
     meet_from: int = 0,
 ) -> ContactSetup:
-    """Who meets whom, as the stage wants it.
+    """The possible contacts between bodies, from the stage.
 
     spacing : [m] of the particles.
-    self_contact : bodies meet themselves; None: those that can, see `rounded`.
-    meet_from : frame from which bodies meet each other.
+    self_contact : bodies can touch themselves; None: all but those of `cannot_touch_itself`.
+    meet_from : frame from which bodies can touch each other.
     """
     colliders = physics.obstacles
     body = {path: k for k, paths in enumerate(bodies.surfaces) for path in paths}
@@ -126,7 +126,9 @@ def contact_setup(
     meets: set[int] = set()
     if self_contact is not False:
         passes = {a for a, b in through if a == b}
-        meets = {k for k, skin in enumerate(made) if self_contact or not rounded(skin)} - passes
+        meets = {
+            k for k, skin in enumerate(made) if self_contact or not cannot_touch_itself(skin)
+        } - passes
     return ContactSetup(
         skins=made,
         colliders=colliders,
@@ -143,10 +145,10 @@ BURIED = 0.02  # of the particles: less is a touch, which contact resolves
 def require_clear_start(
     path: Path, particles: Particles, lift: Sequence[float], setup: ContactSetup, unit: float
 ) -> None:
-    """Raise InputError where lifting the bodies puts them into an obstacle.
+    """Raise InputError where lifting the bodies moves them into an obstacle.
 
-    particles : of all bodies, where the asset has them; lift : (3,) [m]; unit : [m] of the stage.
-    What is in an obstacle in the asset itself stays there.
+    particles : of all bodies, at their position in the asset; lift : (3,) [m]; unit : [m] of the
+        stage.  Particles that are inside an obstacle in the asset itself are allowed.
     """
     way = np.asarray(lift, float)
     if not way.any():
@@ -165,7 +167,7 @@ def require_clear_start(
             )
 
 
-def sunk_notes(
+def penetration_notes(
     particles: Particles, lift: Sequence[float], setup: ContactSetup, bodies: BodyPlan
 ) -> tuple[str, ...]:
     """Notes on bodies that have particles in an obstacle at the start."""
@@ -184,7 +186,7 @@ def sunk_notes(
 
 
 def _inside(obstacle: Collider, X: Floats) -> Ints:
-    """(n,) which of the points X (n, 3) [m] are in an obstacle at the start."""
+    """(n,) whether points X (n, 3) [m] are inside an obstacle at the start."""
     from gf_usd.geometry.winding import winding_inside
 
     points = obstacle.positions(0)
@@ -208,8 +210,8 @@ SIDE = 6  # parts of an octahedron's edges: 146 directions, which hold 0.98 of a
 MANY = 1 << 25  # triangles times points, from where a hull is found sooner than its bound
 
 
-def rounded(skin: Skin) -> bool:
-    """Whether a body is one shell, so nearly convex and so stout that it cannot meet itself."""
+def cannot_touch_itself(skin: Skin) -> bool:
+    """Whether a body is one shell, nearly convex and so compact that it cannot touch itself."""
     representative, _ = weld(skin.points)
     used, triangles = np.unique(representative[skin.triangles], return_inverse=True)
     if shells(triangles.reshape(-1, 3)).max(initial=0) > 0:
@@ -220,9 +222,11 @@ def rounded(skin: Skin) -> bool:
     if length.max() > STOUT * length.min():
         return False
     volume, triangles = signed_volume(skin.points, skin.triangles), triangles.reshape(-1, 3)
-    if len(points) * len(triangles) < MANY and volume >= CONVEX * hull_bound(points, triangles):
+    if len(points) * len(triangles) < MANY and volume >= CONVEX * hull_upper_bound(
+        points, triangles
+    ):
         return True
-    if volume < CONVEX * hull_least(points):
+    if volume < CONVEX * hull_lower_bound(points):
         return False
     from scipy.spatial import ConvexHull, QhullError  # takes longer to import than all of this
 
@@ -233,16 +237,19 @@ def rounded(skin: Skin) -> bool:
     return volume >= CONVEX * hull
 
 
-def hull_bound(points: Floats, triangles: Ints) -> float:
-    """[m^3] that the convex hull of one closed shell has at most; inf where this does not say.
+def hull_upper_bound(points: Floats, triangles: Ints) -> float:
+    """[m^3] upper bound of the volume of the convex hull of a closed shell; inf where there is
+    none.
 
-    Cones from the middle c over the triangles fill space where c is d_i > 0 behind the planes of
-    all of them.  No point is more than h_i before plane i, hence nothing of the hull, so that
+    Where the center c is at d_i > 0 behind the planes of all triangles, the cones from c over the
+    triangles fill the shell.  No point is more than h_i in front of plane i, and therefore no point
+    of the hull, so that
 
         V <= sum_i V_i (1 + h_i / d_i)^3
 
-    with V_i = A_i d_i / 3 of a triangle's cone.  points : (V, 3) [m]; triangles : (T, 3), facing
-    outward.
+    with V_i = A_i d_i / 3 the volume of a triangle's cone.
+
+    points : (V, 3) [m]; triangles : (T, 3), facing outward.
     """
     ends = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     sides = np.sort(ends[:, 0] * len(points) + ends[:, 1])
@@ -260,13 +267,15 @@ def hull_bound(points: Floats, triangles: Ints) -> float:
     return float((behind * (most / behind) ** 3).sum() / 6.0)
 
 
-def hull_least(points: Floats) -> float:
-    """[m^3] that the convex hull of points (V, 3) [m] has at least; 0 where this does not say.
+def hull_lower_bound(points: Floats) -> float:
+    """[m^3] lower bound of the volume of the convex hull of points (V, 3) [m]; 0 where there is
+    none.
 
-    The points that are farthest in directions on a sphere, joined as the directions are, make a
-    surface within the hull.  Seen from the middle c of the hull's box it hides all directions once
-    if its solid angles O_i sum to 4 pi, or k + 1 times where k triangles face inward.  With V_i the
-    signed volumes of the cones over its triangles, and R from c to the farthest point,
+    The points that are farthest along directions on a sphere, connected as the directions are, form
+    a surface within the hull.  Seen from the center c of the bounding box, this surface covers all
+    directions once if its solid angles O_i sum to 4 pi, or k + 1 times where k triangles face
+    inward.  With V_i the signed volumes of the cones over its triangles, and R the distance from c
+    to the farthest point,
 
         V >= sum_i V_i - 1/3 R^3 sum_{O_i < 0} |O_i|
 
@@ -305,10 +314,10 @@ def _octahedron(side: int) -> tuple[Floats, Ints]:
 def file_obstacles(
     files: Sequence[str], facts: StageFacts, limits: Limits | None
 ) -> tuple[tuple[Collider, ...], tuple[str, ...]]:
-    """The surfaces of other files as obstacles that stay, and notes on them.
+    """The surfaces of other files as static obstacles, and notes on them.
 
-    facts : of the asset, whose up axis they are turned to.  Raises InputError as `read_asset`, and
-    for a file of captured Gaussians alone.
+    facts : of the asset, to whose up axis they are rotated.
+    Raises InputError as `read_asset`, and for a file of captured Gaussians only.
     """
     made: list[Collider] = []
     notes: list[str] = []

@@ -1,4 +1,4 @@
-"""What of the bodies flows without end, and which meshes that leaves without a body."""
+"""Which bodies flow without end, and which meshes then have no body."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """What flows without end, from the start or once it is converted."""
+    """The bodies that flow without end, from the start or after conversion."""
 
     bodies: tuple[int, ...] = ()  # as in Particles: some of their particles flow, or all
     meshes: tuple[str, ...] = ()  # prim paths of those that particles stand for from the start
@@ -29,11 +29,11 @@ class Flow:
 def flow_of(
     solid: Solid, bodies: BodyPlan, particles: Particles, materials: Sequence[Material]
 ) -> Flow:
-    """What flows of the bodies of a solid.
+    """The flowing bodies of a solid.
 
-    A mesh that is filled is replaced by its particles where some of them flow, any other one where
-    all of its body do.  Of a body that can be converted all meshes are: once the first of its
-    particles is converted, from the start where some of it flows then.
+    A filled mesh is replaced by its particles where some of them flow, any other mesh where all of
+    its body flows.  All meshes of a body that can be converted are replaced: once its first
+    particle is converted, or from the start where some of it flows then.
     """
     flows = unbounded(particles, materials)
     body = particles.body_of

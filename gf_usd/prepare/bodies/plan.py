@@ -1,4 +1,4 @@
-"""The bodies of a bake: surfaces that fall as one, and their particles."""
+"""The bodies of a bake: groups of surfaces, and their particles."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BodyPlan:
         return len(self.radius)
 
     def flows(self, surfaces: Ints) -> Ints:
-        """(B,) which bodies flow; surfaces : (S,) which filled surfaces do."""
+        """(B,) whether each body flows; surfaces : (S,) which filled surfaces do."""
         return np.bincount(self.of_surface, surfaces, minlength=self.count) > 0.0
 
 
@@ -53,10 +53,10 @@ def plan_bodies(
 ) -> tuple[BodyPlan, Particles]:
     """The bodies of a solid, and the particles that fill them.
 
-    spacing : [m] about that of the particles; sample : particles for the body (S,) of each surface;
-    owners : the physics body prim that a surface belongs to, by path, or the SkelRoot where bodies
-    are `characters` of --flesh; combine : one body in all;
-    kinds : (S,) surfaces of two kinds are never one body; None: all are of one.
+    spacing : [m] approximate spacing of the particles; sample : particles for the body (S,) of each
+        surface; owners : the physics body prim of each surface, by path, or the SkelRoot where
+        bodies are `characters` of --flesh; combine : a single body; kinds : (S,) surfaces of
+        different kinds are never one body; None: all are of one kind.
     """
     from gf_usd.geometry.connected.bodies import TOUCHING, find_bodies, overlapping
 
@@ -111,7 +111,9 @@ def _listed(names: Sequence[Sequence[str]]) -> str:
 def _touching(
     of: Ints, solid: Solid, owners: Sequence[str], reach: float, asset: Asset
 ) -> list[str]:
-    """A note on what is one body only because it touches; reach : [m] nearer than which it does."""
+    """A note on surfaces that are one body only because they touch; reach : [m] distance that
+    counts as touching.
+    """
     paths = [s.path for s in solid.surfaces]
     found = []
     for body in range(int(of.max()) + 1):
@@ -132,7 +134,7 @@ def _touching(
 
 
 def _small(names: Sequence[Sequence[str]], particles: Ints) -> list[str]:
-    """A note on bodies of few particles."""
+    """A note on bodies with few particles."""
     few = np.flatnonzero(particles < LEAST)
     if len(names) == 1 or not len(few):
         return []
@@ -148,10 +150,10 @@ def _small(names: Sequence[Sequence[str]], particles: Ints) -> list[str]:
 def _fuse_small(
     of: Ints, solid: Solid, particles: Particles, owners: Sequence[str], kinds: Ints | None = None
 ) -> tuple[Ints, list[Any]]:
-    """Bodies of few particles become one with what is next to them; (surface, particles, host).
+    """Join bodies with few particles to an adjacent body; returns (surface, particles, host).
 
-    Farther than a cell away, they have too few nodes in common with it to follow it stiffly.
-    A surface without any particle is a shell about nothing: it can only be embedded.
+    Bodies more than a cell apart share too few nodes to move together stiffly.  A surface without
+    particles has no volume and can only be embedded.
     """
     of, fused = of.copy(), []
     kinds = np.zeros(len(of), np.int64) if kinds is None else kinds
@@ -189,9 +191,9 @@ def _fuse_small(
 def _embedded(
     asset: Asset, filled: dict[str, int], particles: Particles, body: Ints, owners: dict[str, str]
 ) -> dict[str, int]:
-    """Body that each surface moves with: its own, or that which most of its points are nearest.
+    """The body that each surface moves with: its own, or the one nearest to most of its points.
 
-    What has an owner moves with a body of that owner, if there is one.
+    A surface with an owner moves with a body of that owner, if there is one.
     """
     of_owner: dict[str, set[int]] = {}
     for path, k in filled.items():

@@ -1,4 +1,4 @@
-"""Velocities that bodies start with."""
+"""Initial velocities of bodies."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ CARRIED = (
 )
 
 
-def left_animation(
+def unpinned_animation_notes(
     bodies: BodyPlan, said: dict[str, BodyPhysics], particles: Particles, pins: Sequence[Pin]
 ) -> tuple[str, ...]:
-    """Notes on surfaces that an animated transform moves, and no pin their body."""
+    """Notes on surfaces with an animated transform whose body has no pin."""
     held = np.zeros(len(particles), bool)
     for pin in pins:
         if pin.rigid:
@@ -54,12 +54,13 @@ def start_velocities(
     velocity: Triple | None = None,
     spin: Triple | None = None,
 ) -> list[Any]:
-    """The motion of each body at the start: X (n, 3) [m] -> (n, 3) [m/s], or three zeros.
+    """The initial motion of each body: X (n, 3) [m] -> (n, 3) [m/s], or three zeros.
 
-    What is asked for goes before what UsdPhysics states for a body, and that before the animation
-    that ends at the start, of which an affine velocity field is fitted, v = a + A X.  time_scale :
-    simulated seconds a second of playback.  velocity : [m/s]; spin : [rad/s] about each body's
-    center of mass; None: not asked for.
+    Options have precedence over a body's UsdPhysics velocity, which has precedence over the
+    animation that ends at the start.  To the animation an affine velocity field v = a + A X is
+    fitted. time_scale : simulated seconds per second of playback.
+
+    velocity : [m/s]; spin : [rad/s] about each body's center of mass; None: not given.
     """
     centers = _centers(particles)
     points = {s.path: np.asarray(s.points, float) for s in asset.surfaces}

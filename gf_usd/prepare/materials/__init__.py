@@ -1,1 +1,1 @@
-"""The material of every particle: parts of bodies, presets, what a stage states and paints."""
+"""The material of every particle: from presets, from the stage, and painted."""

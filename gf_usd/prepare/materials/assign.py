@@ -49,12 +49,12 @@ def assign_materials(
     blend_width: float,
     mass_scaling: float,
 ) -> Assigned:
-    """The materials of all particles, with each preset.
+    """The materials of all particles, for each preset.
 
     path : of the asset, for messages.
-    presets : as of `table`, each makes a variant.
-    law, stated : what the options say instead of a material's own; law None: nothing.
-    unit : [m] of the stage's; blend_width : [m]; mass_scaling : see `mass_scaled`.
+    presets : as in `table`, one variant each.
+    law, stated : values of the options, which replace those of materials; law None: not given.
+    unit : [m] of the stage; blend_width : [m]; mass_scaling : see `mass_scaled`.
 
     Raises InputError for a law without its parameters and a region without particles, and
     UsageError for `--mass-scaling` where nothing flows.

@@ -1,4 +1,4 @@
-"""Values of particles of their own: materials blended where they meet, and painted values."""
+"""Values per particle: materials blended at their boundaries, and painted values."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def with_own_values(
     spec: StageSpec,
     width: float,
 ) -> tuple[Particles, tuple[str, ...]]:
-    """The particles with values of their own, where they have any, and notes on that.
+    """The particles with values per particle, where they have any, and notes.
 
-    materials : of `body_materials.table`; slot : (N,) of `part_of_particles`; width : [m] over
-    which materials of a body turn into each other, 0: at once.
+    materials : of `table.table`; slot : (N,) of `part_of_particles`; width : [m] over which
+        materials of a body are blended, 0: not blended.
     """
     values, notes = None, []
     if width > 0.0:
@@ -118,10 +118,10 @@ def _faces_of(
 def painted(
     particles: Particles, values: dict[str, Floats], solid: Solid, spec: StageSpec
 ) -> dict[str, Floats]:
-    """The values with what is painted on the nearest point of the surface in their place.
+    """The values, replaced by painted values of the nearest surface point.
 
-    Painted moduli leave the density as it is and the other way round; of Young's modulus and
-    Poisson's ratio the one that is not painted stays.
+    Painted moduli do not change the density, and the reverse.  If only one of Young's modulus and
+    Poisson's ratio is painted, the other is kept.
     """
     from gf_usd.geometry.surface import nearest
 
@@ -157,7 +157,7 @@ def painted(
 def _with_blended_masses(
     values: dict[str, Floats], particles: Particles, solid: Solid, spec: StageSpec
 ) -> dict[str, Floats]:
-    """Densities such that what states a mass has it all the same."""
+    """Densities such that each part with a stated mass has this mass."""
     density = values["density"].copy()
     owner = np.full(len(solid.surfaces), "", object)
     mass: dict[str, float] = {}

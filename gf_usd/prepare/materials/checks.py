@@ -1,4 +1,4 @@
-"""Whether materials fit what is asked of them: yield stresses and laws, weight and stiffness."""
+"""Checks that materials are consistent: yield stresses and laws, weight and stiffness."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def flow_notes(
     solid: Solid,
     spec: StageSpec,
 ) -> tuple[str, ...]:
-    """Where a yield stress is stated: which law was chosen for it, or that none uses it.
+    """Notes where a yield stress is stated: which law was chosen for it, or that no law uses it.
 
-    look : as of `table`; law : that the command asks for; materials : of the parts that have
-    particles, by their place in parts.
+    look : as in `table`; law : of the options; materials : of the parts that have particles, by
+        index of parts.
     """
     notes = list(look.notes) if isinstance(look, Fixed) else []
     for k, material in materials.items():
@@ -62,9 +62,9 @@ def require_parameters(
     solid: Solid,
     spec: StageSpec,
 ) -> None:
-    """Raise InputError where a law asks for what neither its material nor paint states.
+    """Raise InputError where a parameter of a law is neither stated nor painted.
 
-    path : of the asset, for messages; slot, materials : as of `table` and `flow_notes`.
+    path : of the asset, for messages; slot, materials : as in `table` and `flow_notes`.
     """
     for k, material in materials.items():
         for p in LAWS[material.law].parameters:
@@ -99,14 +99,14 @@ def require_standing(
     *,
     carried: bool = False,
 ) -> tuple[str, ...]:
-    """Notes on materials that cannot carry bodies of this height.
+    """Notes on materials that are too soft for bodies of this height.
 
-    The weight of a column, rho g H, over Young's modulus E is the strain at its foot, were it
-    small.  Jelly has 1.1 by design: it spreads on the floor and keeps a third of its height.
-    height : H [m] of the tallest body along gravity [m/s^2].
-    carried : bones hold it, or nothing is below it: it spreads on no floor.
+    The weight of a column, rho g H, over Young's modulus E is the strain at its foot, for small
+    strains.  Jelly has 1.1 by design: it spreads on the floor and keeps a third of its height.
 
-    Raises InputError where the ratio is FLAT and more.
+    height : H [m] of the tallest body along gravity [m/s^2]. carried : bones support it, or there
+        is no floor: it does not spread.
+    Raises InputError where the ratio is FLAT or more.
     """
     notes = []
     for material in dict.fromkeys(materials):

@@ -31,7 +31,7 @@ OPTION = "--conversion"
 
 @dataclass(frozen=True, kw_only=True)
 class ConversionRule:
-    """One text of the option."""
+    """One rule of the option."""
 
     text: str  # as asked for
     path: str  # of a prim, all below it included; "": everything, or what is in the box
@@ -40,18 +40,20 @@ class ConversionRule:
     limit: Limit
 
     def becomes(self, stated: Mapping[str, float]) -> Material:
-        """What particles become, with what the options state.  No size of a body counts."""
+        """The new material of particles, with the values of the options.  It does not depend on a
+        body's size.
+        """
         return replace(find_preset(self.material).material(1.0, None), **stated)
 
     def may_hold(self, surface: Surface, spec: StageSpec, unit: float) -> bool:
-        """Whether some of the particles of a filled surface may be meant; unit : [m]."""
+        """Whether a rule may match particles of a filled surface; unit : [m]."""
         if self.box is not None:
             low, high = self.box.low * unit, self.box.high * unit
             points = np.asarray(surface.points)
             return bool((points.max(0) >= low).all() and (points.min(0) <= high).all())
         body = spec.bodies.get(surface.path)
         paths = (surface.path, *(one.path for one in (body.subsets if body else ())))
-        return any(_below(path, self.path) for path in paths)
+        return any(_is_at_or_below(path, self.path) for path in paths)
 
 
 def parse_conversions(texts: Sequence[str]) -> tuple[ConversionRule, ...]:
@@ -110,13 +112,14 @@ def with_conversions(
     *,
     surface: bool,
 ) -> Assigned:
-    """The particles with their conversions, and the tables with what they become at the end.
+    """The particles with their conversions, and the tables with the new materials at the end.
 
-    path : of the asset, for messages; unit : [m] of the stage's; stated : what the options say
-    instead of a material's own values; surface : what flows is shown as a surface.  Later rules
-    hold before earlier ones.
+    path : of the asset, for messages; unit : [m] of the stage; stated : values of the options,
+        which replace those of materials; surface : flowing material is shown as a surface.
 
-    Raises InputError for a rule that means no particle, or only such as flow from the start.
+    Later rules have precedence.
+    Raises InputError for a rule that matches no particle, or only particles that flow from the
+    start.
     """
     if not rules:
         return assigned
@@ -124,7 +127,7 @@ def with_conversions(
     count = len(assigned.tables[0])
     flows = unbounded(particles, assigned.tables[0])
     of = np.full(len(particles), -1)
-    meant = [_meant(rule, particles.X, assigned, solid, spec, unit) for rule in rules]
+    meant = [_matching_particles(rule, particles.X, assigned, solid, spec, unit) for rule in rules]
     for k, (rule, mine) in enumerate(zip(rules, meant)):
         if not mine.any():
             raise InputError(
@@ -164,7 +167,7 @@ def with_conversions(
     )
 
 
-def _meant(
+def _matching_particles(
     rule: ConversionRule,
     X: NDArray[np.float64],
     assigned: Assigned,
@@ -172,19 +175,19 @@ def _meant(
     spec: StageSpec,
     unit: float,
 ) -> NDArray[np.bool_]:
-    """(N,) which particles at rest at X (N, 3) [m] a rule means."""
+    """(N,) which particles with rest positions X (N, 3) [m] match a rule."""
     if rule.box is not None:
         return np.asarray(rule.box.holds(X, unit), bool)
     parts = material_parts(solid, spec)
     slot = part_of_particles(solid, assigned.particles, parts)
     named = [
-        _below(solid.surfaces[part.surface].path, rule.path)
-        or (part.subset is not None and _below(part.subset.path, rule.path))
+        _is_at_or_below(solid.surfaces[part.surface].path, rule.path)
+        or (part.subset is not None and _is_at_or_below(part.subset.path, rule.path))
         for part in parts
     ]
     return np.array(named, bool)[slot]
 
 
-def _below(path: str, root: str) -> bool:
-    """Whether a prim is another one or below it; everything is below ""."""
+def _is_at_or_below(path: str, root: str) -> bool:
+    """Whether a prim is another one or below it; every prim is below ""."""
     return not root or path == root or path.startswith(root.rstrip("/") + "/")

@@ -1,4 +1,4 @@
-"""Which bodies flow without end: by the laws of their materials, before there are particles."""
+"""Which bodies flow without end: from the laws of their materials, before particles are made."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Dispatch:
-    """Which surfaces flow, in part at least."""
+    """Which surfaces flow, at least in part."""
 
     flows: Ints  # (S,) of each filled surface, in the order of `Solid.surfaces`
     first: Ints  # (S,) which of them do so from the start; the others can be converted
@@ -60,12 +60,12 @@ def dispatch(
     rules: Sequence[ConversionRule],
     unit: float,
 ) -> Dispatch:
-    """Which surfaces flow without end in part, from the start or once they are converted.
+    """The surfaces that flow without end in part, from the start or after conversion.
 
-    presets : as of `table`, each makes a variant; law : of the options, instead of all others.
-    regions : of which boxes count; rules : of conversions; unit : [m] of the stage's.
+    presets : as in `table`, one variant each; law : of the options, instead of all others.
+    regions : of which boxes count; rules : of conversions; unit : [m] of the stage.
 
-    Raises UsageError where it differs between variants.
+    Raises UsageError where variants differ.
     """
     found = [_flowing_materials(solid, spec, preset, law, regions, unit) for preset in presets]
     flows = np.array([[bool(names) for names in one] for one in found])
@@ -96,8 +96,9 @@ def _flowing_materials(
     regions: Sequence[Region],
     unit: float,
 ) -> list[list[str]]:
-    """Of each surface the names of its materials that flow without end; no law depends on a body's
-    size."""
+    """For each surface, the names of its materials that flow; laws do not depend on a body's
+    size.
+    """
 
     def finish(one: Any, radius: float) -> Material:
         return one.material(radius, law)
@@ -157,9 +158,9 @@ MOST_INSIDE = 0.02  # of the particles: fewer are a touch, which contact resolve
 
 
 def require_outside(path: Path, particles: Particles, flows: Ints, skins: Sequence[Skin]) -> None:
-    """Raise InputError where much of what flows starts inside a solid body.
+    """Raise InputError where much of the flowing material starts inside a solid body.
 
-    flows : (B,) which bodies do; skins : of each body.
+    flows : (B,) which bodies flow; skins : of each body.
     """
     from gf_usd.geometry.winding import winding_inside
 

@@ -1,4 +1,4 @@
-"""Longer steps for materials that flow: `--mass-scaling`."""
+"""Longer time steps for flowing materials: `--mass-scaling`."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from gf_usd.core.materials.material import Material
 def mass_scaled(
     tables: Sequence[tuple[Material, ...]], particles: Particles, factor: float
 ) -> tuple[list[tuple[Material, ...]], Particles, tuple[str, ...]]:
-    """Materials that flow with a `factor`-th of their elastic moduli, and notes on that.
+    """Flowing materials with elastic moduli divided by `factor`, and notes.
 
-    Density, weight, speeds, and with them the energy of an impact stay, and so does the stress at
-    which it yields: the shape that is left is the same as long as elastic strains are small.  The
-    same motion has a body of `factor` times the density and strength.  Inertia alone would not do:
-    with the true weight the motion is the true one slowed down by the root of the factor, so that
-    longer steps have as much longer to go.
+    Density, weight and velocities are unchanged, and with them the energy of an impact; so is the
+    yield stress.  The final shape is therefore the same as long as elastic strains are small.  A
+    body with `factor` times the density and strength moves in the same way.  Scaling the inertia
+    alone does not help: with the true weight the motion is slower by the square root of the factor,
+    so the longer time steps have a proportionally longer motion to cover.
 
     Raises UsageError where no material flows.
     """

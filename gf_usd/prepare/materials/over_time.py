@@ -41,13 +41,14 @@ def with_value_keys(
     *,
     repeats: bool,
 ) -> Assigned:
-    """The particles with the values that change over time, and notes on that.
+    """The particles with the values that change over time, and notes.
 
-    They are those of materials and paint at each time code; all else stays as it is at rest.
+    These are values of materials and paint at each time code; all others are those at rest.
+
     keys : of `material_keys`; again : assigns the materials of another time code; repeats : of
-    --loop.
-
-    Raises InputError for values out of range, and UsageError for a solver that cannot follow them.
+        --loop.
+    Raises InputError for values out of range, and UsageError for a solver that does not support
+    them.
     """
     from gf_usd.readers.usd_bake.keys import FOLLOWED, spec_at
 
@@ -103,7 +104,7 @@ def with_value_keys(
 
 
 def _needed(codes: tuple[float, ...], settings: Settings) -> list[float]:
-    """The time codes between which a bake lies."""
+    """The time codes that bracket a bake."""
     if not codes:
         return []
     start, end = settings.time_code(0), settings.time_code(settings.frames - 1)

@@ -1,4 +1,4 @@
-"""Parts of bodies that have one material each: surfaces, subsets of their faces, regions."""
+"""Parts of bodies with a single material each: surfaces, subsets of their faces, regions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class MaterialPart:
 def material_parts(
     solid: Solid, spec: StageSpec, regions: Sequence[Region] = ()
 ) -> list[MaterialPart]:
-    """The parts, first the surfaces in their order, last those in regions."""
+    """The parts: surfaces and subsets in order, then regions."""
     found = [MaterialPart(surface=k) for k in range(len(solid.surfaces))]
     for k, surface in enumerate(solid.surfaces):
         body = spec.bodies.get(surface.path)
@@ -40,9 +40,9 @@ def material_parts(
 
 
 def in_regions(slot: Ints, particles: Particles, parts: Sequence[MaterialPart], of: Ints) -> Ints:
-    """(N,) part of each particle, with those in regions in parts of their own.
+    """(N,) part of each particle, where those in regions belong to the part of the region.
 
-    slot : of `part_of_particles`; of : (N,) of `material_regions.owners`.
+    slot : of `part_of_particles`; of : (N,) of `regions.owners`.
     """
     first = next((k for k, part in enumerate(parts) if part.region is not None), len(parts))
     surfaces = 1 + max(part.surface for part in parts)

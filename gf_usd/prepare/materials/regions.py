@@ -1,8 +1,7 @@
-"""Regions of an asset with presets of their own: boxes and labels.
+"""Regions of an asset with separate presets: boxes and labels.
 
-Materials by region: `--material-box metal:x0,y0,z0,x1,y1,z1`, a preset for what is in a box.
-
-Materials by label: `--material-label label=3:metal`, a preset for the Gaussians of a label.
+Boxes: `--material-box metal:x0,y0,z0,x1,y1,z1`, a preset for the particles in a box.  Labels:
+`--material-label label=3:metal`, a preset for the Gaussians with a label.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ BOX_OPTION = "--material-box"
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialBox:
-    """A preset for the particles that rest in a box, faces included."""
+    """A preset for the particles whose rest position is in a box, faces included."""
 
     text: str  # as asked for
     material: str  # name of a preset
@@ -41,7 +40,7 @@ LABEL_OPTION = "--material-label"
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialLabel:
-    """A preset for the particles whose nearest Gaussian has a value of a property."""
+    """A preset for the particles whose nearest Gaussian has a given value of a property."""
 
     text: str  # as asked for
     material: str  # name of a preset
@@ -54,9 +53,9 @@ Region = MaterialBox | MaterialLabel
 
 
 def parse_regions(boxes: Sequence[str], labels: Sequence[str]) -> tuple[Region, ...]:
-    """The regions that were asked for, labels first, as `parse_labels` and `parse_boxes` read them.
+    """The regions of the options, labels first, read by `parse_labels` and `parse_boxes`.
 
-    Raises UsageError for what is neither.
+    Raises UsageError for an invalid one.
     """
     return (*parse_labels(labels), *parse_boxes(boxes))
 
@@ -64,10 +63,11 @@ def parse_regions(boxes: Sequence[str], labels: Sequence[str]) -> tuple[Region, 
 def owners(
     regions: Sequence[Region], surfaces: Sequence[Surface], particles: Particles, unit: float
 ) -> tuple[Ints, tuple[str, ...]]:
-    """(N,) index of the region that each particle is in, -1: none, and a note on each region.
+    """(N,) index of the region of each particle, -1: none, and a note on each region.
 
-    unit : [m] per stage length.  Boxes hold before labels, and later boxes before earlier ones.
-    Raises InputError for a region that has no particle.
+    unit : [m] per stage length.
+    Boxes have precedence over labels, and later boxes over earlier ones.
+    Raises InputError for a region without particles.
     """
     labels = [r for r in regions if isinstance(r, MaterialLabel)]
     boxes = [r for r in regions if isinstance(r, MaterialBox)]
@@ -141,7 +141,7 @@ LATTICE = 9  # points along each edge of a box, where it is asked whether a surf
 
 
 def inside_some(box: MaterialBox, surface: Surface, unit: float) -> bool:
-    """Whether a box holds a part of a closed surface or of its inside; unit : [m]."""
+    """Whether a box overlaps a closed surface or its inside; unit : [m]."""
     from gf_usd.geometry.winding import winding_inside
 
     low, high = box.low * unit, box.high * unit
@@ -158,9 +158,10 @@ def inside_some(box: MaterialBox, surface: Surface, unit: float) -> bool:
 
 
 def boxed(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> Ints:
-    """(N,) index of the box that each particle X (N, 3) [m] rests in, -1: none.
+    """(N,) index of the box of each particle with rest position X (N, 3) [m], -1: none.
 
-    Where boxes overlap the later one holds.  Raises InputError for a box that holds no particle.
+    Where boxes overlap, the later one has precedence.  Raises InputError for a box without
+    particles.
     """
     out = np.full(len(X), -1)
     for k, box in enumerate(boxes):
@@ -178,7 +179,7 @@ def boxed(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> Ints:
 
 
 def shown(values: Sequence[float] | Floats) -> str:
-    """Numbers as a person writes a point."""
+    """Coordinates as text."""
     return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
 
 
@@ -223,11 +224,12 @@ def _parse_label(text: str) -> MaterialLabel:
 def labeled(
     labels: Sequence[MaterialLabel], surfaces: Sequence[Surface], particles: Particles
 ) -> Ints:
-    """(N,) index of the label that the nearest Gaussian of each particle has, -1: none.
+    """(N,) index of the label of the Gaussian nearest to each particle, -1: none.
 
-    A particle knows the Gaussians of the surface it came from.  Where a Gaussian has several of the
-    labels, of several properties, the later one holds.  Raises InputError for a property that no
-    Gaussian has, and for a value that none of them has.
+    Only Gaussians of the particle's own surface count.  For a Gaussian with several labels of
+    different properties, the later one has precedence.
+
+    Raises InputError for a property that no Gaussian has, and for a value that none of them has.
     """
     out = np.full(len(particles), -1)
     if not labels:
@@ -248,7 +250,7 @@ def labeled(
 
 
 def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> None:
-    """Raise InputError where a label is not there."""
+    """Raise InputError for a label that no Gaussian has."""
     sets = [s.splats for s in surfaces if s.splats is not None]
     if not sets:
         raise InputError(

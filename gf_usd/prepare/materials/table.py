@@ -1,6 +1,7 @@
-"""The material of every part: of the preset that was asked for, or of the stage.
+"""The material of every part: of a preset, or of the stage.
 
-A preset is made for a body's own size, so that bodies of several sizes have as many materials.
+The material of a preset depends on a body's size, so bodies of several sizes have as many
+materials.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ SAME = 1e-3  # relative: materials that differ by less are one
 
 @dataclass(frozen=True)
 class Authored:
-    """The look that the stage's own materials make, in the clothes of a preset."""
+    """The variant with the stage's own materials, with the interface of a preset."""
 
     name: str
 
 
 def variant_name(spec: StageSpec, surfaces: Sequence[Surface]) -> str:
-    """What the stage's own materials are called together."""
+    """The name of the variant with the stage's own materials."""
     names = set().union(*(_own_names(surface, spec) for surface in surfaces))
     return names.pop() if len(names) == 1 else AUTHORED
 
@@ -70,11 +71,11 @@ def table(
     spec: StageSpec,
     finish: Callable[[Any, float], Material],
 ) -> tuple[tuple[Material, ...], Ints]:
-    """The materials of a look, and (N,) which of them each particle has.
+    """The materials of a variant, and (N,) the index of each particle's material.
 
-    look : `Authored`, or a preset for every part that is in no region; slot : (N,) of
-    `part_of_particles`; finish : the material of a preset on a body of radius [m], with what the
-    command line says.
+    look : `Authored`, or a preset for every part outside regions; slot : (N,) of
+        `part_of_particles`; finish : the material of a preset for a body of radius [m], with the
+        values of the options.
     """
     made: list[Material] = []
     for part in parts:
@@ -108,7 +109,7 @@ def authored(
     spec: StageSpec,
     finish: Callable[[Any, float], Material],
 ) -> Material:
-    """The material that the stage gives a part of a surface, on a body of radius [m]."""
+    """The stage's material of a part of a surface, for a body of radius [m]."""
     bake, body = spec.bakes.get(path), spec.bodies.get(path)
     if part.subset is None and bake is not None and bake.material:
         return finish(find_preset(bake.material), radius)
@@ -133,7 +134,7 @@ def authored(
 
 
 def own_spec(part: MaterialPart, body: BodyPhysics | None) -> PhysicsMaterialSpec | None:
-    """What the stage's own material of a part says; None where it has none."""
+    """The stage's material specification of a part; None where it has none."""
     if part.region is not None or body is None:
         return None
     return part.subset.spec if part.subset else body.spec
@@ -147,7 +148,7 @@ def _with_masses(
     solid: Solid,
     spec: StageSpec,
 ) -> list[Material]:
-    """Densities such that what states a mass has it; moduli stay."""
+    """Densities such that each part with a stated mass has this mass; moduli are unchanged."""
     volume = np.bincount(slot, particles.V0, minlength=len(made))
     groups: dict[str, list[int]] = {}
     mass: dict[str, float] = {}

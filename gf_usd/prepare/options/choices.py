@@ -1,4 +1,4 @@
-"""The output options of a bake against the size of what it writes."""
+"""The output options of a bake, checked against the size of its files."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ def chosen(
     open_end: bool,
     flow: Flow,
 ) -> tuple[Choices, tuple[str, ...]]:
-    """The output choices, with notes on what nobody asked for.
+    """The output choices, with notes on those that were not requested.
 
-    flow : the bodies that flow.  Raises UsageError where --surface finds none, and --certify some.
+    flow : the bodies that flow.
+    Raises UsageError where --surface finds none, and --certify some.
     """
     if request.surface and not flow.bodies:
         raise UsageError(
@@ -80,7 +81,7 @@ def chosen(
 
 
 def split_note(frame_bytes: float, frames: int, length: int) -> str:
-    """That a cache is split unasked into value clips of so many frames."""
+    """Note that a cache is split automatically into value clips of `length` frames."""
     return (
         f"the cache, about {frame_bytes * frames / 1e9:.1f} GB, is split into value clips"
         f" of {length} frames: --clip-frames 0 keeps it in one file"
@@ -90,9 +91,9 @@ def split_note(frame_bytes: float, frames: int, length: int) -> str:
 def split_again(
     choices: Choices, notes: tuple[str, ...], frame_bytes: float, planned: int, frames: int
 ) -> tuple[Choices, tuple[str, ...]]:
-    """The choices and the notes of a bake with fewer frames than were planned.
+    """The choices and notes of a bake with fewer frames than planned.
 
-    A cache that was split unasked is split only where it is still large.
+    A cache that would be split automatically is split only if it is still large.
     """
     said = split_note(frame_bytes, planned, choices.clip_frames)
     if said not in notes:
@@ -108,12 +109,12 @@ SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three a
 
 
 def _rounding(farthest: float) -> float:
-    """[m] by which points are off that are as far [m] from the origin, in single precision."""
+    """[m] rounding error of points at this distance [m] from the origin, in single precision."""
     return SINGLE * float(np.finfo(np.float32).eps) * farthest
 
 
 def require_stored(precision: Precision | None, particles: Particles, settings: Settings) -> None:
-    """Raise UsageError for a precision that single precision does not have where the bodies are."""
+    """Raise UsageError for a precision below the rounding of single precision at the bodies."""
     if precision is None:
         return
     farthest = float(np.abs(particles.X + np.asarray(settings.lift)).max())
@@ -130,10 +131,11 @@ def require_stored(precision: Precision | None, particles: Particles, settings: 
 
 
 def require_resolved(request: Request, settings: Settings, gap: float, spacing: float) -> None:
-    """Raise UsageError where --floor or --drop takes bodies too far for single precision.
+    """Raise UsageError where --floor or --drop moves bodies too far from the origin for single
+    precision.
 
-    gap : [m] of the bodies above the floor; spacing : [m] of the particles.  An asset that is far
-    from the origin by itself is written in a space of its own.
+    gap : [m] of the bodies above the floor; spacing : [m] of the particles.
+    An asset that is itself far from the origin is written in a local space.
     """
     floor = settings.floor or 0.0
     lifted = math.hypot(*settings.lift)

@@ -1,4 +1,4 @@
-"""Fields among the options: what pushes a body besides gravity, and keys of gravity in a file."""
+"""Options for fields: body forces in addition to gravity, and gravity keys in a file."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def parse_field(text: str, option: str = "--field") -> Field:
 
 
 def in_meters(field: Field, unit: float) -> Field:
-    """A field of lengths in stage units of so many meters."""
+    """A field with lengths in stage units converted to meters."""
     x, y, z = field.center
     return replace(
         field,
@@ -94,14 +94,14 @@ def _strong(where: str, values: T) -> T:
 
 @dataclass(frozen=True, kw_only=True)
 class GravityKeys:
-    """Gravity at some time codes; straight between them, and the same before and after."""
+    """Gravity at some time codes; linear in between, constant before and after."""
 
     times: tuple[float, ...]  # time codes, ascending
     values: tuple[float | Triple, ...]  # [m/s^2] along minus up, or a vector
 
 
 def is_key_file(text: str) -> bool:
-    """Whether a text names a file of keys."""
+    """Whether a text is the path of a file of keys."""
     return text.lower().endswith(KEY_FILES)
 
 
@@ -115,7 +115,7 @@ def upward_note(asked: object) -> tuple[str, ...]:
 def read_gravity_keys(path: Path) -> GravityKeys:
     """The keys of a file with lines `time code, g` or `time code, x, y, z` [m/s^2].
 
-    Empty lines and what follows a # are left out.  Raises UsageError for a file that is none.
+    Empty lines and comments after # are ignored.  Raises UsageError for an invalid file.
     """
     hint = "give lines such as 1,9.81 or 1,0,-9.81,0: a time code and m/s^2"
     try:

@@ -1,4 +1,4 @@
-"""The request with what the stage and the presets say where it says nothing."""
+"""The request, completed with values of the stage and the presets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gf_usd.prepare.options.request import Request
 
 
 def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request, tuple[str, ...]]:
-    """The request with what the stage says where it says nothing, and notes on that."""
+    """The request, with the stage's values where an option is not set, and notes."""
     notes = []
     path, physics = asset.facts.path, spec.physics
     more: dict[str, Any] = {}
@@ -53,7 +53,7 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
             notes.append(f"{counted}, so there is no floor; --floor 0 adds one")
     for name in ("seed", "solver"):
         if getattr(request, name) is None:
-            said = one_said(name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path)
+            said = agreed_value(name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path)
             if said is not None:
                 more[name] = said
                 notes.append(f"{name} is {said}, from the stage")
@@ -61,9 +61,9 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
 
 
 def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...]]:
-    """The request for what flows without end, with a note; as it is where nothing does.
+    """The request for flowing bodies, with a note; unchanged where nothing flows.
 
-    Raises UsageError where the options do not let it flow.
+    Raises UsageError for options that flowing bodies do not support.
     """
     names, paths = ", ".join(flow.names), listed(flow.paths)
     beside = (
@@ -106,13 +106,13 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
 
 
 def listed(paths: Sequence[str]) -> str:
-    """Prim paths in words."""
+    """Prim paths as text."""
     shown = ", ".join(f"<{path}>" for path in paths[:4])
     return shown + (f" and {len(paths) - 4} more" if len(paths) > 4 else "")
 
 
 def stated_values(request: Request) -> dict[str, float]:
-    """What the request says instead of a material's own values."""
+    """Values of the request that replace those of materials."""
     own = {
         name: value
         for name in ("damping_time", "friction", "restitution")
@@ -123,8 +123,8 @@ def stated_values(request: Request) -> dict[str, float]:
     return own
 
 
-def one_said(what: str, said: Sequence[tuple[str, object]], file: Path) -> object | None:
-    """The value that all who say something agree on; None where nobody does.
+def agreed_value(what: str, said: Sequence[tuple[str, object]], file: Path) -> object | None:
+    """The value on which all that state one agree; None where none does.
 
     said : (prim path, value or None).  Raises InputError where two disagree.
     """

@@ -54,25 +54,25 @@ class Option:
 
     @property
     def two_way(self) -> bool:
-        """A flag whose "no" says something: it overrides a preset."""
+        """Whether a flag has a negative form, which overrides a preset."""
         return self.kind is bool and self.default is None
 
     @property
     def flag(self) -> str:
-        """Its name on the command line; of a list it is given once for each item."""
+        """The option's name on the command line; for a list, it is given once per item."""
         name = self.name
         if self.repeated:
             name = name.removesuffix("es") if name.endswith("xes") else name.removesuffix("s")
         return f"--{name.replace('_', '-')}"
 
     def value(self, text: str | None) -> Any:
-        """What a text says; None where nothing was said.  Raises UsageError."""
+        """The value of a text; None where the option is not set.  Raises UsageError."""
         return None if text is None or self.parse is None else self.parse(text)
 
     def take(self, value: Any) -> Any:
-        """What a value of Python says, as the command line would have it; None: the default.
+        """The command-line value of a Python value; None: the default.
 
-        Raises UsageError for what the option cannot be.
+        Raises UsageError for an invalid value.
         """
         if value is None:
             return self.default
@@ -127,7 +127,9 @@ def _choose(option: Option, value: str) -> str:
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def table(made: type[T]) -> type[T]:
-    """A dataclass to be read, not made: methods, which take long to compile, are left out."""
+    """Make a dataclass for reading only, without its generated methods, which take long to
+    compile.
+    """
     bare = dataclass(frozen=True, kw_only=True, init=False, repr=False, eq=False)
     return bare(made)
 
@@ -149,8 +151,8 @@ def _row(field: Field[Any]) -> Option | None:
     return replace(option, name=field.name, kind=kind, default=field.default, repeated=repeated)
 
 
-def spelled(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str]:
-    """The arguments of a command line that ask for values; what is None or off is left out."""
+def command_arguments(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str]:
+    """The command-line arguments for these values; None and False are omitted."""
     out: list[str] = []
     for name, value in asked.items():
         flag = options[name].flag

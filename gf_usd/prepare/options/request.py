@@ -19,11 +19,11 @@ from gf_usd.prepare.options.texts import Cycles
 
 @dataclass(frozen=True, kw_only=True)
 class Request(RequestOptions):
-    """What a plan hangs on, as asked; None where nothing was said."""
+    """The options that determine a plan; None where an option is not set."""
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Request:
-        """The request of keywords.  Raises UsageError for one that is not there."""
+        """The request from keyword arguments.  Raises UsageError for an unknown one."""
         known = cls.__dataclass_fields__
         unknown = sorted(set(options) - set(known))
         if unknown:
@@ -47,7 +47,7 @@ class Request(RequestOptions):
 
     @property
     def length_is_open(self) -> bool:
-        """Whether no option says how long is simulated, nor that it may not end at rest."""
+        """Whether no option sets the length or excludes ending at rest."""
         said = (self.frames, self.range, self.handles, self.flesh, self.preset, self.settle_only)
         acts = self.solver not in ("ul", MIXED) and not (self.wls or self.procrustes or self.rigid)
         return acts and not any(said) and not self.no_settling
@@ -59,22 +59,24 @@ class Request(RequestOptions):
 
     @property
     def cycles(self) -> Cycles:
-        """How often the animation is run through."""
+        """Number of cycles of the animation."""
         return self.parsed["loop"] or Cycles(times=1)
 
     @cached_property
     def regions(self) -> tuple[Region, ...]:
-        """What has a preset of its own, labels first.  Raises UsageError as `parse_regions`."""
+        """Regions with separate presets, labels first.  Raises UsageError as `parse_regions`."""
         return parse_regions(self.listed("material_boxes"), self.listed("material_labels"))
 
     @cached_property
     def converted(self) -> tuple[ConversionRule, ...]:
-        """What becomes something else.  Raises UsageError as `parse_conversions`."""
+        """The conversion rules.  Raises UsageError as `parse_conversions`."""
         return parse_conversions(self.listed("conversions"))
 
     @property
     def of_solids(self) -> tuple[tuple[str, Any], ...]:
-        """Options that bakes of solid and flowing bodies do not know, and whether each is given."""
+        """Options that are not supported with solid and flowing bodies together, and whether each
+        is set.
+        """
         return (
             ("--combine", self.combine),
             ("--flesh", self.flesh),
@@ -94,11 +96,11 @@ class Request(RequestOptions):
         return getattr(self, name)
 
     def folder(self, name: str) -> str | None:
-        """The text of an option that names a folder."""
+        """The value of an option that is a folder."""
         return getattr(self, name)
 
     def check(self) -> None:
-        """Raise UsageError for values that make no sense, before anything is read."""
+        """Raise UsageError for invalid values, before anything is read."""
         for row in PLANNED.values():
             row.check(getattr(self, row.name))
         if self.solver == "ul":
@@ -161,7 +163,7 @@ class Request(RequestOptions):
         _ = self.parsed  # raises for a text that says nothing
 
     def _check_conversion(self) -> None:
-        """Raise UsageError for options that do not go with --conversion."""
+        """Raise UsageError for options that cannot be combined with --conversion."""
         if not self.converted:
             return
         for option, given in (
@@ -178,7 +180,7 @@ class Request(RequestOptions):
                 )
 
     def _check_precision(self) -> None:
-        """Raise UsageError for two precisions at once, and for samples left out without one."""
+        """Raise UsageError for two precisions at once, and for adaptive samples without one."""
         if self.half and self.precision is not None:
             raise UsageError(
                 f"--half and --precision {self.precision} were both given",
@@ -191,7 +193,7 @@ class Request(RequestOptions):
             )
 
     def _check_settling(self) -> None:
-        """Raise UsageError for options that ask for frames of a bake that writes one pose."""
+        """Raise UsageError for options on frames with a bake that writes a single pose."""
         for option, given in (
             ("--range", self.range),
             ("--handles", self.handles),
@@ -218,7 +220,7 @@ class Request(RequestOptions):
                 )
 
     def _check_certify(self) -> None:
-        """Raise UsageError for options with which --certify has nothing to look at."""
+        """Raise UsageError for options for which --certify has no figures."""
         shapes = self.parsed["only"]
         for option, given, why in (
             ("--preset paper", self.preset, "its particles lie at random"),
@@ -236,7 +238,7 @@ class Request(RequestOptions):
                 )
 
     def _check_sweep(self) -> None:
-        """Raise UsageError for options that give what --material-sweep gives."""
+        """Raise UsageError for options that conflict with --material-sweep."""
         sweep = self.parsed["material_sweep"]
         for option, given, name in (
             ("--friction", self.friction, "friction"),
@@ -252,7 +254,7 @@ class Request(RequestOptions):
                 )
 
     def _check_flesh(self) -> None:
-        """Raise UsageError for options that do not go with --flesh, or only with it."""
+        """Raise UsageError for options that cannot be combined with --flesh, or require it."""
         if not self.flesh:
             for option, value in (
                 ("--bone-radius", self.bone_radius),
@@ -292,7 +294,7 @@ class Request(RequestOptions):
                 )
 
     def _check_updated_lagrangian(self) -> None:
-        """Raise UsageError for options that this solver does not know."""
+        """Raise UsageError for options that this solver does not support."""
         finite = self.filter_rate is not None and math.isfinite(self.filter_rate)
         for option, given in (
             ("--pin", self.pins),

@@ -33,9 +33,9 @@ class Sweep:
 
 
 def parse_sweep(text: str) -> Sweep:
-    """The values of "youngs=1e4:1e6:5"; those of a ratio are spaced by equal ratios.
+    """The values of "youngs=1e4:1e6:5", in geometric progression for ratio scales.
 
-    Raises UsageError for what names no property, or no range of it.
+    Raises UsageError for an unknown property, or an invalid range.
     """
     name, equals, span = text.partition("=")
     parts = span.split(":")
@@ -68,7 +68,7 @@ def parse_sweep(text: str) -> Sweep:
 
 @dataclass(frozen=True)
 class Swept:
-    """A preset with one value of its own."""
+    """A preset with one replaced value."""
 
     base: Preset | Fixed
     quantity: str  # of PROPERTIES
@@ -86,7 +86,7 @@ class Swept:
         return f"{self.base.name}_{self.quantity}"
 
     def material(self, radius: float, law: str | None = None) -> Material:
-        """The base's material for a body of radius [m], with the value."""
+        """The base material for a body of radius [m], with the value."""
         made = self.base.material(radius, law)
         return replace(made, name=self.name, **{PROPERTIES[self.quantity][0]: self.value})
 

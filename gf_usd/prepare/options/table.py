@@ -1,8 +1,8 @@
 """The options of a bake: one row each.
 
-What is in a row reaches the command line, `gf_usd.bake`, batch manifests, the recorded command and
-docs/guide.md by itself.  Annotations are read when the classes are made, so they are no strings.
-Nothing here loads NumPy: ``gf-usd --help`` reads it.
+The command line, `gf_usd.bake`, batch manifests, the recorded command and docs/guide.md are
+generated from the rows.  Annotations are read when the classes are made, so they are not strings.
+Nothing here loads NumPy, because ``gf-usd --help`` imports this module.
 """
 
 import difflib
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import texts, values
-from gf_usd.prepare.options.option import BAKE, INSPECT, Option, rows, spelled, table
+from gf_usd.prepare.options.option import BAKE, INSPECT, Option, command_arguments, rows, table
 from gf_usd.prepare.options.sweep import parse_sweep
 from gf_usd.prepare.options.values import Corners, Vector
 
@@ -43,7 +43,7 @@ MAX_HOURS = 1.0
 # fmt: off
 @table
 class AssetOptions:
-    """What is baked, of what, and into which file."""
+    """The asset, its material, and the output file."""
 
     material: Annotated["Path | Material | Sequence[Path | Material] | None", Option(
         ASSET, "A preset (see gf-usd materials) or a USD file with a material; separate several"
@@ -84,7 +84,7 @@ class AssetOptions:
 
 @table
 class RequestOptions:
-    """What a plan hangs on; None where nothing was said."""
+    """Options that determine a plan; None where an option is not set."""
 
     particles: Annotated[int | None, Option(
         PARTICLES, "Fill the bodies with about this many particles.",
@@ -442,9 +442,9 @@ def options_of(command: str) -> tuple[Option, ...]:
 
 
 def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:
-    """Values of Python by the names of options, as the command line would have them.
+    """Command-line values of Python values, by option name.
 
-    Raises UsageError for a name that is no option of a function, and for a value that is none.
+    Raises UsageError for an unknown name, and for an invalid value.
     """
     out: dict[str, Any] = {}
     for name, value in asked.items():
@@ -462,7 +462,7 @@ def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:
 
 
 def nearest(name: str, known: Collection[str]) -> str:
-    """``did you mean NAME? `` for a name that is not among those known; "" where none is near.
+    """``did you mean NAME? `` for an unknown name; "" where no known name is similar.
 
     An option of several values has a flag in the singular: ``pin`` means ``pins``, not ``spin``.
     """
@@ -475,5 +475,5 @@ def nearest(name: str, known: Collection[str]) -> str:
 
 
 def arguments(asked: Mapping[str, Any]) -> list[str]:
-    """The arguments after ``gf-usd bake ASSET`` that ask for these values of options."""
-    return spelled(OPTIONS, asked)
+    """The arguments after ``gf-usd bake ASSET`` for these values of options."""
+    return command_arguments(OPTIONS, asked)

@@ -1,6 +1,7 @@
-"""The texts among the options of a bake, as values.
+"""Parses the texts of options.
 
-Values hold until the asset is known: lengths in stage units, directions without an up axis.
+The values do not depend on the asset: lengths are in stage units, directions do not assume an up
+axis.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Floor:
     normal: Triple | None = None  # not zero, of any length; None: the up axis
 
     def require_upright(self, slope: float) -> None:
-        """Raise UsageError for a normal of too little slope: its unit vector along the up axis."""
+        """Raise UsageError for a normal that is too far from the up axis."""
         if slope <= UPRIGHT:
             raise UsageError(
                 f"--floor {self.text}: the normal {self.text.rpartition(':')[2]} does not point up",
@@ -80,7 +81,7 @@ FRAMES = "give a whole number such as 48, rest, or rest:480 for 480 at most"
 
 @dataclass(frozen=True, kw_only=True)
 class Length:
-    """How long is simulated."""
+    """The length of the simulation."""
 
     frames: int | None  # at most, where it ends at rest; None: by the size of the body
     rest: bool  # until everything is at rest
@@ -106,14 +107,14 @@ MOST_CYCLES = 16  # that --loop auto simulates
 
 @dataclass(frozen=True, kw_only=True)
 class Cycles:
-    """How often a cycle is simulated."""
+    """The number of simulated cycles."""
 
     times: int  # at most, where it ends by itself
     until_periodic: bool = False  # until it is periodic, and once more
 
     @property
     def repeats(self) -> int:
-        """Cycles before the one that is written, at most."""
+        """Cycles before the written one, at most."""
         return self.times - 1
 
 
@@ -277,7 +278,7 @@ COARSEST = 0.1  # share of the radius: what is off by more is another motion
 
 
 def parse_precision(text: str) -> Precision:
-    """What stored values may be off by, of "0.5%" of the radius, "0.2mm", "1cm" or "0.001m".
+    """Tolerance of stored values, from "0.5%" of the radius, "0.2mm", "1cm" or "0.001m".
 
     Raises UsageError for anything else, and for more than a tenth of the radius.
     """

@@ -1,7 +1,7 @@
-"""Python values of options, as the words that the command line has for them.
+"""Converts Python values of options to texts of the command line.
 
-A bake records the command that repeats it, so that every value has a text: ``drop=3.0`` is 3.0,
-``gravity=(0, -9.81, 0)`` is 0.0,-9.81,0.0.  Texts of the command line are taken as they are.
+A bake records the command that repeats it, so every value has a text: ``drop=3.0`` is 3.0,
+``gravity=(0, -9.81, 0)`` is 0.0,-9.81,0.0.  Texts are passed unchanged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Write = Callable[[str, Any], str]
 
 
 def refuse(name: str, value: Any, wanted: str) -> UsageError:
-    """The error for a value that an option cannot have."""
+    """The error for an invalid value of an option."""
     shown = repr(value)
     if len(shown) > SHOWN:
         shown = f"{shown[:SHOWN]}..."
@@ -33,7 +33,7 @@ def refuse(name: str, value: Any, wanted: str) -> UsageError:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a real number of Python or NumPy; True and False are none."""
+    """Whether a value is a real number of Python or NumPy; True and False are not."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
@@ -77,12 +77,12 @@ def text(name: str, value: Any, wanted: str = "a text") -> str:
 
 
 def digits(value: float) -> str:
-    """The shortest decimal that is this number."""
+    """The shortest decimal representation of a number."""
     return repr(float(value)).removesuffix(".0")
 
 
 def items(name: str, value: Any, wanted: str) -> tuple[Any, ...]:
-    """The members of a list, tuple, set or array; a text is no list of its letters."""
+    """The members of a list, tuple, set or array; not the letters of a text."""
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
         raise refuse(name, value, wanted)
     return tuple(value)
@@ -354,7 +354,7 @@ def material(name: str, value: Any) -> Any:
     found: list[Any] = []
     for one in (value,) if single else items(name, value, wanted):
         if isinstance(one, Material):
-            found.append(sound_material(one))
+            found.append(checked_material(one))
         elif isinstance(one, os.PathLike):
             found.append(os.fspath(one))
         else:
@@ -364,8 +364,8 @@ def material(name: str, value: Any) -> Any:
     return tuple(found) if any(isinstance(one, Material) for one in found) else ",".join(found)
 
 
-def sound_material(given: Any) -> Any:
-    """A `Material` whose numbers make sense.  Raises UsageError for others."""
+def checked_material(given: Any) -> Any:
+    """A `Material` with valid values.  Raises UsageError for an invalid one."""
     from gf_usd.core.materials.laws import LAWS, check_law, law_parameters
 
     where = f"material {given.name!r}"
@@ -407,7 +407,7 @@ def sound_material(given: Any) -> Any:
 
 
 def listener(name: str, value: Any) -> Any:
-    """A function that can be told two numbers; None for nobody."""
+    """A function of two numbers; None: no listener."""
     if value is None:
         return None
     wanted = "a function of (frames done, total frames)"
@@ -423,9 +423,9 @@ def listener(name: str, value: Any) -> Any:
 
 
 def limits(name: str, value: Any) -> Any:
-    """Limits of the process that reads: the text of the command line, a dict, or `Limits`.
+    """Limits of the reading process: the text of the command line, a dict, or `Limits`.
 
-    False : no such process.
+    False : no separate process.
     """
     from gf_usd.system.sandbox import Limits, parse_limits
 

@@ -246,8 +246,8 @@ class BakedArrays:
 
     def _vectors(self, name: str, time: Usd.TimeCode, width: int = 3) -> Array:
         """(N, width) of an attribute, or of its twin in half precision."""
-        for spelled in (name, f"{name}h"):
-            attribute = self._particles().GetAttribute(spelled)
+        for command_arguments in (name, f"{name}h"):
+            attribute = self._particles().GetAttribute(command_arguments)
             values = attribute.Get(time) if attribute else None
             if values is not None and len(values):
                 return np.asarray(values, np.float64).reshape(-1, width)

@@ -6,7 +6,7 @@ import pytest
 
 from gf_usd.core.materials.presets import presets
 from gf_usd.core.stage import Advice, Subject
-from gf_usd.prepare.advice import LEAST, settled
+from gf_usd.prepare.advice import LEAST, with_fallback
 from gf_usd.prepare.advice.names import (
     OBJECTS,
     PHRASES,
@@ -127,7 +127,7 @@ def test_what_is_unsure_becomes_rubber_and_says_so():
     assert f"metal is too unsure, 0.25 < {LEAST}" in advice.reason
     assert "rubber is assumed" in advice.reason
     sure = Advice(path="/a", material="foam", confidence=LEAST, reason="x")
-    assert settled(sure) is sure
+    assert with_fallback(sure) is sure
 
 
 def test_longer_phrases_use_their_words_up():

@@ -17,7 +17,7 @@ from trimesh.creation import icosphere
 from gf_usd.core.arrays import Floats, lengths
 from gf_usd.core.errors import UsageError
 from gf_usd.core.stage import Skin
-from gf_usd.prepare.bodies.contact import hull_bound, hull_least, rounded
+from gf_usd.prepare.bodies.contact import cannot_touch_itself, hull_lower_bound, hull_upper_bound
 
 COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
 
@@ -132,12 +132,14 @@ def test_bodies_that_can_meet_themselves_do(plan) -> None:
     assert plan(cubes()).contact_setup.self_contact == frozenset(), "a cube cannot"
     assert plan(cubes(), self_contact=True).contact_setup.self_contact == {0, 1}
     assert plan(cubes(), self_contact=False).contact_setup.self_contact == frozenset()
-    assert rounded(lumps(10, 10, 10))
-    assert rounded(lumps(4, 4, 12))
-    assert not rounded(lumps(4, 4, 13)), "a rod can be bent into a ring"
-    assert not rounded(lumps(10, 10, 3)), "a sheet can be folded"
-    assert not rounded(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
-    assert not rounded(lumps(6, 6, 6, without=np.s_[3:4, :, :])), "two lumps of one body"
+    assert cannot_touch_itself(lumps(10, 10, 10))
+    assert cannot_touch_itself(lumps(4, 4, 12))
+    assert not cannot_touch_itself(lumps(4, 4, 13)), "a rod can be bent into a ring"
+    assert not cannot_touch_itself(lumps(10, 10, 3)), "a sheet can be folded"
+    assert not cannot_touch_itself(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
+    assert not cannot_touch_itself(lumps(6, 6, 6, without=np.s_[3:4, :, :])), (
+        "two lumps of one body"
+    )
 
 
 def test_the_paper_and_updated_lagrangian_bodies_do_not_meet_themselves(plan) -> None:
@@ -189,13 +191,19 @@ def test_options_that_know_one_body_refuse_two(plan, options) -> None:
 def test_a_hull_has_no_more_than_its_bound() -> None:
     body = icosphere(3)
     points, triangles = np.asarray(body.vertices), np.asarray(body.faces)
-    assert hull_bound(points, triangles) == pytest.approx(ConvexHull(points).volume, rel=1e-12)
+    assert hull_upper_bound(points, triangles) == pytest.approx(
+        ConvexHull(points).volume, rel=1e-12
+    )
     rough = points * np.random.default_rng(0).uniform(0.9, 1.1, (len(points), 1))
-    assert ConvexHull(rough).volume < hull_bound(rough, triangles) < 2.5 * ConvexHull(rough).volume
-    assert hull_bound(points, triangles[1:]) == np.inf, "it is open"
-    assert hull_bound(points, triangles[:, ::-1]) == np.inf, "it is inside out"
+    assert (
+        ConvexHull(rough).volume
+        < hull_upper_bound(rough, triangles)
+        < 2.5 * ConvexHull(rough).volume
+    )
+    assert hull_upper_bound(points, triangles[1:]) == np.inf, "it is open"
+    assert hull_upper_bound(points, triangles[:, ::-1]) == np.inf, "it is inside out"
     fin = np.concatenate([triangles, triangles[:1, ::-1], triangles[:1]])
-    assert hull_bound(points, fin) == np.inf, "more than two triangles meet at an edge"
+    assert hull_upper_bound(points, fin) == np.inf, "more than two triangles meet at an edge"
 
 
 def clouds() -> Iterator[Floats]:
@@ -210,18 +218,18 @@ def clouds() -> Iterator[Floats]:
 def test_the_bound_of_a_hull_from_below() -> None:
     """It never exceeds Qhull's volume, and holds nearly all of what is round or a box."""
     for X in clouds():
-        assert hull_least(X) <= ConvexHull(X).volume * (1.0 + 1e-12)
+        assert hull_lower_bound(X) <= ConvexHull(X).volume * (1.0 + 1e-12)
     box = np.indices((2, 2, 2)).reshape(3, -1).T.astype(float)
-    assert hull_least(box) == pytest.approx(1.0)
+    assert hull_lower_bound(box) == pytest.approx(1.0)
     ball = np.random.default_rng(0).normal(size=(4000, 3))
     ball /= lengths(ball)[:, None]
     # directions are up to 0.226 from the middles of triangles: cos^3 of that is left
-    assert hull_least(ball) > 0.92 * ConvexHull(ball).volume
-    assert hull_least(box * [1, 1, 0]) == 0.0, "flat"
-    assert hull_least(box[:1]) == 0.0
+    assert hull_lower_bound(ball) > 0.92 * ConvexHull(ball).volume
+    assert hull_lower_bound(box * [1, 1, 0]) == 0.0, "flat"
+    assert hull_lower_bound(box[:1]) == 0.0
 
 
 def test_what_is_clearly_not_convex_needs_no_hull(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.spatial", None)  # imports of it fail
-    assert not rounded(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
-    assert rounded(lumps(10, 10, 10))
+    assert not cannot_touch_itself(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
+    assert cannot_touch_itself(lumps(10, 10, 10))
