@@ -1,1 +1,1 @@
-"""Surfaces become a solid, particles, contact samples and skins."""
+"""Makes a solid, particles, contact samples and skins from surfaces."""

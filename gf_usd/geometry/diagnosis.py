@@ -60,7 +60,7 @@ class Shell:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """One surface, looked at."""
+    """The measured properties of one surface."""
 
     path: str
     type_name: str
@@ -205,7 +205,7 @@ def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
 
 
 def faults(seen: Diagnosis) -> list[str]:
-    """What is wrong with a mesh as a boundary, in words."""
+    """The defects of a mesh as a boundary, as text."""
     said = []
     if seen.holes:
         share = f"{100 * seen.hole_share:.2g} % of the closed area"
@@ -221,11 +221,11 @@ def faults(seen: Diagnosis) -> list[str]:
     return said
 
 
-def tolerated(seen: Diagnosis) -> str:
-    """What the fill puts up with in a mesh, in words; "" where there is nothing to say.
+def tolerated_defects(seen: Diagnosis) -> str:
+    """Defects of a mesh that the fill tolerates, as text; "" where there are none.
 
-    The winding number judges the inside of a mesh with holes, with doubled faces or with a few
-    faces turned as a person would; whole parts that face inward inside others are taken as hollow.
+    The winding number gives the expected inside for meshes with holes, duplicate faces or a few
+    reversed faces; whole parts that face inward inside others are treated as cavities.
     """
     said = faults(seen)
     if not said:
@@ -238,10 +238,10 @@ def tolerated(seen: Diagnosis) -> str:
 KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
 
 
-def hollowed(seen: Sequence[Diagnosis], volume: float) -> str:
-    """A warning where faults of meshes cost the fill much of what they enclose; else "".
+def lost_volume_warning(seen: Sequence[Diagnosis], volume: float) -> str:
+    """A warning where defects of meshes remove much of the enclosed volume; else "".
 
-    volume : [m^3] that was filled of them.
+    volume : [m^3] of them that was filled.
     """
     whole = sum(one.volume for one in seen)
     if volume >= KEPT * whole or not any(faults(one) for one in seen):
@@ -371,10 +371,10 @@ def slivers(points: Floats, triangles: Ints) -> Flags:
     return twice_area <= WELD_FRACTION * float(np.linalg.norm(np.ptp(points, axis=0))) * longest
 
 
-def idle(sliver: Flags, edges: Edges) -> Flags:
-    """(T,) slivers whose loss opens no seam.
+def removable_slivers(sliver: Flags, edges: Edges) -> Flags:
+    """(T,) slivers whose removal opens no seam.
 
-    A sliver between two triangles and one (a T-junction) holds a closed surface together.
+    A sliver between two triangles and one (a T-junction) closes a surface.
     """
     uses = edges.uses[edges.id].reshape(-1, 3)
     return sliver & ((uses == 2).sum(1) <= (uses == 1).sum(1))

@@ -20,7 +20,7 @@ from gf_usd.core.mesh import areas, boundary_edges, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.solid import INSIDE, Solid
-from gf_usd.geometry.thin.thicken import look_at
+from gf_usd.geometry.thin.thicken import measure_shells
 
 BOX = "box:"
 ON_SURFACE = 1e-6  # of the body's size: nearer than this a point lies on the patch
@@ -195,7 +195,7 @@ class _Patch:
     def __init__(self, region: Region, solid: Solid, at: int) -> None:
         self._patch = Shape(region.points, region.triangles)
         self._solid = solid
-        self._own = _Own(solid, at)
+        self._own = _OwnSurface(solid, at)
         self._slack = _slack(solid)
         self.nearest = self._patch.nearest
 
@@ -210,7 +210,7 @@ class _Patch:
         return out
 
 
-class _Own:
+class _OwnSurface:
     """One surface of a solid among the others."""
 
     def __init__(self, solid: Solid, at: int) -> None:
@@ -245,7 +245,7 @@ def _sheet_part(
     if sheet is None:
         return None
     corners = region.points[region.triangles]
-    off = _Own(solid, at).distance(corners.mean(1)) > _slack(solid)
+    off = _OwnSurface(solid, at).distance(corners.mean(1)) > _slack(solid)
     area = areas(region.points, region.triangles)
     return _SheetPart(region, solid, at, sheet) if area[off].sum() > 0.5 * area.sum() else None
 
@@ -257,7 +257,7 @@ class _SheetPart:
         self._patch = Shape(region.points, region.triangles)
         self._sheet = Shape(sheet.points, sheet.triangles)
         self._solid = solid
-        self._own = _Own(solid, at)
+        self._own = _OwnSurface(solid, at)
         self._slack = _slack(solid)
         self._thickness = _thickness_at(region, sheet)
         self._far = float(np.linalg.norm(solid.high - solid.low))
@@ -298,7 +298,7 @@ class _SheetPart:
 
 def _thickness_at(region: Region, sheet: Surface) -> float:
     """[m] that a sheet has of itself where a patch is: 0, or that of a thin plate."""
-    seen = look_at(sheet)
+    seen = measure_shells(sheet)
     shape = kd_tree(sheet.points[sheet.triangles[seen.source]].mean(1))
     label = seen.label[shape.query(region.points[region.triangles].mean(1))[1]]
     return float(seen.thickness[label].max())

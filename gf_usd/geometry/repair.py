@@ -1,8 +1,8 @@
-"""Repair the triangles that bound a solid; the authored mesh stays as it is.
+"""Repairs the triangles that bound a solid; the authored mesh is unchanged.
 
-Only the triangles that the fill uses change: they lose faces that enclose nothing, gain caps over
-small holes, without a new point, and agree on which side is out.  Points, faces, UVs and normals of
-the asset are not touched, and everything done is counted.
+Only the triangles for the fill change: faces that enclose nothing are removed, small holes get caps
+without new points, and orientations are made consistent.  Points, faces, UVs and normals of the
+asset are unchanged, and all repairs are counted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gf_usd.geometry.diagnosis import (
     WALL,
     authored_faces,
     doubled,
-    idle,
+    removable_slivers,
     slivers,
 )
 from gf_usd.geometry.winding import Edges, boundary_loops, fan_area, overlapping
@@ -33,7 +33,7 @@ from gf_usd.geometry.winding import Edges, boundary_loops, fan_area, overlapping
 
 @dataclass(frozen=True, kw_only=True)
 class Repairs:
-    """What was done to one surface, in triangles unless said otherwise."""
+    """The repairs of one surface, as numbers of triangles unless stated otherwise."""
 
     path: str
     collapsed: int = 0  # dropped: two corners in one place
@@ -142,13 +142,13 @@ def notes(repairs: Sequence[Repairs]) -> tuple[str, ...]:
     )
 
 
-def agreeing_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
-    """The asset with triangles that face as their neighbors do, and what was turned, in words.
+def consistently_oriented_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
+    """The asset with triangles oriented as their neighbors, and notes on those that were reversed.
 
-    Of each connected part, where two triangles meet at an edge, those of less area are turned:
-    there is nothing else that a few faces the other way round could mean.
+    In each connected part, where two adjacent triangles have opposite orientations, the group of
+    smaller area is reversed.
     """
-    made = [_agreeing(surface) for surface in asset.surfaces]
+    made = [_consistently_oriented(surface) for surface in asset.surfaces]
     said = tuple(
         f"<{surface.path}>: {_count(turned, 'triangle')} facing the other way"
         f" {'is' if turned == 1 else 'are'} turned for the fill; the mesh itself does not change"
@@ -158,8 +158,8 @@ def agreeing_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
     return (replace(asset, surfaces=tuple(one for one, _ in made)), said) if said else (asset, ())
 
 
-def _agreeing(surface: Surface) -> tuple[Surface, int]:
-    """The same of one surface, and how many triangles were turned."""
+def _consistently_oriented(surface: Surface) -> tuple[Surface, int]:
+    """The same for one surface, and the number of reversed triangles."""
     welded = weld(surface.points)[0][surface.triangles]
     sound = np.flatnonzero(proper(welded))
     triangles = welded[sound]
@@ -189,7 +189,9 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
 
     sound = proper(vertex[material_parts])
     material_parts = material_parts[sound]
-    flat = idle(slivers(points, vertex[material_parts]), Edges.of(vertex[material_parts]))
+    flat = removable_slivers(
+        slivers(points, vertex[material_parts]), Edges.of(vertex[material_parts])
+    )
     material_parts = material_parts[~flat]
     double = doubled(vertex[material_parts], authored_faces(surface)[material_parts[:, 0] // 3])
     material_parts = material_parts[double == SINGLE]

@@ -40,7 +40,7 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import check_unit
-from gf_usd.geometry.diagnosis import Diagnosis, diagnose, hollowed
+from gf_usd.geometry.diagnosis import Diagnosis, diagnose, lost_volume_warning
 from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.thin.parts import Part, suggestion
 from gf_usd.geometry.thin.thickness import Thickness, thickness
@@ -202,7 +202,7 @@ def lost_volume(seen: Inspection) -> str:
     if seen.plan is None or seen.repairs:
         return ""
     filled = [d for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
-    return hollowed(filled, seen.plan.particles.volume)
+    return lost_volume_warning(filled, seen.plan.particles.volume)
 
 
 def _part(part: Part) -> dict[str, Any]:

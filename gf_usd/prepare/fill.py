@@ -101,8 +101,8 @@ def fill(
     more_pins : of the solid, in addition to those of the options.
     """
     from gf_usd.core.mesh import signed_volume
-    from gf_usd.geometry.diagnosis import diagnose, hollowed, tolerated
-    from gf_usd.geometry.repair import agreeing_asset, notes
+    from gf_usd.geometry.diagnosis import diagnose, lost_volume_warning, tolerated_defects
+    from gf_usd.geometry.repair import consistently_oriented_asset, notes
     from gf_usd.geometry.sampling.contact_samples import sample_surface
     from gf_usd.geometry.sampling.particles import sample_solid
     from gf_usd.geometry.sampling.tets import tet_lattices
@@ -120,13 +120,16 @@ def fill(
         mended = notes(repairs)
         follows = any(one.thickened for one in repairs)
     else:
-        asset, agreed = agreeing_asset(asset)
+        asset, agreed = consistently_oriented_asset(asset)
         filled = asset
     solid = built or build_solid(filled, repaired=repair)
     if not (repair or built):
         by_path = {} if agreed else {seen.path: seen for seen in known}
         all_seen = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
-        said = (*(tolerated(seen) for seen in all_seen), hollowed(all_seen, solid.volume))
+        said = (
+            *(tolerated_defects(seen) for seen in all_seen),
+            lost_volume_warning(all_seen, solid.volume),
+        )
         mended = (*agreed, *filter(None, said))
     keys = spec.physics.gravity_keys if request.gravity is None else ()
     unit = asset.facts.units.length

@@ -300,7 +300,7 @@ def _of_character(
     0: the animation is none.  Raises InputError as
     `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
     """
-    from gf_usd.geometry.flesh.carried import asked_for, carried_meshes, carried_pins
+    from gf_usd.geometry.flesh.carried import carried_meshes, carried_pins, named_carried_meshes
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
     from gf_usd.geometry.flesh.limits import flesh_limits
@@ -345,7 +345,7 @@ def _of_character(
         )
     pins = bone_pins(bones, cores)
     carried = carried_meshes(skeleton)
-    kept = asked_for(rigid, carried, paths)
+    kept = named_carried_meshes(rigid, carried, paths)
     pins += carried_pins(kept, carried, skeleton, solid, 2.0 * lattice)
     taken = {path for pin in pins for path in pin.meshes}
     if soft := [f"<{path}>" for path in carried if path not in taken]:

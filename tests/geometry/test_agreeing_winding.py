@@ -11,7 +11,7 @@ from solids import CUBE_TRIANGLES, asset, cube, sphere, surface
 
 import gf_usd
 from gf_usd.core.mesh import signed_volume
-from gf_usd.geometry.repair import agreeing_asset
+from gf_usd.geometry.repair import consistently_oriented_asset
 from gf_usd.geometry.solid import build_solid
 
 BALL = sphere(subdivisions=3, path="/Ball")
@@ -31,7 +31,7 @@ def flipped(which):
 
 @pytest.mark.parametrize("which", FLIPS.values(), ids=FLIPS)
 def test_a_ball_with_flipped_faces_is_the_ball(which):
-    body, said = agreeing_asset(asset(flipped(which)))
+    body, said = consistently_oriented_asset(asset(flipped(which)))
     (made,) = body.surfaces
     assert signed_volume(made.points, made.triangles) == pytest.approx(
         signed_volume(BALL.points, BALL.triangles), rel=1e-12
@@ -53,7 +53,7 @@ def test_what_agrees_stays_as_it_is():
     inner = sphere(subdivisions=2)
     hollow = surface(0.5 * inner.points, inner.triangles[:, ::-1], path="/Hollow")
     whole = asset(BALL, hollow)
-    body, said = agreeing_asset(whole)
+    body, said = consistently_oriented_asset(whole)
     assert body is whole
     assert said == ()
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from solids import CUBE_POINTS, CUBE_TRIANGLES, cube, sphere, surface
 
-from gf_usd.geometry.diagnosis import diagnose, faults, tolerated
+from gf_usd.geometry.diagnosis import diagnose, faults, tolerated_defects
 
 
 def test_a_box_is_watertight_with_its_volume_and_area():
@@ -19,7 +19,7 @@ def test_a_box_is_watertight_with_its_volume_and_area():
     assert seen.shells[0].winding == "outward"
     np.testing.assert_allclose(seen.shells[0].size, [2.0, 3.0, 4.0])
     assert faults(seen) == []
-    assert tolerated(seen) == ""
+    assert tolerated_defects(seen) == ""
 
 
 def test_faces_are_counted_as_authored():
@@ -38,7 +38,7 @@ def test_a_box_without_a_lid_has_one_hole_of_a_sixth():
     np.testing.assert_allclose(hole.center, [0.5, 0.5, 0.0])
     assert seen.hole_share == pytest.approx(1 / 6)
     # All that is wrong is a hole that repair would leave: it is not recommended.
-    assert tolerated(seen) == "</Body> is filled despite 1 hole (17 % of the closed area)"
+    assert tolerated_defects(seen) == "</Body> is filled despite 1 hole (17 % of the closed area)"
 
 
 def test_the_hole_is_found_whatever_way_the_triangles_face():
@@ -84,14 +84,14 @@ def test_a_cavity_is_taken_off_the_volume():
     seen = diagnose(hollow)
     assert [shell.winding for shell in seen.shells] == ["outward", "cavity"]
     assert seen.volume == pytest.approx(diagnose(outer).volume * (1.0 - 0.5**3))
-    assert tolerated(seen) == ""
+    assert tolerated_defects(seen) == ""
 
 
 def test_faults_are_told_in_words():
     triangles = np.concatenate([CUBE_TRIANGLES[2:11], CUBE_TRIANGLES[11:, ::-1]])
     seen = diagnose(surface(CUBE_POINTS, np.concatenate([triangles, triangles[:2]])))
     assert "2 duplicate triangles" in faults(seen)
-    assert tolerated(seen).endswith("--repair fixes this")
+    assert tolerated_defects(seen).endswith("--repair fixes this")
 
 
 def test_an_edge_of_four_triangles_is_not_manifold():

@@ -7,7 +7,7 @@ import pytest
 from solids import CUBE_POINTS, CUBE_TRIANGLES, asset, surface
 
 from gf_usd.core.asset import Surface
-from gf_usd.geometry.diagnosis import diagnose, tolerated
+from gf_usd.geometry.diagnosis import diagnose, tolerated_defects
 from gf_usd.geometry.repair import repair_surface
 from gf_usd.geometry.solid import build_solid
 
@@ -33,7 +33,7 @@ def test_inner_shells_are_dropped_and_the_solid_stays(sizes, inner: int, volume:
     body = nested(*sizes)
     seen = diagnose(body)
     assert sum(shell.inner for shell in seen.shells) == inner
-    assert ("bound no volume" in tolerated(seen)) == (inner > 0)
+    assert ("bound no volume" in tolerated_defects(seen)) == (inner > 0)
     mended, done = repair_surface(body)
     assert done.inner == inner
     assert ("inside others that bound no volume" in " ".join(done.messages())) == (inner > 0)

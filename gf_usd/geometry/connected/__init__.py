@@ -1,1 +1,1 @@
-"""What of a solid hangs together: bodies among its surfaces, limbs in the cells of the grid."""
+"""Connected parts of a solid: bodies among its surfaces, limbs in the cells of the grid."""

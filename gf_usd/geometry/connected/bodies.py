@@ -27,11 +27,11 @@ def find_bodies(
     solid: Solid, spacing: float, *, owners: Sequence[str] = (), combine: bool = False,
     kinds: Ints | None = None,
 ) -> Ints:  # fmt: skip
-    """Body of each surface (S,), numbered from 0 in the order of the surfaces.
+    """The body of each surface (S,), numbered from 0 in the order of the surfaces.
 
-    spacing : [m] of the particles; owners : what each surface belongs to, "" for nothing: what has
-    the same owner is one body, what has different ones never is; combine : one body in all;
-    kinds : (S,) surfaces of two kinds are never one body, None: all are of one.
+    spacing : [m] of the particles; owners : owner of each surface, "" for none: surfaces with the
+        same owner are one body, surfaces with different owners never are; combine : a single body;
+        kinds : (S,) surfaces of different kinds are never one body, None: all are of one kind.
     """
     count = len(solid.surfaces)
     if combine or count == 1:
@@ -62,7 +62,7 @@ def find_bodies(
 def overlapping(
     solid: Solid, spacing: float, of: Ints, owners: Sequence[str]
 ) -> list[tuple[int, int]]:
-    """Surfaces of two owners and two bodies (S,) that are deeper in each other than a touch."""
+    """Pairs of surfaces of different owners and bodies (S,) that overlap by more than contact."""
     rivals = [k for k, owner in enumerate(owners) if owner]
     if len({owners[k] for k in rivals}) < 2:
         return []
@@ -153,15 +153,14 @@ BORDER_TOUCHING = 1e-12  # [1] of the distance: closer than this two closest poi
 def part_weights(
     X: Floats, parts: Sequence[tuple[Floats, Ints]], width: float
 ) -> NDArray[np.float64]:
-    """(n, K) weights of K parts of a surface at points X (n, 3) [m]; every row adds up to 1.
+    """(n, K) weights of K parts of a surface at points X (n, 3) [m]; each row sums to 1.
 
     With p_k the nearest point of part k at the distance d_k, the plane halfway between p_k and p_j
-    is at b_kj = (d_j^2 - d_k^2) / (2 |p_j - p_k|) from X, positive on the side of k.  Then
-    w_k = S(1/2 + 2 min_j b_kj / width), scaled to a sum of 1, with S(t) = t^2 (3 - 2 t) on 0..1.
-    Where the border runs along a flat face, 2 b is the distance from it at any depth.
+    is at b_kj = (d_j^2 - d_k^2) / (2 |p_j - p_k|) from X, positive on the side of k.  Then w_k =
+    S(1/2 + 2 min_j b_kj / width), scaled to a sum of 1, with S(t) = t^2 (3 - 2 t) on [0, 1].  Where
+    the boundary runs along a flat face, 2 b is the distance from it at any depth.
 
-    parts : points (V, 3) [m] and triangles (T, 3) of each; width : [m] over which one turns into
-    the other.
+    parts : points (V, 3) [m] and triangles (T, 3) of each; width : [m] of the transition.
     """
     closest = _closest(X, parts)
     squared = ((closest - X[:, None]) ** 2).sum(2)

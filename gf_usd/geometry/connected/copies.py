@@ -142,8 +142,10 @@ class _Parts:
         among = np.flatnonzero((cut >= 0) & several[cut] & within)
         base = patches + len(full)
         ends = [self._same_cell(by_cell, in_cell, crowd)]
-        ends.append(self._seen(rows, X[among], cut[among], by_cell, start, many) + [base, 0])
-        ends.append(self._facing(rows, first, by_cell, start, many, several))
+        ends.append(
+            self._visible_patches(rows, X[among], cut[among], by_cell, start, many) + [base, 0]
+        )
+        ends.append(self._mutually_visible(rows, first, by_cell, start, many, several))
         ends.append(_touching(rows, first, in_cell, several, touching))
         a, b = np.concatenate(ends).T
         count = base + len(among)
@@ -174,7 +176,9 @@ class _Parts:
         return np.stack([by_cell[same], by_cell[same + 1]], 1)
 
     @staticmethod
-    def _seen(rows: Patches, X: Floats, cell: Ints, by_cell: Ints, start: Ints, many: Ints) -> Ints:
+    def _visible_patches(
+        rows: Patches, X: Floats, cell: Ints, by_cell: Ints, start: Ints, many: Ints
+    ) -> Ints:
         """(k, 2) particle and patch that it sees, looking at every patch of its cell."""
         looks = many[cell]
         who = np.repeat(np.arange(len(X)), looks)
@@ -184,7 +188,7 @@ class _Parts:
         return np.unique(np.stack([who, rows.patch[hit]], 1), axis=0)
 
     @staticmethod
-    def _facing(
+    def _mutually_visible(
         rows: Patches, first: Ints, by_cell: Ints, start: Ints, many: Ints, several: Ints
     ) -> Ints:
         """(k, 2) patches of which one sees the other through the solid."""

@@ -1,1 +1,1 @@
-"""The flesh of a character: what its bones hold, and where springs draw it."""
+"""The flesh of a character: cores that bones prescribe, and goals of springs."""

@@ -1,4 +1,4 @@
-"""Meshes that a single joint carries, such as shoes: rigid, where that is asked for.
+"""Meshes attached to a single joint, such as shoes, which can be made rigid.
 
 Nodes in such a mesh, and up to `WIDER` cells around it, move with the joint as those of its core
 do, and the points of the mesh follow the joint exactly.
@@ -31,7 +31,9 @@ def carried_meshes(skeleton: Skeleton) -> dict[str, int]:
     return found if len(found) < len(skeleton.weights) else {}
 
 
-def asked_for(names: Sequence[str], carried: Mapping[str, int], paths: Sequence[str]) -> list[str]:
+def named_carried_meshes(
+    names: Sequence[str], carried: Mapping[str, int], paths: Sequence[str]
+) -> list[str]:
     """Those of some names that are of carried meshes, or of a prim that has no other meshes below.
 
     paths : of all meshes.

@@ -1,1 +1,1 @@
-"""A solid becomes particles, quadrature points of the cells it cuts, and contact samples."""
+"""Particles of a solid, as quadrature points of the grid cells, and contact samples."""

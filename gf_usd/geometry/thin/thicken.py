@@ -85,7 +85,7 @@ def thicken_asset(
     spacing : [m]; None: that at which so many particles fill all.
     """
     mine = [k for k, s in enumerate(asset.surfaces) if s.splats is None and len(s.triangles)]
-    seen = [look_at(asset.surfaces[k]) for k in mine]
+    seen = [measure_shells(asset.surfaces[k]) for k in mine]
     a, chosen = choose(seen, spacing, particles)
     surfaces, done = list(asset.surfaces), list(repairs)
     for k, one, which in zip(mine, seen, chosen):
@@ -258,7 +258,7 @@ class Shells:
         return (few & (self.extent >= LEAST_PARTICLES * spacing**2)).astype(int)
 
 
-def look_at(surface: Surface) -> Shells:
+def measure_shells(surface: Surface) -> Shells:
     """The shells of a surface whose triangles agree on which side is out."""
     points = surface.points
     welded = weld(points)[0][surface.triangles]
