@@ -1,14 +1,12 @@
-"""Frame by frame, each believed only once the guard has seen it: what every solver shares.
+"""The frame loop that all solvers share, and the guard that checks every frame.
 
-A solver is a state, a way to move it by so many substeps, and a way to read a `Frame` off it.  This
-file turns the three into frames: it chooses the number of substeps, rolls a frame that failed back
-and redoes it with half the step, and ends in words where that does not help.
+A solver has a state, a method that advances it by a number of substeps, and a method that reads a
+`Frame` from it.  This module chooses the number of substeps, rolls back a frame that the guard
+rejects and repeats it with half the step, and raises an error where that does not help.
 
-Watching a run: what no sound frame does is not believed.
-
-The step limit of `time_step` holds for the body at rest.  A material crushed to a tenth of its
-volume is many times stiffer, and a step too long for it shows as energy: without a source of its
-own a body under gravity, floor and damping can only lose some, up to the integrator's error.
+The step limit of `time_step` holds for the body at rest.  A material that is compressed to a tenth
+of its volume is many times stiffer, and a step that is too long for it shows as an energy gain: a
+body under gravity, floor contact and damping can only lose energy, up to the integrator's error.
 """
 
 from __future__ import annotations
@@ -30,23 +28,23 @@ from gf_usd.physics.time_step import StableStep
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStats:
-    """What was noticed between two frames, on the substeps, under the names of `Health`."""
+    """Statistics of the substeps between two frames, named as in `Health`."""
 
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor
     overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
-    let_go: int = 0  # most contact samples released at the same time
+    let_go: int = 0  # largest number of contact samples released at the same time
     friction_capped: int = 0
-    work: float = 0.0  # [J] done on the body by what holds it
+    work: float = 0.0  # [J] work of pins and goals on the body
     injected: float = 0.0  # [J] given to the body between substeps: see `shape_correction`
-    planes: float = 0.0  # [J] of it, that new contact planes gave
+    planes: float = 0.0  # [J] of it, by new contact planes
     clamped: int = 0  # particles whose singular values of F were clipped
     stress_capped: int = 0  # particles whose stress was cut
-    flying: int = 0  # bodies that flew by the closed form: there were no substeps
-    sleeping: int = 0  # bodies that slept: there were no substeps
-    plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
+    flying: int = 0  # bodies in free flight by the closed form, without substeps
+    sleeping: int = 0  # sleeping bodies, without substeps
+    plastic_dissipation: float | None = None  # [J] dissipated by flow; None: no law flows
     conversion_dissipation: float | None = None  # [J] of it, by conversion; None: there is none
-    settling_dissipation: float | None = None  # [J] of `settling`; None: it does not act
-    substeps: int | None = None  # that there were; None: as many as were asked for
+    settling_dissipation: float | None = None  # [J] of `settling`; None: it is not active
+    substeps: int | None = None  # None: as many as requested
 
     @property
     def rested(self) -> bool:
@@ -54,8 +52,8 @@ class FrameStats:
         return self.flying + self.sleeping > 0
 
 
-class Stepped(Protocol):
-    """What the step of a body follows from."""
+class HasTimeStep(Protocol):
+    """The values that determine the time step of a body."""
 
     @property
     def contact(self) -> FloorContact | None: ...
@@ -65,17 +63,17 @@ class Stepped(Protocol):
 
 
 class Solver(ABC):
-    """The protocol of a solver: construct it, then iterate `frames()`.
+    """The protocol of a solver: construct it, then iterate over `frames()`.
 
-    What makes one: `particles`, `settings`, `body`, `guard`, `coarse` (substeps a frame of the
-    stable step at rest), `strained` (those that the body as it is now asks for), `state`, and the
-    abstract methods below.  `on_launch` is called after launches of kernels, several times in a
-    long frame; it may raise, to end the simulation within a frame.
+    A solver has `particles`, `settings`, `body`, `guard`, `coarse` (substeps per frame for the
+    stable step at rest), `strained` (substeps required by the current strain), `state`, and the
+    abstract methods below.  `on_launch` is called after kernel launches, several times in a long
+    frame; it may raise an exception to end the simulation within a frame.
     """
 
     particles: Particles
     settings: Settings
-    body: Stepped
+    body: HasTimeStep
     guard: Guard
     coarse: int
     strained: int = 1
@@ -85,24 +83,26 @@ class Solver(ABC):
 
     @property
     def in_place(self) -> bool:
-        """Whether pins or goals say where the body is, so that it has no height to fall from."""
+        """Whether pins or goals prescribe the position of the body, so that it does not fall."""
         return False
 
     @abstractmethod
     def advance(self, index: int, substeps: int) -> FrameStats:
-        """Move to frame `index` in so many substeps."""
+        """Advance to frame `index` in this number of substeps."""
 
     @abstractmethod
     def not_finite(self) -> tuple[int, str]:
-        """The particle nearest to what is no number, and the fault; (-1, "") where all is sound."""
+        """The particle nearest to a value that is not finite, and the error; (-1, "") where there
+        is none.
+        """
 
     @abstractmethod
     def read(self, index: int) -> Frame:
-        """The frame of the present state; its health lacks what only `FrameStats` knows."""
+        """The frame of the current state; its health lacks the values of `FrameStats`."""
 
     @abstractmethod
     def places(self) -> Floats:
-        """(n, 3) [m] where `throw` sets velocities: of free nodes and of particles that flow."""
+        """(n, 3) [m] points whose velocities `throw` sets: free nodes, and particles that flow."""
 
     @abstractmethod
     def throw(self, velocities: Floats) -> None:
@@ -114,14 +114,16 @@ class Solver(ABC):
         return self.settings.frame_time
 
     def pressed(self, depth: float) -> int:
-        """Substeps a frame that the floor's springs ask for where the deepest is so deep [m]."""
+        """Substeps per frame that the floor's contact springs require at a penetration depth
+        [m].
+        """
         if self.settings.substeps:
             return 1
         step = pressed_step(self.body.contact, self.body.step, depth)
         return int(np.ceil(self.frame_time / step.dt))
 
-    def asked(self, strained: int, depth: float) -> int:
-        """Substeps a frame of a body so strained, and pressed so deep [m] into the floor."""
+    def required_substeps(self, strained: int, depth: float) -> int:
+        """Substeps per frame for this strain, and this penetration depth [m] into the floor."""
         pressed = self.pressed(depth)
         return max(strained, pressed) if pressed > self.coarse else strained
 
@@ -132,7 +134,9 @@ class Solver(ABC):
 
     @property
     def damping_ratio(self) -> float:
-        """Of the stiffest vibration of the grid at rest, by the material's own damping."""
+        """Damping ratio of the stiffest vibration of the grid at rest, by the material's
+        damping.
+        """
         return 0.5 * self.body.step.viscous_time * self.body.step.elastic
 
     @property
@@ -141,16 +145,16 @@ class Solver(ABC):
         return self.frame_time / self.substeps
 
     def frames(self) -> Iterator[Frame]:
-        """Yield `settings.frames` frames, the first at rest where the body was put.
+        """Yield `settings.frames` frames, the first of which is the initial state.
 
-        Raises SolverError where a frame cannot be had; those before it were sound.
+        Raises SolverError where a frame fails; the frames before it are valid.
         """
         frame = self.read(0)
         yield frame
         yield from self.frames_after(0, frame.health)
 
     def frames_after(self, index: int, last: Health) -> Iterator[Frame]:
-        """Yield the frames after `index`, at which the state stands and whose health was `last`.
+        """Yield the frames after `index`, which is the current state and whose health was `last`.
 
         Raises SolverError as `frames` does.
         """
@@ -160,35 +164,36 @@ class Solver(ABC):
             yield frame
 
     def save(self) -> dict[str, Any]:
-        """Between two frames, all that another solver of the same body needs to go on alike."""
+        """Everything that another solver of the same body needs to continue after this frame."""
         guard = {f"guard_{name}": value for name, value in self.guard.save().items()}
         return {**self.state.save(), **guard, "strained": self.strained}
 
     def load(self, saved: Mapping[str, Any]) -> None:
-        """Go on from what `save` returned, to the bit."""
+        """Restore the result of `save`; the continuation is bit-identical."""
         self.state.load(saved)
         known = self.guard.save()
         self.guard.load({name: float(saved[f"guard_{name}"]) for name in known})
         self.strained = int(saved["strained"])
 
     def _hint(self) -> str:
-        """What a person may do about a frame that cannot be had."""
+        """How to avoid the failure of a frame."""
         if self.settings.substeps:
             return "this preset uses the same few substeps for every frame: leave out --preset"
         gentler = "slow down what moves it" if self.in_place else "lower the impact (--drop)"
         return f"{gentler}, use a stiffer material or, if it is corotated, --law neoHookean"
 
     def next(self, index: int, last: Health) -> Frame:
-        """Move by a frame; where it fails, roll back and redo it with half the step.
+        """Advance by a frame; if it fails, roll back and repeat it with half the step.
 
-        Where it pressed the floor's springs harder than its step allows, it is redone with theirs.
+        If the floor's contact springs were compressed further than the step allows, it is repeated
+        with their step.
         """
         saved = self.state.save()
         for attempt in range(RETRIES + 1):
             substeps = self.substeps
             stats = self.advance(index, substeps)
             particle, fault = self.not_finite()
-            # How deep a frame presses its samples is known at its end.
+            # the penetration depth of a frame is only known at its end
             while (
                 not (fault or stats.rested)
                 and (asked := self.pressed(stats.penetration) << self.guard.halvings) > substeps
@@ -221,54 +226,55 @@ class Solver(ABC):
         )
 
 
-def first_bad(values: Floats) -> int:
-    """Index of the first row that holds something that is no number; -1 where none does."""
+def first_not_finite(values: Floats) -> int:
+    """Index of the first row with a value that is not finite; -1 where there is none."""
     bad = ~np.isfinite(values.reshape(len(values), -1)).all(1)
     return int(np.argmax(bad)) if bad.any() else -1
 
 
 RETRIES = 6  # halvings of the step before giving up
-CALM_FRAMES = 4  # good frames before a halved step is doubled again
-# Position Verlet keeps a shadow energy; the energy itself swings by up to (w dt)^2 / 4 of what the
-# stiffest vibrations hold.  In sound bakes of all looks no frame gained 1e-4 of the scale below
-# (measured), and an unstable one gains many times it.
+CALM_FRAMES = 4  # accepted frames before a halved step is doubled again
+# Position Verlet conserves a shadow energy; the energy itself oscillates by up to (w dt)^2 / 4 of
+# that of the stiffest vibrations.  In correct bakes with all presets no frame gained 1e-4 of the
+# scale below (measured), and an unstable one gains many times it.
 GAIN = 0.02
-# No look, falling or pulled at, is ever this many radii long; a piece that flew off is.
+# Only a body of which a piece has separated extends over this many radii.
 ESCAPE = 100.0
 
 
 class Guard:
-    """Judges frames and holds the number of halvings.
+    """Checks frames and stores the number of halvings of the step.
 
-    scale : [J] an energy of the body, m g0 r: what counts as little.
-    reach : [m] the body's own extent at rest; a particle a hundred times as far off has escaped.
-    body : (N,) the body of each particle; None: all are one.
+    scale : [J] an energy of the body, m g0 r, relative to which gains are small.
+    reach : [m] extent of the body at rest; a particle a hundred times as far away has escaped.
+    body : (N,) the body of each particle; None: a single body.
     """
 
     def __init__(self, scale: float, reach: float, body: Ints | None = None) -> None:
         self._scale, self._reach, self._body = scale, reach, body
         self._calm = 0
-        self._inverted = 0  # that a shorter step did not help: the law's doing, not the step's
-        self._tried = -1  # inverted particles before the last refinement; -1: none was for them
+        # inverted particles that a shorter step did not prevent: caused by the law, not the step
+        self._inverted = 0
+        self._tried = -1  # inverted particles before the last refinement; -1: it had another reason
         self.halvings = 0
 
     def judge(self, last: Health, now: Health, particles: Pose) -> tuple[int, str]:
-        """The particle and the fault of a frame, in words; (-1, "") where nothing is wrong."""
+        """The particle and the error of a frame, as text; (-1, "") where the frame is valid."""
         before, after = energy(last), energy(now)
         self._scale = max(self._scale, last.kinetic + last.elastic)
         gain = after - before - now.work - now.injected + now.dissipation
-        # Of a body at rest that a pin sets in motion the work of the frame is the only measure.  An
-        # unstable step gains by the square of its forces, of which work has the first power.
+        # For a body at rest that a pin sets in motion, the work of the frame is the only scale.
+        # The gain of an unstable step is quadratic in its forces, in which work is linear.
         most = GAIN * max(self._scale, abs(now.work))
-        # A clipped F or a cut stress is no gradient of an energy: what it gains says nothing of
-        # the step.  Written so that an energy that is no number fails too.
+        # A clipped F or a capped stress is not the gradient of an energy: its gain is no evidence
+        # about the step.  The condition is such that an energy of NaN fails too.
         limited = now.clamped + now.stress_capped > 0 and np.isfinite(gain)
         if not (gain <= most or limited):
             return worst(particles), (
                 f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
                 f" (at most {most:.2g} J can be rounding and integration error)"
             )
-        # A particle is no further from the middle of its body than the box around all is long.
+        # a particle's distance from its body's median is at most the diagonal of the bounding box
         low, high = corners(particles.x)
         if not np.linalg.norm(high - low) <= ESCAPE * self._reach:
             far = self._distances(particles.x)
@@ -280,13 +286,13 @@ class Guard:
         return self._judge_inversion(last, now, particles)
 
     def _distances(self, x: Floats) -> Floats:
-        """(N,) [m] of particles from the middle of their body."""
+        """(N,) [m] distance of each particle from the median position of its body."""
         body = np.zeros(len(x), np.int64) if self._body is None else self._body
         middles = [np.median(x[body == k], axis=0) for k in range(int(body.max()) + 1)]
         return np.linalg.norm(x - np.array(middles)[body], axis=1)
 
     def _judge_inversion(self, last: Health, now: Health, particles: Pose) -> tuple[int, str]:
-        """A new inversion is worth one try with half the step; what that leaves is believed."""
+        """A new inversion is repeated once with half the step; if it remains, it is accepted."""
         known = max(self._inverted, last.inverted)
         if now.inverted > known and self._tried < 0:
             self._tried = now.inverted
@@ -302,14 +308,14 @@ class Guard:
         self._calm = 0
 
     def passed(self) -> None:
-        """Count a good frame; after enough of them double a halved step."""
+        """Count an accepted frame; after CALM_FRAMES of them double a halved step."""
         self._calm += 1
         if self.halvings and self._calm >= CALM_FRAMES:
             self.halvings -= 1
             self._calm = 0
 
     def save(self) -> dict[str, float]:
-        """What a checkpoint keeps of it."""
+        """The state of the guard, for checkpoints."""
         return {
             "scale": self._scale,
             "calm": self._calm,
@@ -318,7 +324,7 @@ class Guard:
         }
 
     def load(self, saved: Mapping[str, float]) -> None:
-        """Go on from what `save` returned."""
+        """Restore the result of `save`."""
         self._scale = float(saved["scale"])
         self._calm, self._inverted = int(saved["calm"]), int(saved["inverted"])
         self.halvings = int(saved["halvings"])

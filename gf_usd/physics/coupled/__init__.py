@@ -1,1 +1,1 @@
-"""Solid and flowing bodies in one bake: both solvers side by side, and the contact between them."""
+"""Solid and flowing bodies in one bake: both solvers together, and the contact between them."""

@@ -30,11 +30,11 @@ from gf_usd.physics.updated_lagrangian.planes import Faced
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
-STEP = 1.0  # w T of a span at most: a quarter of what is stable, squared
+STEP = 1.0  # w T of a span at most: (w T)^2 is a quarter of the stable limit
 
 
 class SolidBodies:
-    """The solid bodies, as what flows meets them: `planes.Solids`."""
+    """The solid bodies as contact partners of the flow: `planes.Solids`."""
 
     def __init__(self, solver: TotalLagrangian) -> None:
         assert solver.pairs is not None
@@ -46,11 +46,13 @@ class SolidBodies:
         self.friction, self.restitution = contact.friction, contact.restitution
 
     def motion(self) -> tuple[Floats, Floats]:
-        """x [m] and v [m/s] of the contact samples now, (m, 3)."""
+        """x [m] and v [m/s] of the contact samples, (m, 3)."""
         return self._pairs.motion(self._solver.state.view())
 
     def boxes(self) -> list[tuple[Floats, Floats, float]]:
-        """Of each body the corners (3,) [m] of its box, and [m/s] of its fastest sample."""
+        """The corners (3,) [m] of each body's bounding box, and the largest speed [m/s] of its
+        samples.
+        """
         x, v = self.motion()
         members = [m for m in self._pairs.members if len(m)]
         return [(x[m].min(0), x[m].max(0), fastest(v[m])) for m in members]
@@ -91,7 +93,7 @@ class SolidBodies:
 
 
 class Exchange:
-    """Moves a flow together with solid bodies: the `Partner` of their solver."""
+    """Advances a flow together with solid bodies: the `Partner` of their solver."""
 
     def __init__(self, solid: TotalLagrangian, flow: UpdatedLagrangian) -> None:
         assert solid.body.contact is not None
@@ -100,10 +102,10 @@ class Exchange:
         self._span = np.inf  # [s] of a span at most
         self._dt = 0.0  # [s] of the flow's substeps at most
         self._half: tuple[Floats, Floats, Ints, Floats] | None = None
-        self.full = False  # whether the grid of the flow was too small
+        self.full = False  # whether the flow left its grid
 
     def begin_frame(self, index: int, dt: float) -> None:
-        """Begin the way to frame `index`, in substeps of dt [s]."""
+        """Begin the frame `index`, with substeps of dt [s]."""
         self._dt, self.full = dt, False
         self._flow.begin(index)
 
@@ -120,10 +122,10 @@ class Exchange:
         return chunk, max(1.0, dt / self._span)
 
     def _stable(self) -> float:
-        """[s] of a span that springs between the bodies allow.
+        """[s] stable length of a span for the springs between the bodies.
 
-        Those of planes whose samples may touch, on the samples that carry them, are at most so
-        many times as strong as the floor's, whose frequency on the grid is known.
+        Springs of planes whose samples can touch, distributed to the samples of the surface, are at
+        most a known factor stiffer than the floor's, whose frequency on the grid is known.
         """
         planes, contact = self._flow.planes, self._contact
         assert planes is not None
@@ -177,7 +179,7 @@ class Exchange:
             self._kick()
 
     def _kick(self) -> None:
-        """Give the solid bodies their half."""
+        """Apply half of the impulses to the solid bodies."""
         assert self._half is not None
         impulse, moment, carriers, weights = self._half
         hit = np.flatnonzero(impulse.any(1))
@@ -189,16 +191,16 @@ class Exchange:
         out = np.zeros_like(x)
         np.add.at(
             out, carriers[hit],
-            shared(impulse[hit], moment[hit], x[carriers[hit]], weights[hit]),
+            distributed_impulses(impulse[hit], moment[hit], x[carriers[hit]], weights[hit]),
         )  # fmt: skip
         solid.kick(out)
 
 
-def shared(J: Floats, L: Floats, x: Floats, weights: Floats) -> Floats:
+def distributed_impulses(J: Floats, L: Floats, x: Floats, weights: Floats) -> Floats:
     """Impulses (k, 3, 3) [N s] on triples of points at x (k, 3, 3) [m], with weights (k, 3).
 
-    Each triple's sum is J (k, 3) [N s], and its moment about the origin L (k, 3) [N m s] unless the
-    three are in line; then it is that of the weights.
+    The sum of each triple is J (k, 3) [N s].  Its moment about the origin is L (k, 3) [N m s],
+    unless the three points are collinear; then it is that of the weights.
     """
     out = weights[:, :, None] * J[:, None]
     left = L - cross(np.einsum("nk,nka->na", weights, x), J)

@@ -28,7 +28,7 @@ from gf_usd.core.materials.conversion import STRESS
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
-from gf_usd.physics.coupled.parts import flowing_bodies, in_use, passing_obstacles
+from gf_usd.physics.coupled.parts import flowing_bodies, passing_obstacles, used_materials
 from gf_usd.physics.coupled.solver import Coupled, refuse
 from gf_usd.physics.coupled.transfer import (
     SolidState,
@@ -48,9 +48,9 @@ from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 
 class Converting(Solver):
-    """Bodies some of whose particles can be converted, and others; parameters as for `Coupled`.
+    """Bodies of which some particles can be converted, and others; parameters as for `Coupled`.
 
-    Raises UsageError for what such a bake does not know.
+    Raises UsageError for options that such a bake does not support.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Converting(Solver):
         self.now = self._solver()
 
     def _solver(self) -> Solver:
-        """The solver of the bodies, of which `flows` (B,) do so, at their start."""
+        """The solver of the bodies, of which `flows` (B,) flow, in its initial state."""
         flows, particles = self.flows, replace(self.particles, scatter=None)
         body = particles.body_of
         if self._moved is not None:
@@ -105,11 +105,11 @@ class Converting(Solver):
             for one in particles.conversions
             if len(rows := one.particles[flows[body[one.particles]]])
         )
-        samples = self._samples.with_grains(particles, flows & self._shelled())
+        samples = self._samples.with_grains(particles, flows & self._sampled_surfaces())
         particles = replace(particles, conversions=mine)
         more: dict[str, Any] = {**self._more, "samples": samples, "velocity": self._velocity}
         if flows.all():
-            particles, materials = in_use(replace(particles, copies=None), self._materials)
+            particles, materials = used_materials(replace(particles, copies=None), self._materials)
             own = replace(self._own, solver="ul")
             walls = ContactSetup(skins=(), colliders=self._setup.colliders, flows=True)
             made = UpdatedLagrangian(particles, materials, own, contact_setup=walls, **more)
@@ -120,11 +120,11 @@ class Converting(Solver):
         more |= {**self._on, "contact_setup": self._setup}
         if flows.any():
             return Coupled(particles, self._materials, self._own, flows=flows, **more)
-        particles, materials = in_use(particles, self._materials)
+        particles, materials = used_materials(particles, self._materials)
         return TotalLagrangian(particles, materials, replace(self._own, solver="tl"), **more)
 
-    def _shelled(self) -> NDArray[np.bool_]:
-        """(B,) which bodies have samples of their surface, and not yet their particles."""
+    def _sampled_surfaces(self) -> NDArray[np.bool_]:
+        """(B,) which bodies have contact samples of their surface, not of their particles."""
         body = self._samples.body
         of = np.zeros(len(self._samples.X), int) if body is None else np.asarray(body)
         if self._samples.normal is None:
@@ -132,7 +132,7 @@ class Converting(Solver):
         surfaces = np.asarray(self._samples.normal).any(1)
         return np.bincount(of, surfaces, len(self.flows)) > 0.0
 
-    # What a solver is asked for is what the one that moves the bodies now says.
+    # the solver that currently advances the bodies has the values of `Solver`
 
     @property
     def body(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -198,12 +198,12 @@ class Converting(Solver):
         self.now.load(saved)
 
     def read(self, index: int) -> Frame:
-        """See `Solver`; what is past its limit at the start is handed over first."""
+        """See `Solver`; particles that are past their limit at the start are converted first."""
         frame = self.now.read(index)
         return self._with_conversions(self._hand_over(frame, index) if index == 0 else frame)
 
     def next(self, index: int, last: Health) -> Frame:
-        """See `Solver`; after the frame, bodies that begin to flow are handed over."""
+        """See `Solver`; after the frame, bodies that begin to flow change their solver."""
         self.now.on_launch = self.on_launch
         return self._with_conversions(self._hand_over(self.now.next(index, last), index))
 
@@ -282,7 +282,7 @@ class Converting(Solver):
     ) -> None:
         """Give the new solver the state of the one before.
 
-        numbers : of the bodies that were solid; mine : what the new flow takes over of them.
+        numbers : of the bodies that were solid; mine : their particles in the new flow.
         """
         flow_before, solid_before = flow_of(before), solid_of(before)
         flow, solid = flow_of(self.now), solid_of(self.now)

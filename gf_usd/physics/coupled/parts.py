@@ -1,4 +1,4 @@
-"""The particles, samples and points of a bake, divided among its solid and its flowing bodies."""
+"""Divides the particles, samples and points of a bake into solid and flowing bodies."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from gf_usd.core.stage import ContactSetup
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Some of the bodies, with all that is theirs."""
+    """A subset of the bodies, with their data."""
 
-    bodies: Ints  # (b,) their numbers among all, ascending
-    at: Ints  # (n,) their particles among all
-    particles: Particles  # bodies are numbered anew, from 0
+    bodies: Ints  # (b,) numbers of the bodies among all, ascending
+    at: Ints  # (n,) indices of the particles among all
+    particles: Particles  # bodies are renumbered from 0
     samples: SurfaceSamples | None
     embedded: Mapping[str, Floats]
     embedded_body: Mapping[str, int]
@@ -30,7 +30,7 @@ class Part:
     copies: Ints | None  # (K,) new numbers of the copies of cells; -1: of others
 
     def velocity(self, velocity: Any) -> Any:
-        """Of all bodies, as a solver takes it, what is theirs."""
+        """The initial velocities of the part's bodies, as a solver takes them."""
         if not isinstance(velocity, list):
             return velocity
         mine = [velocity[k] for k in self.bodies]
@@ -38,8 +38,9 @@ class Part:
 
 
 def flowing_bodies(particles: Particles, materials: Sequence[Material]) -> Ints:
-    """(B,) which bodies are for the Updated Lagrangian solver: a part of them flows without end, or
-    can be converted."""
+    """(B,) which bodies are for the Updated Lagrangian solver: those that flow without end in part,
+    or can be converted.
+    """
     flows = unbounded(particles, materials) | convertible(particles)
     return np.bincount(particles.body_of, flows) > 0.0
 
@@ -54,7 +55,7 @@ def part_of(
     *,
     copied: bool,
 ) -> Part:
-    """The part of the bodies (B,) `which`; copied : cells that limbs share stay copied."""
+    """The part with the bodies (B,) `which`; copied : cells that limbs share stay copied."""
     body = particles.body_of
     at = np.flatnonzero(which[body])
     number = np.cumsum(which) - 1
@@ -116,11 +117,12 @@ def _conversions(given: Sequence[Conversion], count: int, at: Ints) -> tuple[Con
     return tuple(one for one in found if len(one.particles))
 
 
-def in_use(
+def used_materials(
     particles: Particles, materials: Sequence[Material]
 ) -> tuple[Particles, tuple[Material, ...]]:
-    """The particles with those of the materials that they have or can be converted to, numbered
-    anew: kernels know no law that nothing has."""
+    """The particles with only those materials that they have or can be converted to, renumbered, so
+    that kernels contain no unused law.
+    """
     becomes = [one.material for one in particles.conversions]
     used = np.unique([*np.unique(particles.material), *becomes]).astype(np.int64)
     number = np.full(len(materials), -1)
@@ -157,7 +159,9 @@ def _copies(
 
 
 def solid_setup(setup: ContactSetup, solid: Part, copied: Ints | None = None) -> ContactSetup:
-    """What the solid bodies meet; `copied` (K,) new numbers of the copies of cells."""
+    """The possible contacts of the solid bodies; `copied` (K,) new numbers of the copies of
+    cells.
+    """
     number = {int(k): i for i, k in enumerate(solid.bodies)}
     skins = tuple(setup.skins[k] for k in solid.bodies)
     if copied is not None:
@@ -187,8 +191,9 @@ def passing_obstacles(setup: ContactSetup, body: Ints) -> dict[int, Ints]:
 
 
 def passes(setup: ContactSetup, solid: Part, flow: Part) -> dict[int, Ints]:
-    """(n,) samples of the flow that pass through an obstacle, or a solid body after these, by its
-    number: what the stage lets pass."""
+    """(n,) which samples of the flow pass through an obstacle, or a solid body (numbered after the
+    obstacles), as the stage allows.
+    """
     assert flow.samples is not None
     of = np.zeros(len(flow.samples.X), int) if flow.samples.body is None else flow.samples.body
     body, count = flow.bodies[of], len(setup.colliders)

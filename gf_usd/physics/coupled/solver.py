@@ -1,7 +1,7 @@
-"""Solid bodies by the Total Lagrangian solver and flowing ones by the Updated Lagrangian, at once.
+"""Solid bodies in the Total Lagrangian solver and flowing ones in the Updated Lagrangian solver.
 
-Which is which follows from the laws of their particles.  Both have the same substeps a frame; what
-they do to each other is in `contact`.
+The laws of its particles determine the solver of a body.  Both solvers have the same substeps per
+frame; `contact` exchanges the forces between them.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from gf_usd.physics.coupled.contact import Exchange, SolidBodies
 from gf_usd.physics.coupled.parts import (
     Part,
     flowing_bodies,
-    in_use,
     part_of,
     passes,
     solid_setup,
+    used_materials,
 )
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -33,11 +33,11 @@ from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 
 class Coupled(Solver):
-    """Some bodies that hold together and some that flow; parameters as for `TotalLagrangian`.
+    """Solid and flowing bodies; parameters as for `TotalLagrangian`.
 
-    flows : (B,) which bodies flow; None: those of which a part does, or can be converted.
+    flows : (B,) which bodies flow; None: those that flow in part, or can be converted.
 
-    Raises UsageError for what only one of the two can do.
+    Raises UsageError for options that only one of the two solvers supports.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Coupled(Solver):
         self._solid, self._flow = part(~flows, copied=True), part(flows, copied=False)
         self.flowing_at = self._flow.at  # (n,) particles, among all
         own = replace(settings, shortcuts=False, settling=False, rolling=0.0)
-        made, of_solid = in_use(self._solid.particles, materials)
+        made, of_solid = used_materials(self._solid.particles, materials)
         self.solid = TotalLagrangian(
             made, of_solid, own, samples=self._solid.samples,
             embedded=self._solid.embedded, velocity=self._solid.velocity(velocity), pins=pins,
@@ -87,7 +87,7 @@ class Coupled(Solver):
             h=h, real=real,
         )  # fmt: skip
         walls = ContactSetup(skins=(), colliders=contact_setup.colliders, flows=True)
-        made, of_flow = in_use(self._flow.particles, materials)
+        made, of_flow = used_materials(self._flow.particles, materials)
         self.flow = UpdatedLagrangian(
             made, of_flow, own, samples=self._flow.samples,
             embedded=self._flow.embedded, velocity=self._flow.velocity(velocity),
@@ -132,7 +132,7 @@ class Coupled(Solver):
         return -1, ""
 
     def advance(self, index: int, substeps: int) -> FrameStats:
-        """Move by a frame; `index` is the frame that this leads to."""
+        """Advance to frame `index`."""
         self.solid.on_launch = self.flow.on_launch = self.on_launch
         before = self.state.save()
         solid = self._frame(index, substeps)
@@ -183,7 +183,7 @@ class Coupled(Solver):
         )  # fmt: skip
 
     def _converted(self, of_flow: Ints | None) -> Ints | None:
-        """(N,) of all particles, of what is known of those of the flow."""
+        """(N,) of all particles, from those of the flow."""
         if of_flow is None:
             return None
         out = np.zeros(len(self.particles), bool)
@@ -192,7 +192,7 @@ class Coupled(Solver):
 
 
 def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None:
-    """Raise UsageError for what a bake of solid and flowing bodies does not know."""
+    """Raise UsageError for options that a bake of solid and flowing bodies does not support."""
     asked = {
         "--flesh and attachments that pull": goals is not None,
         "--rigid": any(pin.rigid for pin in pins),
@@ -234,7 +234,7 @@ class BothStates:
 
 
 def merged_stats(solid: FrameStats, flow: FrameStats) -> FrameStats:
-    """What both noticed."""
+    """The statistics of both solvers."""
     sums = ("let_go", "friction_capped", "work", "injected", "planes", "clamped", "stress_capped")
     return replace(
         solid,
@@ -247,7 +247,7 @@ def merged_stats(solid: FrameStats, flow: FrameStats) -> FrameStats:
 
 
 def merged_health(solid: Health, flow: Health) -> Health:
-    """Sums of what adds up, extremes of what does not."""
+    """Sums of extensive values, extremes of others."""
     out: dict[str, Any] = {}
     for field in fields(Health):
         a, b = getattr(solid, field.name), getattr(flow, field.name)

@@ -231,7 +231,7 @@ class SharedNodes:
         self._in = sparse.csr_matrix((ones, cells.ravel(), start), shape=shape)
         self._of = self._in.T.tocsr()
 
-    def astray(self, rows: sparse.csr_matrix, nodes: Ints, seed: Ints) -> Ints:
+    def unconnected_fits(self, rows: sparse.csr_matrix, nodes: Ints, seed: Ints) -> Ints:
         """Rows (n, m) over nodes (m,) that name one which does not hang together with their seed.
 
         seed : (n,) node.  A third node has to be in a cell with both.

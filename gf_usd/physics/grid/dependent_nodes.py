@@ -127,15 +127,19 @@ class Fits:
         if self._cells is None or not len(at):
             return rows
         own: Ints = kd_tree(self.ijk).query(at)[1] if seed is None else seed
-        astray = self._cells.astray(rows, nodes, own)
+        unconnected_fits = self._cells.unconnected_fits(rows, nodes, own)
         if len(home):
-            astray = astray[home[astray] < 0]
-        if not len(astray):
+            unconnected_fits = unconnected_fits[home[unconnected_fits] < 0]
+        if not len(unconnected_fits):
             return rows
         cells = self._cells.as_copies
-        home = cells.home[own[astray]]
-        within = cells.through_solid(affine_fit, at[astray], home, self.ijk, counts)[:, nodes]
-        return replaced(rows, astray, self._or_nearest(within, at[astray], nodes))
+        home = cells.home[own[unconnected_fits]]
+        within = cells.through_solid(affine_fit, at[unconnected_fits], home, self.ijk, counts)[
+            :, nodes
+        ]
+        return replaced(
+            rows, unconnected_fits, self._or_nearest(within, at[unconnected_fits], nodes)
+        )
 
     def _or_nearest(self, rows: sparse.csr_matrix, at: Ints, nodes: Ints) -> sparse.csr_matrix:
         """Rows with the nearest of nodes in those that have none: a fleck without free nodes."""

@@ -142,7 +142,7 @@ def boundary_held(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
 Given = Callable[[Ints, Floats], NDArray[np.float64]]  # of nodes by number, and X' [m] of each
 
 
-def given_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> PinnedPoints:
+def prescribed_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> PinnedPoints:
     """Nodes X (n, 3) [m] with those of the body that lie within NEAR of a boundary that is held.
 
     A pin that holds no node itself holds none nearby, but for a patch, which may be smaller than a
@@ -161,7 +161,7 @@ def given_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -
     return PinnedPoints(axes=axes)
 
 
-def given_wholly(
+def fully_prescribed(
     pins: Sequence[Pin], held: PinnedPoints, mass: Floats, body: Ints, X: Floats
 ) -> PinnedPoints:
     """Nodes X (n, 3) [m] with all those of the bodies whose particles are held without exception.

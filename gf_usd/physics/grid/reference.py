@@ -33,10 +33,10 @@ from gf_usd.physics.grid.pins import (
     PinConstraint,
     PinnedPoints,
     axis_factors,
-    given_nearby,
-    given_wholly,
+    fully_prescribed,
     mirror_points,
     pinned_by,
+    prescribed_nearby,
     region_of_nodes,
     weight_on,
 )
@@ -359,8 +359,8 @@ def build_stencil(
     node_X = origin + h * node_ijk - offset
     pins = pin_constraint.pins if pin_constraint else ()
     held = pinned_by(pins, node_X, node_body)
-    held = given_nearby(pins, held, node_X, h)
-    held = given_wholly(pins, held, mass, node_body, node_X)
+    held = prescribed_nearby(pins, held, node_X, h)
+    held = fully_prescribed(pins, held, mass, node_body, node_X)
     if copies is not None and held.any:
         # What a pin's region holds of places, it holds of the limb that is in it.
         inside = np.zeros(len(node_ijk), bool)

@@ -304,7 +304,7 @@ class TotalLagrangian(Solver):
         now.strains(index, particles.F)
         stretch, J = now.elastic_strains(index)
         depth = float(state.get("sample_depth").max())
-        self.strained = self.asked(
+        self.strained = self.required_substeps(
             strained_substeps(body, body.law_at(index), stretch, J, now, depth), depth
         )
         return Frame(

@@ -333,7 +333,7 @@ class UpdatedLagrangian(Solver):
         depth = float(self.state.get("sample_depth").max())
         step = pressed_step(body.contact, body.step, depth)
         dt = strained_step(step, speed, body.h, per_cell(self.particles, body.h))
-        return self.asked(int(np.ceil(self.frame_time / dt)), depth)
+        return self.required_substeps(int(np.ceil(self.frame_time / dt)), depth)
 
     def von_mises(self) -> Floats:
         """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""

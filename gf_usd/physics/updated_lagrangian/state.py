@@ -10,7 +10,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.contact.floor import move_springs, spring_energy
-from gf_usd.physics.frame_loop import first_bad
+from gf_usd.physics.frame_loop import first_not_finite
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.total_lagrangian.setup import floor_height
@@ -79,7 +79,7 @@ class State(DeviceState):
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
         for name in (*PARTICLES, "history") if self._body.law.set.flows else PARTICLES:
-            bad = first_bad(self.get(name).reshape(len(self._body.m), -1))
+            bad = first_not_finite(self.get(name).reshape(len(self._body.m), -1))
             if bad >= 0:
                 X = self._body.particles.X[bad].round(4).tolist()
                 return bad, f"{name} of particle {bad} at rest position {X} m is no longer finite"

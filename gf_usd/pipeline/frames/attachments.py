@@ -19,12 +19,12 @@ def tet_attachments(
     on them prescribe nothing. The core of a bone, which is part of `--flesh`, is not a region that
     `--pin` can name.
     """
-    from gf_usd.physics.grid.pins import given_nearby, pinned_by
+    from gf_usd.physics.grid.pins import pinned_by, prescribed_nearby
 
     found: list[TetAttachment] = []
     for one in tets:
         held = pinned_by(pins, one.X)
-        axes = given_nearby(pins, held, one.X, 2.0 * particles.lattice).axes
+        axes = prescribed_nearby(pins, held, one.X, 2.0 * particles.lattice).axes
         names = dict.fromkeys(pin.name for pin in pins if pin.sharp and not pin.rigid)
         for name in names:
             mine = [k for k, pin in enumerate(pins) if pin.name == name and all(pin.axes)]

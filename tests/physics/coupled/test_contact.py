@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.physics.coupled.contact import STEP, shared
+from gf_usd.physics.coupled.contact import STEP, distributed_impulses
 
 RNG = np.random.default_rng(7)
 
@@ -15,7 +15,7 @@ def test_three_samples_share_an_impulse_and_its_moment() -> None:
     x = corners + RNG.uniform(-0.2, 0.2, (50, 3, 3)) + [3.0, -2.0, 5.0]
     weights = RNG.dirichlet(np.ones(3), 50)
     J, L = RNG.normal(size=(2, 50, 3))
-    p = shared(J, L, x, weights)
+    p = distributed_impulses(J, L, x, weights)
     # places of 6 m, moments of some 10 N m s and couples of edges from .2 m: 300 eps for each of
     # some ten terms
     rounding = 1e4 * np.finfo(float).eps
@@ -26,7 +26,7 @@ def test_three_samples_share_an_impulse_and_its_moment() -> None:
 def test_three_samples_in_line_share_by_their_weights() -> None:
     x = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
     weights, J = np.array([[0.5, 0.25, 0.25]]), np.array([[0.0, 4.0, 0.0]])
-    p = shared(J, np.zeros((1, 3)), x, weights)
+    p = distributed_impulses(J, np.zeros((1, 3)), x, weights)
     assert p[0, :, 1].tolist() == [2.0, 1.0, 1.0]
 
 

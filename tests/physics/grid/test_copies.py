@@ -216,7 +216,7 @@ def test_fits_do_not_reach_across_a_gap_that_nodes_do_not_span(cells) -> None:
     assert len(left) > 50
     assert not left & other
     near = affine_fit(made.node_ijk[made.free_count :], made.node_ijk[: made.free_count])
-    far = SharedNodes(made.node_ijk, made.cell_nodes).astray(
+    far = SharedNodes(made.node_ijk, made.cell_nodes).unconnected_fits(
         near, np.arange(made.free_count), np.arange(made.free_count, made.node_count)
     )
     assert len(far) > 10  # of the fits that know nothing but places
@@ -229,7 +229,7 @@ def test_fits_within_a_ball_hang_together() -> None:
     rows = affine_fit(made.node_ijk[light], made.node_ijk[: made.free_count])
     shared = SharedNodes(made.node_ijk, made.cell_nodes)
     assert len(light) > 50
-    assert len(shared.astray(rows, np.arange(made.free_count), light)) == 0
+    assert len(shared.unconnected_fits(rows, np.arange(made.free_count), light)) == 0
 
 
 def test_copies_are_for_cells_of_one_size(fork) -> None:

@@ -22,11 +22,11 @@ from gf_usd.geometry.thin.thicken import thicken_asset
 from gf_usd.physics.grid.pins import (
     Motion,
     PinConstraint,
-    given_nearby,
-    given_wholly,
+    fully_prescribed,
     interpolation,
     mirror_points,
     pinned_by,
+    prescribed_nearby,
 )
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.pipeline.health.log import gain_of_frames
@@ -94,7 +94,7 @@ def test_mirror_points_lie_across_the_boundary_and_deep_nodes_have_none() -> Non
 def test_nodes_on_both_sides_near_a_boundary_lie_on_the_line_through_it() -> None:
     pin = box("box:-1,-1,-1,0,2,2")
     X = np.array([[0.02, 0.1, 0.1], [-0.02, 0.1, 0.1], [-0.08, 0.1, 0.1], [0.0, 0.1, 0.1]])
-    held = given_nearby([pin], pinned_by([pin], X), X, 0.1)
+    held = prescribed_nearby([pin], pinned_by([pin], X), X, 0.1)
     assert held.pin.tolist() == [0, 0, 0, 0]
     across = lambda rows, X: np.where(rows == 2, 0.5, 0.0)  # noqa: E731
     mirror, share = mirror_points([pin], held, X, 0.1, across)
@@ -110,9 +110,9 @@ def test_all_nodes_of_a_body_that_is_wholly_held_are_held() -> None:
     pins = [box("box:1.5,-1,-1,1.7,2,2"), box("box:1.7,-1,-1,2.1,2,2")]
     X = np.array([[x, 0.1, 0.1] for x in (0.0, 0.5, 1.4, 1.6, 1.8, 2.3)])
     body, mass = np.array([0, 0, 1, 1, 1, 1]), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    held = given_wholly(pins, pinned_by(pins, X), mass, body, X)
+    held = fully_prescribed(pins, pinned_by(pins, X), mass, body, X)
     assert held.pin.tolist() == [-1, -1, 0, 0, 1, 1]
-    partly = given_wholly(pins, pinned_by(pins, X), np.where(X[:, 0] > 2.0, 0.1, mass), body, X)
+    partly = fully_prescribed(pins, pinned_by(pins, X), np.where(X[:, 0] > 2.0, 0.1, mass), body, X)
     assert partly.pin.tolist() == [-1, -1, -1, 0, 1, -1]
 
 
@@ -212,11 +212,11 @@ def test_a_patch_smaller_than_a_cell_holds_the_nearest_nodes() -> None:
     X = np.array([[0.07, 0.1, 0.05], [0.07, 0.3, 0.05], [0.27, 0.1, 0.05]])
     free = pinned_by([pin], X)
     assert not free.any
-    assert given_nearby([pin], free, X, h).pin.tolist() == [0, -1, -1]
+    assert prescribed_nearby([pin], free, X, h).pin.tolist() == [0, -1, -1]
     far = X + [0.05, 0.05, 0.0]  # none within NEAR
-    assert given_nearby([pin], pinned_by([pin], far), far, h).pin.tolist() == [0, -1, -1]
+    assert prescribed_nearby([pin], pinned_by([pin], far), far, h).pin.tolist() == [0, -1, -1]
     away = X + [1.0, 0.0, 0.0]
-    assert not given_nearby([pin], pinned_by([pin], away), away, h).any
+    assert not prescribed_nearby([pin], pinned_by([pin], away), away, h).any
 
 
 def test_a_pinned_sheet_hangs_as_its_weight_says() -> None:
