@@ -96,7 +96,7 @@ def _is_row(hint: Any) -> bool:
 
 
 def asset_path(path: Any) -> Path:
-    """The path of an asset.  Raises UsageError for what is none."""
+    """The path of an asset.  Raises UsageError for other values."""
     if isinstance(path, str | os.PathLike) and isinstance(os.fspath(path), str) and str(path):
         return Path(path)
     if hasattr(path, "GetRootLayer"):

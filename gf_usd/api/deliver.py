@@ -140,7 +140,7 @@ def _pairs(keys: object) -> list[tuple[float, float]]:
 
 
 def read_keys(text: str) -> list[tuple[float, float]]:
-    """((1, 1), (48, 24)) of "1:1,48:24".  Raises UsageError for what is no pair of numbers."""
+    """((1, 1), (48, 24)) from "1:1,48:24". Raises UsageError for an invalid text."""
     found = []
     for pair in text.split(","):
         try:
@@ -161,7 +161,7 @@ def _share(name: str, value: object) -> float:
 
 
 def read_share(text: str) -> float:
-    """0.005 of "0.5%" or "0.005".  Raises UsageError for what is no number."""
+    """0.005 from "0.5%" or "0.005". Raises UsageError for an invalid text."""
     number = text.strip()
     try:
         return float(number[:-1]) / 100.0 if number.endswith("%") else float(number)

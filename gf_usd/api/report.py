@@ -121,7 +121,7 @@ def write_splats(path: Path, target: Path, variant: str | None, splats: int, fra
 
 
 def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
-    """Raise UsageError where a page cannot be written, or would replace what it is made of."""
+    """Raise UsageError where a page cannot be written, or would replace one of its inputs."""
     if target.suffix.lower() not in (".html", ".htm"):
         raise UsageError(
             f"{target} does not end in .html.", "report writes a web page: -o report.html"

@@ -250,7 +250,7 @@ def _triple(name: str, value: Any) -> Triple:
 
 
 def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """(V, 3) points, (P,) counts and (C,) indices.  Raises UsageError for what is no mesh."""
+    """(V, 3) points, (P,) counts and (C,) indices.  Raises UsageError for an invalid mesh."""
     if faces is None:
         if not (hasattr(points, "vertices") and hasattr(points, "faces")):
             raise UsageError(

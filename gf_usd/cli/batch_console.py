@@ -26,7 +26,7 @@ class Voice(Protocol):
 
 @contextmanager
 def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator[Voice]:
-    """The way to say how it goes; events reach the board first."""
+    """The output for the events of a batch, which update the board first."""
 
     def told(event: dict[str, Any] | None) -> None:
         row = None if event is None else board.handle(event)
@@ -97,7 +97,7 @@ def openjd_lines(board: Board, event: dict[str, Any], row: Row | None) -> list[s
 
 
 def table(board: Board) -> Any:
-    """What runs, what failed, and how much is left."""
+    """The running and failed jobs, and the remaining time."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

@@ -1,6 +1,5 @@
-"""From the arguments of ``batch`` to its plan.
-
-What ``batch`` does with its jobs: list them, run them, hand them on, show what came of them.
+"""Makes a plan from the arguments of ``batch``, and lists, runs or exports its jobs and shows their
+results.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ from gf_usd.system.processes import Children
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """What the command line says next to the manifest or the assets."""
+    """Arguments of the command line in addition to the manifest or the assets."""
 
     materials: str | None = None
     seeds: str | None = None
@@ -99,7 +98,7 @@ def require_company(options: Mapping[str, Any], needed: str, there: object) -> N
 
 
 def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
-    """The jobs that are asked for.  Raises UsageError for a name or number that none has."""
+    """The selected jobs.  Raises UsageError for a name or number without a job."""
     jobs = choose(plan, choice.select) if choice.select else plan.jobs
     if choice.failed:
         known = earlier_run(plan.out / f"{plan.title}{SUMMARY}", plan.jobs, "--failed")
@@ -181,7 +180,7 @@ def _of_assets(sources: Sequence[str], asked: Asked) -> Manifest:
 
 
 def _overridden(manifest: Manifest, asked: Asked) -> Manifest:
-    """A manifest whose settings and axes give way to those of the command line."""
+    """A manifest whose settings and axes are replaced by those of the command line."""
     axes = {
         key: [clean({key: value}, "the command line", Path.cwd())[key] for value in values]
         for key, values in _axes(asked).items()

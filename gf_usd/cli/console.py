@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def show_plan(
     prepared: Prepared, *, max_hours: float, as_json: bool = False, err: bool = False
 ) -> None:
-    """What would be done and what it would cost; max_hours is where `run` refuses."""
+    """Print the plan and its estimated cost; max_hours : the limit of `run`."""
     from gf_usd.pipeline.cost.budget import shortcuts
     from gf_usd.prepare.plan import describe
 
@@ -54,7 +54,7 @@ def show_plan(
 
 
 def drops(plan: Plan) -> bool:
-    """Whether a body falls on a floor: what bones or pins hold does if it was lifted."""
+    """Whether a body falls onto a floor; bodies held by bones or pins do if they were lifted."""
     held = plan.held or plan.goals is not None
     return plan.settings.floor is not None and (any(plan.settings.lift) or not held)
 
@@ -70,7 +70,7 @@ def landing_of(plan: Plan, cost: Mapping[str, Any]) -> str:
 
 
 def announce(prepared: Prepared) -> None:
-    """One line on stderr of what is about to be spent, and the notes."""
+    """Print one line with the estimated cost on stderr, and the notes."""
     from gf_usd.pipeline.cost.budget import shortcuts
 
     plan, cost = prepared.plan, prepared.cost
@@ -89,7 +89,7 @@ def announce(prepared: Prepared) -> None:
 
 
 def frames_of(told: Mapping[str, Any]) -> str:
-    """How many frames are simulated; told : its limit, and the cost of the plan."""
+    """The number of simulated frames as text; told : its limit, and the cost of the plan."""
     frames = told["frames"]
     if not told["ends_early"]:
         return f"{frames} frames"
@@ -99,7 +99,7 @@ def frames_of(told: Mapping[str, Any]) -> str:
 
 
 def time_of(told: Mapping[str, Any]) -> str:
-    """How long a bake takes; told : as of `frames_of`."""
+    """The duration of a bake as text; told : as of `frames_of`."""
     from gf_usd.pipeline.cost.budget import duration
 
     whole, usual = (duration(told[name]) for name in ("estimated_seconds", "usual_seconds"))
@@ -116,7 +116,7 @@ def _told(plan: Plan, note: str) -> str:
 
 
 def disk_of(told: Mapping[str, Any]) -> str:
-    """What its files take; told : as of `frames_of`."""
+    """The size of the files as text; told : as of `frames_of`."""
     return f"{'at most' if told['ends_early'] else 'about'} {_bytes(told['estimated_bytes'])}"
 
 
@@ -159,9 +159,9 @@ def _ticking(tick: Callable[[], None]) -> Iterator[None]:
 
 
 class Spent:
-    """Passes activities on, and keeps the time of each stage.
+    """Passes activities on, and measures the time of each stage.
 
-    show : what shows them; clock : [s].
+    show : displays them; clock : [s].
     """
 
     def __init__(
@@ -227,7 +227,7 @@ class Lines:
             self._tell(now)
 
     def tick(self) -> None:
-        """Time passes: what takes long is said again."""
+        """Called regularly: repeats the message of a long stage."""
         if self._now is not None and self._clock() - self._at >= self._wait:
             self._tell(self._now)
 
@@ -305,9 +305,9 @@ def _bar() -> Iterator[Callable[[Activity], None]]:
 
 
 def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
-    """Files, sizes and what was measured; what was noted only while it ran.
+    """Print the files, their sizes, the measured values, and notes of the run.
 
-    spent : the seconds of its stages, in words.
+    spent : the seconds of its stages, as text.
     """
     clips = [clip for bake in result.bakes for clip in bake.clips]
     files = [path for path in result.outputs if path.exists() and path not in clips]

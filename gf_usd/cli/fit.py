@@ -1,4 +1,4 @@
-"""gf-usd fit: material values from what was observed."""
+"""gf-usd fit: estimates material values from observations."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def fit(
 
 
 def sibling(layer: Path, asked: str | None, suffix: str) -> Path | None:
-    """The path that was asked for, None for "none", or that of the layer with another suffix."""
+    """The given path, None for "none", or that of the layer with another suffix."""
     if asked is None:
         return layer.with_suffix(suffix)
     return None if asked == "none" else Path(asked)

@@ -20,7 +20,7 @@ HELP = {"-h", "--help", "--help-all"}
 
 @dataclass(frozen=True, kw_only=True)
 class FolderOptions:
-    """What a file says of options, as the command line would."""
+    """The options in a file, in the form of the command line."""
 
     path: Path
     values: Mapping[str, Any] = field(default_factory=dict)

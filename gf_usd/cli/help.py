@@ -106,7 +106,7 @@ class HelpfulCommand(TyperCommand):
                 param.metavar = PLACEHOLDERS.get(param.type.name.split()[0])
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """An option that may stand alone gets the value that this says."""
+        """Insert the default value of an option that may be given without one."""
         known = {flag for param in self.get_params(ctx) for flag in param.opts}
         args = present(self.name or "", args)
         left = super().parse_args(ctx, with_bare_values(args, known))
@@ -126,14 +126,14 @@ class HelpfulCommand(TyperCommand):
         return [word.replace("{", "").replace("}", "") for word in words]
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
-        """The examples stand between what a command does and its options."""
+        """The examples are between the description of a command and its options."""
         super().format_help_text(ctx, formatter)
         if examples := EXAMPLES.get(self.name or ""):
             with formatter.section("Examples"):
                 formatter.write_dl(examples, col_max=60)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Options by group; those of experts are named only, unless they were asked for."""
+        """Options by group; expert options are only listed by name, unless --help-all is given."""
         params = self.get_params(ctx)
         grouped = "help_all" in {param.name for param in params}
         for group, rows in self._grouped(ctx, params) if grouped else self._plain(ctx, params):

@@ -1,4 +1,4 @@
-"""gf-usd inspect: what would be baked, and what is wrong with it."""
+"""gf-usd inspect: reports what would be baked, and defects of the asset."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def _presets(incomplete: str) -> list[str]:
 
 
 def _spoken(option: Option) -> Any:
-    """What typer is told of an option."""
+    """The arguments of an option for typer."""
     flag = option.flag
     if option.two_way:
         flag = f"{flag}/--no-{flag[2:]}"

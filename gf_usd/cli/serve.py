@@ -227,7 +227,7 @@ def _tell(event: Mapping[str, Any]) -> None:
 
 
 def _summary(result: Mapping[str, Any], warnings: Sequence[Mapping[str, Any]]) -> str:
-    """What was written, and what is out of the ordinary."""
+    """The written files, and warnings."""
     told = [f"warning: {w['look']}: {w['message']}\n  hint: {w['hint']}" for w in warnings]
     particles, seconds = result["particles"], result["seconds"]
     return "\n".join([*result["outputs"], f"{particles} particles, {seconds:.1f} s", *told])

@@ -16,9 +16,9 @@ STANDARD = ("stdin", "stdout", "stderr")
 
 
 def open_closed() -> None:
-    """Have a standard stream that is closed lead nowhere; call it first of all.
+    """Redirect closed standard streams to the null device; called first.
 
-    The next file that is opened would otherwise get its number, and what is printed.
+    Otherwise the next opened file would get the stream's number, and the output.
     """
     for number, name in enumerate(STANDARD):
         try:

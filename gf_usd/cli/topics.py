@@ -1,6 +1,7 @@
-"""gf-usd help: a page on what several commands have in common.
+"""gf-usd help: pages on topics that several commands have in common.
 
-`main.execute` answers the name of a command by that command's own help."""
+`main.execute` shows a command's own help for the name of a command.
+"""
 
 from __future__ import annotations
 

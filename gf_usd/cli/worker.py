@@ -80,7 +80,7 @@ def read_ahead() -> None:
 
 
 def make_ready() -> None:
-    """Import what a bake needs, so that the first does not wait for it."""
+    """Import the modules of a bake, so that the first bake does not wait for them."""
     from gf_usd.layers import cache, root  # noqa: F401
     from gf_usd.layers.check import run as checks  # noqa: F401
     from gf_usd.physics import solvers  # noqa: F401

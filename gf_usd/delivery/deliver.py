@@ -123,7 +123,10 @@ def deliver(
 
 
 def _kind_of_nodes(target: Path, kind: str) -> str:
-    """Gaussians on nodes need joints, in glTF; raises UsageError for what has none."""
+    """The kind "joints", which Gaussians on glTF nodes need.
+
+    Raises UsageError for another kind, or a file that is not glTF.
+    """
     if target.suffix.lower() in USD or kind == "shapes":
         raise UsageError(
             f"--bind-splats nodes is only for joints in .glb, not for {target} --as {kind}.",

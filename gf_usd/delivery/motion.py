@@ -54,11 +54,11 @@ class BodyMotion:
 def bodies_of(
     recording: Recording, frames: Sequence[MotionFrame], meshes: Sequence[int]
 ) -> tuple[BodyMotion, ...]:
-    """Meshes of a recording as bodies: those under one root prim whose boxes meet at first.
+    """Meshes of a recording as bodies: those under one root prim whose boxes overlap in the first
+    frame.
 
-    Those of one body are visible in the same frames.
-
-    frames : with the shapes of meshes that are hidden.  meshes : which of them.
+    The meshes of one body are visible in the same frames. frames : including the shapes of hidden
+    meshes. meshes : a subset of the meshes.
     """
     shown = {i: tuple(i not in frame.hidden for frame in frames) for i in meshes}
     motions = {i: np.array([frame.meshes[i] for frame in frames]) for i in meshes}

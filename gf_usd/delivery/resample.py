@@ -92,11 +92,10 @@ def sample_as_played(
     warp: Warp,
     codes: Sequence[float],
 ) -> None:
-    """Give an attribute samples in a layer: what USD interpolates at the times of the bake.
+    """Author samples of an attribute in a layer: USD's interpolation at the times of the bake.
 
-    Bodies hit what a source animates where USD has it, between its samples too.
-
-    path : of the samples, which can be in a variant.
+    Animated obstacles of the source are resampled in the same way, since bodies collide with the
+    interpolated shape. path : of the samples, which can be in a variant.
     """
     values, power = [], RATES.get(attribute.GetName(), 0)
     for time, rate in map(warp, codes):
@@ -110,7 +109,7 @@ def sample_as_played(
 
 
 def most_samples(stage: Usd.Stage) -> list[float]:
-    """Time codes of the samples of what has most of them; of a bake, those of every frame."""
+    """The largest set of sample time codes of any attribute; for a bake, those of every frame."""
     most: list[float] = []
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
         for attribute in prim.GetAuthoredAttributes():

@@ -143,7 +143,7 @@ def _bind(prim: Usd.Prim, mesh: int, rig: Rig, skeleton: UsdSkel.Skeleton, unit:
 
 
 def _forget(prim: Usd.Prim) -> None:
-    """Block what the source says of joints and blend shapes of its own."""
+    """Block the joints and blend shapes of the source."""
     for name in ("skel:joints", "skel:blendShapes", "primvars:skel:skinningMethod"):
         attribute = prim.GetAttribute(name)
         if attribute.HasAuthoredValue():

@@ -29,7 +29,7 @@ class Hierarchy:
 
 
 def hierarchy(rig: Rig) -> Hierarchy:
-    """The joints of a rig; a joint stands at the weighted mean of its points."""
+    """The joints of a rig; a joint is at the weighted mean of its points."""
     rest, root = rig.body.rest, rig.root
     center = rest.mean(axis=0)
     bind = [center]

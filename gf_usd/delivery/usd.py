@@ -132,7 +132,7 @@ def _without_motion(bake: Path, variants: Sequence[BakedVariant]) -> Sdf.Layer:
 
 
 def _tell(layer: Sdf.Layer, names: set[str]) -> None:
-    """Leave what the bake says of the variants that are kept."""
+    """Keep only the metadata of the variants in `names`."""
     data = layer.customLayerData
     about = dict(data.get(VARIANTS, {}))
     told = about.get("looks", {})
@@ -202,9 +202,10 @@ def _author(stage: Usd.Stage, variant: BakedVariant) -> None:
 
 
 def _hide_left_out(stage: Usd.Stage, bake: Path, variant: BakedVariant) -> None:
-    """Hide meshes that particles or a surface stand for in the bake: at rest they would be wrong.
+    """Hide meshes that particles or a surface replace in the bake, since they would be shown at
+    rest.
 
-    The bake hides them with what the file does not take over, its displays and its caches.
+    The bake hides them by its displays and its caches, which the file does not contain.
     """
     source = open_stage(bake)
     select_variant(source, bake, variant.name or None)
@@ -248,9 +249,9 @@ def _author_splats(stage: Usd.Stage, bake: Path, variant: BakedVariant, error: f
 
 
 def _end_instances(stage: Usd.Stage, path: str) -> None:
-    """End every instance above a prim: the bake's own ends were in the cache.
+    """End every instance above a prim, which the bake ended in its cache.
 
-    From the outermost in, because what is inside of an instance cannot be changed before.
+    From the outermost inward, because prims inside an instance cannot be changed before.
     """
     for above in Sdf.Path(path).GetPrefixes():
         prim = stage.GetPrimAtPath(above)

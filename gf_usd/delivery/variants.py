@@ -124,7 +124,7 @@ def read_variants(
 
 
 def _flows_without_end(source: BakedMotion) -> bool:
-    """Whether all materials of a bake do, as it says of itself."""
+    """Whether all materials of a bake flow, according to its metadata."""
     told = source.about.get("looks", {}).get(source.variant, {}).get("materials", {})
     laws = [LAWS.get(material.get("law")) for material in told.values()]
     return bool(laws) and all(law is not None and law.unbounded for law in laws)

@@ -132,7 +132,7 @@ def run(
 def _judge(
     targets: Sequence[Path], inputs: Sequence[Path], size: str | None, fps: float | None
 ) -> list[Options]:
-    """The options of each picture or film.  Raises UsageError for what cannot be written."""
+    """The options of each picture or film.  Raises UsageError for invalid ones."""
     from gf_usd.api.report import require_target
     from gf_usd.view.film import require_folder
 

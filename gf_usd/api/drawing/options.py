@@ -57,7 +57,7 @@ def read_options(
     color: str | None,
     limits: str | None,
 ) -> Options:
-    """Judge the options.  Raises UsageError for what cannot be or does not go together."""
+    """The checked options.  Raises UsageError for invalid values and combinations."""
     suffix = target.suffix.lower()
     if suffix not in SUFFIXES:
         raise UsageError(

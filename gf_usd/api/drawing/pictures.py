@@ -110,7 +110,7 @@ def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixe
 
 
 def film_rate(codes: Sequence[float], per_second: float, options: Options) -> float:
-    """Frames per second: as asked for, else such that the film plays in real time."""
+    """Frames per second: the given value, else that of real time."""
     step = min((b - a for a, b in pairwise(codes)), default=1.0)
     return options.fps or per_second / step
 

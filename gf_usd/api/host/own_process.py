@@ -98,7 +98,7 @@ def _answer(request: Path, progress: Callable[[int, int], None] | None) -> Any:
 
 
 def serve(request: str) -> NoReturn:
-    """The process: do what `call` asks for, and write what came of it to stdout."""
+    """The process: run the task of `call`, and write its result to stdout."""
     reply = os.dup(1)
     quiet = os.open(os.devnull, os.O_RDWR)
     os.dup2(quiet, 0)

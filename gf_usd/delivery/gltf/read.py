@@ -89,7 +89,7 @@ def _parts(file: GlbFile, rigs: Sequence[Rig]) -> Iterator[tuple[Rig, int, int, 
 
 
 class GlbFile:
-    """A binary glTF file whose animation has a key for each frame."""
+    """A binary glTF file whose animation has one key per frame."""
 
     def __init__(self, path: Path) -> None:
         data = path.read_bytes()

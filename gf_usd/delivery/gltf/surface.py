@@ -130,5 +130,5 @@ WRAPS = {"repeat": 10497, "clamp": 33071, "mirror": 33648, "black": 33071}
 
 
 def sampler_of(texture: Texture) -> dict[str, Any]:
-    """The glTF sampler of a texture; what is black outside repeats its border."""
+    """The glTF sampler of a texture; wrap mode black, which glTF lacks, becomes clamp."""
     return {"wrapS": WRAPS[texture.wrap_s], "wrapT": WRAPS[texture.wrap_t]}

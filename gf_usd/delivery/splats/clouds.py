@@ -183,7 +183,7 @@ class SplatErrors:
 
 
 class Errors:
-    """Collects what `SplatErrors` states, frame by frame."""
+    """Collects the values of `SplatErrors`, frame by frame."""
 
     def __init__(self) -> None:
         self._position = 0.0
