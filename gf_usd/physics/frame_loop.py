@@ -216,6 +216,8 @@ class Solver(ABC):
             if attempt == RETRIES:
                 break
             self.state.load(saved)
+            # A state that blew up may require any number of substeps by its strain.
+            self.strained = min(self.strained, GROWTH * (substeps >> self.guard.halvings))
             self.guard.refine()
         raise SolverError(
             f"frame {index}: {fault}, with {self.coarse} substeps, and still after {RETRIES} "
@@ -233,6 +235,7 @@ def first_not_finite(values: Floats) -> int:
 
 
 RETRIES = 6  # halvings of the step before giving up
+GROWTH = 2  # times the substeps of a failed frame that its strain may require of the next attempt
 CALM_FRAMES = 4  # accepted frames before a halved step is doubled again
 # Position Verlet conserves a shadow energy; the energy itself oscillates by up to (w dt)^2 / 4 of
 # that of the stiffest vibrations.  In correct bakes with all presets no frame gained 1e-4 of the

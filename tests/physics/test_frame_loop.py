@@ -14,7 +14,7 @@ from solids import ball, look, settings
 from gf_usd.core.errors import BakeError, SolverError
 from gf_usd.core.frames import Frame, Health, Pose
 from gf_usd.core.materials.dimensionless import FILTER_RATE, time_scale
-from gf_usd.physics.frame_loop import CALM_FRAMES, ESCAPE, GAIN, RETRIES, Guard, energy
+from gf_usd.physics.frame_loop import CALM_FRAMES, ESCAPE, GAIN, GROWTH, RETRIES, Guard, energy
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 SCALE = 100.0  # [J]
@@ -212,6 +212,33 @@ def test_a_frame_done_again_leaves_no_trace_of_the_first_attempt() -> None:
     np.testing.assert_array_equal(again.particles.x, at_once.particles.x)
     np.testing.assert_array_equal(again.particles.F, at_once.particles.F)
     assert again.time == at_once.time
+
+
+def test_a_state_that_blew_up_does_not_set_the_substeps_of_the_next_attempt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By the strain of such a state a frame can require more substeps than anybody waits for."""
+    body, _ = ball(300)
+    solver = TotalLagrangian(body, [look("rubber", body)], settings())
+    frames, tried = solver.frames(), []
+    next(frames)
+    advance, read = solver.advance, solver.read
+
+    def counted(index: int, substeps: int):
+        tried.append(substeps)
+        return advance(index, substeps)
+
+    def blown_up(index: int) -> Frame:
+        frame = read(index)
+        if len(tried) == 1:
+            solver.strained = 10**9
+            return replace(frame, health=replace(frame.health, kinetic=np.inf))
+        return frame
+
+    monkeypatch.setattr(solver, "advance", counted)
+    monkeypatch.setattr(solver, "read", blown_up)
+    assert next(frames).health.rollbacks == 1
+    assert tried == [tried[0], 2 * GROWTH * tried[0]]
 
 
 def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
