@@ -7,8 +7,8 @@ updated after every sample,
 
     remaining = samples left * (recent seconds per substep) * (substeps of the next sample)
 
-and a remark is made where the total is much longer than last announced. Compiling kernels, as the
-first bakes after an installation do, counts as time spent but not in the seconds per substep.
+and a remark is made where the total stays much longer than last announced. Compiling kernels, as
+the first bakes after an installation do, counts as time spent but not in the seconds per substep.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from gf_usd.pipeline.cost.budget import Cost, duration
 
 ANNOUNCED = 2.0  # times the total announced last; the accuracy of the estimate (`budget`)
 MATTERS = 60.0  # [s] by which the total must grow to be announced again
+LASTING = 300.0  # [s] after which a longer forecast is announced before WINDOW samples have passed
 WINDOW = 10  # recent samples that are averaged: longer than an impact
 OVERRUN = 2.0  # times --max-hours at which a bake ends; the accuracy of the estimate
 MORE = 1.5  # times the substeps at rest: from here the remark names the strain as the cause
@@ -105,6 +106,8 @@ class Forecast:
         self._material, self._index = -1, -1  # number of the material and of the last sample
         self._fresh = True  # before the first sample of a material, which also builds the solver
         self._compiled, self._compiles_since = 0.0, 0.0
+        # sample and [s] from which on the forecast has been much longer than announced
+        self._longer_since: tuple[int, float] | None = None
         self._remark = remark
         self._remarks: list[str] = []
         self.left = float(cost["estimated_seconds"])  # [s] current forecast
@@ -124,6 +127,7 @@ class Forecast:
     def begin(self, material: int, index: int) -> None:
         """The next sample is the first one after number `index` of a material; -1: its first."""
         self._material, self._index, self._fresh = material, index, True
+        self._longer_since = None
         self._recent.clear()
         self._idle.clear()
 
@@ -176,7 +180,15 @@ class Forecast:
             return
         whole = spent + self.left
         if whole < ANNOUNCED * self._announced or whole < self._announced + MATTERS:
+            self._longer_since = None
             return
+        if self._longer_since is None:
+            self._longer_since = index, now
+        # an impact is over after WINDOW samples, and with it most of the substeps that it required
+        first, when = self._longer_since
+        if index - first < WINDOW and now - when < LASTING:
+            return
+        self._longer_since = None
         before, self._announced = self._announced, whole
         many = sum(s.substeps for s in self._recent) / len(self._recent)
         self._remarks.append(self._message(material, whole, before, many))
