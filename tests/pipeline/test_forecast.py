@@ -237,7 +237,7 @@ def test_compiling_is_no_pace() -> None:
 def test_long_frames_are_judged_sooner() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 100.0, clock=clock)
-    follow(made, clock, [100] * 6, 1.0)  # 100 s a sample, where 1 s was said
+    follow(made, clock, [100] * 8, 1.0)  # 100 s a sample, where 1 s was said
     assert len(made.take_remarks()) == 1
 
 
