@@ -1,7 +1,4 @@
-"""Energies and stress of a Total Lagrangian body.
-
-What a frame says of its own health.
-"""
+"""Energies, momenta and von Mises stress of a Total Lagrangian body."""
 
 from __future__ import annotations
 
@@ -17,11 +14,13 @@ from gf_usd.physics.total_lagrangian.state import State, StateView
 
 
 def strain_energy(body: Body, law: ParticleLaws, stretch: Floats, J: Floats) -> float:
-    """sum_p V0 psi(F_p) [J] of singular values (N, 3), ascending, and determinants (N,) of F_e.
+    """sum_p V0_p psi(F_p) [J] of singular values (N, 3), ascending, and determinants (N,) of F_e.
 
-    law : of the particles at the time, `Body.law_at`.
-    With a clamp it is that of the clipped F, of which the stress is taken.  No kernel: what a frame
-    says of itself costs a small body more in launches and kernels than in arithmetic.
+    law : of the particles at that time, `Body.law_at`.
+
+    With a stretch clamp it is the energy of the clipped F, from which the stress is computed.
+    Evaluated in NumPy: for a small body, launching and loading a kernel costs more than the
+    arithmetic.
     """
     s, clamp = stretch, body.settings.clamp
     if (J < 0.0).any():
@@ -34,7 +33,7 @@ def strain_energy(body: Body, law: ParticleLaws, stretch: Floats, J: Floats) -> 
 
 
 def elastic_energy(body: Body, state: State) -> float:
-    """The same from the kernels, of which the nodal forces are the gradient [J]."""
+    """sum_p V0_p psi(F_p) [J] by the kernels; the nodal forces are minus its gradient."""
     body.kernels.energy(state.pack, body.layout.groups, state.cell_energy)
     return float(taichi_arrays.values(state.cell_energy).astype(float).sum())
 
@@ -55,11 +54,11 @@ def kinetic_energies(body: Body, now: StateView, bodies: int) -> Floats:
 def stored_energy(
     body: Body, law: ParticleLaws, now: StateView, stretch: Floats, J: Floats
 ) -> float:
-    """Elastic, potential and contact energy [J] of a state; see `strain_energy`."""
+    """Sum of elastic, potential and contact energy [J] of a state; see `strain_energy`."""
     return strain_energy(body, law, stretch, J) + now.potential + now.contact
 
 
-NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each
+NEXT, LAST = (1, 2, 0), (2, 0, 1)  # cyclic successor and predecessor of each axis
 
 
 def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
@@ -101,7 +100,7 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    """a x b of rows (n, 3): `numpy.cross` without its questions about axes and shapes."""
+    """a x b of rows (n, 3): `numpy.cross` without its general handling of axes and shapes."""
     out = a.take(NEXT, 1) * b.take(LAST, 1)
     out -= a.take(LAST, 1) * b.take(NEXT, 1)
     return out

@@ -1,16 +1,14 @@
-"""Substeps as launches of kernels.
+"""Kernel launches for the substeps, and the number of threads that share a launch.
 
-A launch has the substeps of `LAUNCH_SECONDS`.  On the CPU threads take pieces of its stages from a
-queue; on a GPU every thread has its items of each stage, and waits for the others between stages.
-Both take the same sums in the same order: how substeps are cut into launches, and among threads,
-changes no bit.
+A launch covers about `LAUNCH_SECONDS` of substeps. On the CPU, threads take pieces of its stages
+from a work queue; on a GPU each thread processes fixed items of each stage, with a grid barrier
+between stages. Both sum in the same order: the division of substeps into launches and among threads
+does not change a bit of the result.
 
-How many threads share a launch, and how many substeps it takes.
-
-Threads of a launch wait for each other without sleeping (`kernels.work_queue`).  This is fastest if
-every thread has a core, and slow if a thread waits for a core that another program uses.  So the
-CPU time of the threads is compared with the wall time, and if cores were lacking, fewer threads
-share the following launches.  No result depends on it.
+Threads of a launch wait for each other by spinning (`kernels.work_queue`). This is fastest where
+every thread has a core, and slow where a thread waits for a core that another program uses. The CPU
+time of the threads is therefore compared with the wall time, and if cores were missing, the next
+launches use fewer threads. The result does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -31,14 +29,14 @@ from gf_usd.physics.total_lagrangian.state import State
 from gf_usd.system.background import running_threads
 from gf_usd.system.taichi_runtime import cores
 
-FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
-NEVER = 2**31 - 1  # substeps that a kernel can count
+FILTER_STEP = 0.2  # r dt between two applications of the filter of rate r
+NEVER = 2**31 - 1  # the largest substep count of a kernel
 
 
 class Launches:
-    """The launches of a body's substeps.
+    """Launches the substeps of a body.
 
-    kernel : "queued", as on the CPU, or "resident", as on a GPU; None: what the device asks for.
+    kernel : "queued", for a CPU, or "resident", for a GPU; None: by the device.
     """
 
     def __init__(self, body: Body, state: State, kernel: str | None = None) -> None:
@@ -64,11 +62,13 @@ class Launches:
         active: int,
         on_launch: Callable[[], None] | None = None,
     ) -> None:
-        """So many substeps of dt [s] with `active` contact samples; on_launch : see `Solver`."""
+        """Run `substeps` substeps of dt [s] with `active` contact samples; on_launch : see
+        `Solver`.
+        """
         s, nodes = self._body.settings, self._body.stencil
         free = nodes.free_count
-        every, alpha = filter_of(s.filter_rate, dt)
-        alpha = min(alpha, 1.0 / self._body.mass.lightest)  # beyond it motions change their sign
+        every, alpha = filter_schedule(s.filter_rate, dt)
+        alpha = min(alpha, 1.0 / self._body.mass.lightest)  # above it velocities change sign
         counts = (self._body.layout.groups, free, nodes.node_count - free, active)
         lift = float(state.offset @ s.normal)
         numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))
@@ -88,22 +88,22 @@ class Launches:
         state.done += substeps
 
     def _fitting(self, substeps: int) -> int:
-        """How many of so many substeps the next launch takes."""
+        """The number of the remaining substeps that the next launch runs."""
         if self.thread_count:
             return self.thread_count.fitting(substeps)
         return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
 
     def _blocks(self, counts: tuple[int, ...]) -> int:
-        """Blocks of threads for so many items: the fewer there are, the sooner all have arrived."""
+        """Number of thread blocks for these item counts: a barrier is faster with fewer blocks."""
         groups, free, followers, active = counts
         most = max(LANES * groups, free + followers, active)
         return min(self._body.kernels.held, -(-most // BLOCK))
 
     def _stay(self, state: State, counts: tuple[int, ...], tail: tuple[Any, ...]) -> None:
-        """A launch of threads that stay.  Raises GfUsdError where they did not all start."""
+        """Launch the resident kernel. Raises GfUsdError where a block did not start."""
         began = time.perf_counter()
         self._kernel(*counts, *tail)
-        if state.get("queue")[STUCK]:  # read when the launch is done
+        if state.get("queue")[STUCK]:  # reading it waits for the launch to end
             raise GfUsdError(
                 f"the GPU did not run {counts[-1]} blocks of {BLOCK} threads at once",
                 "close what else runs on the GPU, or use --device cpu",
@@ -114,8 +114,8 @@ class Launches:
         self._kernel(*counts, threads, *tail)
 
 
-def filter_of(rate: float, dt: float) -> tuple[int, float]:
-    """Substeps between filters and the strength of one: alpha = 1 - exp(-r k dt)."""
+def filter_schedule(rate: float, dt: float) -> tuple[int, float]:
+    """Substeps between two applications of the filter, and alpha = 1 - exp(-r k dt) of each."""
     if rate <= 0.0:
         return 0, 0.0
     if np.isinf(rate):
@@ -124,21 +124,21 @@ def filter_of(rate: float, dt: float) -> tuple[int, float]:
     return every, float(1.0 - np.exp(-rate * every * dt))
 
 
-LAUNCH_SECONDS = 0.1  # [s] of a launch; Ctrl-C and a change of the thread count wait for its end
-FEW = 1_500  # particles for each thread, at least: with fewer they wait more than they work
-GUESS = 1e-7  # [s] of a particle and substep, until one is measured
-BUSY = 0.75  # of the time that passed: threads that ran for less lacked a core
-SHORT = 1e-3  # [s] launches that say nothing of that
-REST = 2  # launches of fewer threads before more are tried; doubled each time they lack cores
+LAUNCH_SECONDS = 0.1  # [s] target duration; Ctrl-C and thread count changes wait for its end
+FEW = 1_500  # least number of particles per thread: with fewer, waiting dominates
+GUESS = 1e-7  # [s] per particle and substep, before the first measurement
+BUSY = 0.75  # ratio of CPU to wall time below which threads had to wait for a core
+SHORT = 1e-3  # [s] shorter launches are not used for that measurement
+REST = 2  # launches with fewer threads before more are tried; doubled after each failure
 LONGEST_REST = 512
 
 
 class ThreadCount:
-    """The threads of a body's launches.
+    """Chooses the number of threads of a body's launches.
 
-    threads : as many as there are; particles : of the body, which may ask for fewer.
-    clock, ran : [s] that passed, and that the threads of this process ran.
-    others : threads of this process that work at something else.
+    threads : the number available; particles : of the body, which bounds the useful number.
+    clock, ran : wall clock and CPU time of this process [s].
+    others : number of threads of this process that do other work.
     """
 
     def __init__(
@@ -157,11 +157,11 @@ class ThreadCount:
         self._rest, self._left = REST, 0
 
     def fitting(self, substeps: int) -> int:
-        """How many of so many substeps the next launch takes."""
+        """The number of the remaining substeps that the next launch runs."""
         return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
 
     def launch(self, work: Callable[[int], None], substeps: int) -> None:
-        """`work` with as many threads as there seem to be cores for."""
+        """Call `work` with the number of threads for which cores seem to be available."""
         if self._left:
             self._left -= 1
             self.size = self.size if self._left else self.most
@@ -170,15 +170,15 @@ class ThreadCount:
         wall, ran = self._clock(), self._ran()
         work(size)
         wall, ran = self._clock() - wall, self._ran() - ran
-        if self._fresh:  # it was compiled in that time
+        if self._fresh:  # the time includes compilation
             self._fresh = False
             return
         self._pace = wall / substeps
-        if self.size > 1 and wall > SHORT and not others:  # their time would count
+        if self.size > 1 and wall > SHORT and not others:  # `ran` would include their time
             self._judge(wall, ran)
 
     def _judge(self, wall: float, ran: float) -> None:
-        """Take fewer threads for a while if these ran for less than the time that passed."""
+        """Use fewer threads for some launches where these had less CPU time than wall time."""
         if ran >= BUSY * self.size * wall:
             self._rest = REST
             return

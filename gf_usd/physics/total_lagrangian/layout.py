@@ -1,13 +1,11 @@
-"""Arrays of a body in the order the kernels walk them.
+"""Memory layout of a body for the kernels.
 
-Cells stand side by side in groups of eight, one in each lane.  A batch holds one particle of each
-cell of a group, all of one law; where a cell has run out of them its lane repeats a particle with
-no volume and no mass, so that it adds nothing.  Cells of a group hold about as many particles as
-each other.
+Cells are stored in groups of eight, one per SIMD lane. A batch holds one particle of each cell of a
+group, all of one law. Where a cell has fewer particles than there are batches, its lane repeats a
+particle with zero volume and mass (a filler). The cells of a group have similar particle counts.
 
-Arrays of a body for the plain kernels: particles in the order of their cells, one after another.
-
-Where the fast kernels keep groups of eight cells, these keep cells and particles: `kernels.scalar`.
+`Singles` is the layout of the reference kernels (`kernels.scalar`): the particles sorted by cell,
+with cells and particles instead of groups of eight.
 """
 
 from __future__ import annotations
@@ -24,26 +22,26 @@ from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.grid.reference import Stencil
 
 LANES = 8
-WINDOW = 4096  # cells that are put in order of their particles: far cells share no group
+WINDOW = 4096  # cells sorted by particle count at a time, so that a group is local
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batches:
-    """Where each cell and each particle went."""
+    """Positions of the cells and particles in the kernels' arrays."""
 
     cells: Ints  # (G, 8) cell of each lane of a group; the last group may repeat its last cell
-    batch: Ints  # (G + 1,) batches of each group
-    source: Ints  # (B, 8) particle of each lane, in the user's order; fillers repeat one
+    batch: Ints  # (G + 1,) range of batches of each group
+    source: Ints  # (B, 8) particle index of each lane; fillers repeat one
     filled: Floats  # (B, 8) 1 for a particle, 0 for a filler
-    owner: Ints  # (B, 8) particle whose law a lane has: its own, but that of another for fillers
+    owner: Ints  # (B, 8) particle whose law a lane has; for fillers, another one of the batch
 
     @property
     def groups(self) -> int:
-        """How many the kernels walk."""
+        """Number of groups."""
         return len(self.cells)
 
     def arrays(self, stencil: Stencil) -> dict[str, Any]:
-        """What the kernels find cells and nodes by, and the storage of forces."""
+        """The connectivity of cells and nodes, and the storage of nodal forces."""
         slot_start, slot = node_slots(stencil, self)
         return {
             "block": np.zeros((81 * self.groups, LANES)),
@@ -78,7 +76,7 @@ def batch_particles(stencil: Stencil, law: Ints | None = None) -> Batches:
     turn = np.arange(len(run)) - np.append(0, np.cumsum(runs))[run]
     mine = held[group, :, which]
     filled = turn[:, None] < mine
-    # A lane without a particle of this law repeats any of its cell, with the law of another lane.
+    # A lane without a particle of this law repeats one of its cell, with the law of another lane.
     first = np.where(mine > 0, lanes[group] * laws + which[:, None], lanes[group] * laws)
     source = stencil.order[sorted_[start[first] + np.where(filled, turn[:, None], 0)]]
     some = source[np.arange(len(run)), filled.argmax(1)]
@@ -92,7 +90,9 @@ def batch_particles(stencil: Stencil, law: Ints | None = None) -> Batches:
 
 
 def lanes(batches: Batches, values: Floats, *, fill: bool = False) -> Floats:
-    """Per-particle values (N,) or (N, k) as lane vectors (B k, 8); fill keeps fillers' values."""
+    """Per-particle values (N,) or (N, k) as lane vectors (B k, 8); fill : keep the values of
+    fillers.
+    """
     out = np.asarray(values, float)[batches.source]
     if not fill:
         out = out * batches.filled.reshape(batches.filled.shape + (1,) * (out.ndim - 2))
@@ -110,7 +110,7 @@ def from_lanes(batches: Batches, values: Floats) -> Floats:
 
 
 def law_lanes(batches: Batches, values: Floats) -> Floats:
-    """`lanes` of what belongs to a particle's law (N, k): fillers have that of their batch.
+    """`lanes` of values (N, k) of a particle's law: fillers have those of their batch.
 
     One lane vector of zeros where k is 0.
     """
@@ -125,9 +125,9 @@ def group_nodes(stencil: Stencil, batches: Batches) -> Ints:
 
 
 def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
-    """For each node where its cells hold a force for it: numbers of its first component.
+    """For each node, the indices in the force block of the contributions of its cells.
 
-    The block of all groups is (G, 27, 3, 8), and a slot 8 * (81 g + 3 n) + lane.
+    The block of all groups is (G, 27, 3, 8), and a slot is 8 * (81 g + 3 n) + lane.
     """
     count = len(stencil.cell_nodes)
     g, lane = np.divmod(np.arange(count), LANES)
@@ -138,17 +138,17 @@ def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
     return start, material_parts.ravel()[order]
 
 
-# Numbers of a follower in `anchor`: c, its rate, and the work of the pin that holds it.
+# Layout of a follower in `anchor`: c, its rate, and the work of its pin.
 ANCHOR, PIN_RATE, PIN_WORK = 7, 3, 6
-MASS, GROUND, INVERSE = 3, 1, 2  # numbers of a node in `node_mass`, and where two of them are
+MASS, GROUND, INVERSE = 3, 1, 2  # stride of `node_mass`, and the indices of two of its values
 
 
 def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
-    """How nodes hang together, as compressed rows that are never empty, and their masses.
+    """Couplings between nodes as sparse rows (never empty), and nodal masses.
 
-    A row of `follow` is a node's: of a free one the springs of its mass, of a follower the free
-    nodes that it follows.  `share` is what a node keeps for others in a stage, `node_mass` its own
-    sum w m, the spring that ties its mass to the ground, and 1 / M.
+    A row of `follow` is of a node: for a free node its springs of the mass matrix, for a follower
+    the free nodes it depends on. `share` is a node's contribution to others within a stage;
+    `node_mass` has sum w m, the spring to the ground, and 1 / M.
     """
     up = stencil.follow.T.tocsr()
     up.sort_indices()
@@ -173,8 +173,8 @@ def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
 
 
 def sliding_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
-    """By axis, of a body with pins that slide: of nodes the spring to the ground or the factors
-    that followers have; of the springs of the mass their strengths, in the order of `follow`.
+    """Values per axis, for a body with sliding pins: for nodes the ground springs or the factors of
+    followers; for the springs of the mass matrix their strengths, in the order of `follow`.
     """
     if stencil.factors is None:
         return {"slide": np.zeros(1), "springs": np.zeros(1)}
@@ -186,7 +186,7 @@ def sliding_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
 
 
 def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> dict[str, Any]:
-    """The contact part of the pack; without a floor, one sample that is never active."""
+    """The arrays of contact; without contact, one sample that is never active."""
     if contact is None:
         return {
             "sample_given": np.zeros(GIVEN_ROW),
@@ -218,7 +218,7 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
         "sample_force": np.zeros(3 * n),
         "sample_spring": np.zeros(3 * n),
         "sample_depth": np.zeros(n),
-        "sample_active": np.zeros(1 + n, int),  # how many meet; those, then the others
+        "sample_active": np.zeros(1 + n, int),  # count of paired samples; those, then the others
         "sample_capped": np.zeros(n, int),
         "node_sample_start": transposed.indptr,
         "node_sample": transposed.indices,
@@ -228,11 +228,11 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Singles(Batches):
-    """Eight particles in a batch, whichever cells they are in; the last batch is filled up."""
+    """Eight particles per batch regardless of their cells; the last batch is padded."""
 
     @property
     def groups(self) -> int:
-        """Particles."""
+        """Number of particles."""
         return int(self.filled.sum())
 
     def arrays(self, stencil: Stencil) -> dict[str, Any]:
@@ -243,7 +243,7 @@ class Singles(Batches):
         return {
             "block": np.zeros((3 * nodes + 12 * len(self.source), LANES)),
             "group_batch": self.batch,
-            # where the nodes of each particle's cell begin, and behind that the nodes of the cells
+            # start of the nodes of each particle's cell, followed by the nodes of the cells
             "group_nodes": np.append(
                 self.groups + 27 * self.cells.ravel()[: self.groups], 3 * stencil.cell_nodes
             ),
@@ -253,7 +253,7 @@ class Singles(Batches):
 
 
 def single_particles(stencil: Stencil) -> Singles:
-    """The particles of a stencil in its order."""
+    """The particles in the order of the stencil."""
     count = len(stencil.order)
     place = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
     cell = np.repeat(np.arange(len(stencil.cell_nodes)), np.diff(stencil.cell_start))

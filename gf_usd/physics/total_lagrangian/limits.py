@@ -1,11 +1,11 @@
-"""The paper's options of a body, and how often they acted.
+"""The stretch clamp, the stress cap and WLS (GaussianFlesh section 3.2), and counts of their use.
 
-    clamp   singular values of the F that the stress is taken of, clipped        (section 3.2)
-    cap     |P| cut to a largest value, |P| = sqrt(P : P) (Frobenius)            (section 3.2)
-    WLS     F anchored anew once a frame: see `shape_correction`       (section 3.2)
+    clamp   clips the singular values of the F from which the stress is computed
+    cap     scales P down to a largest norm |P| = sqrt(P : P) (Frobenius)
+    WLS     recomputes F once a frame by weighted least squares: see `shape_correction`
 
-Off, none of them leaves a trace in the kernels.  The particles that the first two touch are counted
-each frame, however often they are touched.
+An option that is off is not compiled into the kernels. The particles that the clamp or the cap
+changed are counted per frame, each at most once.
 """
 
 from __future__ import annotations
@@ -19,30 +19,31 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import LUMPED, Settings
 from gf_usd.physics.total_lagrangian import layout
 
-LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
-# [m/s] no contact sample falls faster; [m] it keeps to spare; from SLACK on, in turn, how far [m] a
-# sample, and all samples of a node, may fall until they are asked again: see `contact.kernels`.
+LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # indices in the array `numbers`
+# Bound of the falling speed of contact samples [m/s]; safety margin of their distances [m]; from
+# SLACK on, alternately, the distance [m] that a sample, and the samples of a node, may fall before
+# the floor is tested again: see `contact.kernels`.
 FALL, CLEARANCE, SLACK = range(5, 8)
-CLIP_BUFFER = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
-NO_GOALS, SPRINGS, LIMITED = range(3)  # nothing, springs to goals, limits besides
-CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
+CLIP_BUFFER = 10  # lane vectors per batch: F, and a flag of the lanes that may need clipping
+NO_GOALS, SPRINGS, LIMITED = range(3)  # no goals, springs to goals, springs and distance limits
+CLAMPED, STRESS_CAPPED = 1, 2  # bits in `touched` of a particle
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What is compiled into the kernels."""
+    """Options that are compiled into the kernels."""
 
-    anchored: bool = False  # F = F0 + G u with an F0 of each particle, instead of I
+    anchored: bool = False  # F = F0 + G u with an F0 per particle, instead of F0 = I
     clamped: bool = False
     capped: bool = False
-    meets: bool = False  # bodies meet each other, themselves or obstacles
-    coupled: bool = True  # the mass of a node is coupled to its neighbors' (`grid.mass`)
-    plain: bool = False  # one thread a particle (`kernels.scalar`): the reference
-    cells: bool = False  # one thread a cell (`kernels.cell`): on GPUs
-    slides: bool = False  # a pin holds some axes and lets the others slide
-    goals: int = NO_GOALS  # whether springs draw the nodes to a given pose
+    meets: bool = False  # contact between bodies, self-contact, or contact with obstacles
+    coupled: bool = True  # the mass matrix has off-diagonal entries (`grid.mass`)
+    plain: bool = False  # one thread per particle (`kernels.scalar`): the reference implementation
+    cells: bool = False  # one thread per cell (`kernels.cell`): for GPUs
+    slides: bool = False  # a pin holds some axes only
+    goals: int = NO_GOALS  # springs that pull the nodes to a given pose
     driven: bool = False  # pins move contact samples
-    rigid: int = 0  # regions that move as rigid bodies
+    rigid: int = 0  # number of rigid regions
 
 
 DEFAULT = Options()
@@ -58,7 +59,7 @@ def options_of(
     driven: bool = False,
     rigid: int = 0,
 ) -> Options:
-    """The options that the settings ask for."""
+    """The kernel options for the settings of a bake."""
     return Options(
         anchored=settings.wls,
         clamped=settings.clamp is not None,
@@ -77,10 +78,10 @@ def options_of(
 def arrays(
     batches: layout.Batches, settings: Settings, h: float, converged: float, watched: int
 ) -> dict[str, Floats]:
-    """The options' part of the pack, and numbers of the body; of what is off, one number.
+    """The arrays of the options and the array `numbers`; arrays of unused options have one element.
 
-    h : [m] of a cell; converged : change of a rotation that ends its iteration; watched : contact
-    samples or nodes, whichever are more.
+    h : [m] edge of a cell; converged : change at which the iteration for a rotation ends.
+    watched : the number of contact samples or of nodes, whichever is greater.
     """
     asked, lanes = options_of(settings), batches.source.size
     particles = int(batches.source.max()) + 1
@@ -102,12 +103,12 @@ def arrays(
     }
 
 
-def touched(
+def limited_particles(
     bits: Ints, options: Options, batches: layout.Batches, m: Floats
 ) -> dict[str, NDArray[np.bool_]]:
-    """(N,) bool for "clamped" and "stress_capped": particles touched since `bits` were cleared.
+    """(N,) bool for "clamped" and "stress_capped": particles changed since `bits` was cleared.
 
-    bits : the pack's array; m : (N,) [kg], 0 for what a pin holds, which has no stress.
+    bits : the array `touched`; m : (N,) [kg], 0 for pinned particles, which have no stress.
     """
     out = {}
     for name, bit, on in (

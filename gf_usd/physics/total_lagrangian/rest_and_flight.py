@@ -1,21 +1,20 @@
-"""Frames that need no substeps: bodies in free flight, and bodies that sleep.
+"""Frames without substeps: bodies in free flight, and sleeping bodies.
 
-A body flies where nothing holds it, drags on it or can touch it before the next frame, and where it
-is as good as rigid and does not turn:
+A body is in free flight where no pin, goal, drag or field acts on it, nothing can touch it before
+the next frame, and its deformation and rotation are negligible:
 
     |F - I| <= FLIGHT of every particle,    |v_i - vbar| <= FLIGHT c of every node
 
-with c the slowest wave speed among the materials: a vibration with that speed has a strain of that
-size.  It moves by the closed form, x += vbar t + g t^2 / 2 and v += g t for all its nodes alike;
-what little strain and vibration it has stays as it is.
+with c the slowest wave speed among the materials: a vibration with velocity FLIGHT c has a strain
+of about FLIGHT. The frame is then the closed-form solution for all nodes, x += vbar t + g t^2 / 2
+and v += g t; the remaining strain and vibration are left unchanged.
 
-A body sleeps once its kinetic energy has been at most AT_REST m g0 r for T = sqrt(r / g0).  It
-stands still with v = 0 until something reaches it: another body that is awake, or an obstacle that
-moves.
-Without gravity to press it on something it does not sleep, since it may drift.
+A body sleeps once its kinetic energy has been at most AT_REST m g0 r for a time T = sqrt(r / g0). A
+sleeping body has v = 0 until another awake body or a moving obstacle comes near. Without gravity
+bodies do not sleep, since a body without a support may drift.
 
-All bodies share their substeps, so these are left out in the frames in which every body flies or
-sleeps.  In all others a body that could have is simulated with the rest.
+All bodies share their substeps, so substeps are skipped only in frames in which every body is in
+free flight or asleep.
 """
 
 from __future__ import annotations
@@ -39,17 +38,17 @@ from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.shape_correction import acts
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
-FLIGHT = 1e-5  # strain, and speed over that of waves; far below what is seen, above rounding
-PRESSING = 1e-2  # [g0] gravity that would have moved a body without support within T
+FLIGHT = 1e-5  # strain, and speed relative to the wave speed: invisible, but above rounding
+PRESSING = 1e-2  # [g0] gravity that would noticeably move an unsupported body within T
 
 
 def presses(gravity: Any) -> bool:
-    """Whether gravity (3,) [m/s^2] presses bodies on what is below them."""
+    """Whether gravity (3,) [m/s^2] is strong enough to press bodies on their supports."""
     return float(np.linalg.norm(gravity)) > PRESSING * G0
 
 
 class Shortcuts:
-    """Which frames need no substeps: how long each body has been at rest, and who flies."""
+    """Decides which frames need no substeps; tracks how long each body has been at rest."""
 
     def __init__(self, body: Body, state: State) -> None:
         s = body.settings
@@ -79,12 +78,14 @@ class Shortcuts:
         self.depth = np.array(saved["at_rest_depth"], float)
 
     def wake(self, state: State) -> None:
-        """What acts on the bodies was changed: none sleeps, and under a body force none flies."""
+        """Reset after a change of the loads: no body sleeps, and none is in free flight under a
+        body force.
+        """
         self.at_rest = np.zeros_like(self.at_rest)
         self._flies = self._free and not state.acceleration.any()
 
     def note(self, state: State, stats: FrameStats) -> None:
-        """See which bodies rest after a frame with substeps."""
+        """Update the rest times of the bodies after a frame with substeps."""
         if not self._sleeps:
             return
         self.depth = np.array([stats.penetration, stats.overlap])
@@ -94,10 +95,10 @@ class Shortcuts:
     def take(
         self, state: State, pairs: BodyContact | None, near: Ints, substeps: int
     ) -> FrameStats | None:
-        """Move by a frame without substeps; None where that cannot be done.
+        """Advance by a frame without substeps; None where the frame needs them.
 
-        near : contact samples that the floor may reach within the frame; substeps : those left out,
-        which the filter counts on.
+        near : contact samples that the floor may reach within the frame.
+        substeps : the number skipped, which the phase of the filter includes.
         """
         sleeping = self._sleeps & (self.at_rest >= self._patience)
         flying = ~sleeping
@@ -130,13 +131,13 @@ class Shortcuts:
                 return False
         of = self._body.particles.body
         which = slice(None) if of is None else flying[of]
-        if self._body.law.set.flows:  # bent for good, it strains by F_e, and however it is turned
+        if self._body.law.set.flows:  # plastic flow: the strain of F_e, rotated or not
             F = now.elastic(now.F)[which]
             return bool(np.abs(F.swapaxes(1, 2) @ F - np.eye(3)).max() <= FLIGHT)
         return bool(np.abs(now.F[which] - np.eye(3)).max() <= FLIGHT)
 
     def _near(self, near: Ints) -> Ints:
-        """(B,) bodies with a contact sample among those that the floor may reach."""
+        """(B,) which bodies have a contact sample that the floor may reach."""
         out = np.zeros(len(self.at_rest), bool)
         if self._body.contact and len(near):
             of = self._body.contact.samples.body
@@ -145,10 +146,10 @@ class Shortcuts:
 
 
 class Fallen:
-    """Which bodies have fallen past every obstacle, where there is no floor below.
+    """Detects bodies that have fallen below every obstacle of a scene without a floor.
 
-    A body is below where all its nodes are deeper, along gravity, than the lowest point that any
-    obstacle comes to.
+    A body has fallen where all its nodes are lower, along gravity, than the lowest point that any
+    obstacle reaches.
     """
 
     def __init__(self, body: Body) -> None:
@@ -161,7 +162,9 @@ class Fallen:
             self._level = setup.bottom(self._up)
 
     def measured(self, now: StateView) -> dict[str, Any]:
-        """`fallen` and `fallen_kinetic` of `Health`; nothing where nothing can fall past."""
+        """`fallen` and `fallen_kinetic` of `Health`; empty where a floor or pins make a fall
+        impossible.
+        """
         if self._level is None:
             return {}
         body = self._body.stencil.node_body[: self._body.stencil.free_count]
@@ -175,13 +178,14 @@ class Fallen:
 def strained_substeps(
     body: Body, law: ParticleLaws, stretch: Floats, J: Floats, now: StateView, depth: float
 ) -> int:
-    """Substeps a frame that a body as strained at a time [s] asks for; 1 where they are given.
+    """Substeps per frame that the current strain requires; 1 where the settings prescribe them.
 
-    Contact between samples takes shorter ones: see `BodyContact.detect`.
+    Contact between samples uses shorter substeps: see `BodyContact.detect`.
+
     law : `Body.law_at`; depth : [m] of the deepest sample in the floor.
-    stretch, J : of F_e.  Where a law flows, F changes by n (x) N, F_e by n (x) F_p^-T N, and so the
-    stiffness in the grid's frame is that of F_e times |F_p^-1|^2: cells that are pressed flat for
-    good are crossed sooner.
+    stretch, J : of F_e. In a law with plastic flow a wave changes F by n (x) N, and so F_e by n (x)
+    F_p^-T N. The stiffness on the reference grid is therefore that of F_e times |F_p^-1|^2:
+    permanent compression of a cell shortens the time in which a wave crosses it.
     """
     if body.settings.substeps:
         return 1

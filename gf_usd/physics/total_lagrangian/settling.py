@@ -1,39 +1,38 @@
-"""What lets bodies come to rest: rolling resistance, and damping of small bounces and trembling.
+"""Rolling resistance, and damping of small bounces and residual vibration.
 
-Rolling resistance is the moment by which the floor opposes the rolling of a body (Johnson 1985,
-section 9.4; Ai et al. 2011, model A):
+Rolling resistance is a moment of the floor that opposes rolling (Johnson 1985, section 9.4; Ai et
+al. 2011, model A):
 
     |M| <= c N r,    r = (3 V / 4 pi)^(1/3)
 
-with c the coefficient and N the weight m g_n on the floor.  Over a frame its impulse changes the
-velocities by a rotation about the point P of the floor below the center of mass, where a body that
-rolls stands still:
+with c the coefficient and N the weight m g_n on the floor. Over a frame its impulse changes the
+velocities by a rotation about P, the point of the floor below the center of mass, which is the
+instantaneous center of a rolling body:
 
     v_i += dw x (x_i - P),    dw = -min(1, c N r dt / |I w|, b) w,    I w = sum m_i (x_i - P) x v_i
     b = max(0, w . w_c / |w|^2)
 
-w and I in the plane of the floor, so that it stops the body and does not turn it back.  w_c is the
-same about the center of mass: a body that slides has an angular momentum about P as well, and would
-be braked beyond Coulomb's friction without b.  It is 0 for what slides, 1 for what rolls.  On an
-obstacle that stands still N is its force F = |sum f_s| on the body, P the mean of the places of the
-samples weighted by |f_s|, and the normal that of F.
+with w and I restricted to the plane of the floor. The factor 1 bounds the impulse so that rolling
+stops and does not reverse. w_c is the angular velocity about the center of mass. A sliding body has
+an angular momentum about P as well; b is 0 for pure sliding and 1 for pure rolling, so that sliding
+is not decelerated beyond Coulomb friction. On a static obstacle N is the force F = |sum f_s| on the
+body, P the mean of the sample positions weighted by |f_s|, and the normal the direction of F.
 
-A viscous material loses ever less in slow vibrations, and never all.  Two kinds of motion are
-damped between frames, as game engines do before they put a body to sleep (the bounce threshold and
-the stabilization threshold of PhysX):
+Viscous damping of slow vibrations vanishes with their frequency. Two kinds of motion are therefore
+damped between frames, like the bounce threshold and the stabilization threshold of PhysX:
 
-Small bounces.  A body whose kinetic energy has been at most LOW m g0 r for PATIENCE T, with
-T = sqrt(r / g0), its center of mass within REACH r, and which has left what it touched or come back
-to it since, loses translation, dv_c/dt = -3/4 (1 - e^2) v_c / T, e the restitution of its material.
-A bounce of height r / 2 takes 2 T in flight with a mean square speed of v_0^2 / 3, and so loses the
-share 1 - e^2 of its energy, as the restitution says.
+Small bounces. The condition is a kinetic energy of at most LOW m g0 r and a center of mass within
+REACH r, both for a time PATIENCE T with T = sqrt(r / g0), and at least one change between contact
+and separation in that time. The translation then decays by dv_c/dt = -3/4 (1 - e^2) v_c / T, with e
+the restitution of the material. A bounce of height r / 2 takes 2 T with a mean square speed of
+v_0^2 / 3, and so loses the fraction 1 - e^2 of its energy, as for the restitution e.
 
-Trembling.  A body that has been calm for T, with a kinetic energy of at most CALM m g0 r and its
-center of mass within AMPLITUDE r, is damped as a whole, dv/dt = -v / (2 T): its kinetic energy
-falls e-fold in T.
+Residual vibration. A body with a kinetic energy of at most CALM m g0 r and a center of mass within
+AMPLITUDE r for a time T is damped as a whole by dv/dt = -v / (2 T): its kinetic energy decays by a
+factor e in T.
 
-In flight no body is as slow for so long, and one that slides or rolls leaves these radii.  Without
-gravity nothing presses bodies on what they touch, and neither acts.
+A body in flight is not slow for that long, and a sliding or rolling one leaves these radii. Without
+gravity neither acts.
 """
 
 from __future__ import annotations
@@ -55,15 +54,15 @@ from gf_usd.physics.total_lagrangian.rest_and_flight import presses
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State
 
-CALM = 1e-2  # [m g0 r] a body with that energy bounces by a hundredth of its radius
+CALM = 1e-2  # [m g0 r] energy of a bounce by a hundredth of the radius
 AMPLITUDE = 0.05  # [r]
-LOW = 0.5  # [m g0 r] of a bounce of half a radius
+LOW = 0.5  # [m g0 r] energy of a bounce by half a radius
 REACH = 0.5  # [r]
-PATIENCE = 3.0  # [T] a flight takes 2 T to rise to and fall from half a radius
+PATIENCE = 3.0  # [T] a bounce by half a radius takes 2 T
 
 
 class Settling:
-    """Takes energy from bodies on the floor between frames; see the module."""
+    """Applies rolling resistance and damping between frames: see the module."""
 
     def __init__(self, body: Body) -> None:
         s = body.settings
@@ -84,12 +83,12 @@ class Settling:
         self._bounce_rate = 0.75 * (1.0 - e**2) / self._scale  # [1/s]
         self.calm = Still(bodies.count)
         self.low = Still(bodies.count)
-        self.touching = np.zeros(bodies.count, bool)  # at the end of the last frame
-        self.bounced = np.zeros(bodies.count, bool)  # while it has been low
+        self.touching = np.zeros(bodies.count, bool)  # in contact at the end of the last frame
+        self.bounced = np.zeros(bodies.count, bool)  # since its energy fell below LOW
 
     @property
     def active(self) -> bool:
-        """Whether anything may be taken from any body."""
+        """Whether a body can lose energy here."""
         return self._rolls or self._rolls_on_obstacles or self._calms
 
     def save(self) -> dict[str, Any]:
@@ -108,12 +107,12 @@ class Settling:
         self.bounced = np.array(saved["bounced"], bool)
 
     def wake(self) -> None:
-        """What acts on the bodies was changed: none is calm, nor bounces low."""
+        """Reset after a change of the loads."""
         self.calm.wake()
         self.low.wake()
 
     def frame(self, state: State) -> float | None:
-        """Energy [J] taken from the bodies after a frame with substeps; None where none can be."""
+        """Act after a frame with substeps; the dissipated energy [J], None where inactive."""
         if not self.active:
             return None
         count = len(self._mass)
@@ -159,7 +158,7 @@ class Settling:
         return out
 
     def _supports(self, state: State) -> dict[int, Support]:
-        """What the obstacles that stand still bear of each body, by body."""
+        """The forces of static obstacles on bodies, by body."""
         contact = self._body.contact
         assert contact is not None
         pair = state.rows("pair", layout.ROW)[: len(contact.samples.X)]
@@ -181,7 +180,7 @@ class Settling:
         return out
 
     def _bounces(self, state: State, kinetic: Floats, centers: Floats) -> Ints:
-        """(B,) which bodies have bounced low for PATIENCE T."""
+        """(B,) which bodies have made small bounces for PATIENCE T."""
         touching = self._touching(state) if self._touchable else np.zeros(len(kinetic), bool)
         step = self._body.settings.frame_time
         low = self.low.note(kinetic <= LOW * self._energy, centers, REACH * self._radius, step)
@@ -190,7 +189,7 @@ class Settling:
         return self.bounced & (self.low.since >= PATIENCE * self._scale)
 
     def _touching(self, state: State) -> Ints:
-        """(B,) whether anything pushes a sample of each body now."""
+        """(B,) whether a contact force acts on a sample of each body now."""
         assert self._body.contact is not None
         of = self._body.contact.samples.body
         pushed = state.rows("sample_force")[: len(self._body.contact.samples.X)].any(1)
@@ -199,13 +198,13 @@ class Settling:
         return out
 
     def _calmed(self, kinetic: Floats, centers: Floats) -> Ints:
-        """(B,) which bodies have been calm for T."""
+        """(B,) which bodies have been nearly at rest for T."""
         step = self._body.settings.frame_time
         self.calm.note(kinetic <= CALM * self._energy, centers, AMPLITUDE * self._radius, step)
         return self.calm.since >= self._scale
 
     def _most(self, force: Any) -> Floats:
-        """(B,) [N m s] largest impulse of the moment in a frame under a force [N] on each body."""
+        """(B,) [N m s] largest impulse of the moment in a frame, for a force [N] on each body."""
         s = self._body.settings
         return s.rolling * force * self._radius * s.frame_time
 
@@ -222,30 +221,32 @@ class Settling:
 
 @dataclass(frozen=True, kw_only=True)
 class Support:
-    """What obstacles bear of a body."""
+    """The total force of static obstacles on a body."""
 
     force: float  # [N]
-    normal: Floats  # (3,) unit, of the force
-    point: Floats  # (3,) [m] P
+    normal: Floats  # (3,) unit vector of the force
+    point: Floats  # (3,) [m] P, its point of application
 
 
 class Still:
-    """Since when each body has moved little, and where its center of mass was then."""
+    """For how long each body has been slow and near one place, by its center of mass."""
 
     def __init__(self, count: int) -> None:
         self.since = np.zeros(count)  # [s]
         self.place = np.full((count, 3), np.inf)  # [m]
 
     def load(self, since: Floats, place: Floats) -> None:
-        """Take saved values over."""
+        """Restore saved values."""
         self.since, self.place = np.array(since, float), np.array(place, float)
 
     def wake(self) -> None:
-        """Begin anew."""
+        """Reset."""
         self.since = np.zeros_like(self.since)
 
     def note(self, slow: Ints, centers: Floats, reach: Floats, step: float) -> Ints:
-        """(B,) which bodies are slow and have stayed within reach [m] over a frame of step [s]."""
+        """Update after a frame of step [s]; (B,) which bodies are slow and have stayed within reach
+        [m].
+        """
         still = slow & (np.linalg.norm(centers - self.place, axis=1) <= reach)
         self.place = np.where(still[:, None], self.place, centers)
         self.since = np.where(still, self.since + step, 0.0)
@@ -259,10 +260,10 @@ def _three(rows: Floats, at: int) -> Floats:
 def resistance(
     m: Floats, x: Floats, v: Floats, body: Ints, pivot: Floats, normal: Floats, most: Floats
 ) -> Floats:
-    """dw x (x - P), (n, 3) [m/s]: the change of velocities by rolling resistance.
+    """dw x (x - P), (n, 3) [m/s]: the change of the velocities by rolling resistance.
 
-    m : (n,) [kg], x : (n, 3) [m], v : (n, 3) [m/s], body : (n,) of nodes.
-    pivot : (B, 3) [m] P of each body; normal : (3,) unit, of the floor.
+    m : (n,) [kg], x : (n, 3) [m], v : (n, 3) [m/s], body : (n,) of the nodes.
+    pivot : (B, 3) [m] P of each body; normal : (3,) unit normal of the floor.
     most : (B,) [N m s] the largest impulse of the moment.
     """
     count = len(most)
@@ -284,9 +285,10 @@ def resistance(
 def _rotation(
     m: Floats, arm: Floats, v: Floats, body: Ints, count: int, flat: Floats
 ) -> tuple[Floats, Floats]:
-    """w (B, 2) [1/s] and I w (B, 2) [N m s] of each body, in the plane of the columns of `flat`.
+    """w (B, 2) [1/s] and I w (B, 2) [N m s] of each body, in the plane spanned by the columns of
+    `flat`.
 
-    arm : (n, 3) [m] from the point about which a body rotates.
+    arm : (n, 3) [m] position relative to the center of rotation.
     """
     spin = node_sums(m[:, None] * cross(arm, v), body, count) @ flat
     # I = sum m (|a|^2 1 - a a^T), in the plane of the floor

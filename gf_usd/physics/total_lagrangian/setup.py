@@ -1,4 +1,4 @@
-"""From particles and materials to the body of a solver: all that is constant while it moves."""
+"""Builds the constant data of a Total Lagrangian body from particles and materials."""
 
 from __future__ import annotations
 
@@ -43,35 +43,35 @@ if TYPE_CHECKING:
     from types import SimpleNamespace
 
 
-CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
-NO_FLOOR = -1e9  # [m] where no sample ever comes
-PILE = 8.0  # bodies on top of one that its contact is laid out to carry
+CELL_PER_LATTICE = 2.0  # h over the lattice spacing: eight particles in a full cell
+NO_FLOOR = -1e9  # [m] height of the floor where there is none
+PILE = 8.0  # number of bodies on top of one for which the contact stiffness is designed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """What moves, as it is at rest: one or several bodies on one grid."""
+    """The constant data of one or several bodies on one grid."""
 
     particles: Particles
     settings: Settings
     real: type  # numpy dtype of the kernels
     per: Mapping[str, Floats]  # material values of the particles, (N,) each: `per_particle`
-    m: Floats  # (N,) [kg]; 0 for what a pin holds
+    m: Floats  # (N,) [kg]; 0 for pinned particles
     h: float  # [m] edge of a cell
     stencil: Stencil
     mass: NodalMass  # of the free nodes
     rows: SplineRows  # of the particles on the nodes
     embedded: Mapping[str, SplineRows]  # of each set of embedded points
     pin_constraint: PinConstraint | None  # the pins
-    regions: RigidRegions | None  # what moves as rigid bodies
-    goals: NodeGoals | None  # springs that draw the free nodes to a pose
+    regions: RigidRegions | None  # the rigid regions
+    goals: NodeGoals | None  # springs that pull the free nodes to a pose
     held: Mapping[str, PinnedPoints]  # embedded points that a pin holds; "": particles
     contact: FloorContact | None
-    contact_setup: ContactSetup | None  # what the bodies meet besides the floor; None: nothing
+    contact_setup: ContactSetup | None  # contact besides that with the floor; None: there is none
     start: Floats  # (M, 3) [m/s] velocity of the nodes at the start
     step: StableStep
-    frequency: float | None  # [c/h] the highest of the body at rest; None: by `grid_frequency`
-    layout: layout.Batches  # where cells and particles stand in the kernels' arrays
+    frequency: float | None  # [c/h] highest of the body at rest; None: by `grid_frequency`
+    layout: layout.Batches  # order of cells and particles in the kernels' arrays
     options: limits.Options
     law: ParticleLaws
     kernels: SimpleNamespace
@@ -79,13 +79,15 @@ class Body:
 
     @property
     def in_place(self) -> bool:
-        """Whether pins or goals say where the body is, so that it does not fly off as a whole."""
+        """Whether pins or goals determine the position of the body, so that it cannot fall as a
+        whole.
+        """
         pins = self.pin_constraint
         return (pins is not None and pins.prescribed) or self.goals is not None
 
     @property
     def driven(self) -> bool:
-        """Whether pins or goals move."""
+        """Whether pins or goals are animated."""
         pins, goals = self.pin_constraint, self.goals
         return (pins is not None and pins.moving) or (goals is not None and goals.moving)
 
@@ -95,7 +97,9 @@ class Body:
         return convergence(self.real)
 
     def law_at(self, index: int) -> ParticleLaws:
-        """The laws on the way to frame `index`, with the moduli of the middle of that way."""
+        """The constitutive laws between frames `index` - 1 and `index`, with the moduli at the
+        middle.
+        """
         if self.particles.keys is None:
             return self.law
         values, q = self.values_at(index), np.array(self.law.q)
@@ -103,7 +107,9 @@ class Body:
         return replace(self.law, q=q)
 
     def values_at(self, index: int) -> Mapping[str, Floats]:
-        """`per`, with what has keys as it is in the middle of the way to frame `index`."""
+        """`per` with animated values as they are in the middle between frames `index` - 1 and
+        `index`.
+        """
         keys = self.particles.keys
         if keys is None:
             return self.per
@@ -111,14 +117,15 @@ class Body:
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """Arrays of particles, in lanes, that are part of the state besides u and v."""
+        """Names of the per-particle arrays that are part of the state besides u and v."""
         anchored = ("F0",) if self.options.anchored else ()
         return (*anchored, "history") if self.law.set.flows else anchored
 
     def constrained(
         self, name: str, rows: SplineRows, free: Pose, index: int, offset: Floats
     ) -> Pose:
-        """The pose of embedded points (or "", the particles) at a frame, as pins prescribe it.
+        """The pose of embedded points (or "", the particles) at a frame, with pinned points as
+        prescribed.
 
         rows, free : of the embedded points; offset : (3,) [m] of the moving frame.
         """
@@ -146,7 +153,7 @@ def build_body(
     plain: bool,
     cells: bool | None,
 ) -> Body:
-    """The body of these; parameters as of `TotalLagrangian`.  Taichi must run.
+    """Build a body; parameters as for `TotalLagrangian`. Taichi must be initialized.
 
     Raises InputError for pins that hold nothing, or everything.
     """
@@ -155,7 +162,7 @@ def build_body(
     from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
     from gf_usd.system.taichi_runtime import epoch, resident_blocks
 
-    particles = as_flesh(particles, materials, [pin for pin in pins if pin.rigid])
+    particles = with_soft_material(particles, materials, [pin for pin in pins if pin.rigid])
     pin_constraint = PinConstraint(pins, particles.X) if pins else None
     per = per_particle(
         particles, materials, pin_constraint.particles.pin if pin_constraint else None
@@ -264,7 +271,9 @@ def build_body(
 
 
 def node_springs(goals: Goals, stencil: Stencil, mass: NodalMass) -> NodeSprings | None:
-    """The springs of single points, on the free nodes; None where there are none."""
+    """The springs of single attached points, distributed to the free nodes; None without such
+    points.
+    """
     attached = goals.attached
     if attached is None:
         return None
@@ -274,7 +283,9 @@ def node_springs(goals: Goals, stencil: Stencil, mass: NodalMass) -> NodeSprings
 
 
 def _copies(particles: Particles, h: float) -> CellCopies | None:
-    """Those of the particles, which are made for cells of one size."""
+    """The cell copies of the particles. Raises ValueError where they were made for another cell
+    size.
+    """
     if particles.copies is not None and not np.isclose(particles.copies.h, h, rtol=1e-9):
         raise ValueError(f"cells are copied at an edge of {particles.copies.h} m, not {h} m")
     return particles.copies
@@ -283,9 +294,9 @@ def _copies(particles: Particles, h: float) -> CellCopies | None:
 def per_particle(
     particles: Particles, materials: Sequence[Material], held: Ints | None = None
 ) -> dict[str, Floats]:
-    """Material values spread over particles, (N,) each, and the rest volume that is simulated.
+    """Material values per particle, (N,) each, and the rest volume V0 [m^3] that is simulated.
 
-    held : (N,) pin of each particle, -1 for none; what a pin holds has no volume for the solver.
+    held : (N,) pin of each particle, -1 for none; a pinned particle has V0 = 0.
     """
     per = spread(particles, materials)
     free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
@@ -295,10 +306,10 @@ def per_particle(
 def at_stiffest(
     per: dict[str, Floats], keys: ValueKeys | None, settings: Settings
 ) -> dict[str, Floats]:
-    """Material values of the particles, with moduli and damping as high as they get in any frame.
+    """Material values per particle, with the largest moduli and damping of all frames.
 
-    The damping rate of the stiffest vibration goes with mu tau, so that the largest of each bound
-    it at all times.
+    The damping rate of the stiffest vibration is proportional to mu tau, so the maxima of mu and
+    tau bound it at all times.
     """
     if keys is None:
         return per
@@ -306,13 +317,15 @@ def at_stiffest(
     return with_derived({**per, **{name: most[name] for name in ("mu", "lam", "damping_time")}})
 
 
-def as_flesh(
+def with_soft_material(
     particles: Particles, materials: Sequence[Material], regions: Sequence[Pin]
 ) -> Particles:
-    """Particles of rigid regions with the material of the flesh nearest to them; mass is theirs.
+    """Particles of rigid regions with the material of the nearest soft particle, but their own
+    density.
 
-    What is strained of a region is the part of its outermost cells between its nodes and others.
-    Raises InputError where nothing but the regions is left.
+    Strain in a region occurs only in its outermost cells, between its nodes and free ones.
+
+    Raises InputError where all particles are in rigid regions.
     """
     if not regions:
         return particles
@@ -354,9 +367,11 @@ def surface_contact(
 ) -> FloorContact | None:
     """Contact samples with the material of the nearest particle; None where there is no contact.
 
-    What a pin holds feels none.
-    meets : there is more to meet than the floor; datum : [m] of the lowest of it along the floor's
-    normal; speed : [m/s] of the fastest body at the start; mass : of the nodes, None: lumped.
+    Samples inside a pin are left out.
+
+    meets : there is contact besides that with the floor.
+    datum : [m] lowest point of the obstacles along the floor's normal.
+    speed : [m/s] of the fastest body at the start; mass : of the nodes, None: lumped.
     """
     if samples is None or (settings.floor is None and not meets):
         return None
@@ -373,7 +388,7 @@ def surface_contact(
     ground = min(datum, lowest.min()) if settings.floor is None else settings.floor
     g = max(0.0, -float(np.dot(settings.gravity, up)))
     fall = np.maximum(0.0, lowest - ground)[body]
-    # What lies on top of a body presses as its own weight does.
+    # Bodies on top of a body add to its weight.
     weight = g * np.minimum(bodies.mass.sum(), PILE * bodies.mass)[body]
     modulus = plane_modulus(per["youngs_modulus"][near], per["poissons_ratio"][near])
     return build_contact(
@@ -396,7 +411,7 @@ def surface_contact(
 
 
 def floor_height(settings: Settings) -> float:
-    """[m] of the floor along its normal; far below where there is none."""
+    """[m] height of the floor along its normal; far below the bodies where there is none."""
     return NO_FLOOR if settings.floor is None else settings.floor
 
 
@@ -437,10 +452,11 @@ def highest_frequency(
 ) -> float:
     """The highest frequency of the body at rest, in units of c/h of its fastest material.
 
-    That of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, e the
-    symmetric part of sum_i u_i (x) G_ip.
+    It is that of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, with
+    e the symmetric part of sum_i u_i (x) G_ip.
+
     rows : of the particles; spreads : S of `SplineRows`, one for all axes of u or one for each.
-    regions : that move rigidly: u has two rows for each, the translation and the turn.
+    regions : the rigid regions: u has two rows for each, its translation and its rotation.
     """
     n = len(mass.lumped)
     columns = spreads[0].shape[1] if regions else n
@@ -473,10 +489,12 @@ def highest_frequency(
 
 
 def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
-    """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
+    """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt damping and c2 rho0 h^2 [Pa s^2] of the shock
+    viscosity.
 
-    A material without damping has neither: it keeps its energy.  per : of `Body.values_at`; h : [m]
-    edge of a cell.
+    Both are 0 for a material without damping, which conserves energy.
+
+    per : of `Body.values_at`; h : [m] edge of a cell.
     """
     from gf_usd.physics.laws.stress import SHOCK
 
@@ -485,9 +503,9 @@ def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
 
 
 def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
-    """Every array of the kernels' pack, flat, at the start.
+    """The initial values of all arrays of the kernels, flat.
 
-    acceleration : (free, 3) [m/s^2] of a body force.
+    acceleration : (free, 3) [m/s^2] body force besides gravity.
     """
     stencil, batches, per, contact = body.stencil, body.layout, body.per, body.contact
     law = body.law_at(0)

@@ -1,22 +1,22 @@
-"""Once a frame: the paper's shape correction, and F anew from where the particles are.
+"""Operations between frames: the shape correction, and F by weighted least squares (WLS).
 
-Both come after the substeps of a frame, in this order, and act on the state alone: embedded points
-and contact samples follow, since they are evaluated from it.
+Both act on the state after the substeps of a frame, in this order. Embedded points and contact
+samples are evaluated from the state and so change with it.
 
-Shape correction of strength alpha (GaussianFlesh section 4.3, "Procrustes"), on positions only,
-towards the rest shape as it lies, without rotation (docs/physics.md):
+Shape correction of strength alpha (GaussianFlesh section 4.3, "Procrustes") moves positions toward
+the translated rest shape, without a rotation (docs/physics.md):
 
-    x_p <- x_p + alpha (xbar + (X_p - Xbar) - x_p)         xbar, Xbar: means by mass
+    x_p <- x_p + alpha (xbar + (X_p - Xbar) - x_p)         xbar, Xbar: mass-weighted means
 
-x - X is a displacement field, x = X + W u, and xbar - Xbar the mean ubar of that field.  So this is
-u <- u + alpha (ubar - u) on the nodes, for particles and everything else alike.  Velocities stay.
-A body that has turned is pulled back: that is what no rotation means.
+The displacement x - X is an interpolated field, x = X + W u, with the mean ubar = xbar - Xbar. The
+correction is therefore u <- u + alpha (ubar - u) on the nodes. Velocities are unchanged. Since no
+rotation is fitted, a rotated body is pulled back to its original orientation.
 
-WLS (section 3.2): F <- argmin sum_q w_pq |F (X_q - X_p) - (x_q - x_p)|^2 over the k nearest
-particles at rest, weights Gaussian.  That is linear in x, one constant sparse operator for each
-column: F = I + D u_particles.  From there on F = F0 + G u with F0 = F_wls - G u at that time,
-its singular values clipped where a clamp is set: the reference (x0, F0, u0) = (X + W u, F_wls, u),
-kept as one matrix for each particle.  x needs no reference, since only u moves it.
+WLS (section 3.2): F <- argmin sum_q w_pq |F (X_q - X_p) - (x_q - x_p)|^2 over the k particles that
+are nearest at rest, with Gaussian weights. The result is linear in x, one constant sparse operator
+for each column: F = I + D u_particles. Afterwards F = F0 + G u with F0 = F_wls - G u at the time of
+the fit, where a stretch clamp also clips the singular values of F_wls. F0 is stored as one matrix
+per particle. Positions need no such reference.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from gf_usd.physics.total_lagrangian.energies import stored_energy
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
-CLOSE = 1e-6  # of the largest stretch, of which `singular_values` are exact to 1e-8
+CLOSE = 1e-6  # of the largest stretch; the error of `strains` is about 1e-8 of it
 NEIGHBORS = 20  # docs/physics.md, fitted
 WIDTH = 0.2  # [r] standard deviation of the Gaussian, fitted for r = 1
 
@@ -44,16 +44,16 @@ def wls_gradient(X: Floats, width: float) -> sparse.csr_matrix:
     """
     k = min(NEIGHBORS, len(X) - 1)
     distance, near = nearest(X, X, k + 1)
-    # By the nearest neighbor's weight, which leaves the fit as it is and cannot underflow.
+    # Divided by the nearest neighbor's weight: the fit is unchanged, and nothing underflows.
     least = distance[:, 1:2] if k else distance
-    # A twin at the same place may come before the particle itself: both then add nothing.
+    # A particle at the same position may come first; neither of the two contributes to the fit.
     return operator(near, X[near] - X[:, None], np.exp((least**2 - distance**2) / (2.0 * width**2)))
 
 
 def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
-    """F (N, 3, 3) with singular values in [low, high], and which rows (N,) bool that changed.
+    """F (N, 3, 3) with singular values clipped to [low, high], and (N,) bool which rows changed.
 
-    Where J < 0 the smallest singular value counts as negative, as in `kernels.limits.clip`.
+    Where J < 0 the smallest singular value is negative, as in `kernels.limits.clip`.
     """
     from gf_usd.physics.per_particle import strains
 
@@ -65,8 +65,8 @@ def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
 
 
 def to_be_clipped(s: Floats, J: Floats, low: float, high: float) -> Floats:
-    """(N,) bool: which of these strains may lie outside, and are worth an SVD."""
-    slack = CLOSE * s[:, 2]  # wide of what the closed form may be off by
+    """(N,) bool: which strains may lie outside of [low, high], so that an SVD is needed."""
+    slack = CLOSE * s[:, 2]  # above the error of the closed form
     return (s[:, 0] < low + slack) | (s[:, 2] > high - slack) | (J < 0.0)
 
 
@@ -82,9 +82,9 @@ def _clipped(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
 
 
 class ShapeCorrection:
-    """What acts on a body once a frame.
+    """The operations on a body between frames.
 
-    Raises UsageError for a shape correction of a body that pins hold: it has no mean of its own.
+    Raises UsageError for a shape correction of a pinned body, whose mean position is prescribed.
     """
 
     def __init__(self, body: Body) -> None:
@@ -100,9 +100,10 @@ class ShapeCorrection:
         self.gradient = wls_gradient(X, WIDTH * body.particles.radius) if s.wls else None
 
     def frame(self, state: State, index: int) -> tuple[Floats, float]:
-        """Act at the end of frame `index`: particles (N,) bool that were clipped, energy [J] given.
+        """Act at the end of frame `index`; (N,) bool which particles were clipped, and the energy
+        [J] added.
 
-        A state that is no longer finite is left as it is, for the guard to see.
+        A state that is not finite is left unchanged: `Guard` reports it.
         """
         clipped = np.zeros(len(self._body.particles), bool)
         if not acts(self._body.settings) or (first := state.view()).not_finite()[1]:
@@ -129,9 +130,9 @@ class ShapeCorrection:
     def _recompute(
         self, state: State, now: StateView, index: int, first: Floats
     ) -> tuple[Floats, tuple[Floats, Floats]]:
-        """Put F anew where the kernels see it.
+        """Recompute F by WLS and store F0 for the kernels.
 
-        Which particles (N,) bool were clipped, and the elastic strains of the F that was `first`.
+        Returns (N,) bool which particles were clipped, and the elastic strains of the F before.
         """
         assert self.gradient is not None
         assert state.rest is not None
@@ -142,7 +143,7 @@ class ShapeCorrection:
         state.put_F0(F - strained)
         of_first = now.strains_beside(index, first)
         clipped = np.zeros(len(F), bool)
-        # Rounding of F0 is far less than what `to_be_clipped` is wide of.
+        # The rounding error of F0 is far below the margin of `to_be_clipped`.
         if self._clamp and to_be_clipped(*now.strains(index), *self._clamp).any():
             F, clipped = clip_stretches(F, *self._clamp)
             state.put_F0(F - strained)
@@ -150,5 +151,5 @@ class ShapeCorrection:
 
 
 def acts(settings: Settings) -> bool:
-    """Whether anything is done between frames."""
+    """Whether the settings ask for an operation between frames."""
     return settings.procrustes > 0.0 or settings.wls

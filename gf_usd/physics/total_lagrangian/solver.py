@@ -1,10 +1,9 @@
-"""Total Lagrangian APIC: the production solver.
+"""Total Lagrangian APIC: the default solver of solid bodies.
 
-The state is a displacement u and a velocity v on the nodes of a grid that never moves
-(docs/physics.md).  Particles and embedded points are evaluated from them: x = X + offset + W u,
-F = I + G u.  `offset` is a rigid translation taken out of u once a frame, so
-that a long fall costs the strain no digits.  The paper's options are in `limits` and
-`shape_correction`.
+The state is a displacement u and a velocity v on the nodes of a fixed grid (docs/physics.md).
+Particles and embedded points are evaluated from them: x = X + offset + W u, F = I + G u. `offset`
+is a rigid translation that is removed from u once a frame, so that a long fall costs the strain no
+digits. The paper's options are in `limits` and `shape_correction`.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from gf_usd.physics.grid.embedding import pose
 from gf_usd.physics.grid.fields import Fields
 from gf_usd.physics.total_lagrangian.energies import measure, strain_energy, von_mises
 from gf_usd.physics.total_lagrangian.launch import Launches
-from gf_usd.physics.total_lagrangian.limits import touched
+from gf_usd.physics.total_lagrangian.limits import limited_particles
 from gf_usd.physics.total_lagrangian.rest_and_flight import Fallen, Shortcuts, strained_substeps
 from gf_usd.physics.total_lagrangian.settling import Settling
 from gf_usd.physics.total_lagrangian.setup import Body, build_body
@@ -38,45 +37,50 @@ from gf_usd.physics.total_lagrangian.state import State
 
 
 class Partner(Protocol):
-    """A second solver that advances with a body within its frames, and gives it impulses."""
+    """A second solver that advances together with a body within its frames, and applies impulses to
+    it.
+    """
 
     def detect(self, index: int, dt: float, done: int, left: int) -> tuple[int, float]:
-        """How many of `left` substeps what is found near now holds for, and how many shorter ones
-        each is divided into at least.
+        """Detect contact; for how many of the next `left` substeps the result holds, and into how
+        many shorter ones each must at least be divided.
 
-        index : the frame that is marched to; done : substeps of dt [s] since the frame before it.
+        index : the frame at the end of the interval; done : substeps of dt [s] since the frame
+        before it.
         """
         ...
 
     def begin(self, substeps: int, dt: float) -> int:
-        """Advance over the next of so many substeps of dt [s], and push the body; how many."""
+        """Advance by some of the next `substeps` substeps of dt [s] and apply the impulses; their
+        number.
+        """
         ...
 
     def end(self) -> None:
-        """They are done."""
+        """Called after the body's substeps."""
         ...
 
 
 class TotalLagrangian(Solver):
-    """One asset in motion.
+    """Bodies simulated by the Total Lagrangian method.
 
     Parameters
     ----------
-    particles, materials, settings : see `core`; materials of any mix of laws.
-    samples : surface points at which contact acts; None or no floor: no contact.
+    particles, materials, settings : see `core`; the materials may have different laws.
+    samples : surface points of contact; None or no floor: no contact.
     embedded : named points (n, 3) [m] that move with the body; every frame has their poses.
-    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start; or a list
-        of these, one a body.
-    pins : regions whose motion is given.
-    contact_setup : what the bodies meet besides the floor.
-    goals : springs that draw the body to a pose; None: none do.
-    embedded_body : the body of a named set of points; the first where it is not named.
-    embedded_copy : the copies of cells that the points of a named set are in, where
+    velocity : initial velocity, (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]; or a list of
+        these, one per body.
+    pins : regions with a prescribed motion.
+    contact_setup : contact of the bodies besides that with the floor.
+    goals : springs that pull the body to a pose; None: there are none.
+    embedded_body : the body of a named set of points; by default the first.
+    embedded_copy : the copies of cells that contain the points of a named set, where
         `particles.copies` has several.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
-    plain : one thread a particle, instead of eight cells side by side: the reference of tests.
-    cells : one thread a cell; None: on a GPU.
+    plain : one thread per particle, instead of eight cells at once: the reference implementation.
+    cells : one thread per cell; None: on a GPU.
 
     Raises InputError for pins that hold nothing, or everything.
     """
@@ -130,7 +134,7 @@ class TotalLagrangian(Solver):
         ]  # fmt: skip
         self.launches = Launches(body, self.state)
         self.fields = Fields(settings)
-        self._pushed = np.zeros((2, body.stencil.free_count, 3))  # [N] of fields, and [m] where
+        self._pushed = np.zeros((2, body.stencil.free_count, 3))  # of fields [N], positions [m]
         keys = particles.keys
         self._sample_particle = (
             _particle_of_samples(body) if keys and keys.changes("friction") else None
@@ -147,21 +151,21 @@ class TotalLagrangian(Solver):
         return self.state.view().not_finite()
 
     def advance(self, index: int, substeps: int) -> FrameStats:
-        """Move by a frame; `index` is the frame that this leads to."""
+        """Advance by a frame, to frame `index`."""
         state, pairs, partner = self.state, self.pairs, self.partner
         state.prescribe(index)
         changed = self._follow_keys(index)
         self._push(index)
         state.clear("touched")
         near = self.active.near_floor(state, everywhere=partner is not None)
-        state.drop_view()  # a large body's substeps need its memory
+        state.drop_view()  # free its memory for the substeps of a large body
         if (stats := self.shortcuts.take(state, pairs, near, substeps)) is not None:
             return stats
         if pairs:
             pairs.begin(state)
         whole, left = self.frame_time / substeps, substeps
         active = taken = 0
-        last = 0.0  # [s] the substep before
+        last = 0.0  # [s] length of the previous substep
         while left:
             chunk, parts, low, paired = left, left, near, near[:0]
             shorter = 1.0
@@ -175,14 +179,14 @@ class TotalLagrangian(Solver):
                 low = self.active.nearer(state, near, chunk * whole)
                 paired = pairs.planes.active
             dt = chunk * whole / parts
-            if dt != last:  # springs stand where the forces before are taken, half a step back
+            if dt != last:  # friction springs are stored at the time of the last forces
                 self.active.move_springs(state, 0.5 * (last - dt))
             watched = self.active.select(state, low, paired, dt)
             active = max(active, watched)
             self._run(parts, dt, watched)
             left, taken, last = left - chunk, taken + parts, dt
             if pairs and not pairs.follow(state, dt, closed=left == 0):
-                break  # `next` throws the frame away, and halves its step
+                break  # `next` rejects the frame and halves the step
         self.active.move_springs(state, 0.5 * last)
         state.time += substeps * whole
         state.recenter()
@@ -195,7 +199,9 @@ class TotalLagrangian(Solver):
         return stats
 
     def _run(self, substeps: int, dt: float, active: int) -> None:
-        """So many substeps of dt [s] with `active` contact samples, and what a partner does."""
+        """Run substeps of dt [s] with `active` contact samples, interleaved with those of a
+        partner.
+        """
         if self.partner is None:
             self.launches.run(self.state, substeps, dt, active, self.on_launch)
             return
@@ -206,7 +212,7 @@ class TotalLagrangian(Solver):
             substeps -= many
 
     def kick(self, samples: Floats) -> None:
-        """Give the contact samples impulses (n, 3) [N s]: v += M~^-1 W^T of them."""
+        """Apply impulses (n, 3) [N s] to the contact samples: v += M~^-1 W^T samples."""
         contact, state = self.body.contact, self.state
         assert contact is not None
         v = state.rows("v")
@@ -215,9 +221,11 @@ class TotalLagrangian(Solver):
         state.put("v", v)
 
     def _stats(self, index: int, active: int) -> FrameStats:
-        """What was noticed in a frame with `active` contact samples, after the shape correction."""
+        """The counts and energies of a frame with `active` contact samples; applies the shape
+        correction.
+        """
         body, state, pairs = self.body, self.state, self.pairs
-        limited = touched(state.get("touched"), body.options, body.layout, body.m)
+        limited = limited_particles(state.get("touched"), body.options, body.layout, body.m)
         clipped, injected = self.correction.frame(state, index)
         work, given, overlap = pairs.totals(state) if pairs else (0.0, 0.0, 0.0)
         stats = FrameStats(
@@ -239,11 +247,12 @@ class TotalLagrangian(Solver):
         )
 
     def _follow_keys(self, index: int) -> float:
-        """Set the material values of the way to a frame; [J] that this does to what is strained.
+        """Set the animated material values for frame `index`; the work [J] of this change on the
+        strained body.
 
-        They are constant on the way between two frames, so that all work of the moduli is done
-        here: the strain energy at the new ones less that at the old ones.  Damping and friction
-        do none.
+        The values are constant between two frames, so that the work of a change of moduli is the
+        difference of the strain energies at the new and at the old moduli. Damping and friction do
+        no work.
         """
         body, state = self.body, self.state
         if body.particles.keys is None:
@@ -264,7 +273,7 @@ class TotalLagrangian(Solver):
         return strain_energy(body, new, *strains) - strain_energy(body, old, *strains)
 
     def _push(self, index: int) -> None:
-        """Let the fields push on the way to a frame."""
+        """Apply the body forces of the fields for the substeps to frame `index`."""
         if self.fields:
             x = self.state.view().x
             b = self.fields.at(x, index)
@@ -272,20 +281,22 @@ class TotalLagrangian(Solver):
             self._pushed = np.stack([self.body.mass.momentum(b), x])
 
     def _work_of_fields(self) -> float:
-        """[J] since the start of the frame; the potential energy knows nothing of them."""
+        """[J] done by the fields since the start of the frame; the potential energy does not
+        include it.
+        """
         if not self.fields:
             return 0.0
         force, start = self._pushed
         return float((force * (self.state.view().x - start)).sum())
 
     def push(self, acceleration: Floats) -> None:
-        """Replace the body force of the frames to come: (free, 3) [m/s^2] besides gravity."""
+        """Replace the body force of the following frames: (free, 3) [m/s^2] besides gravity."""
         self.state.accelerate(np.asarray(acceleration, float))
         self.shortcuts.wake(self.state)
         self.settling.wake()
 
     def places(self) -> Floats:
-        """See `Solver`; of the nodes that nothing holds."""
+        """See `Solver`; of the free nodes."""
         return self.state.view().x
 
     def throw(self, velocities: Floats) -> None:
@@ -326,7 +337,7 @@ class TotalLagrangian(Solver):
 
 
 def _particle_of_samples(body: Body) -> Ints | None:
-    """(n,) the particle that each contact sample has its material of; None without contact."""
+    """(n,) the particle whose material each contact sample has; None without contact."""
     if body.contact is None:
         return None
     samples, particles = body.contact.samples, body.particles

@@ -1,37 +1,38 @@
-"""The stages of a substep, in order, and their parts.
+"""The stages of a substep in their order of execution, and the parts of each stage.
 
-The parts of a stage do not wait for each other, and neither do the items of a part: they write to
-what is their own.  `kernels` says what a part does with an item.
+The parts of a stage are independent of each other, and so are the items of a part: each item writes
+only to its own entries of the arrays. `kernels.substep` implements what a part does to an item.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Of what a part has an item each.
+# The entity of which a part processes one item each.
 FREE, FOLLOWERS, NODES, GROUPS, SAMPLES = "free", "followers", "nodes", "groups", "samples"
 REGIONS = "regions"  # rigid ones
 PAIRED = "paired"  # samples of contact pairs, with a body or an obstacle
 
-# When a stage is due: in every substep, where a frame opens, where the filter acts, where samples
-# meet.
+# When a stage runs: in every substep, in the first substep of a frame, in substeps with the APIC
+# filter, or in substeps in which contact samples have a contact pair.
 ALWAYS, OPENING, FILTERING, TOUCHING = "always", "opening", "filtering", "touching"
 
-APART = 32  # numbers between the two counters of a launch: they share no cache line
-STUCK = 2 * APART  # where threads of a GPU note that others never came
-QUEUE = 3 * APART  # numbers of the array that they stand in
-# Threads of a block on a GPU.  With 256 a thread has 128 registers, and a body with viscosity takes
-# 1.28 times as long (H200, a million particles).
+APART = 32  # numbers between the counters of a launch, so that they share no cache line
+STUCK = 2 * APART  # index of the flag that a grid barrier of the GPU timed out
+QUEUE = 3 * APART  # length of the array that holds the counters and the flag
+# Threads per block on a GPU. With 256, a thread is limited to 128 registers, and a body with
+# viscosity takes 1.28 times as long (H200, a million particles).
 BLOCK = 128
 
-OPENS, CLOSES = 1, 2  # bits: a launch begins a frame, ends one
+OPENS, CLOSES = 1, 2  # bits: a launch is the first of a frame, is the last of one
 
-# Items that are worth a piece of their own: a group is eight cells, some 64 particles.
+# Least number of items in one piece of work: a group is eight cells, some 64 particles.
 GRAIN = 256
 GROUP_GRAIN = 4
 
 
-# Parts that do the same: over ways of their own, or with the filter's momenta instead of forces.
+# Parts that share one implementation: with another drift time, or with the filter's momenta instead
+# of forces.
 SAME = {
     "open followers": "follow", "filtered followers": "follow", "loss": "share",
     "filter lumped": "move lumped", "filter": "move",
@@ -40,30 +41,31 @@ SAME = {
 
 @dataclass(frozen=True)
 class Part:
-    """One thing that is done to each item."""
+    """One operation, applied to each item of a kind."""
 
     name: str
     items: str
 
     @property
     def work(self) -> str:
-        """What is done."""
+        """Name of the implementation."""
         return SAME.get(self.name, self.name)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Parts that may be done at once."""
+    """Parts that may run at the same time."""
 
     parts: tuple[Part, ...]
     when: str = ALWAYS
 
 
-def works(table: tuple[Stage, ...]) -> tuple[tuple[Part, tuple[int, ...]], ...]:
-    """What is done in a table of stages, each once: a part that does it, and the numbers of the
-    stages that it is in.
+def distinct_works(table: tuple[Stage, ...]) -> tuple[tuple[Part, tuple[int, ...]], ...]:
+    """The distinct implementations in a table of stages: for each, a part that uses it, and the
+    indices of the stages that contain it.
 
-    Code that stands at several places is read, optimized and translated several times.
+    The kernels contain each implementation once: code that is inlined at several places is parsed,
+    optimized and translated several times.
     """
     found: dict[str, tuple[Part, tuple[int, ...]]] = {}
     for number, stage in enumerate(table):
@@ -74,10 +76,12 @@ def works(table: tuple[Stage, ...]) -> tuple[tuple[Part, tuple[int, ...]], ...]:
 
 
 def stages(plain: bool, meets: bool, coupled: bool, rigid: bool = False) -> tuple[Stage, ...]:
-    """The stages of a substep; `groups` are particles where plain.
+    """The stages of a substep.
 
-    meets : bodies meet each other or obstacles; coupled : nodes share their mass with neighbors;
-    rigid : regions move as rigid bodies.
+    plain : one thread per particle; the items of `groups` are then particles.
+    meets : bodies are in contact with each other or with obstacles.
+    coupled : the mass matrix couples neighboring nodes.
+    rigid : some regions move as rigid bodies.
     """
 
     def stage(*parts: tuple[str, str], when: str = ALWAYS) -> Stage:

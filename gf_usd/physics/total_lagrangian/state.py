@@ -1,8 +1,8 @@
-"""The state of a Total Lagrangian body, and a view of it that remembers what was worked out.
+"""The state of a Total Lagrangian body, and cached quantities that are derived from it.
 
-The shape correction wants the energy of a state before and after it, the report of the frame wants
-it again, and each of them where the nodes and particles are.  A view keeps every such answer for as
-long as the state is the same: a small body spends more on these calls than on substeps.
+The shape correction, the health report and the output of a frame need the energy and the positions
+of the same state. `StateView` computes each such quantity once per state: for a small body these
+computations take longer than the substeps.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class RestGradients:
         self.set(F0)
 
     def set(self, F0: Floats) -> None:
-        """Replace F0; it is another array whenever it changes."""
+        """Replace F0 by a new array; the identity of the array shows a change."""
         self.F0 = F0
         self._ahead = F0.astype(float) - np.eye(3)
 
     def anchored(self, F: Floats) -> Floats:
-        """F0 + G u of F = I + G u, (N, 3, 3)."""
+        """F0 + G u from F = I + G u, (N, 3, 3)."""
         return F + self._ahead
 
 
@@ -65,8 +65,8 @@ class State(DeviceState):
         self.rest: RestGradients | None = None
         self._read_F0()
         kind = ti.f64 if body.real is np.float64 else ti.f32
-        self.cell_energy = ti.ndarray(kind, body.layout.cells.size)  # [J], what `energy` writes
-        self.lane_stress = ti.ndarray(kind, body.layout.source.size)  # [Pa], what `stress` writes
+        self.cell_energy = ti.ndarray(kind, body.layout.cells.size)  # [J], output of `energy`
+        self.lane_stress = ti.ndarray(kind, body.layout.source.size)  # [Pa], output of `stress`
 
     def save(self) -> dict[str, Any]:
         """See `DeviceState`; internal arrays by particles, (N, k)."""
@@ -85,23 +85,25 @@ class State(DeviceState):
         return self._body.internal
 
     def put_particles(self, name: str, values: Floats) -> None:
-        """Fill an internal array with what belongs to each particle, (N, k)."""
+        """Fill an internal array from per-particle values (N, k)."""
         self.put(name, layout.law_lanes(self._body.layout, values))
 
     def put_values(self, index: int) -> None:
-        """Set what has keys on the way to frame `index`: the moduli, and the viscosities."""
+        """Set the animated moduli and viscosities for the substeps between frames `index` - 1 and
+        `index`.
+        """
         body = self._body
         self.put_particles("constants", body.law_at(index).constants)
         viscosity = viscosities(body.values_at(index), body.h)
         self.put("viscosity", layout.lanes(body.layout, viscosity))
 
     def take_dissipated(self) -> float | None:
-        """[J] that flow dissipated since this was last asked; None where no law flows."""
+        """[J] dissipated by plastic flow since the last call; None without plastic flow."""
         laws = self._body.law.set
         return take_dissipated(laws, self.arrays["history"]) if laws.flows else None
 
     def put_F0(self, F0: Floats) -> None:
-        """Set F0 (N, 3, 3), here and for the kernels."""
+        """Set F0 (N, 3, 3) on the host and on the device."""
         assert self.rest is not None
         self.rest.set(np.asarray(F0, self.real))
         self.put_particles("F0", self.rest.F0.reshape(-1, 9))
@@ -116,19 +118,19 @@ class State(DeviceState):
             self.rest.set(F0)
 
     def accelerate(self, b: Floats) -> None:
-        """Replace the body force of the frames to come; b (free, 3) [m/s^2]."""
+        """Replace the body force of the following frames; b (free, 3) [m/s^2]."""
         self.put("acceleration", b)
         self.acceleration, self._view, self._weight = b, None, None
 
     def _weigh(self) -> Floats:
-        """(free, 3) [N] M~ (g + b): the forces that gravity and the body force stand for."""
+        """(free, 3) [N] M~ (g + b), the forces of gravity and of the body force."""
         if self._weight is None:
             g = np.asarray(self._body.settings.gravity, float)
             self._weight = self._body.mass.momentum(g + self.acceleration)
         return self._weight
 
     def prescribe(self, index: int) -> None:
-        """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
+        """Set the prescribed motion of held nodes between frames `index` - 1 and `index`."""
         if self._body.options.driven:
             given = self.rows("sample_given", GIVEN_ROW)
             given[:, WORK] = 0.0
@@ -162,11 +164,11 @@ class State(DeviceState):
         samples = self.get("sample_given").reshape(-1, GIVEN_ROW)[:, WORK]
         held = self.rows("anchor", ANCHOR)[:, PIN_WORK]
         for of in self._body.regions.nodes if self._body.regions else ():
-            held[of] = 0.0  # what a region gives, it has no more
+            held[of] = 0.0  # internal forces of a rigid region do no work
         return float(held.sum() + samples.astype(float).sum()) + drawn
 
     def recenter(self) -> None:
-        """Move the mean displacement from u to the offset; a pinned body stays where it is."""
+        """Move the mean displacement from u to the offset; not for a pinned body."""
         if self._body.in_place:
             return
         u, m = self.rows("u"), self._body.stencil.mass
@@ -183,9 +185,10 @@ class State(DeviceState):
             self.put("anchor", anchor)
 
     def fly(self, flying: Ints, g: Floats, time: float) -> None:
-        """Move bodies (B,) by free flight of `time` [s] under g (3,) [m/s^2]; others stand still.
+        """Advance bodies (B,) by free flight of `time` [s] under g (3,) [m/s^2]; the others do not
+        move.
 
-        x += vbar t + g t^2 / 2, v += g t for all nodes of a body, vbar its mean velocity.
+        x += vbar t + g t^2 / 2 and v += g t for all nodes of a body, with vbar its mean velocity.
         """
         u, v = self.rows("u"), self.rows("v")
         nodes, m = self._body.stencil.node_body, self._body.stencil.mass
@@ -193,14 +196,14 @@ class State(DeviceState):
         mean = node_sums(m[:, None] * v[: len(m)], mine, len(flying))
         mean /= np.bincount(mine, m, len(flying))[:, None]
         way = np.where(flying[:, None], mean * time + 0.5 * g * time**2, 0.0)
-        # What moves all bodies moves the frame of u, which then keeps its digits.
+        # A common translation of all bodies goes to the offset, so that u loses no digits.
         common = way[0] if (way == way[0]).all() else m @ way[mine] / m.sum()
         self.offset = self.offset + common
         self.put("u", u + (way - common)[nodes])
         self.put("v", np.where(flying[nodes][:, None], v + g * time, 0.0))
 
     def view(self) -> StateView:
-        """The present state, with what was found out about it so far."""
+        """The current state with its cached quantities."""
         names = ("u", "v") if self._body.pin_constraint is None else ("u", "v", "anchor", "rigid")
         names = (*names, "sample_spring")
         if self._body.law.set.flows:
@@ -212,14 +215,14 @@ class State(DeviceState):
         return self._view
 
     def drop_view(self) -> None:
-        """Free the memory of the view."""
+        """Release the cached quantities."""
         self._view = None
 
 
 class StateView:
-    """A state as it was when the view was made.
+    """A state and the quantities derived from it.
 
-    u, v : (free, 3) [m], [m/s] of the free nodes, u without the offset; float64, not to be changed.
+    u, v : (free, 3) [m], [m/s] of the free nodes, u without the offset; float64, read-only.
     """
 
     def __init__(
@@ -232,11 +235,13 @@ class StateView:
         self.u.flags.writeable = self.v.flags.writeable = False
 
     def is_of(self, given: Given) -> bool:
-        """Whether these are the view's; never where something is no number."""
+        """Whether the view is of these arrays; False where a value is not finite."""
         return all((then == now).all() for then, now in zip(self._given, given))
 
     def not_finite(self) -> tuple[int, str]:
-        """The particle nearest to what is no number, and the fault; (-1, "") where all is sound."""
+        """The particle nearest to a value that is not finite, and its description; (-1, "") without
+        one.
+        """
         if np.isfinite(self.u).all() and np.isfinite(self.v).all():
             return -1, ""
         bad = ~(np.isfinite(self.u).all(1) & np.isfinite(self.v).all(1))
@@ -250,8 +255,7 @@ class StateView:
     def strains(self, index: int, F: Floats | None = None) -> tuple[Floats, Floats]:
         """Singular values (N, 3), ascending, and determinants (N,) of F at frame `index`.
 
-        F : (N, 3, 3) where it is known.  What comes of it is kept for the frame and F0 of the last
-        call.
+        F : (N, 3, 3) where it is known. The result is cached for the frame and F0 of the last call.
         """
         from gf_usd.physics.per_particle import strains
 
@@ -262,7 +266,9 @@ class StateView:
         return known[2]
 
     def elastic_strains(self, index: int) -> tuple[Floats, Floats]:
-        """The strains of F_e at frame `index`; those of F where no law flows."""
+        """Singular values and determinants of F_e at frame `index`; of F where no law has plastic
+        flow.
+        """
         if not self._body.law.set.flows:
             return self.strains(index)
         from gf_usd.physics.per_particle import strains
@@ -270,7 +276,9 @@ class StateView:
         return strains(self.elastic(self.gradients(index)))
 
     def elastic(self, F: Floats) -> Floats:
-        """F_e = F F_p^-1 of gradients F (N, 3, 3) of the particles; F where no law flows."""
+        """F_e = F F_p^-1 of gradients F (N, 3, 3) of the particles; F where no law has plastic
+        flow.
+        """
         if not self._body.law.set.flows:
             return F
         return F @ self._plastic
@@ -283,7 +291,7 @@ class StateView:
 
     @cached_property
     def history(self) -> Floats:
-        """(N, k) of the particles, as `LawSet.history` counts them."""
+        """(N, k) history variables of the particles, as counted by `LawSet.history`."""
         return layout.from_lanes(self._body.layout, self._given[-2]).astype(float)
 
     @cached_property
@@ -293,7 +301,7 @@ class StateView:
 
     @property
     def plastic_factor(self) -> Floats | float:
-        """|F_p^-1|^2 (N,) by its largest stretch; 1 where no law flows."""
+        """|F_p^-1|^2 (N,) by its largest singular value; 1 where no law has plastic flow."""
         if not self._body.law.set.flows:
             return 1.0
         from gf_usd.physics.per_particle import strains
@@ -301,7 +309,7 @@ class StateView:
         return strains(self._plastic)[0][:, 2] ** 2
 
     def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
-        """`elastic_strains` of another F, in the same call as those of F at `index`."""
+        """`elastic_strains` of another F, computed in the same call as those of F at `index`."""
         from gf_usd.physics.per_particle import strains
 
         n = len(other)
@@ -324,19 +332,19 @@ class StateView:
     def constants(self) -> tuple[Floats, Floats]:
         """c (followers, 3) [m] of held nodes, and its rate [m/s]; only of a body with pins."""
         nodes = self._body.stencil
-        count = nodes.node_count - nodes.free_count  # the kernels' arrays are never empty
+        count = nodes.node_count - nodes.free_count  # the kernels' arrays have at least one element
         rows = self._given[2].astype(float).reshape(-1, ANCHOR)[:count]
         return rows[:, :PIN_RATE], rows[:, PIN_RATE:PIN_WORK]
 
     @cached_property
     def rigid(self) -> RigidMotion | None:
-        """The rigid regions; None: there are none."""
+        """The motion of the rigid regions; None without rigid regions."""
         regions = self._body.regions
         return RigidMotion.of(regions, self._given[3]) if regions else None
 
     @cached_property
     def nodes(self) -> tuple[Floats, Floats]:
-        """u and v as `Rows` stack them: with pins, the followers' constants too."""
+        """u and v as stacked by `Rows`: with pins, followed by the constants of the followers."""
         if self._body.pin_constraint is None:
             return self.u, self.v
         c, rate = self.constants
@@ -346,7 +354,7 @@ class StateView:
 
     @cached_property
     def x(self) -> Floats:
-        """(free, 3) [m] where the free nodes are."""
+        """(free, 3) [m] positions of the free nodes."""
         return self._body.stencil.free_X + self.offset + self.u
 
     @cached_property
@@ -356,13 +364,13 @@ class StateView:
 
     @cached_property
     def particles(self) -> Pose:
-        """Where the particles are, but for F0 and for what holds them."""
+        """Pose of the particles by interpolation alone, without F0 and without pins."""
         found = pose(self._body.rows, *self.nodes, self.offset)
         self.__dict__.setdefault("F", found.F)
         return found
 
     def pose(self, index: int) -> Pose:
-        """x, v and F of the particles at frame `index`; F is what the stress is taken of."""
+        """x, v and F of the particles at frame `index`; the stress is computed from F."""
         free = self.particles
         free = Pose(x=free.x, v=free.v, F=self._anchored())
         return self._body.constrained("", self._body.rows, free, index, self.offset)
@@ -376,7 +384,7 @@ class StateView:
 
     @cached_property
     def potential(self) -> float:
-        """-sum_i x_i . (M~ (g + b))_i [J], heights over the floor."""
+        """Potential energy -sum_i x_i . (M~ (g + b))_i [J], heights measured from the floor."""
         s, weight = self._body.settings, self._weigh()
         datum = s.floor if s.floor is not None else 0.0
         height = self.x - datum * np.asarray(s.up)
@@ -393,7 +401,9 @@ class StateView:
 
     @cached_property
     def contact(self) -> float:
-        """[J] stored in the floor's springs: see `floor`, and k_t xi^2 / 2 of friction."""
+        """[J] energy of the floor's contact springs, with k_t xi^2 / 2 of friction: see
+        `contact.floor`.
+        """
         contact, s = self._body.contact, self._body.settings
         if contact is None or s.floor is None:
             return 0.0

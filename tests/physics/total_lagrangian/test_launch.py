@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gf_usd.physics.total_lagrangian import launch as thread_count
-from gf_usd.physics.total_lagrangian.launch import ThreadCount, filter_of
+from gf_usd.physics.total_lagrangian.launch import ThreadCount, filter_schedule
 
 
 class Machine:
@@ -113,9 +113,9 @@ def test_a_launch_takes_as_many_substeps_as_last_a_moment() -> None:
 
 
 def test_the_filter_of_tiny_substeps_fits_a_kernels_count() -> None:
-    every, alpha = filter_of(10.0, 1e-20)
+    every, alpha = filter_schedule(10.0, 1e-20)
     assert every == 2**31 - 1
     assert alpha == pytest.approx(10.0 * every * 1e-20, rel=1e-6, abs=1e-15)
-    every, alpha = filter_of(10.0, 1e-3)
+    every, alpha = filter_schedule(10.0, 1e-3)
     assert every * 10.0 * 1e-3 <= 0.2 < (every + 1) * 10.0 * 1e-3
     assert alpha == pytest.approx(1.0 - np.exp(-10.0 * every * 1e-3))

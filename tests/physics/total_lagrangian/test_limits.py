@@ -12,7 +12,7 @@ from gf_usd.core.frames import Health, Pose
 from gf_usd.physics.frame_loop import GAIN, Guard
 from gf_usd.physics.per_particle import strains
 from gf_usd.physics.total_lagrangian.energies import elastic_energy, strain_energy, von_mises
-from gf_usd.physics.total_lagrangian.limits import touched
+from gf_usd.physics.total_lagrangian.limits import limited_particles
 from gf_usd.physics.total_lagrangian.shape_correction import clip_stretches
 
 
@@ -42,7 +42,8 @@ def test_the_clamp_takes_stress_and_energy_of_the_clipped_strain(A, law):
     wanted = force(bare)
     np.testing.assert_allclose(force(seen), wanted, atol=1e-6 * np.abs(wanted).max())
     bits = seen.state.get("touched")
-    assert touched(bits, seen.body.options, seen.body.layout, seen.body.m)["clamped"].all()
+    limited = limited_particles(bits, seen.body.options, seen.body.layout, seen.body.m)
+    assert limited["clamped"].all()
 
 
 @pytest.mark.slow

@@ -1,9 +1,9 @@
 """Update of one cell in a substep by one thread: for GPUs.
 
-The arrays and the arithmetic are those of eight cells at once (`kernels.simd`): cell z of all is
-lane z % 8 of group z // 8, and a number of a particle is a vector of that one lane.  So threads
-that are neighbors read numbers that are, nothing is added atomically, and each cell has the sums
-that the CPU takes, in the same order.
+Arrays and arithmetic are those of eight cells at once (`kernels.simd`): cell z is lane z % 8 of
+group z // 8, and a value of a particle is a vector of that one lane. Neighboring threads therefore
+read adjacent numbers, no atomics are used, and each cell has the same sums as on the CPU, in the
+same order.
 """
 
 import taichi as ti
@@ -60,7 +60,7 @@ def put_lane_rows(array, first, lane, values):
 def nodal(array, nodes, first):
     """A nodal vector field at the 27 nodes of a cell: 27 x 3 vectors of one lane, node by node.
 
-    first : where the nodes of the cell begin; those of the others of its group stand between.
+    first : index of the first node of the cell; the nodes of the cells of a group are interleaved.
     """
     out = []
     for n in range(27):
@@ -102,7 +102,7 @@ def strain_cell(
 
 @ti.func
 def clip_cell(body: ti.template(), b, lane, F: ti.template()):
-    """F with its singular values in the limits, in place."""
+    """Clip the singular values of F, in place."""
     assign(F, listed(clip_matrix(body, LANES * b + lane, matrix(F))))
 
 
@@ -111,7 +111,7 @@ def elastic_cell(
     body: ti.template(), b, lane, F: ti.template(), q, laws: ti.template(), dt, converged,
     options: ti.template(), acts: ti.template(),
 ):  # fmt: skip
-    """F to the elastic gradient that the stress is taken of, in place; F_p^-1: `simd.elastic`."""
+    """Replace F by the elastic gradient F_e, in place; returns F_p^-1: see `simd.elastic`."""
     if ti.static(not laws.flows):
         if ti.static(options.clamped):
             clip_cell(body, b, lane, F)
@@ -137,7 +137,7 @@ def elastic_cell(
 
 @ti.func
 def law_of(body: ti.template(), b, lane, laws: ti.template()):
-    """Which of the body's laws a particle has, in one lane."""
+    """Index of the particle's law, in one lane."""
     return ti.Vector([body.constants[laws.constants * b + laws.which][lane]])
 
 
@@ -146,7 +146,9 @@ def stress_cell(
     body: ti.template(), z, laws: ti.template(), damped: ti.template(), dt, ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """-V0 P G of the particles of cell z into its part of the block: `simd.stress_group`."""
+    """Nodal forces -V0 P G of the particles of cell z, to the cell's part of the block; see
+    `simd.stress_group`.
+    """
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)
     each_difference(u)
@@ -180,7 +182,9 @@ def stress_cell(
 
 @ti.func
 def filter_cell(body: ti.template(), z):
-    """m (v_p + C_p dX) of the particles of cell z into its part of the block: eq. 3, then 1."""
+    """Nodal momenta m (v_p + C_p dX) of the particles of cell z, to the cell's part of the block
+    (eq. 3, then eq. 1).
+    """
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     q = gather_cell(body, body.v, group, lane)
     out = zeros(q)
@@ -192,7 +196,7 @@ def filter_cell(body: ti.template(), z):
 
 @ti.func
 def cell_energy(body: ti.template(), z, laws: ti.template(), ih, converged, options: ti.template()):
-    """sum_p V0 psi(F_p) of cell z, before what is due to flow has flowed."""
+    """sum_p V0 psi(F_p) of cell z, without the return mapping of plastic flow."""
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)
     each_difference(u)
@@ -215,7 +219,7 @@ def cell_von_mises(
     body: ti.template(), z, out: ti.template(), laws: ti.template(), ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """out[8 b + lane] = von Mises of each particle of cell z."""
+    """out[8 b + lane] = von Mises stress of each particle of cell z."""
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)
     each_difference(u)

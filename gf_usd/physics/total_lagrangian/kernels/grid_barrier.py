@@ -1,15 +1,15 @@
 """The barrier between the stages of a launch on a GPU.
 
-A launch of a kernel costs some 10 us there, as long as a stage of 10,000 particles.  So a launch
-has many substeps, and as many threads as the multiprocessors hold at once: all of them are at work
-until the last stage is done, and can wait for each other.  A block that has arrived adds 1 to a
-counter and waits until all have:
+A kernel launch costs some 10 us there, as long as a stage of 10,000 particles. A launch therefore
+contains many substeps, with only as many thread blocks as can be resident at the same time, which
+can then wait for each other. Each block adds 1 to a counter and waits until all have done so:
 
     block barrier;  fence;  arrived++;  wait until arrived = blocks k, at the k-th barrier;  fence
 
-Taichi compiles each kernel so that a multiprocessor holds two of its blocks (`minctasm` in its code
-generator), and no more are started.  Where blocks are missing all the same, the others give up
-after TRIES and open all barriers; STUCK says so, and the launch is an error.
+Taichi compiles each kernel such that two of its blocks are resident on a multiprocessor (`minctasm`
+in its code generator), and no more are started. If some blocks are not resident nevertheless, the
+others stop waiting after TRIES and open all barriers; the flag STUCK is set, and the launch raises
+an error.
 """
 
 import taichi as ti
@@ -18,19 +18,21 @@ from gf_usd.physics.total_lagrangian.stages import APART, BLOCK, STUCK
 
 WARP = 32
 TRIES = 1 << 21  # a second or two
-OPEN = 1 << 29  # more than blocks ever arrive in a launch
+OPEN = 1 << 29  # above any count of arrivals in a launch
 
 
 @ti.func
 def item_of(z, blocks):
-    """The first item of thread z: warps of a block are spread, so that few items use them all."""
+    """The first item of thread z; consecutive items go to warps of different blocks, to spread the
+    load.
+    """
     warp = z % BLOCK // WARP
     return (warp * blocks + z // BLOCK) * WARP + z % WARP
 
 
 @ti.func
 def wait_for_all(queue: ti.template(), z, target):
-    """Until `target` blocks have arrived, each of them once at every barrier."""
+    """Wait until `target` arrivals are counted, one per block and barrier."""
     ti.simt.block.sync()
     if z % BLOCK == 0:
         ti.simt.grid.memfence()

@@ -1,4 +1,4 @@
-"""Stretch clamp and stress cap of eight particles inside a substep."""
+"""Stretch clamp and stress cap of eight particles within a substep."""
 
 import taichi as ti
 
@@ -15,7 +15,9 @@ from gf_usd.physics.total_lagrangian.limits import (
 
 @ti.func
 def touch(body: ti.template(), lane, how):
-    """Note that a particle was clipped or cut; see `options.touched`."""
+    """Set a bit in `touched` of a particle that was clipped or capped; see
+    `limits.limited_particles`.
+    """
     body.touched[lane] = body.touched[lane] | how
 
 
@@ -23,7 +25,7 @@ def touch(body: ti.template(), lane, how):
 def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
     """Clip the singular values of F of batch b, in place; where J < 0 the smallest is negative.
 
-    Signs as in `lanes.rotation`: an inverted particle is seen as one of the least stretch allowed.
+    Signs as in `nearest_rotation`: an inverted particle gets the least stretch that is allowed.
     """
     low = body.numbers[LOW]
     high = body.numbers[HIGH]
@@ -36,7 +38,7 @@ def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
         for a in ti.static(range(9)):
             body.clip_buffer[buffer + a] = F[a]
         body.clip_buffer[buffer + 9] = beyond
-        # Lane by lane through memory: eight decompositions in line would take minutes to compile.
+        # A loop over lanes through memory: eight inlined decompositions take minutes to compile.
         for lane in range(LANES):
             if body.clip_buffer[buffer + 9][lane] > 0.0:
                 clip_lane(body, b, lane, low, high, counted)
@@ -66,7 +68,7 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
 
 @ti.func
 def clipped_matrix(A, low, high):
-    """A with its singular values in [low, high], and 1 if any was outside."""
+    """A with its singular values clipped to [low, high], and 1 if any was outside."""
     U, S, V = ti.svd(A)
     outside = 0
     for a in ti.static(range(3)):
@@ -88,7 +90,7 @@ def clipped_matrix(A, low, high):
 
 @ti.func
 def cut(body: ti.template(), b, P: ti.template(), counted: ti.template()):
-    """Scale P of batch b down to |P| <= numbers[CAP], in place."""
+    """Scale P of batch b down to |P| <= numbers[CAP], in place (stress cap)."""
     cap = body.numbers[CAP]
     size = ti.sqrt(double_dot(P, P))
     scale = ti.min(cap / ti.max(size, 1e-30), 1.0)

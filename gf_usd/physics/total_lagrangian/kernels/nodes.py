@@ -1,21 +1,22 @@
-"""Update of one node in a substep: sum its cells' blocks in a fixed order, and move.
+"""Update of one node in a substep: sum the blocks of its cells in a fixed order, and integrate.
 
-No atomics, so the result does not depend on the number of threads.  Some nodes follow the free
-ones (see `followers`, `holds`): they pass their sums on, and take their motion back.
+No atomics are used, so that the result does not depend on the number of threads. Followers
+(`grid.dependent_nodes`, `grid.pins`) pass their forces to the free nodes they depend on, and are
+interpolated from their motion.
 
-A goal draws a node to a place X + G(t) by a spring of k = w^2 and c = 2 zeta w,
+A goal pulls a node to a position X + G(t) by a spring of k = w^2 and c = 2 zeta w,
 
     m dv/dt = f - m k (u - G) - m c (v - dG/dt)
 
-integrated by the implicit midpoint rule, which is stable for any k: with the displacement u at the
-middle of the substep, where forces are taken,
+integrated by the implicit midpoint rule, which is stable for any k: with u at the middle of the
+substep, where forces are evaluated,
 
     (1 + k dt^2 / 4 + c dt / 2) (v' - v) = dt (f / m - k (u - G) - c (v - dG/dt))
 
-With the mass M~ of `grid.mass`, m in it grows by the same factor.
+With the mass M~ of `grid.mass`, m is increased by the same factor.
 
-A limit is a pull of `grid.goals` against a way that is too long, taken at the middle of the substep
-like the forces: away from G, and along n from B toward the bone.
+A limit is a restoring acceleration of `grid.goals` against too great a distance, evaluated at the
+middle of the substep like the forces: toward G, and along n from B toward the bone.
 """
 
 import taichi as ti
@@ -45,14 +46,16 @@ from gf_usd.physics.total_lagrangian.layout import (
 )
 from gf_usd.physics.total_lagrangian.limits import NO_GOALS, SPRINGS
 
-# Entries of a row that a thread of a GPU asks for before it adds the first of them: to wait for
-# memory is most of what a row takes there, and it waits for all of them at once.
+# Entries of a row that a GPU thread loads before it adds the first of them, so that their memory
+# latencies overlap.
 AHEAD = 8
 
 
 @ti.func
 def block_sum(body: ti.template(), node, options: ti.template()):
-    """Sum of what the node's cells hold for it, in a fixed order; `node_force` has summed it."""
+    """Sum of the contributions of a node's cells, in a fixed order; in the plain layout, of
+    `node_force`.
+    """
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     first, behind = body.node_slot_start[node], body.node_slot_start[node + 1]
     if ti.static(options.plain):
@@ -71,7 +74,7 @@ def block_sum(body: ti.template(), node, options: ti.template()):
 
 @ti.func
 def slot(body: ti.template(), e):
-    """What a cell holds for a node."""
+    """The contribution of one cell to a node."""
     o = body.node_slot[e] >> LANE_BITS
     lane = body.node_slot[e] & (LANES - 1)
     return ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
@@ -79,13 +82,13 @@ def slot(body: ti.template(), e):
 
 @ti.func
 def turns(first, behind):
-    """How many times AHEAD entries there are, the last ones perhaps in part."""
+    """Number of chunks of AHEAD entries; the last one may be incomplete."""
     return (behind - first + AHEAD - 1) // AHEAD
 
 
 @ti.func
 def entry(e, behind):
-    """Entry e and 1; the last one and 0 where e is behind it."""
+    """Entry e and the factor 1; the last entry and the factor 0 where e is beyond the range."""
     return ti.min(e, behind - 1), int(e < behind)
 
 
@@ -93,9 +96,10 @@ def entry(e, behind):
 def follower_share(
     body: ti.template(), follower, free, dt, alpha, filtering, options: ti.template()
 ):  # fmt: skip
-    """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works.
+    """Store the sum of the cells' contributions to a follower, for the free nodes it depends on;
+    and count the work of a pin.
 
-    filtering : 1: that is (B v - m v)_l, and the impulse on the follower alpha times it.
+    filtering : 1: the sum is (B v - m v)_l, and the impulse on the follower is alpha times it.
     """
     f = block_sum(body, free + follower, options)
     impulse = dt
@@ -112,7 +116,7 @@ def follower_share(
 
 @ti.func
 def keep_share(body: ti.template(), node, f, slides: ti.template()):
-    """Keep what a follower hands on, by the factors of its row where pins slide."""
+    """Store a follower's contribution, with the factors per axis where pins slide."""
     for d in ti.static(range(3)):
         if ti.static(slides):
             body.share[3 * node + d] = body.slide[3 * node + d] * f[d]
@@ -122,9 +126,9 @@ def keep_share(body: ti.template(), node, f, slides: ti.template()):
 
 @ti.func
 def node_sum(body: ti.template(), node, filtering, options: ti.template()):
-    """What the cells hold for a free node and for those that follow it: (E^T f)_i.
+    """Sum of the cells' contributions to a free node and to its followers: (E^T f)_i.
 
-    filtering : 1: E^T (B - M) E v, with what the followers kept of it.
+    filtering : 1: E^T (B - M) E v, from the stored values of the followers.
     """
     f = block_sum(body, node, options)
     if filtering > 0:
@@ -134,14 +138,14 @@ def node_sum(body: ti.template(), node, filtering, options: ti.template()):
 
 @ti.func
 def less_momentum(body: ti.template(), node, p):
-    """(B v - m v)_i of p = (B v)_i: what a transfer to particles and back does to momentum."""
+    """(B v - m v)_i from p = (B v)_i: the change by a transfer to particles and back."""
     v = ti.Vector([body.v[3 * node], body.v[3 * node + 1], body.v[3 * node + 2]])
     return p - body.node_mass[MASS * node] * v
 
 
 @ti.func
 def leader_sum(body: ti.template(), node, options: ti.template()):
-    """sum_l e_li of what the followers kept."""
+    """sum_l e_li of the stored contributions of the followers."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     first, behind = body.leader_start[node], body.leader_start[node + 1]
     if ti.static(options.cells):
@@ -157,9 +161,9 @@ def leader_sum(body: ti.template(), node, options: ti.template()):
 
 @ti.func
 def follow(body: ti.template(), follower, free, drift, options: ti.template()):
-    """u_l = sum_j e_lj u_j + c_l, and v likewise; c moves on by drift at its rate.
+    """u_l = sum_j e_lj u_j + c_l, and v likewise; c advances by drift at its rate.
 
-    Where pins slide the sum has a factor of each axis.
+    Where pins slide, the sum has a factor per axis.
     """
     a = ANCHOR * follower
     rate = ti.Vector([body.anchor[a + 3], body.anchor[a + 4], body.anchor[a + 5]])
@@ -191,7 +195,7 @@ def follow(body: ti.template(), follower, free, drift, options: ti.template()):
 
 @ti.func
 def scaled_row(w, k, field: ti.template(), j, options: ti.template()):
-    """w k u of the node whose numbers begin at j; k counts where pins slide."""
+    """w k u of the node whose components begin at j; k applies where pins slide."""
     out = w * row(field, j)
     if ti.static(options.slides):
         out = w * k * row(field, j)
@@ -207,9 +211,7 @@ def drift_node(body: ti.template(), node, drift):
 
 @ti.func
 def force(body: ti.template(), node, contact, dt, filtering, options: ti.template()):
-    """The force of the cells, of contact and of its goal on a free node; filtering : see
-    `node_sum`.
-    """
+    """Sum of internal, contact and goal forces on a free node; filtering : see `node_sum`."""
     f = node_sum(body, node, filtering, options)
     if filtering == 0:
         if ti.static(options.goals > NO_GOALS):
@@ -223,7 +225,7 @@ def force(body: ti.template(), node, contact, dt, filtering, options: ti.templat
 
 @ti.func
 def drift_goal(body: ti.template(), node, drift, goals: ti.template()):
-    """G += drift dG/dt, and B and n of the limits alike."""
+    """G += drift dG/dt, and B and n of the limits likewise."""
     for a in range(GOAL * node, GOAL * node + 3):
         body.goal[a] = body.goal[a] + drift * body.goal[a + RATE]
         if ti.static(goals > SPRINGS):
@@ -233,14 +235,14 @@ def drift_goal(body: ti.template(), node, drift, goals: ti.template()):
 
 @ti.func
 def goal_spring(body: ti.template(), node):
-    """k and c of the spring that draws a node to its goal."""
+    """k and c of the spring from a node to its goal."""
     o = GOAL * node + SPRING
     return body.goal[o], body.goal[o + 1]
 
 
 @ti.func
 def goal_force(body: ti.template(), node):
-    """-m (k (u - G) + c (v - dG/dt)) of the spring that draws a node to its goal G."""
+    """-m (k (u - G) + c (v - dG/dt)), the force of the spring from a node to its goal G."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     k, c = goal_spring(body, node)
     for d in ti.static(range(3)):
@@ -251,9 +253,9 @@ def goal_force(body: ti.template(), node):
 
 @ti.func
 def goal_share(body: ti.template(), node, dt, filtering, goals: ti.template()):
-    """1 / (1 + k dt^2 / 4 + c dt / 2): what the implicit spring leaves of an acceleration.
+    """1 / (1 + k dt^2 / 4 + c dt / 2): the factor of the implicit spring on an acceleration.
 
-    filtering : 1: all of it, since the filter knows no spring.
+    filtering : 1: the factor is 1, since the filter does not involve the spring.
     """
     share = dt * 0.0 + 1.0
     if ti.static(goals > NO_GOALS):  # noqa: SIM102  (known while the kernel is built; the next is not)
@@ -265,7 +267,7 @@ def goal_share(body: ti.template(), node, dt, filtering, goals: ti.template()):
 
 @ti.func
 def limit_pull(body: ti.template(), node):
-    """[m/s^2] of the limits on a node: see `grid.goals`."""
+    """[m/s^2] acceleration of a node by the limits: see `grid.goals`."""
     o = GOAL * node
     u = row(body.u, 3 * node)
     y = u - row(body.goal, o)
@@ -282,8 +284,8 @@ def limit_pull(body: ti.template(), node):
 
 @ti.func
 def pull_of(way, slack, hardest):
-    """A s^2 / (1 - s) of s = (way - slack) / slack, and a straight line from where it is as
-    steep as `hardest`; 0 where there is no slack.
+    """A s^2 / (1 - s) of s = (way - slack) / slack, continued linearly from where its slope reaches
+    `hardest`; 0 where there is no slack.
     """
     out = 0.0 * way
     if slack > 0.0 and way > slack:
@@ -296,7 +298,10 @@ def pull_of(way, slack, hardest):
 
 @ti.func
 def goal_work(body: ti.template(), node, before, dt, goals: ti.template()):
-    """Count the work of a goal's spring in a substep, f . v dt at its middle, of v before it."""
+    """Add the work of a goal's spring in a substep, f . v dt at the midpoint.
+
+    before : v before the substep.
+    """
     k, c = goal_spring(body, node)
     pull = ti.Vector([dt * 0.0, dt * 0.0, dt * 0.0])
     if ti.static(goals > SPRINGS):
@@ -314,17 +319,19 @@ def goal_work(body: ti.template(), node, before, dt, goals: ti.template()):
 
 @ti.func
 def keep_raw(body: ti.template(), node, f, share):
-    """Keep share f / m of a node, for its neighbors and itself: see `inverse`."""
+    """Store share f / m of a node, for itself and its neighbors: see `inverse`."""
     for d in ti.static(range(3)):
         body.share[3 * node + d] = share * f[d] * body.node_mass[MASS * node + INVERSE]
 
 
 @ti.func
 def inverse(body: ti.template(), node, share, options: ti.template()):
-    """(M~^-1 f)_i = r_i + (k_i r_i + sum_j k_ij (r_i - r_j)) / m_i of the r = f / m that were kept.
+    """(M~^-1 f)_i = r_i + (k_i r_i + sum_j k_ij (r_i - r_j)) / m_i from the stored r = f / m.
 
-    Differences: the force in a spring is equal and opposite at its ends, to the last bit.
-    share : of 1 / m, as in `keep_raw`.  Where pins slide springs have a strength along each axis.
+    In terms of differences, so that the force in a spring is exactly equal and opposite at its
+    ends.
+
+    share : of 1 / m, as in `keep_raw`. Where pins slide, springs have a strength per axis.
     """
     o = node * 3
     r = row(body.share, o)
@@ -345,7 +352,7 @@ def inverse(body: ti.template(), node, share, options: ti.template()):
 
 @ti.func
 def spring(body: ti.template(), r, e, options: ti.template()):
-    """k_ij (r_i - r_j) of an entry."""
+    """k_ij (r_i - r_j) of one entry."""
     way = r - row(body.share, 3 * body.follow_node[e])
     out = body.follow_weight[e] * way
     if ti.static(options.slides):
@@ -358,11 +365,12 @@ def move_node(
     body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering,
     options: ti.template(),
 ):  # fmt: skip
-    """v += dt (M~^-1 f + g + b), u += drift v; the forces are kept already where coupled.
+    """v += dt (M~^-1 f + g + b), u += drift v; where the mass is coupled, the forces are already
+    stored.
 
-    filtering : 1: v += alpha M~^-1 E^T (B - M) E v in its place.  B and M agree on sum m v and sum
-    X x m v, and E carries both, so the momenta of M~ are kept to rounding; B <= M in the sense of
-    forms, so no motion can grow while alpha M~^-1 M <= 1.
+    filtering : 1: v += alpha M~^-1 E^T (B - M) E v instead. B and M agree on sum m v and sum X x m
+    v, and E preserves both, so that the momenta of M~ are conserved to rounding. Since B <= M as
+    quadratic forms, no motion can grow while alpha M~^-1 M <= 1.
     """
     share = goal_share(body, node, dt, filtering, options.goals)
     before = ti.Vector([body.v[3 * node], body.v[3 * node + 1], body.v[3 * node + 2]])

@@ -1,6 +1,6 @@
 """Motion of a rigid region in a substep: see `grid.rigid`.
 
-One item a region: it sums over its nodes in a fixed order.
+One item per region, which sums over the nodes of the region in a fixed order.
 """
 
 import taichi as ti
@@ -12,7 +12,7 @@ from gf_usd.physics.total_lagrangian.kernels.nodes import ANCHOR, block_sum, les
 
 @ti.func
 def turned(q, r):
-    """r turned by a unit quaternion q (w, x, y, z)."""
+    """r rotated by a unit quaternion q (w, x, y, z)."""
     axis = ti.Vector([q[1], q[2], q[3]])
     t = 2.0 * axis.cross(r)
     return r + q[0] * t + axis.cross(t)
@@ -20,20 +20,20 @@ def turned(q, r):
 
 @ti.func
 def quaternion(body: ti.template(), o):
-    """The rotation of the region whose numbers begin at o."""
+    """The rotation of the region whose values begin at o."""
     a = o + Q
     return ti.Vector([body.rigid[a], body.rigid[a + 1], body.rigid[a + 2], body.rigid[a + 3]])
 
 
 @ti.func
 def local(body: ti.template(), o, q):
-    """The angular momentum along the principal axes."""
+    """The components of the angular momentum along the principal axes."""
     return turned(ti.Vector([q[0], 0.0 - q[1], 0.0 - q[2], 0.0 - q[3]]), row(body.rigid, o + L))
 
 
 @ti.func
 def drift_region(body: ti.template(), k, time):
-    """Move and turn freely for a time: rotations about the principal axes 0, 1, 2, 1, 0."""
+    """Free motion for a time: rotations about the principal axes 0, 1, 2, 1, 0 in turn."""
     o = ROW * k
     for a in ti.static(range(3)):
         body.rigid[o + D + a] = body.rigid[o + D + a] + time * body.rigid[o + V + a]
@@ -68,13 +68,15 @@ def drift_region(body: ti.template(), k, time):
 
 @ti.func
 def nodes_of(body: ti.template(), k):
-    """The first of a region's nodes, and the one behind its last."""
+    """The range of a region's nodes."""
     return body.rigid_nodes[k], body.rigid_nodes[k + 1]
 
 
 @ti.func
 def pose_region(body: ti.template(), k, drift, regions: ti.template()):
-    """Set the constants of the region's nodes so that a drift at their rate ends where they are."""
+    """Set the constants of the region's nodes, such that a drift at their rate ends at their
+    position.
+    """
     o = ROW * k
     q = quaternion(body, o)
     m = local(body, o, q)
@@ -95,14 +97,16 @@ def pose_region(body: ti.template(), k, drift, regions: ti.template()):
 
 @ti.func
 def open_region(body: ti.template(), k, drift, regions: ti.template()):
-    """The half step that opens a launch's substeps."""
+    """The initial half drift of a frame."""
     drift_region(body, k, drift)
     pose_region(body, k, drift, regions)
 
 
 @ti.func
 def filter_region(body: ti.template(), k, free, alpha, options: ti.template()):
-    """Change the momenta by alpha times what a transfer to particles and back changes."""
+    """Change the momenta by alpha times the change of a transfer to particles and back (APIC
+    filter).
+    """
     o = ROW * k
     q = quaternion(body, o)
     F = 0.0 * row(body.rigid, o + V)
@@ -123,7 +127,9 @@ def filter_region(body: ti.template(), k, free, alpha, options: ti.template()):
 def move_region(
     body: ti.template(), k, free, contact, g, dt, drift, keep, options: ti.template()
 ):  # fmt: skip
-    """V += dt (F / M + g), L += dt T of what acts on the nodes; then drift."""
+    """V += dt (F / M + g) and L += dt T, with F and T the sums of nodal forces and moments; then
+    drift.
+    """
     o = ROW * k
     q = quaternion(body, o)
     F = 0.0 * g

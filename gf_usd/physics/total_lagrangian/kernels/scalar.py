@@ -1,15 +1,15 @@
-"""The substep as it stands in the equations: one thread a particle, then one a node.
+"""Reference implementation of the substep: one thread per particle, then one per node.
 
-    F_p = I + sum_i u_i (x) G_ip,   T_p = V0_p P(F_p)           a thread a particle
-    f_i = -sum_p T_p G_ip                                        a thread a node
+    F_p = I + sum_i u_i (x) G_ip,   T_p = V0_p P(F_p)           one thread per particle
+    f_i = -sum_p T_p G_ip                                        one thread per node
 
-This is the reference that the tests compare `kernels.simd` and `kernels.cell` with.  A node's
-thread walks the particles of its cells in a fixed order: nothing is added atomically, and nothing
-depends on the number of threads.
+The tests compare `kernels.simd` and `kernels.cell` with it. The thread of a node loops over the
+particles of its cells in a fixed order, without atomics, so that the result does not depend on the
+number of threads.
 
-What a node has received stands in lane n % 8 of block 3 (n // 8) + d; behind the nodes stand nine
-numbers of each particle, T, or twelve, m v_p and 4 m C_p.  Laws are those of the fast kernels, on
-vectors of one lane.
+In the array `block`, component d of a node n is in lane n % 8 of vector 3 (n // 8) + d. The values
+of the particles follow: nine of T, or twelve of m v_p and 4 m C_p. The laws are those of the fast
+kernels, called with vectors of one lane.
 """
 
 import taichi as ti
@@ -23,7 +23,9 @@ from gf_usd.physics.total_lagrangian.limits import CAP, CLAMPED, HIGH, LOW, STRE
 
 @ti.func
 def number(field: ti.template(), first, per, p, a):
-    """Number a of `per` of particle or node p, in a field of lane vectors from `first` on."""
+    """Value a of the `per` values of particle or node p, in a field of lane vectors from `first`
+    on.
+    """
     return field[first + per * (p >> LANE_BITS) + a][p & (LANES - 1)]
 
 
@@ -34,7 +36,7 @@ def set_number(field: ti.template(), first, per, p, a, value):
 
 @ti.func
 def behind(nodes):
-    """Where in the block the particles begin."""
+    """Index in the block at which the values of the particles begin."""
     return 3 * ((nodes + LANES - 1) >> LANE_BITS)
 
 
@@ -106,20 +108,20 @@ def matrix(A):
 
 @ti.func
 def lane(field: ti.template(), per: ti.template(), p, first: ti.template(), count: ti.template()):
-    """`count` of the `per` numbers of particle p, from the first on, each a vector of one lane."""
+    """`count` of the `per` values of particle p, from `first` on, each a vector of one lane."""
     return [ti.Vector([number(field, 0, per, p, first + k)]) for k in ti.static(range(count))]
 
 
 @ti.func
 def constants(body: ti.template(), p, laws: ti.template()):
-    """The values q of the particle's law, and which it has, each in one lane."""
+    """The parameters q of the particle's law and its index, each a vector of one lane."""
     q = lane(body.constants, laws.constants, p, 0, laws.values)
     return q, ti.Vector([number(body.constants, 0, laws.constants, p, laws.which)])
 
 
 @ti.func
 def clip_matrix(body: ti.template(), p, F):
-    """F with its singular values in the limits."""
+    """F with its singular values clipped."""
     clipped, outside = clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
     if outside > 0:
         touch(body, p, CLAMPED)
@@ -131,9 +133,9 @@ def elastic(
     body: ti.template(), p, F, laws: ti.template(), dt, converged, options: ti.template(),
     acts: ti.template(),
 ):  # fmt: skip
-    """The elastic gradient that the stress is taken of, and F_p^-1.
+    """The elastic gradient F_e, from which the stress is computed, and F_p^-1.
 
-    acts : what flows stays; else it is looked at only.
+    acts : store the plastic flow in the history; otherwise the history is unchanged.
     """
     if ti.static(not laws.flows):
         E = F
@@ -182,7 +184,9 @@ def particle_stress(
     body: ti.template(), p, nodes, laws: ti.template(), damped: ti.template(), dt, ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """T_p = V0 P(F_p), with 2 mu tau F sym(F^T dF/dt) of Kelvin-Voigt and the shock viscosity."""
+    """T_p = V0 P(F_p), with 2 mu tau F sym(F^T dF/dt) of Kelvin-Voigt damping and the shock
+    viscosity.
+    """
     F, Pi = elastic(
         body, p, particle_strain(body, p, ih, options), laws, dt, converged, options, True
     )
@@ -265,7 +269,7 @@ def node_momentum(body: ti.template(), node, nodes):
 def particle_energy(
     body: ti.template(), p, laws: ti.template(), ih, converged, options: ti.template()
 ):
-    """V0 psi(F), before what is due to flow has flowed."""
+    """V0 psi(F), without the return mapping of plastic flow."""
     F = particle_strain(body, p, ih, options)
     if ti.static(laws.flows):
         F = F @ matrix(lane(body.history, laws.history, p, 0, GRADIENT))
@@ -280,7 +284,7 @@ def particle_energy(
 def particle_von_mises(
     body: ti.template(), p, laws: ti.template(), ih, converged, options: ti.template()
 ):
-    """Of the Cauchy stress P F^T / J, viscosity left out."""
+    """Von Mises stress of the Cauchy stress P F^T / J, without viscosity."""
     trial = particle_strain(body, p, ih, options)
     F, _ = elastic(body, p, trial, laws, 0.0 * ih, converged, options, False)
     P = particle_pk1(body, p, F, laws, converged)

@@ -1,20 +1,18 @@
 """Update of eight cells in a substep: stress (eq. 2) and the APIC filter (eq. 1 and 3).
 
-A group writes to a block of its own, 27 nodes x 3 for each cell, so groups never race.
+One cell per SIMD lane. A group writes to its own block, 27 nodes x 3 components per cell, so that
+groups do not race. A batch holds one particle of each of the eight cells; nodal values are lane
+vectors too, loaded once for all batches of the group, and a scatter is a sum within a lane.
 
-What eight cells know of their nodes, one cell in each lane, and the way back.
-
-A batch holds a particle of each of a group's eight cells.  So nodal values are lane vectors too,
-fetched once for all batches of the group, and a deposit is a sum in its own lane.
-
-On a cell a nodal field q is a quadratic along each axis.  With s = f - 1 in [-1/2, 1/2) and h = s/2
-the three nodes' splines add up to
+Within a cell, the interpolant of a nodal field q is quadratic along each axis. With s = f - 1 in
+[-1/2, 1/2) and h = s/2, the quadratic B-splines of the three nodes sum to
 
     q(s) = a + h (b + c s),   2 dq/ds = b + 2 c s
     a = q1 + c/8,   b = q2 - q0,   c = q0 - 2 q1 + q2
 
-which takes a third fewer operations than the weights, and loses no digits where the q are alike.
-Forces go the same way back: moments about the middle of the cell, then the transposed differences.
+This takes a third fewer operations than the weights, and loses no digits where the q are nearly
+equal. Forces are scattered by the transpose: moments about the cell's center, then the transposed
+differences.
 """
 
 import taichi as ti
@@ -39,7 +37,7 @@ from gf_usd.physics.total_lagrangian.kernels.limits import clip, cut
 @ti.func
 def strain(body: ti.template(), b, u: ti.template(), s: ti.template(), h: ti.template(), ih,
            options: ti.template()):  # fmt: skip
-    """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or what `reanchor` left; ih = 1/h."""
+    """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or that of `shape_correction`; ih = 1/h."""
     F = scaled(0.5 * ih, gradient(u, s, h))
     if ti.static(options.anchored):
         add_anchor(F, body.F0, b)
@@ -58,13 +56,13 @@ def add_anchor(F, F0, b):
 
 @unrolled
 def rows(array, first, count):
-    """`count` lane vectors from the first on."""
+    """`count` lane vectors, starting at `first`."""
     return [at(array, first + k) for k in range(count)]
 
 
 @unrolled
 def put_rows(array, first, values):
-    """A list of lane vectors from the first on."""
+    """Store a list of lane vectors, starting at `first`."""
     for k, value in enumerate(values):
         put(at(array, first + k), value)
 
@@ -74,9 +72,9 @@ def elastic(
     body: ti.template(), b, F: ti.template(), q, laws: ti.template(), dt, converged,
     options: ti.template(), acts: ti.template(),
 ):  # fmt: skip
-    """F to the elastic gradient that the stress of batch b is taken of, in place; F_p^-1.
+    """Replace F of batch b by the elastic gradient F_e, in place; returns F_p^-1.
 
-    acts : what flows stays; else it is looked at only.
+    acts : store the plastic flow in the history; otherwise the history is unchanged.
     """
     if ti.static(not laws.flows):
         if ti.static(options.clamped):
@@ -106,7 +104,7 @@ def stress_group(
     body: ti.template(), group, laws: ti.template(), damped: ti.template(), dt, ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """-V0 P G of the particles of eight cells into their block."""
+    """Nodal forces -V0 P G of the particles of eight cells, to their block."""
     u = moments(body, body.u, group)
     rate = moments(body, body.v, group) if ti.static(damped) else u
     out = zeros(u)
@@ -164,9 +162,10 @@ def add_pressure(P, p, cof):
 
 @ti.func
 def filter_group(body: ti.template(), group):
-    """m (v_p + C_p dX) of the particles of eight cells into their block: eq. 3 then eq. 1.
+    """Nodal momenta m (v_p + C_p dX) of the particles of eight cells, to their block (eq. 3, then
+    eq. 1).
 
-    v_p = sum w v_i and C_p = 4/h^2 sum w v_i (x) dX; with dX in cells the h cancels.
+    v_p = sum w v_i and C_p = 4/h^2 sum w v_i (x) dX; with dX in cells, h cancels.
     """
     gather(body, body.v, group)
     for d in range(3):
@@ -180,8 +179,9 @@ def filter_group(body: ti.template(), group):
 
 @unrolled
 def filter_batch(q, f, m, out):
-    """Add a component of m (v_p + C_p dX) of the particles at f cells, of mass m, to out (27); q :
-    that component of nodal v.
+    """Add a component of m (v_p + C_p dX) to out (27); f : positions of the particles in cells, m :
+    their
+    masses, q : that component of the nodal velocities.
     """
     w = let([spline(f[a]) for a in range(3)])
     g = let([[w[a][i] * (float(i) - f[a]) for i in range(3)] for a in range(3)])  # w dX
@@ -220,7 +220,9 @@ def group_energy(
     body: ti.template(), group, out: ti.template(), laws: ti.template(), ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """out[8 group + lane] = sum_p V0 psi(F_p) of a cell, before what is due to flow has flowed."""
+    """out[8 group + lane] = sum_p V0 psi(F_p) of a cell, without the return mapping of plastic
+    flow.
+    """
     q = moments(body, body.u, group)
     total = q[0] * 0.0
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
@@ -243,7 +245,7 @@ def group_von_mises(
     body: ti.template(), group, out: ti.template(), laws: ti.template(), ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """out[8 b + lane] = von Mises of each particle of eight cells."""
+    """out[8 b + lane] = von Mises stress of each particle of eight cells."""
     u = moments(body, body.u, group)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
@@ -259,9 +261,9 @@ def group_von_mises(
             out[b * LANES + lane] = value[lane]
 
 
-# Component d of node (i, j, k) is number 27 i + 9 j + 3 k + d of a block, 9 i + 3 j + k of the
-# component's.  The three along each line of each axis: numbers, since sums of them cost at every
-# start.
+# Component d of node (i, j, k) has index 27 i + 9 j + 3 k + d in a block, and 9 i + 3 j + k within
+# its component. LINES has the indices of the three nodes on each line along each axis, as
+# constants: index arithmetic in kernels costs time at every start.
 STEPS = (9, 3, 1)
 LINES = tuple(
     tuple((n, n + step, n + 2 * step) for n in range(27) if n // step % 3 == 0) for step in STEPS
@@ -293,7 +295,7 @@ def middle(body: ti.template(), b):
 
 @ti.func
 def gather(body: ti.template(), field: ti.template(), group):
-    """A nodal vector field at the 27 nodes of eight cells into their block, node by node."""
+    """A nodal vector field at the 27 nodes of eight cells, to their block, node by node."""
     for n in range(27 * group, 27 * group + 27):
         o = n * LANES
         i0 = body.group_nodes[o]
@@ -315,8 +317,8 @@ def gather(body: ti.template(), field: ti.template(), group):
 def moments(body: ti.template(), field: ti.template(), group):
     """`differences` of a nodal vector field at the 27 nodes of eight cells, 27 x 3 lane vectors.
 
-    For one component after the other, as in `filter_group`, they would stand in the kernel once;
-    100,000 particles then took 1.04 times as long.
+    A loop over components, as in `filter_group`, would make the kernel smaller, but 100,000
+    particles then take 1.04 times as long.
     """
     gather(body, field, group)
     q = block(body.block, group)
@@ -326,14 +328,14 @@ def moments(body: ti.template(), field: ti.template(), group):
 
 @unrolled
 def each_difference(q):
-    """`differences` of each of three components."""
+    """`differences` of each of the three components."""
     for d in range(3):
         differences(q[d::3])
 
 
 @unrolled
 def each_transposed(q):
-    """`differences_transposed` of each of three components."""
+    """`differences_transposed` of each of the three components."""
     for d in range(3):
         differences_transposed(q[d::3])
 
@@ -362,7 +364,7 @@ def block(array, group):
 
 @unrolled
 def put_block(array, group, q):
-    """The 27 x 3 lane vectors q into a group's block."""
+    """Store 27 x 3 lane vectors q to a group's block."""
     o = let(81 * group)
     for n in range(81):
         put(at(array, o + n), q[n])
@@ -378,7 +380,7 @@ def evaluate(a, b, c, s, h):
 
 @unrolled
 def differences(q):
-    """a, b, c along each axis instead of the 27 values q of a component, in place."""
+    """Replace the 27 values q of a component by a, b, c along each axis, in place."""
     for lines in LINES:
         for i, j, k in lines:
             b = let(q[k] - q[i])
@@ -390,7 +392,7 @@ def differences(q):
 
 @unrolled
 def differences_transposed(q):
-    """The transpose of `differences`: moments to nodes, in place."""
+    """The transpose of `differences`: from moments to nodal values, in place."""
     for lines in LINES:
         for i, j, k in lines:
             a = let(q[i])
@@ -426,12 +428,12 @@ def gradient(q, s, h):
 
 @unrolled
 def spread(T, s, h, q):
-    """The transpose of `gradient`: add to q what nine lane vectors T on 2 dq/ds give it.
+    """The transpose of `gradient`: add the contribution of nine lane vectors T on 2 dq/ds to q.
 
-    x on q(s) and y on 2 dq/ds give x to a, h x + y to b and s (h x + 2 y) to c.
+    x on q(s) and y on 2 dq/ds contribute x to a, h x + y to b and s (h x + 2 y) to c.
     """
     for d in range(3):
-        x = let([T[3 * d], T[3 * d], 2.0 * s[0] * T[3 * d]])  # nothing for a
+        x = let([T[3 * d], T[3 * d], 2.0 * s[0] * T[3 * d]])  # no contribution to a
         y = let([T[3 * d + 1], h[0] * T[3 * d + 1], s[0] * h[0] * T[3 * d + 1]])
         z = let([T[3 * d + 2], h[0] * T[3 * d + 2], s[0] * h[0] * T[3 * d + 2]])
         for i in range(3):

@@ -1,17 +1,17 @@
-"""The substeps, put together for the laws of a body and a precision.
+"""The kernels of the substeps, composed for the laws, the options and the precision of a body.
 
-Per substep of length dt, with everything but u and v constant (docs/physics.md):
+Per substep of length dt, with all quantities but u and v constant (docs/physics.md):
 
-    v <- v + alpha M~^-1 (B v - m v)         every `every` substeps: B v is what eq. 1 makes of
-                                             the velocities that eq. 3 gathers
+    v <- v + alpha M~^-1 (B v - m v)         every `every` substeps: B v is eq. 1 applied to the
+                                             velocities of eq. 3 (APIC filter)
     F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly; F0 for I: `shape_correction`
     f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
     v_i <- (v_i + dt ((M~^-1 f)_i + g + b_i)) exp(-drag dt)
     u_i <- u_i + dt v_i                      half of it before the first and after the last substep
 
-`groups` counts groups of eight cells or, where the options say plain, particles.
-
 The half steps make a frame position Verlet: second order, and exact under gravity alone.
+
+`groups` is the number of groups of eight cells or, with the option `plain`, of particles.
 """
 
 from functools import cache
@@ -86,18 +86,19 @@ from gf_usd.physics.total_lagrangian.stages import (
     PAIRED,
     REGIONS,
     TOUCHING,
+    distinct_works,
     stages,
-    works,
 )
 
-STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: groups, which are few, are spread
+STRIDE = 32  # a CPU thread of Taichi has at least 512 iterations: use every 32nd
 
 
 @cache
 def pack_type(real, epoch: int):
-    """The arguments of a body, one pack: a launch then costs the same however many arrays.
+    """The type of the kernels' argument pack: with one pack, the cost of a launch does not depend
+    on the number of arrays.
 
-    epoch : `runtime.epoch()`; Taichi forgets the type of a pack when it is started again.
+    epoch : `runtime.epoch()`; the type is invalid after Taichi is initialized again.
     """
     lanes = (*("fx", "V0", "m", "constants", "history", "viscosity", "block", "F0", "clip_buffer"),)
     reals = (
@@ -127,19 +128,20 @@ def pack_type(real, epoch: int):
 def build(
     laws, damped: bool, real, epoch: int, options: Options = DEFAULT, held: int = 0
 ) -> SimpleNamespace:
-    """The kernels for a set of laws, with or without viscosity and the paper's options.
+    """The kernels for a set of laws, with or without viscosity, and the options.
 
-    laws : `registry.LawSet`; real : f32 or f64; held : blocks of threads that a GPU holds at once,
-    0 on a CPU, where `resident` has one thread.
+    laws : `registry.LawSet`; real : f32 or f64.
+    held : number of thread blocks that are resident on a GPU at once, 0 on a CPU, where `resident`
+    has one thread.
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
     table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
-    numbered, work = tuple(enumerate(table)), works(table)
+    numbered, work = tuple(enumerate(table)), distinct_works(table)
 
     @ti.func
     def size(part: ti.template(), groups, free, followers, active, paired):
-        """Items of a part; the samples that meet something are the first of the active ones."""
+        """Number of items of a part; paired samples are the first of the active ones."""
         count = active
         if ti.static(part.items == FREE):
             count = free
@@ -159,7 +161,7 @@ def build(
 
     @ti.func
     def due(stage: ti.template(), s, ends, every, phase, paired):
-        """1 where a stage is part of substep s of a launch, else 0."""
+        """1 where a stage runs in substep s of a launch, else 0."""
         on = 1
         if ti.static(stage.when == OPENING):
             on = int(s == 0 and ends & OPENS > 0)
@@ -171,7 +173,7 @@ def build(
 
     @ti.func
     def way_of(stage: ti.template(), dt, drift):
-        """[s] that followers move on for in a stage."""
+        """[s] drift time of followers in a stage."""
         way = drift
         if ti.static(stage.parts[0].name == "open followers"):
             way = 0.5 * dt
@@ -184,8 +186,9 @@ def build(
         part: ti.template(), body: ti.template(), n, free, nodes, active, alpha, g, up, lift, dt,
         drift, way, keep, filtering,
     ):  # fmt: skip
-        """One part of a substep, done to its item n; way : as of `way_of`; filtering : 1 in stages
-        of the filter.
+        """Apply one part to its item n.
+
+        way : of `way_of`; filtering : 1 in stages of the filter.
         """
         ih = body.numbers[PER_H]
         converged = body.numbers[CONVERGED]
@@ -235,7 +238,7 @@ def build(
 
     @ti.func
     def is_in(step, steps: ti.template()):
-        """Whether a stage is one of these."""
+        """Whether a stage is among `steps`."""
         found = step == steps[0]
         for other in ti.static(steps[1:]):
             found = found or step == other
@@ -247,7 +250,8 @@ def build(
         threads: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
         g: vec, up: vec, lift: real, dt: real, keep: real,
     ):  # fmt: skip
-        """So many substeps in one launch, whose threads take work items: see `kernels.work_queue`.
+        """Substeps in one launch, whose threads take work items from a queue: see
+        `kernels.work_queue`.
 
         every, phase : the filter acts where s + phase is a multiple of every; 0: never.
         """
@@ -296,9 +300,9 @@ def build(
         blocks: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
         g: vec, up: vec, lift: real, dt: real, keep: real,
     ):  # fmt: skip
-        """So many substeps in one launch, whose threads stay: for GPUs; see `kernels.grid_barrier`.
+        """Substeps in one launch of resident thread blocks: for GPUs; see `kernels.grid_barrier`.
 
-        blocks : that take part, 0 on a CPU; every, phase : see `queued`.
+        blocks : number of thread blocks, 0 on a CPU; every, phase : see `queued`.
         """
         clear(body.queue)
         ti.loop_config(block_dim=BLOCK)
@@ -338,7 +342,7 @@ def build(
 
     @ti.kernel
     def energy(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
-        """out[cell] = sum_p V0 psi(F_p); of each particle where they are plain."""
+        """out[cell] = sum_p V0 psi(F_p); out[particle] in the plain layout."""
         ih = body.numbers[PER_H]
         converged = body.numbers[CONVERGED]
         if ti.static(options.plain):
@@ -354,7 +358,7 @@ def build(
 
     @ti.kernel
     def stress(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
-        """out[lane] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
+        """out[lane] = von Mises stress of the Cauchy stress P F^T / J, without viscosity."""
         ih = body.numbers[PER_H]
         converged = body.numbers[CONVERGED]
         if ti.static(options.plain):

@@ -1,24 +1,25 @@
-"""The work queue of a launch.
+"""The work queue of a launch on the CPU.
 
-A loop over Taichi's thread pool costs 30 to 65 us, as long as a substep of a thousand particles,
-and a substep is a handful of stages that must follow each other.  So a frame is one launch, whose
-threads take work items from a queue: one for each piece of each stage, numbered through the launch.
+A parallel loop of Taichi's thread pool costs 30 to 65 us, as long as a substep of a thousand
+particles, and a substep has several stages that run one after another. A whole frame is therefore
+one launch, whose threads take work items from a queue. An item is one piece of one stage; items are
+numbered consecutively through the launch.
 
     item = next++
     wait until done >= the number of items before the item's stage
-    do the piece;  done++
+    process the piece;  done++
 
-An item waits only for items with lower numbers, all of which a thread has taken, so there is no
-deadlock: a single thread takes them all and never waits.  Pieces do not race, so the result does
-not depend on which thread takes which item.
+An item waits only for items with lower numbers, all of which are already taken by a thread, so
+there is no deadlock: a single thread takes all items in order and never waits. Pieces of a stage
+are independent, so that the result does not depend on which thread takes which item.
 """
 
 import taichi as ti
 
 from gf_usd.physics.total_lagrangian.stages import APART, GRAIN, GROUP_GRAIN, GROUPS, STUCK
 
-SPAN = 512  # Taichi gives a CPU thread at least so many iterations: one of them does all
-PIECES = 4  # of a stage for each thread: small enough that the last one is soon done
+SPAN = 512  # least number of iterations per CPU thread in Taichi: one of them does the work
+PIECES = 4  # pieces of a stage per thread: small pieces balance the load
 
 
 @ti.func
@@ -37,9 +38,9 @@ def take(queue: ti.template()):
 
 @ti.func
 def wait(queue: ti.template(), before):
-    """Until so many pieces are done, and what they wrote can be read.
+    """Spin until `before` pieces are done and their results are visible.
 
-    The counter is read by adding nothing to it: a plain load may be taken out of the loop.
+    The counter is read by an atomic addition of 0: a plain load may be hoisted out of the loop.
     """
     while ti.atomic_add(queue[APART], 0) < before:
         pass
@@ -47,13 +48,13 @@ def wait(queue: ti.template(), before):
 
 @ti.func
 def finish(queue: ti.template()):
-    """A piece is done."""
+    """Count a finished piece."""
     ti.atomic_add(queue[APART], 1)
 
 
 @ti.func
 def pieces_of(part: ti.template(), count, threads):
-    """How many pieces so many items make; one where a thread is alone."""
+    """Number of pieces for `count` items; one with a single thread."""
     grain = ti.static(GROUP_GRAIN if part.items == GROUPS else GRAIN)
     most = PIECES * threads
     if threads == 1:
@@ -63,6 +64,6 @@ def pieces_of(part: ti.template(), count, threads):
 
 @ti.func
 def piece(count, k, pieces):
-    """The first item of piece k, and the one behind its last."""
+    """The range of items of piece k."""
     size = (count + pieces - 1) // pieces
     return k * size, ti.min((k + 1) * size, count)
