@@ -1,1 +1,1 @@
-"""The Updated Lagrangian MPM solver, for comparison."""
+"""The Updated Lagrangian MPM solver, for flowing materials and for comparison."""

@@ -1,19 +1,18 @@
-"""Particles of an elastic body that become a flowing material (`core.materials.conversion`).
+"""Conversion of particles of an elastic body to a flowing material (`core.materials.conversion`).
 
-At the start of a frame a particle that has passed its limit takes over the law and the values of
-another material.  Its mass, position, velocity and affine motion stay, so that both momenta are
-kept to the bit.  It begins to flow without shear, and with the pressure that it had where the new
-material is the stiffer one,
+At the start of a frame, a particle that has exceeded its limit gets the law and the values of
+another material. Its mass, position, velocity and affine velocity are unchanged, so that momentum
+and angular momentum are conserved exactly. Its new elastic deformation is without shear, and has
+the previous pressure where the new material is the stiffer one,
 
     F_e = J_e^(1/3) I,    J_e = 1 + (J - 1) min(1, K / K')
 
-with K and K' = lam + 2/3 mu of the old and the new material: to first order in J - 1 the energy
-of the volume is then K / K' times, or as much as, what it was, and never more.  What the particle
-loses,
+with K and K' = lam + 2/3 mu of the old and the new material: to first order in J - 1 the volumetric
+energy is multiplied by K / K' or unchanged, and never increased. The energy lost,
 
     V0 (psi(F) - psi'(F_e)),
 
-is counted with what plastic flow dissipates.
+is reported as dissipation.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from gf_usd.physics.total_lagrangian.setup import viscosities
 from gf_usd.physics.updated_lagrangian.setup import Body
 from gf_usd.physics.updated_lagrangian.state import State
 
-LEAST_J = 0.1  # of F_e at first: a particle that is inside out, or nearly, has no pressure to keep
+LEAST_J = 0.1  # of F_e after conversion, also of particles that are inverted or nearly so
 
 
 def past_limits(
@@ -46,10 +45,10 @@ def past_limits(
     F: Floats,
     stress: Floats | None,
 ) -> NDArray[np.bool_]:
-    """(N,) which particles are past their limit, those that are `done` (N,) left out.
+    """(N,) which particles exceed their limit, without those that are `done` (N,).
 
-    code : time code; F : (N, 3, 3) of the particles; stress : (N,) [Pa] of von Mises, where a limit
-    is one of stress.
+    code : time code; F : (N, 3, 3) of the particles; stress : (N,) [Pa] von Mises stress, where a
+    limit is one of stress.
     """
     from gf_usd.physics.per_particle import strains
 
@@ -79,18 +78,18 @@ class Convertible(Protocol):
     state: State
 
     def von_mises(self) -> Floats:
-        """(N,) [Pa] of each particle."""
+        """(N,) [Pa] von Mises stress of the particles."""
         ...
 
     def follow(self, contact: FloorContact | None) -> None:
-        """Go on with the laws and the contact samples that conversion gave the body."""
+        """Use the laws and the contact samples of the body after a conversion."""
         ...
 
 
 class Conversions:
-    """Which particles were converted so far: a part of the state.
+    """The converted particles, as a part of the state.
 
-    solver : whose body, state and planes follow; materials : of the bake.
+    solver : whose body, state and planes are updated; materials : of the bake.
     """
 
     def __init__(self, solver: Convertible, materials: Sequence[Material]) -> None:
@@ -110,7 +109,7 @@ class Conversions:
             self._set(done)
 
     def frame(self, index: int) -> None:
-        """Convert what has passed its limit before the way to frame `index`."""
+        """Convert the particles that exceed their limit, before the substeps to frame `index`."""
         self.dissipated = 0.0
         given = self._particles.conversions
         left = [one for one in given if not self.done[one.particles].all()]
@@ -126,7 +125,7 @@ class Conversions:
             self._convert(passed, new)
 
     def _convert(self, passed: NDArray[np.bool_], new: Ints) -> None:
-        """Convert the particles `new`, after which `passed` (N,) are."""
+        """Convert the particles `new`; afterwards `passed` (N,) are converted."""
         from gf_usd.physics.per_particle import strains
 
         solver = self._solver
@@ -147,7 +146,9 @@ class Conversions:
         self.dissipated = float(solver.body.per["V0"][new] @ lost)
 
     def _set(self, done: NDArray[np.bool_]) -> None:
-        """Let the particles `done` (N,) have the values of what they become, and no others."""
+        """Give the particles `done` (N,) the values of their new material, and the others their
+        own.
+        """
         solver, start = self._solver, self._start
         after = after_conversion(self._particles)
         per = {**start.per}

@@ -1,13 +1,14 @@
-"""Points embedded in particles: what the grid does for a Total Lagrangian body, without a grid.
+"""Points embedded in the particles of an Updated Lagrangian body.
 
-A point at rest position X is interpolated from the particles nearest to it at rest.  Each particle
-maps the point by its own deformation; the point moves as the weighted mean of these:
+A point at rest position X is interpolated from the particles that are nearest to it at rest. Each
+particle maps the point by its own deformation; the point is their weighted mean:
 
     x = sum_p w_p (x_p + F_p (X - X_p)),   F = sum_p w_p F_p
     v = sum_p w_p (v_p + L_p F_p (X - X_p))
 
-with w = (1 - d^2 / R^2)^2, R a hair beyond the first particle left out, scaled to sum to one: a
-surface stays continuous where its support changes.  Exact for every affine map.
+with w = (1 - d^2 / R^2)^2, normalized to sum 1, and R slightly beyond the first particle that is
+left out, so that the interpolation is continuous where its support changes. It is exact for affine
+maps.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from gf_usd.core.frames import Pose
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.grid.reference import Rows
 
-SUPPORT = 8  # particles that a point is interpolated from: about one cell of them
+SUPPORT = 8  # particles from which a point is interpolated: about those of one cell
 
 
 @dataclass(frozen=True, kw_only=True)
 class EmbeddedPoints:
-    """A set of points and the particles that each is interpolated from."""
+    """A set of points and the particles from which each is interpolated."""
 
     X: Floats  # (n, 3) [m] rest positions of the points
     particle: Ints  # (n, SUPPORT)
@@ -46,13 +47,13 @@ class EmbeddedPoints:
 
     @property
     def single(self) -> bool:
-        """Whether each point is at its first particle: see `attach`."""
+        """Whether each point is attached to one particle: see `attach`."""
         return bool((self.weight[:, 0] == 1.0).all() and not self.arm[:, 0].any())
 
     def rows(self, particles: Rows) -> sparse.csr_matrix:
         """B (n, M): velocity of the points by that of the nodes, at rest.
 
-        particles : W and G of the particles; W alone for points that are each at a particle.
+        particles : W and G of the particles; W alone for attached points.
         """
         shape = (len(self.X), len(particles.X))
         start = np.arange(len(self.X) + 1) * self.weight.shape[1]
@@ -69,7 +70,7 @@ class EmbeddedPoints:
 def embed(points: Floats, X: Floats) -> EmbeddedPoints:
     """Embed points (n, 3) [m] in particles at X (N, 3) [m].
 
-    A body of fewer particles than SUPPORT has some of them listed again with no weight.
+    If a body has fewer particles than SUPPORT, some are repeated with zero weight.
     """
     k = min(SUPPORT, len(X))
     distance, near = kd_tree(X).query(points, k=min(k + 1, len(X)))
@@ -86,10 +87,10 @@ def embed(points: Floats, X: Floats) -> EmbeddedPoints:
 
 
 def attach(points: Floats, X: Floats) -> EmbeddedPoints:
-    """Points (n, 3) [m] that go with the particle at X (N, 3) [m] that is nearest at rest.
+    """Points (n, 3) [m] that move with the particle at X (N, 3) [m] that is nearest at rest.
 
-    For what flows without end: neighbors at rest do not stay neighbors, and a mean of where they
-    have gone to is no place of the body.
+    For flowing bodies, whose particles separate: the mean of the positions of former neighbors may
+    lie outside of the body.
     """
     nearest = kd_tree(X).query(points, k=1)[1]
     particle = np.repeat(np.reshape(nearest, (len(points), 1)), SUPPORT, axis=1)

@@ -1,14 +1,13 @@
-"""Energies and health of a frame of the Updated Lagrangian solver.
+"""Energies and health report of a frame of the Updated Lagrangian solver; wave speed under strain.
 
-How fast waves run through a strained body as the world's grid sees them.
-
-A wave with normal N in the rest body has k = shear + U''(J) J^2 |F^-T N|^2 (see `stiffening`),
-and its crests lie 1 / |F^-T N| as far apart in the world as at rest.  In the world its speed is
-that of rho c^2 = shear / |F^-T N|^2 + U''(J) J^2, at most
+A plane wave with normal N in the rest body has k = shear + U''(J) J^2 |F^-T N|^2 (see `time_step`),
+and its wavelength in the world is 1 / |F^-T N| times that at rest. Its speed in the world is that
+of rho c^2 = shear / |F^-T N|^2 + U''(J) J^2, at most
 
     k = shear s_max^2 + U''(J) J^2,        s_max the largest singular value of F
 
-rho of the rest body.  So stretch shortens the step here, and in the Total Lagrangian solver squash.
+with rho of the rest body. Stretch therefore shortens the stable step of this solver, and
+compression that of the Total Lagrangian solver.
 """
 
 from __future__ import annotations
@@ -41,14 +40,15 @@ def measure(
 ) -> Health:
     """Energies, momenta and stretches in float64; C (N, 3, 3) [1/s], m (N,) [kg], h [m].
 
-    strain : (stretch (N, 3), J (N,)) from `stretches.strains`.
+    strain : (stretch (N, 3), J (N,)) from `per_particle.strains`.
 
-    A particle holds an affine motion, of inertia m h^2/4 in every direction (the B-splines' own):
+    A particle has an affine velocity, with the inertia m h^2/4 of quadratic B-splines along each
+    axis:
 
         kinetic = sum m (|v|^2 + h^2/4 |C|^2) / 2
         angular momentum = sum m (x x v + h^2/4 axial(C)),   axial(C)_a = eps_abc C_cb
 
-    the first of which transfers only lessen, and the second of which they keep.
+    Transfers never increase the first, and conserve the second (Jiang et al. 2015).
     """
     x, v = particles.x, particles.v
     stretch, J = strain
@@ -79,11 +79,12 @@ def axial(C: Floats) -> Floats:
 
 
 class Losses:
-    """What becomes of particles that flow without end.
+    """Statistics of flowing particles: lost ones, and the density of the others.
 
-    A particle is lost where it lies deeper, along the normal of the floor, than a cell below it,
-    or without a floor below the lowest point that any obstacle comes to.
-    setup : what they meet; h : [m] edge of a cell; flowing : (N,) which particles flow.
+    A particle is lost where it is more than a cell below the floor, or, without a floor, below the
+    lowest point that any obstacle reaches.
+
+    setup : contact with obstacles; h : [m] edge of a cell; flowing : (N,) which particles flow.
     """
 
     def __init__(
@@ -98,7 +99,9 @@ class Losses:
             self._level = setup.bottom(self._up)
 
     def measured(self, pose: Pose, m: Floats, V0: Floats, J: Floats) -> dict[str, Any]:
-        """What `Health` has of flowing particles, from `lost` to `flow_per_cell`; J (N,) of F_e."""
+        """The fields of `Health` on flowing particles, from `lost` to `flow_per_cell`; J (N,) of
+        F_e.
+        """
         if not self._flowing.any():
             return {}
         lost = np.zeros(len(pose.x), bool)
@@ -117,13 +120,13 @@ class Losses:
 
 
 def _cells(x: Floats, h: float) -> int:
-    """How many cells of edge h [m] have a point of x (n, 3) [m] in them."""
+    """Number of cells of edge h [m] that contain a point of x (n, 3) [m]."""
     if len(x) == 0:
         return 0
     at = np.floor(x / h)
     at -= at.min(0)
     wide = at.max(0) + 1.0
-    # exact in float64 up to 2^53 cells in the box; one number sorts far faster than three
+    # one key per cell, which sorts faster than three indices; exact in float64 up to 2^53 cells
     return len(np.unique((at[:, 0] * wide[1] + at[:, 1]) * wide[2] + at[:, 2]))
 
 
@@ -138,9 +141,9 @@ def world_stiffness(law: ParticleLaws, stretch: Floats, J: Floats) -> Floats:
 
 
 def cells_now(cells: Floats) -> tuple[Ints, Ints]:
-    """Particles cell by cell, and where each cell's begin, with the end.
+    """Particles sorted by cell, and the start of each cell's range, with the end.
 
-    cells : (N, 3) positions in cells of the grid; a node lies at whole numbers.
+    cells : (N, 3) positions in units of cells; nodes are at integers.
     """
     base = np.floor(cells - 0.5).astype(np.int64)
     base -= base.min(0)

@@ -1,21 +1,21 @@
-"""Planes that contact samples of what flows face: of obstacles, and of solid bodies.
+"""Contact planes of the samples of a flowing body: of obstacles, and of solid bodies.
 
-A sample faces at most one plane: of the nearest surface, chosen by a detection, which holds until
-something may have moved by half a spacing against something else.  An obstacle moves its plane as
-it moves itself.  A solid body's plane is carried by three of its own contact samples, as between
+A sample has at most one plane, tangent to the nearest surface at the last detection. A detection
+holds until a relative motion of half a sample spacing is possible. The plane of an obstacle moves
+with the obstacle. The plane of a solid body is carried by three of its contact samples, as between
 solid bodies (`contact.planes.carriers`):
 
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
-with o and the normal n turned by omega.  For a span of a few substeps a plane goes on at its
-velocity; at depth d = (q - x_s) . n > 0 it pushes by the law of contact between bodies
+where o and the normal n rotate with omega. During a span of a few substeps a plane moves at
+constant velocity; at depth d = (q - x_s) . n > 0 its force follows the contact law between bodies
 (`contact.kernels`),
 
     f_n = max(0, k d (1 + (d / a)^2) - c (v_s - v_q) . n)
 
-and friction sticks by a spring of the same k, up to mu f_n.  What each sample received in the span,
-its impulse J = sum dt f and the moment sum dt x_s x f, is kept: the opposite of both is what the
-body that carries the plane is given (`coupled`).
+with friction by a tangential spring of the same k, up to mu f_n. The impulse J = sum dt f on each
+sample in the span and its moment sum dt x_s x f are stored; the opposite of both acts on the body
+that carries the plane (`coupled`).
 """
 
 from __future__ import annotations
@@ -35,12 +35,11 @@ from gf_usd.physics.contact.planes.carriers import cross, spin
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
 
-# Numbers of a plane in the kernels' array: of its springs; where it is; what came of it.
+# Layout of a plane in the kernels' array: springs; position and motion; accumulated results.
 STIFFNESS, DAMPING, FRICTION, HARDENING = range(4)
 POINT, NORMAL, VELOCITY, SPRING, IMPULSE, MOMENT, DEPTH, WORK = 4, 7, 10, 13, 16, 19, 22, 23
 ROW = 24
-# [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
-# first.
+# [spacings] decrease of a gap that ends a detection; TRAVEL is the part at the initial speeds.
 CLOSER = 2.0 * TRAVEL
 NOTHING = -1
 ARRAYS = ("face", "carriers", "weights", "normal", "point", "velocity", "gap", "spring")
@@ -48,19 +47,19 @@ ARRAYS = ("face", "carriers", "weights", "normal", "point", "velocity", "gap", "
 
 @dataclass(frozen=True, kw_only=True)
 class Faced:
-    """What some samples see of one solid body, and the values of contact with it."""
+    """Contact of some samples with one solid body."""
 
     body: int
     rows: Ints  # (k,) samples
-    gap: Floats  # (k,) [m] signed distance
-    normal: Floats  # (k, 3) unit, out of the body
-    point: Floats  # (k, 3) [m] of its surface
+    gap: Floats  # (k,) [m] signed distance to the surface
+    normal: Floats  # (k, 3) outward unit normal
+    point: Floats  # (k, 3) [m] nearest point of the surface
     carriers: Ints  # (k, 3) contact samples of the solid
     weights: Floats  # (k, 3)
 
 
 class Solids(Protocol):
-    """The solid bodies, as what flows meets them."""
+    """The solid bodies, as obstacles of a flow."""
 
     stiffness: Floats  # (m,) [N/m] of their contact samples
     mass: Floats  # (m,) [kg]
@@ -68,26 +67,31 @@ class Solids(Protocol):
     restitution: Floats  # (m,)
 
     def motion(self) -> tuple[Floats, Floats]:
-        """x [m] and v [m/s] of the contact samples now, (m, 3)."""
+        """Positions [m] and velocities [m/s] of the contact samples now, (m, 3)."""
         ...
 
     def boxes(self) -> list[tuple[Floats, Floats, float]]:
-        """Of each body the corners (3,) [m] of its box, and [m/s] of its fastest sample."""
+        """For each body the corners (3,) [m] of its bounding box, and the speed [m/s] of its
+        fastest sample.
+        """
         ...
 
     def faces(self, x: Floats, face: Ints, gap: Floats, reach: float) -> list[Faced]:
-        """What points x (n, 3) [m] see of each body within reach [m]; face, gap : (n,) that each
-        saw before, the number of the body and [m]."""
+        """Contact of points x (n, 3) [m] with each body within reach [m].
+
+        face, gap : (n,) at the previous detection, the body's number and the signed distance [m].
+        """
         ...
 
 
 class FlowPlanes:
-    """The planes that the samples of a flowing body face.
+    """The contact planes of the samples of a flowing body.
 
-    contact : its samples; setup : has the obstacles;
-    solids : None: there are obstacles alone.
-    radius : [m] of a ball of the volume that flows, for how much energy is little;
-    through : (n,) by the number of an obstacle, or of a body after them: samples that pass through.
+    contact : its samples; setup : contains the obstacles.
+    solids : the solid bodies; None: there are obstacles only.
+    radius : [m] of a ball of the flowing volume, for the scale of the energy.
+    through : (n,) by the number of an obstacle, or of a body after them: samples that pass through
+    it.
     """
 
     def __init__(
@@ -111,24 +115,24 @@ class FlowPlanes:
         self._frame_time = frame_time
         self.reach = (FACING + TRAVEL) * spacing
         self.hardening = (HARD * spacing) ** -2
-        self.face = np.full(n, NOTHING)  # obstacles first, then solid bodies
+        self.face = np.full(n, NOTHING)  # number of the obstacle; solid bodies follow these
         self.carriers = np.zeros((n, 3), np.int64)
         self.weights = np.zeros((n, 3))
         self.normal = np.zeros((n, 3))
-        self.point = np.zeros((n, 3))  # [m] in the world; of a solid's plane from sum w_k x_k
+        self.point = np.zeros((n, 3))  # [m] in the world; for a solid body relative to sum w_k x_k
         self.velocity = np.zeros((n, 3))  # [m/s] of obstacles
         self.gap = np.full(n, -np.inf)  # [m] at the last detection
         self.spring = np.zeros((n, 3))  # [m] xi of friction
         self.detected = 0.0  # frame of the last detection
-        self.rows = np.zeros(0, np.int64)  # samples that face something
-        self._seen = (np.zeros((0, 3)),) * 3  # points, velocities and turns of their planes
+        self.rows = np.zeros(0, np.int64)  # samples with a plane
+        self._seen = (np.zeros((0, 3)),) * 3  # points, velocities, angular velocities
         self.values = np.zeros((0, 3))  # k [N/m], c [N s/m] and mu of these
         self._number_cache: Ints | None = None
         self.begin()
-        self._remember()
+        self._recompute_derived()
 
     def begin(self) -> None:
-        """Count from zero, at the start of a frame."""
+        """Reset the sums of a frame."""
         self.work = self.injected = self.deepest = 0.0  # [J], [J], [m]
         self.released = 0
 
@@ -143,29 +147,29 @@ class FlowPlanes:
             setattr(self, name, np.array(saved[f"plane_{name}"]))
         self.detected = float(saved["plane_detected"])
         self._budget.given = float(saved["plane_given"])
-        self._remember()
+        self._recompute_derived()
 
     def set_contact(self, contact: FloorContact) -> None:
-        """Go on with other values of the samples: friction, restitution."""
+        """Use other values of the samples: friction, restitution."""
         self._contact = contact
-        self._remember()
+        self._recompute_derived()
 
     @property
     def of_solids(self) -> Ints:
-        """(k,) places in `rows` of samples that face a solid body."""
+        """(k,) indices in `rows` of samples whose plane is of a solid body."""
         return np.flatnonzero(self.face[self.rows] >= len(self._obstacles))
 
     def detect(self, x: Floats, v: Floats, frame: float, span: float) -> float:
-        """Choose the planes anew; for how long [s] they hold, `span` [s] at most.
+        """Detect the planes; the time [s] for which they hold, at most `span` [s].
 
-        x [m], v [m/s] : (n, 3) of the samples; frame : where the obstacles are.
+        x [m], v [m/s] : (n, 3) of the samples; frame : time of the obstacles.
         """
         old, first = self._stored(x), np.isinf(self.gap).all()
         old_face, old_gap = self.face, self.gap
         names = ("carriers", "weights", "normal", "point", "velocity")
-        for name in names:  # what was seen before stays with what is told of it
+        for name in names:  # copies: earlier results refer to the old arrays
             setattr(self, name, getattr(self, name).copy())
-        # before the first detection a sample may be as deep as it is
+        # at the first detection any depth is accepted
         least = old_gap - CLOSER * self._spacing
         n = len(x)
         self.face, self.gap = np.full(n, NOTHING), np.full(n, self.reach)
@@ -202,7 +206,7 @@ class FlowPlanes:
                     velocity=np.zeros_like(carried),
                 )  # fmt: skip
         self.released = max(self.released, int((gone & (self.face == NOTHING)).sum()))
-        self._remember()
+        self._recompute_derived()
         if not first:
             time = (frame - self.detected) * self._frame_time
             new = continued(
@@ -214,8 +218,8 @@ class FlowPlanes:
         self.deepest = max(self.deepest, -float(self.gap.min(initial=0.0)))
         return min(span, self._hold(x, v, frame, span))
 
-    def _remember(self) -> None:
-        """Rows and values that follow from the arrays that are saved."""
+    def _recompute_derived(self) -> None:
+        """Recompute the rows and values that follow from the saved arrays."""
         self.rows = np.flatnonzero(self.face != NOTHING)
         c, rows, face = self._contact, self.rows, self.face[self.rows]
         k, m, mu, e = (
@@ -234,7 +238,9 @@ class FlowPlanes:
         self.values = np.stack([k, damping_coefficient(k, m, e), mu], 1)
 
     def _hold(self, x: Floats, v: Floats, frame: float, span: float) -> float:
-        """[s] before something may have moved too far against what it faces, or come near."""
+        """[s] until a sample may have moved too far relative to its plane, or come near a
+        surface.
+        """
         fall = self._g * span
         boxes = [(*one.box, one.speed(frame)) for one in self._obstacles if not one.endless] + (
             self.solids.boxes() if self.solids is not None else []
@@ -256,8 +262,9 @@ class FlowPlanes:
         return hold
 
     def _moving(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Of `rows`: points [m] of the planes, their velocities [m/s] at the samples x (n, 3) [m],
-        and how they turn [1/s]."""
+        """Of `rows`: points of the planes [m], their velocities at the samples x (n, 3) [m] [m/s],
+        and their angular velocities [1/s].
+        """
         rows = self.rows
         q, vq, turn = self.point[rows].copy(), self.velocity[rows].copy(), np.zeros((len(rows), 3))
         if self.solids is not None and len(at := self.of_solids):
@@ -271,7 +278,7 @@ class FlowPlanes:
         return q, vq, turn
 
     def energy(self, x: Floats) -> float:
-        """[J] in the springs of the planes, of samples at x (n, 3) [m]."""
+        """[J] stored in the springs of the planes, for samples at x (n, 3) [m]."""
         return self._stored(x).energy if len(self.rows) else 0.0
 
     def _stored(self, x: Floats) -> Stored:
@@ -291,8 +298,9 @@ class FlowPlanes:
         )  # fmt: skip
 
     def locate(self, x: Floats) -> float:
-        """Look where the planes are, with samples at x (n, 3) [m]; how many times as stiff as at
-        first the springs are that are deepest in."""
+        """Update the positions of the planes, with samples at x (n, 3) [m]; the largest ratio of a
+        spring's stiffness to its initial one.
+        """
         if not len(self.rows):
             return 1.0
         self._seen = q, _, _ = self._moving(x)
@@ -300,18 +308,20 @@ class FlowPlanes:
         return 1.0 + 3.0 * self.hardening * max(0.0, depth) ** 2
 
     def places(self) -> tuple[Floats, Floats]:
-        """Points [m] and normals of the planes of `rows` where `locate` saw them, (k, 3)."""
+        """Points [m] and normals of the planes of `rows` at the last `locate`, (k, 3)."""
         return self._seen[0], self.normal[self.rows]
 
     def numbers(self, offset: Floats, dt: float) -> Floats:
-        """(k, ROW) of `rows` where `locate` saw them, for substeps of dt [s]; offset : (3,) [m]
-        that places leave out."""
+        """The kernels' values (k, ROW) of `rows` at the last `locate`, for substeps of dt [s].
+
+        offset : (3,) [m] of the moving frame.
+        """
         rows = self.rows
         q, vq, _ = self._seen
         out = np.zeros((len(rows), ROW))
         out[:, :HARDENING] = self.values
         out[:, HARDENING] = self.hardening
-        # a substep moves the plane on before it takes its force, half a step after the start
+        # a substep advances the plane first; forces are evaluated half a step after its start
         out[:, POINT:NORMAL] = q - 0.5 * dt * vq - offset
         out[:, NORMAL:VELOCITY] = self.normal[rows]
         out[:, VELOCITY:SPRING] = vq
@@ -319,8 +329,9 @@ class FlowPlanes:
         return out
 
     def follow(self, numbers: Floats, offset: Floats, span: float) -> tuple[Floats, Floats]:
-        """Take what a span [s] of substeps made of `numbers`; J [N s] and its moment about the
-        world's origin [N m s] of each of `rows`, (k, 3)."""
+        """Store the results in `numbers` after a span [s] of substeps; of each of `rows` J [N s]
+        and its moment about the world's origin [N m s], (k, 3).
+        """
         rows = self.rows
         self.spring[rows] = numbers[:, SPRING:IMPULSE]
         self.deepest = max(self.deepest, float(numbers[:, DEPTH].max(initial=0.0)))

@@ -1,4 +1,4 @@
-"""From particles and materials to the body of the Updated Lagrangian solver, and its arrays."""
+"""Builds the constant data of an Updated Lagrangian body, and its arrays."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """What moves, as it is at rest."""
+    """The constant data of a body."""
 
     particles: Particles
     settings: Settings
@@ -50,7 +50,7 @@ class Body:
     m: Floats  # (N,) [kg]
     h: float  # [m] edge of a cell
     center: Floats  # (3,) [m] of mass
-    phase: Floats  # (3,) [cells] where the grid's node 0 lies, from the offset
+    phase: Floats  # (3,) [cells] position of the grid's node 0 relative to the offset
     start: Mapping[str, Floats]  # v (N, 3), C and L (N, 3, 3): `start_motion`
     embedded: Mapping[str, EmbeddedPoints]
     contact: FloorContact | None
@@ -58,7 +58,7 @@ class Body:
     step: StableStep
     law: ParticleLaws
     walls: Planes | None
-    meets: bool  # samples may face planes of obstacles and of solid bodies
+    meets: bool  # samples may have contact planes of obstacles and of solid bodies
     kernels: SimpleNamespace
     pack_type: Any  # of the kernels' arguments
 
@@ -81,7 +81,7 @@ def build_body(
     real: type,
     contact_setup: ContactSetup | None = None,
 ) -> Body:
-    """The body of these; parameters as of `UpdatedLagrangian`.  Taichi must run."""
+    """Build a body; parameters as for `UpdatedLagrangian`. Taichi must be initialized."""
     import taichi as ti
 
     from gf_usd.physics.updated_lagrangian.kernels.substep import build, pack_type
@@ -95,7 +95,7 @@ def build_body(
     ride = attach if law.unbounded.any() or particles.conversions else embed
     stiffest = stiffest_by_conversion(per, particles, materials)
     start = start_motion(velocity, particles.X, at_rest, particles.body)
-    # all that flows is one body, whatever it started as
+    # all flowing particles are one body, whichever body they belonged to
     particles = replace(particles, body=None)
     samples = None if samples is None else replace(samples, body=None)
     setup = contact_setup
@@ -134,7 +134,7 @@ def build_body(
 
 
 def refuse(settings: Settings, pins: Sequence[Pin]) -> None:
-    """Raise UsageError for what this solver does not know."""
+    """Raise UsageError for options that this solver does not support."""
     asked = {
         "--pin": bool(pins),
         "the WLS recomputation of F": settings.wls,
@@ -151,9 +151,9 @@ def refuse(settings: Settings, pins: Sequence[Pin]) -> None:
 def start_motion(
     velocity: Any, X: Floats, stencil: Stencil, body: Ints | None = None
 ) -> dict[str, Floats]:
-    """v (N, 3), C and L (N, 3, 3) of particles at X: what the nodes of the grid at rest hand back.
+    """v (N, 3), C and L (N, 3, 3) of particles at X: one P2G and G2P of the initial velocity.
 
-    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3), or a list of these, one for each body;
+    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3), or a list of these, one for each body.
     body : (N,) of the particles.
     """
     out = {"v": np.zeros((len(X), 3)), "C": np.zeros((len(X), 3, 3)), "L": np.zeros((len(X), 3, 3))}
@@ -166,17 +166,17 @@ def start_motion(
             continue
         nodes = np.broadcast_to(np.asarray(one(stencil.node_X), float), stencil.node_X.shape)
         for k in range(0, len(mine), CHUNK):
-            _hand_back(out, mine[k : k + CHUNK], X, nodes, stencil)
+            _grid_to_particles(out, mine[k : k + CHUNK], X, nodes, stencil)
     return out
 
 
-def _hand_back(
+def _grid_to_particles(
     out: dict[str, Floats], some: Ints, X: Floats, nodes: Floats, stencil: Stencil
 ) -> None:
-    """Set v, C and L of some particles from velocities (M, 3) of the nodes."""
+    """Set v, C and L of some particles from velocities (M, 3) of the nodes (G2P)."""
     rows = stencil.rows(X[some])
     v = np.asarray(rows.W @ nodes)
-    # sum_i w v_i (x) (X_i - X_p), taken about each particle's own place.
+    # sum_i w v_i (x) (X_i - X_p), relative to each particle's position
     first = np.stack([rows.W @ (nodes * stencil.node_X[:, b : b + 1]) for b in range(3)], -1)
     out["v"][some] = v
     out["C"][some] = 4.0 / stencil.h**2 * (first - v[:, :, None] * X[some][:, None, :])
@@ -195,10 +195,10 @@ def floor_contact(
     datum: float = np.inf,
     speed: float = 0.0,
 ) -> tuple[FloorContact | None, EmbeddedPoints | None]:
-    """Stiffness and damping as for the Total Lagrangian solver, on embedded samples.
+    """Contact with stiffness and damping as for the Total Lagrangian solver, on embedded samples.
 
     ride : how the samples are embedded in the particles at rest, `embed` or `attach`.
-    meets, datum, speed : as of `surface_contact`; without anything to meet a fall counts alone.
+    meets, datum, speed : as for `surface_contact`; without contact, only the fall speed matters.
     """
     contact = surface_contact(
         samples, particles, stencil, settings, per,
@@ -209,7 +209,7 @@ def floor_contact(
     embedding = ride(samples.X, particles.X)
     used, within = np.unique(embedding.particle, return_inverse=True)
     some = replace(embedding, particle=within.reshape(embedding.particle.shape))
-    # points that are at their particle ask for no gradients
+    # attached points need no gradients
     B = some.rows(stencil.rows(particles.X[used], gradients=not embedding.single))
     return replace(
         contact,
@@ -219,7 +219,7 @@ def floor_contact(
 
 
 def arrays(body: Body) -> dict[str, Floats]:
-    """Every array of the kernels' pack but those of the grid, flat, at the start."""
+    """The initial values of all arrays of the kernels but those of the grid, flat."""
     X, per = body.particles.X - body.center, body.per
     n = len(X)
     whole = {
@@ -245,7 +245,7 @@ def arrays(body: Body) -> dict[str, Floats]:
 def _contact_arrays(
     contact: FloorContact | None, embedding: EmbeddedPoints | None, n: int, meets: bool
 ) -> dict[str, Floats]:
-    """The contact part; without a floor, one sample that is never active."""
+    """The arrays of contact; without contact, one sample that is never active."""
     if contact is None or embedding is None:
         support, weight, arm = (
             np.zeros((1, SUPPORT), int),
@@ -276,7 +276,7 @@ def _contact_arrays(
 
 
 def grid_arrays(nodes: int, cells: int, walled: bool) -> dict[str, Floats]:
-    """Arrays for so many nodes, a power of 2, and cells that hold particles."""
+    """Arrays for the given numbers of nodes, a power of 2, and of cells that contain particles."""
     return {
         "node_of": np.zeros(2 * nodes, int),
         "node_at": np.zeros(3 * nodes, int),

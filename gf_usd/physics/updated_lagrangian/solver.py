@@ -1,12 +1,12 @@
-"""Updated Lagrangian MLS-MPM: the usual way, to compare with (GaussianFlesh section 4.4).
+"""Updated Lagrangian MLS-MPM (GaussianFlesh section 4.4), for flowing materials and for comparison.
 
-The state is x, v, C, F and L = grad v on the particles.  The grid is built anew in every substep
-around where they are now, fixed in the world, and forgotten: `kernels.substep`.  Contact samples
-and mesh vertices are embedded in the particles: `embedded_points`.  APIC acts in every substep, so
-there is no filter rate.
+The state is x, v, C, F and L = grad v of the particles. The grid is built in every substep around
+their current positions and discarded afterwards: `kernels.substep`. Contact samples and mesh
+vertices are embedded in the particles: `embedded_points`. APIC transfers occur in every substep, so
+that there is no filter rate.
 
-Positions are kept relative to `offset`, which moves with the body by whole cells, so that a long
-fall costs them no digits and the grid stays where it is.
+Positions are relative to `offset`, which moves with the body by whole cells: a long fall costs no
+digits, and the grid does not shift relative to the world.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ from gf_usd.physics.updated_lagrangian.setup import Body, build_body, refuse
 from gf_usd.physics.updated_lagrangian.state import State
 from gf_usd.physics.updated_lagrangian.walls import Wall
 
-SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch
-ROUNDING = 1e-9  # of a substep: as much longer it may be
+SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch of one thread
+ROUNDING = 1e-9  # relative tolerance of the length of a substep
 
 
 class UpdatedLagrangian(Solver):
-    """One asset in motion; parameters as for `TotalLagrangian`, and walls.
+    """A flowing body, or an elastic one for comparison; parameters as for `TotalLagrangian`, and
+    walls.
 
-    Raises UsageError for what only the other solver can do: pins, WLS and the shape correction.
+    Raises UsageError for options of the other solver only: pins, WLS and the shape correction.
     """
 
     body: Body
@@ -79,7 +80,7 @@ class UpdatedLagrangian(Solver):
             walls=walls, h=h, real=real, contact_setup=contact_setup,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
-        # What flows without end may go as far as it likes.
+        # There is no bound on the extent of a flow.
         flows = bool((body.law.unbounded | convertible(particles)).all())
         extent = np.inf if flows else float(np.linalg.norm(np.ptp(particles.X, axis=0)))
         self.guard = Guard(float(body.m.sum()) * G0 * particles.radius, extent)
@@ -87,10 +88,12 @@ class UpdatedLagrangian(Solver):
         self._setup = contact_setup
         self.losses = Losses(settings, contact_setup, body.h, body.law.unbounded)
         self.planes: FlowPlanes | None = None
-        self._softer = 1.0  # springs of planes over those of the floor, at most
+        self._stiffness_ratio = 1.0  # largest ratio of the stiffness of planes to that of the floor
         if (contact := body.contact) is not None:
-            self._softer = float((contact.pair_stiffness / contact.stiffness).max(initial=1.0))
-        self._launcher: tuple[Any, Launcher] | None = None  # of the arrays that there are now
+            self._stiffness_ratio = float(
+                (contact.pair_stiffness / contact.stiffness).max(initial=1.0)
+            )
+        self._launcher: tuple[Any, Launcher] | None = None  # for the current arrays
         if contact_setup is not None and contact_setup.colliders and body.meets:
             passing = {c for _, c in contact_setup.through_colliders}
             count = len(body.contact.mass) if body.contact else 0
@@ -106,7 +109,7 @@ class UpdatedLagrangian(Solver):
         solids: Solids | None = None,
         through: Mapping[int, Ints] | None = None,
     ) -> None:
-        """Let the contact samples face obstacles and solid bodies: see `FlowPlanes`."""
+        """Enable contact of the samples with obstacles and solid bodies: see `FlowPlanes`."""
         assert self.body.contact is not None
         self.state.parts = [one for one in self.state.parts if one is not self.planes]
         self.planes = FlowPlanes(
@@ -116,7 +119,7 @@ class UpdatedLagrangian(Solver):
         self.state.parts.append(self.planes)
 
     def follow(self, contact: FloorContact | None) -> None:
-        """Go on with the laws and the contact samples that conversion gave the body."""
+        """Use the laws and the contact samples of the body after a conversion."""
         body = self.body
         self.losses = Losses(self.settings, self._setup, body.h, body.law.unbounded)
         if self.planes is not None and contact is not None:
@@ -136,7 +139,7 @@ class UpdatedLagrangian(Solver):
         return self.state.not_finite()
 
     def advance(self, index: int, substeps: int) -> FrameStats:
-        """Move by a frame; `index` is the frame that this leads to."""
+        """Advance by a frame, to frame `index`."""
         state = self.state
         before = state.save()
         while not self._frame(index, substeps) and state.make_room():
@@ -144,7 +147,7 @@ class UpdatedLagrangian(Solver):
         return self.finish(substeps)
 
     def _frame(self, index: int, substeps: int) -> bool:
-        """Move by a frame; False where the grid was too small."""
+        """Advance by a frame; False where the grid's arrays were too small."""
         dt, planes = self.frame_time / substeps, self.planes
         self.begin(index)
         if planes is None:
@@ -160,7 +163,7 @@ class UpdatedLagrangian(Solver):
         return not self.state.lacks_room
 
     def begin(self, index: int) -> None:
-        """Begin the way to frame `index`."""
+        """Begin the interval that ends at frame `index`."""
         state, s = self.state, self.settings
         if self.conversions:
             self.conversions.frame(index)
@@ -169,12 +172,12 @@ class UpdatedLagrangian(Solver):
         self._near = state.near_floor(self._lift)
         self._active = state.watch(self._near, self._near[:0])
         self._watched = self._active > 0
-        self._last = 0.0  # [s] the substep before
+        self._last = 0.0  # [s] length of the previous substep
         if self.planes:
             self.planes.begin()
 
     def detect(self, frame: float, span: float) -> float:
-        """Choose the planes anew at a frame; for how long [s] they hold, a span [s] at most."""
+        """Detect the planes at a frame; the time [s] for which they hold, at most span [s]."""
         assert self.planes is not None
         x, v = self.state.sample_motion()
         hold = self.planes.detect(x + self.state.offset, v, frame, span)
@@ -183,16 +186,18 @@ class UpdatedLagrangian(Solver):
         return hold
 
     def march(self, span: float, dt: float) -> tuple[Floats, Floats] | None:
-        """Move by a span [s], in substeps of dt [s] at most, short enough for the planes' springs.
+        """Advance by a span [s], in substeps of at most dt [s] that are stable for the planes'
+        springs.
 
-        Returns what each of `planes.rows` received, as `FlowPlanes.follow`; None: there are none.
+        Returns the impulses on the samples `planes.rows` as `FlowPlanes.follow` does; None without
+        planes.
         """
         state, planes = self.state, self.planes
         faces = planes is not None and len(planes.rows) > 0
         if planes is not None and faces:
             stiffer = planes.locate(state.sample_motion()[0] + state.offset)
             if not self.settings.substeps:
-                dt = min(dt, self.body.step.crowded(1.0 + self._softer * stiffer).dt)
+                dt = min(dt, self.body.step.crowded(1.0 + self._stiffness_ratio * stiffer).dt)
         substeps = max(1, int(np.ceil(span / dt * (1.0 - ROUNDING))))
         dt = span / substeps
         state.move_springs(0.5 * (self._last - dt))
@@ -207,7 +212,7 @@ class UpdatedLagrangian(Solver):
         return planes.follow(out, state.offset, span)
 
     def finish(self, substeps: int) -> FrameStats:
-        """End a frame of so many substeps."""
+        """End a frame of `substeps` substeps."""
         state, planes = self.state, self.planes
         state.move_springs(0.5 * self._last)
         state.take_wall_impulse()
@@ -234,14 +239,16 @@ class UpdatedLagrangian(Solver):
         )
 
     def _dissipated(self) -> float | None:
-        """[J] by flow and by conversion in the frame; None where no law flows."""
+        """[J] by plastic flow and by conversion in the frame; None where no law has
+        plastic flow.
+        """
         flow = self.state.take_dissipated()
         return flow if self.conversions is None or flow is None else (
             flow + self.conversions.dissipated
         )  # fmt: skip
 
     def _launch(self, substeps: int, dt: float) -> None:
-        """Run the kernels for so many substeps of dt [s]."""
+        """Run the kernels for `substeps` substeps of dt [s]."""
         import taichi as ti
 
         body, state, s, n = self.body, self.state, self.settings, len(self.particles)
@@ -278,9 +285,9 @@ class UpdatedLagrangian(Solver):
         x = x + state.offset
         flows = body.law.set.flows
         if (grains := body.law.unbounded).any():
-            # Grains keep their shape: what a neighborhood was strained by says nothing of them.
+            # Grains do not deform with their neighborhood: they keep their shape.
             F = np.where(grains[:, None, None], state.elastic, F)
-            # Flow takes up the strain of L, and what is left turns with its spin.
+            # Plastic flow absorbs the strain rate of L; the elastic part rotates with its spin.
             L = np.where(grains[:, None, None], 0.5 * (L - L.transpose(0, 2, 1)), L)
         pose = Pose(x=x, v=v, F=F)
         stretch, J = strains(pose.F)
@@ -312,13 +319,15 @@ class UpdatedLagrangian(Solver):
         )  # fmt: skip
 
     def _plane_energy(self) -> float:
-        """[J] in the springs of the planes last detected."""
+        """[J] in the springs of the planes of the last detection."""
         if self.planes is None:
             return 0.0
         return self.planes.energy(self.state.sample_motion()[0] + self.state.offset)
 
     def _strained(self, stretch: Floats, J: Floats, cells: Floats) -> int:
-        """Substeps a frame that the body as strained now asks for; none where they are given."""
+        """Substeps per frame that the current strain requires; 1 where the settings
+        prescribe them.
+        """
         if self.settings.substeps:
             return 1
         body = self.body

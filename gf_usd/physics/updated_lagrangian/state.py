@@ -1,4 +1,4 @@
-"""The state of the Updated Lagrangian solver: particles, and memory for the grid around them."""
+"""The state of the Updated Lagrangian solver: particles, and the arrays of the grid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PARTICLES = ("x", "v", "C", "F", "L")
 FAULT = 4  # of `grid`: see `kernels.sorting`
 OVERFLOW = 2
 FEW = 64  # empty cells that are kept in addition to half the number of filled ones
-SPARE = 1.75  # times the cells and nodes there are that arrays have room for
+SPARE = 1.75  # capacity of the arrays relative to the cells and nodes in use
 
 
 class State(DeviceState):
@@ -37,16 +37,16 @@ class State(DeviceState):
         super().__init__(arrays(body), body.real, saved, lift + body.center)
         self._body = body
         self._start = self.offset.copy()
-        self.wall_impulse = np.zeros(3)  # [N s] that walls gave to particles, so far
+        self.wall_impulse = np.zeros(3)  # [N s] total impulse of walls on particles
         self._single = body.embedding is not None and body.embedding.single
         self.node_capacity = self.cell_capacity = 0
         self._most_nodes = max(LARGEST_GRID, 64 * self._occupied()[1])
         self.make_room()
-        # a number of each particle, that kernels write
+        # one value per particle, written by kernels
         self.value = ti.ndarray(ti.f64 if body.real is np.float64 else ti.f32, len(body.m))
 
     def _occupied(self) -> tuple[int, int]:
-        """Cells that hold particles now, and their nodes."""
+        """Number of cells that contain particles now, and of their nodes."""
         base = np.floor(self.rows("x") / self._body.h - self._body.phase - 0.5).astype(np.int64)
         key = np.array([1 << 42, 1 << 21, 1])  # indices are below 2^20
         nodes = cells = np.unique(base @ key)
@@ -55,7 +55,7 @@ class State(DeviceState):
         return len(cells), len(nodes)
 
     def make_room(self) -> bool:
-        """Arrays for more cells than the body fills now; False where these are too many."""
+        """Allocate arrays for more cells than are in use; False where these would be too large."""
         cells, nodes = (int(SPARE * n) for n in self._occupied())
         nodes = 1 << (nodes + 27 * 2 * FEW).bit_length()
         cells += 2 * FEW
@@ -73,7 +73,7 @@ class State(DeviceState):
 
     @property
     def lacks_room(self) -> bool:
-        """Whether the last launch ended because the grid was too small."""
+        """Whether the last launch ended because the grid's arrays were too small."""
         return self.get("grid")[FAULT] == OVERFLOW
 
     def not_finite(self) -> tuple[int, str]:
@@ -94,7 +94,7 @@ class State(DeviceState):
 
     @property
     def planes(self) -> Planes:
-        """The walls as the moving frame has them."""
+        """The walls relative to the moving frame."""
         if self._body.walls is None:
             nowhere = np.full(3, NOWHERE)
             return Planes(first=-nowhere, last=nowhere, stuck=0 * nowhere)
@@ -102,7 +102,7 @@ class State(DeviceState):
         return self._body.walls.moved(cells)
 
     def take_wall_impulse(self) -> None:
-        """Add what walls gave in a frame."""
+        """Add the impulse of the walls in a frame."""
         if self._body.walls is not None:
             self.wall_impulse = self.wall_impulse + self.get("wall_impulse").astype(float)
 
@@ -126,27 +126,28 @@ class State(DeviceState):
             self.put("x", x - shift)
 
     def motion(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """x without the offset, v (N, 3), F and L (N, 3, 3), float64."""
+        """x without the offset, v (N, 3), F and L (N, 3, 3), as float64."""
         F, L = (self.rows(name, 9).reshape(-1, 3, 3) for name in "FL")
         return self.rows("x"), self.rows("v"), F, L
 
     @property
     def elastic(self) -> Floats:
-        """(N, 3, 3) the gradients that the stress is taken of, float64."""
+        """(N, 3, 3) the gradients from which the stress is computed, float64."""
         laws = self._body.law.set
         if not laws.flows:
             return self.rows("F", 9).reshape(-1, 3, 3)
         return self.rows("history", laws.history)[:, :GRADIENT].reshape(-1, 3, 3)
 
     def take_dissipated(self) -> float | None:
-        """[J] that flow dissipated since this was last asked; None where no law flows."""
+        """[J] dissipated by plastic flow since the last call; None without plastic flow."""
         laws = self._body.law.set
         return take_dissipated(laws, self.arrays["history"]) if laws.flows else None
 
     def near_floor(self, lift: float) -> Ints:
-        """The samples that may meet the floor in a frame; clears what samples noticed.
+        """The samples that the floor may reach in a frame; resets the samples' depth and friction
+        counts.
 
-        lift : [m] of the moving frame of x above the floor.
+        lift : [m] height of the moving frame above the floor.
         """
         s = self._body.settings
         if self._body.embedding is None:
@@ -161,7 +162,8 @@ class State(DeviceState):
         return near
 
     def watch(self, near: Ints, planes: Ints) -> int:
-        """List the samples that kernels ask: near the floor, and (k,) of planes; how many.
+        """List the samples for which kernels compute contact: near the floor, and (k,) of planes;
+        their count.
 
         Both ascending; plane k is that of the k-th of `planes`.
         """

@@ -1,19 +1,20 @@
-"""Planes along the axes that what flows does not pass: side walls, symmetry planes, rigid floors.
+"""Axis-aligned mirror planes of a flow: side walls, symmetry planes, rigid floors.
 
-A plane goes through nodes of the grid or halfway between them, where cells of particles meet, and
-the motion beyond it is the mirror image of that before it.  With R the reflection, diag(-1, 1, 1)
-for a normal along x, of a node i and its image i'
+A plane lies on nodes of the grid or halfway between them, on cell boundaries; the motion beyond it
+is the mirror image of that before it. With R the reflection, diag(-1, 1, 1) for a normal along x, a
+node i and its image i' have
 
-    m_i v_i = sum over i and i' of the momenta that particles bring, those of i' times R
-    v_i' = R v_i,   and on the plane the normal velocity is 0
+    m_i v_i = sum over i and i' of the particles' momenta, those of i' multiplied by R
+    v_i' = R v_i,   and zero normal velocity on the plane
 
-as if mirrored particles were there, so that a plane is as accurate as the grid is inside: velocity,
-stress and mass have no layer that lacks neighbors.  A plane that sticks has R = -1: all of the
-velocity is 0 on it.  Two planes a cell apart make plane strain.
+as with mirrored particles. A plane is therefore as accurate as the interior of the grid: velocity,
+stress and mass have no boundary layer. A no-slip plane has R = -1, so that the velocity on it is
+zero. Two planes at a distance of one cell impose plane strain.
 
-What particles bring to nodes is theirs alone, so that what a plane gives them is counted by node,
+Only the particles before a plane contribute to a node, and the impulse of the plane is summed over
+nodes,
 
-    impulse = sum_i m_i v_i exp(drag dt) - (p_i + m_i dt g)     m_i, p_i of the true particles
+    impulse = sum_i m_i v_i exp(drag dt) - (p_i + m_i dt g)     m_i, p_i without images
 """
 
 from __future__ import annotations
@@ -26,39 +27,40 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
 
-NOWHERE = 1 << 28  # of a plane that is not there
-NEAR = 1e-4  # [half cells] a plane may be off: f32 holds positions no better
+NOWHERE = 1 << 28  # index of an absent plane
+NEAR = 1e-4  # [half cells] tolerance of a plane's position: the accuracy of f32 positions
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wall:
-    """A plane, and the side of it that particles are on."""
+    """A plane, and its side that contains the particles."""
 
-    axis: int  # along which its normal is
+    axis: int  # of its normal
     at: float  # [m] coordinate along the axis
     above: bool = True  # particles are where the coordinate is greater
-    sticks: bool = False  # what is at the plane stays where it is; else it slides freely
+    sticks: bool = False  # no slip; otherwise free slip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Planes:
-    """Walls as the kernels have them: twice the index of a node, along each axis."""
+    """The walls in the kernels' form: twice the index of a node, along each axis."""
 
-    first: Ints  # (3,) below which all is mirrored
-    last: Ints  # (3,) above which it is
-    stuck: Ints  # (3,) 1: the first sticks, 2: the last does, 3: both
+    first: Ints  # (3,) lower planes
+    last: Ints  # (3,) upper planes
+    stuck: Ints  # (3,) no slip at: 1 the lower plane, 2 the upper one, 3 both
 
     def moved(self, cells: Ints) -> Planes:
-        """As seen from a grid that was moved by whole cells (3,)."""
+        """The planes relative to a grid that is shifted by whole cells (3,)."""
         return Planes(
             first=self.first - 2 * cells, last=self.last - 2 * cells, stuck=self.stuck
         )  # fmt: skip
 
 
 def planes(walls: Sequence[Wall], X: Floats, origin: Floats, h: float) -> Planes:
-    """The walls of particles that begin at X (N, 3) [m].
+    """The walls for particles at X (N, 3) [m] at the start.
 
     origin : (3,) [m] of node 0; h : [m] edge of a cell.
+
     Raises UsageError for a wall that does not fit the grid, for particles behind one, and for a
     second wall on the same side.
     """

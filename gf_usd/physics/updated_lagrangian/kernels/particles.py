@@ -26,7 +26,7 @@ def turned(A: ti.template(), p, d):
 
 @ti.func
 def drift_particle(body: ti.template(), p, laws: ti.template(), dt):
-    """x += dt v, F += dt L F: the half step that opens a frame."""
+    """x += dt v, F += dt L F: the initial half drift of a frame."""
     for d in ti.static(range(3)):
         body.x[3 * p + d] = body.x[3 * p + d] + dt * body.v[3 * p + d]
     drift_gradient(body, p, body.F, 9 * p, dt)
@@ -46,7 +46,7 @@ def drift_gradient(body: ti.template(), p, F: ti.template(), o, dt):
 
 @ti.func
 def clamp_particle(body: ti.template(), p, laws: ti.template(), low, high):
-    """Clip the singular values of the gradient that the stress is taken of to [low, high]."""
+    """Clip the singular values of the gradient from which the stress is computed to [low, high]."""
     if ti.static(laws.flows):
         clamp_gradient(body, p, body.history, laws.history * p, low, high)
     else:
@@ -57,7 +57,7 @@ def clamp_particle(body: ti.template(), p, laws: ti.template(), low, high):
 def clamp_gradient(body: ti.template(), p, gradients: ti.template(), o, low, high):
     """Clip the singular values of the F that begins at o to [low, high].
 
-    Where J < 0 the smallest counts as negative.
+    Where J < 0 the smallest is negative.
     """
     F = ti.Matrix.rows([vector(gradients, o), vector(gradients, o + 3), vector(gradients, o + 6)])
     square = F.norm_sqr()
@@ -80,9 +80,9 @@ def clamp_gradient(body: ti.template(), p, gradients: ti.template(), o, low, hig
 
 @ti.func
 def sample_force(body: ti.template(), s, up, lift, dt, meets: ti.template()):
-    """Force of the floor on sample s, by the formulas of `contact_kernel`, and of its plane.
+    """Force of the floor on sample s, by the formulas of `contact.kernels`, and of its plane.
 
-    lift : [m] what the moving frame's origin lies above the floor; meets : there are planes.
+    lift : [m] height of the moving frame's origin above the floor; meets : there are planes.
     """
     x = up * 0.0
     v = up * 0.0
@@ -99,9 +99,9 @@ def sample_force(body: ti.template(), s, up, lift, dt, meets: ti.template()):
 
 @ti.func
 def plane_force(body: ti.template(), s, o, x, v, dt):
-    """Add the force of the plane whose numbers begin at o on sample s at x, moving with v.
+    """Add the force of the plane whose values begin at o on sample s at x, with velocity v.
 
-    o : below 0 where it faces none.
+    o : negative without a plane.
     """
     if o >= 0:
         n = row(body.plane, o + planes.NORMAL)
@@ -133,8 +133,8 @@ def plane_force(body: ti.template(), s, o, x, v, dt):
 def push_particle(body: ti.template(), p):
     """Force f_p and moment M_p = sum w f (x) d of the samples in whose support particle p is.
 
-    The transpose of how a sample reads its motion, so that work, momentum and angular momentum
-    agree on both sides.
+    The transpose of the interpolation of a sample's motion, so that work, momentum and angular
+    momentum are consistent.
     """
     f = vector(body.x, 3 * p) * 0.0
     m0 = f

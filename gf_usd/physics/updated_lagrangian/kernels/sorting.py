@@ -1,33 +1,32 @@
-"""Particles sorted by the cell they are in, anew in every substep of the Updated Lagrangian solver.
+"""Sorting of the particles by cell, in every substep of the Updated Lagrangian solver.
 
-The grid holds the cells that particles are in and their nodes, wherever these are: a hash table
-(`node_of`) leads from the indices of a node to its number, the table of a cell to its 27 nodes
-(`cell_nodes`), that of a node to the cells that have it (`node_cells`).  A cell is numbered when a
-particle first enters it and stays until many are empty, when all are forgotten and numbered anew.
-Particles seldom change cells, so that few look into the hash table.
+The grid is sparse: only cells that contain particles, and their nodes, exist. A hash table
+(`node_of`) maps the indices of a node to its number; tables map a cell to its 27 nodes
+(`cell_nodes`) and a node to its cells (`node_cells`). A cell is numbered when a particle first
+enters it and kept until too many cells are empty; then all are discarded and numbered again.
+Particles seldom change cells, so that few hash lookups occur.
 
-`grid` holds how many nodes (0), cells (1) and cells with particles (2) there are, whether a
-particle of this substep has no cell yet (3), a fault (4), and how many places of the hash table are
-to be cleared (5).  A fault stops everything: no cell
-and no node is left to work on, and nothing is written beyond the arrays.
+`grid` contains the number of nodes (0), of cells (1) and of cells with particles (2), a flag that a
+particle has no cell yet (3), a fault code (4), and the number of hash entries to be cleared (5).
+After a fault there are no cells and nodes, so that nothing is computed and no array is exceeded.
 
-How cells and nodes are numbered decides no result: a node sums its cells in the order of where they
-lie, and the order within a cell is that of the particles, whatever the threads do, so that sums
-come out the same to the bit.
+The numbering of cells and nodes does not affect the result: a node sums over its cells in the order
+of their positions, and the particles of a cell are sorted by index, so that the sums are
+bit-identical for any number of threads.
 """
 
 import taichi as ti
 
-FAR = 1e6  # [cells] from the origin: beyond, and where a position is no number, there is no cell
+FAR = 1e6  # [cells] distance from the origin at which a position is a fault, as is one not finite
 NODES, CELLS, FILLED, MISSING, FAULT, CLEARED = range(6)  # of `grid`
 NOT_A_PLACE = 1  # faults
 OVERFLOW = 2
-FEW = 64  # empty cells beyond half of those that are not: more are forgotten
+FEW = 64  # empty cells allowed in addition to half the number of the others
 
 
 @ti.func
 def begin_substep(body: ti.template(), node_capacity):
-    """Forget all cells where many are empty, or where none is known yet."""
+    """Discard all cells where too many are empty; also for the first substep."""
     cells, filled = body.grid[CELLS], body.grid[FILLED]
     body.grid[CLEARED] = 0
     if body.grid[FAULT] == 0 and (cells == 0 or cells > filled + filled // 2 + FEW):
@@ -39,13 +38,15 @@ def begin_substep(body: ti.template(), node_capacity):
 
 @ti.func
 def lowest_cell(body: ti.template(), p, d: ti.template(), ih, phase):
-    """Index along one axis of the first node that particle p touches."""
+    """Index along one axis of the first node in the support of particle p."""
     return ti.cast(ti.floor(body.x[3 * p + d] * ih - phase[d] - 0.5), ti.i32)
 
 
 @ti.func
 def find_node(body: ti.template(), i, j, k, mask):
-    """Number of the node at these indices, -1 where there is none; and its place in the table."""
+    """Number of the node with these indices, -1 where there is none; and its position in the hash
+    table.
+    """
     h = (i * 73856093 ^ j * 19349663 ^ k * 83492791) & mask
     n = body.node_of[h]
     o = 3 * ti.max(n, 0)
@@ -68,7 +69,7 @@ def find_cell(body: ti.template(), i, j, k, mask):
 
 @ti.func
 def make_cell(body: ti.template(), i, j, k, node_capacity, cell_capacity):
-    """Number a cell and its nodes; -1 where there is no room."""
+    """Number a cell and its nodes; -1 where the arrays are full."""
     cell = body.grid[CELLS]
     if cell >= cell_capacity or body.grid[NODES] > node_capacity - 27:
         body.grid[FAULT] = OVERFLOW
@@ -102,14 +103,15 @@ def make_cell(body: ti.template(), i, j, k, node_capacity, cell_capacity):
 def count_particle(
     body: ti.template(), p, ih, phase, node_capacity, cell_capacity, alone: ti.template()
 ):
-    """Number particle p among those of its cell, in the order of arrival.
+    """Count particle p in its cell, in the order of arrival.
 
-    alone : no other thread runs, so that a cell may be made; else one that lacks is noted.
+    alone : there is one thread only, which may create the cell; otherwise a missing cell sets a
+    flag.
     """
     if body.grid[FAULT] == 0:
         inside = 0
         for d in ti.static(range(3)):
-            # Written so that a position that is no number fails too.
+            # The comparison is also false for a position that is not finite.
             if ti.abs(body.x[3 * p + d] * ih - phase[d]) < FAR:
                 inside += 1
         if inside < 3:
@@ -145,7 +147,7 @@ def count_particle(
 
 @ti.func
 def number_particles(body: ti.template()):
-    """Where each cell's particles begin, by the counts.  One thread does it."""
+    """Start of each cell's range of particles, from the counts. Runs on one thread."""
     filled = 0
     total = 0
     for cell in range(body.grid[CELLS]):
@@ -159,14 +161,14 @@ def number_particles(body: ti.template()):
 
 @ti.func
 def place_particle(body: ti.template(), p):
-    """Put particle p into the list of its cell."""
+    """Store particle p in the list of its cell."""
     if body.grid[FAULT] == 0:
         body.order[body.cell_start[body.key[p]] + body.rank[p]] = p
 
 
 @ti.func
 def sort_cell(body: ti.template(), cell):
-    """Insertion sort of a cell's list, which threads have filled in any order."""
+    """Insertion sort of a cell's list, which threads have filled in arbitrary order."""
     first = body.cell_start[cell]
     for at in range(first + 1, body.cell_start[cell + 1]):
         p = body.order[at]

@@ -1,14 +1,15 @@
-"""The substeps of the Updated Lagrangian solver, put together for its laws and a precision.
+"""The kernels of the Updated Lagrangian substeps, composed for the laws and the precision of a
+body.
 
 Per substep of length dt (GaussianFlesh section 4.4; Hu et al. 2018), with `kernels.transfer`:
 
-    sort the particles by the cells they are in now      `kernels.sorting`
-    forces of the floor on the samples embedded in them  `kernels.particles`
-    mass and momentum to the nodes, with the stress      `kernels.transfer`
+    sort the particles by cell                           `kernels.sorting`
+    forces of the floor on the embedded samples          `kernels.particles`
+    P2G: mass and momentum, with the stress              `kernels.transfer`
     v_i <- (p_i / m_i + dt g) exp(-drag dt)
-    v, C, L back to the particles;  x, F move by dt
+    G2P: v, C, L;  x, F advance by dt
 
-Half of the first move comes before the first substep of a frame and half of the last is left out,
+Half of the first drift precedes the first substep of a frame and half of the last is left out,
 which makes a frame position Verlet, as in the Total Lagrangian solver: second order, and exact
 under gravity alone.
 """
@@ -51,7 +52,7 @@ from gf_usd.physics.updated_lagrangian.kernels.transfer import (
 from gf_usd.physics.updated_lagrangian.kernels.walls import add_given, move_walled_node
 from gf_usd.system.taichi_runtime import without_common_subexpressions
 
-STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
+STRIDE = 32  # a CPU thread of Taichi has at least 512 iterations: use every 32nd
 
 REALS = (
     *("x", "v", "C", "L", "F", "m", "V0", "constants", "history", "viscosity"),
@@ -76,7 +77,9 @@ WHOLE = (
 
 @cache
 def pack_type(real, epoch: int):
-    """The arguments of a body, one pack; epoch as for `kernels.pack_type`."""
+    """The type of the kernels' argument pack; epoch as for
+    `total_lagrangian.kernels.substep.pack_type`.
+    """
     members = {name: ti.types.ndarray(dtype=real, ndim=1) for name in REALS}
     members |= {name: ti.types.ndarray(dtype=ti.i32, ndim=1) for name in WHOLE}
     return ti.types.argpack(**members)
@@ -89,7 +92,7 @@ def build(
 ) -> SimpleNamespace:  # fmt: skip
     """The kernels for a set of laws, with or without viscosity, clamp, stress cap and walls.
 
-    laws : `registry.LawSet`; real : f32 or f64; meets : samples may face planes.
+    laws : `registry.LawSet`; real : f32 or f64; meets : samples may have contact planes.
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
@@ -101,7 +104,9 @@ def build(
         substeps: ti.i32, g: vec, up: vec, phase: vec, lift: real, dt: real, keep: real, ih: real,
         cap: real, low: real, high: real, converged: real, first: ivec, last: ivec, stuck: ivec,
     ):  # fmt: skip
-        """All substeps of a frame in one launch on one thread: small bodies are all launch cost."""
+        """All substeps of a frame in one launch on one thread: for small bodies launches dominate
+        the time.
+        """
         ti.loop_config(serialize=True)
         for s in range(substeps):
             if s == 0:
@@ -125,7 +130,7 @@ def build(
             if active > 0:
                 for p in range(n):
                     push_particle(body, p)
-            # Taichi moves what does not change out of loops, one by one, but never out of an `if`.
+            # The `if` keeps Taichi from hoisting loop invariants one by one.
             for cell in range(body.grid[CELLS]):
                 if body.cell_count[cell] > 0:
                     scatter_cell(
@@ -154,7 +159,7 @@ def build(
         cap: real, low: real, high: real, converged: real, first: ivec, last: ivec, stuck: ivec,
         drift: real,
     ):  # fmt: skip
-        """One substep over all threads."""
+        """One substep on all threads."""
         ti.loop_config(serialize=True)
         for _ in range(1):
             begin_substep(body, node_capacity)
@@ -202,7 +207,7 @@ def build(
 
     @ti.kernel
     def start(body: Body, n: ti.i32, drift: real):
-        """The half step that opens a frame of `parallel` substeps."""
+        """The initial half drift of a frame of `parallel` substeps."""
         for p in range(n):
             drift_particle(body, p, laws, drift)
 
@@ -221,7 +226,7 @@ def build(
     def stress(
         body: Body, n: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), cap: real, converged: real
     ):
-        """out[p] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
+        """out[p] = von Mises stress of the Cauchy stress P F^T / J, without viscosity."""
         for b in range((n + LANES - 1) // LANES):
             ids = in_order(b, n)
             strain = admissible(body, ids, laws, 0.0 * converged, converged, False)

@@ -1,29 +1,27 @@
-"""Transfers of one cell in a substep of the Updated Lagrangian solver: P2G and G2P.
+"""P2G and G2P transfers of one cell in a substep of the Updated Lagrangian solver.
 
-To the grid, with the Kirchhoff stress tau = P F^T and world gradients (GaussianFlesh section 4.4):
+P2G, with the Kirchhoff stress tau = P F^T and world gradients (GaussianFlesh section 4.4):
 
     m_i = sum_p w_ip m_p
     p_i = sum_p w_ip m_p (v_p + C_p (x_i - x_p)) - dt sum_p V0_p tau_p grad w_ip
         + dt sum_p (w_ip f_p + M_p grad w_ip)
 
-f_p and M_p are what the floor does to a particle and about it (`kernels.particles`).  Back:
+f_p and M_p are the force and moment of contact on a particle (`kernels.particles`). G2P:
 
     v_p = sum_i w_ip v_i,   C_p = 4/h^2 sum_i w_ip v_i (x) (x_i - x_p)
     L_p = sum_i v_i (x) grad w_ip
     x_p <- x_p + dt v_p,    F_p <- (I + dt L_p) F_p
 
-A law that flows has an elastic gradient of its own, in the particle's history: it moves as F does,
-is returned to what is admissible before the stress is taken of it, and stands in for F wherever
-stress is meant.
+A law with plastic flow has its own elastic gradient in the particle's history. It is advanced like
+F, returned to the yield surface before the stress is computed, and replaces F in the stress.
 
-L is the gradient that the stress is the adjoint of, so that what the stress takes from the motion
-is what the strain gains; C stands in for it in Hu et al. 2018, where the force has 4/h^2 w (x_i -
-x_p) instead of grad w.  A cell writes to a block of its own, 27 nodes x 4, so cells never race.
+L is the velocity gradient conjugate to the internal forces, so that the work of the stress equals
+the change of strain energy. Hu et al. 2018 use C instead, and forces with 4/h^2 w (x_i - x_p) in
+place of grad w. A cell writes to its own block, 27 nodes x 4, so that cells do not race.
 
-Eight particles of one cell at once: who they are, what they hold, where their nodes are.
-
-The last batch of a cell repeats its last particle.  Such a lane has no mass and no volume, and what
-it writes back to its particle is what that particle's own lane writes.
+Eight particles of one cell are processed at once. The last batch of a cell repeats its last
+particle: such a lane has zero mass and volume, and writes the same values as the particle's own
+lane.
 """
 
 import taichi as ti
@@ -37,7 +35,7 @@ from gf_usd.physics.updated_lagrangian.kernels.particles import vector
 
 @unrolled
 def values(body, ids, laws):
-    """The values q of eight particles' laws, and which law each has."""
+    """The parameters q of eight particles' laws, and the index of each law."""
     row = rows(ids, laws.constants)
     q = [pick(body.constants, row, k) for k in range(laws.values)]
     return q, pick(body.constants, row, laws.which)
@@ -45,7 +43,7 @@ def values(body, ids, laws):
 
 @ti.func
 def current(body: ti.template(), ids: ti.template(), laws: ti.template()):
-    """`values` with the moduli as what has happened to the particles has made them."""
+    """`values` with moduli after hardening by the particles' history."""
     q, which = values(body, ids, laws)
     if ti.static(laws.hardens):
         h = stress.hardness(laws, which, q, internals(body, ids, laws))
@@ -56,7 +54,7 @@ def current(body: ti.template(), ids: ti.template(), laws: ti.template()):
 
 @unrolled
 def trial(body, ids, laws):
-    """The gradients that the stress is taken of, before what is due to flow has flowed."""
+    """The elastic gradients before the return mapping."""
     if laws.flows:
         return gradients(body.history, rows(ids, laws.history))
     return gradients(body.F, rows(ids, 9))
@@ -71,7 +69,7 @@ def internals(body, ids, laws):
 
 @unrolled
 def keep_flow(body, ids, laws, E, A, loss):
-    """What has flowed into the particles' history."""
+    """Store the result of the return mapping in the particles' history."""
     row = rows(ids, laws.history)
     for k, x in enumerate([*E, *A]):
         write(body.history, row, k, x)
@@ -84,7 +82,9 @@ def admissible(
     body: ti.template(), ids: ti.template(), laws: ti.template(), dt, converged,
     acts: ti.template(),
 ):  # fmt: skip
-    """`trial` after it has flowed.  acts : what flows stays; else it is looked at only."""
+    """`trial` after the return mapping. acts : store the result; otherwise the history is
+    unchanged.
+    """
     F = trial(body, ids, laws)
     if ti.static(not laws.flows):
         return F
@@ -100,7 +100,7 @@ def piola(
     body: ti.template(), ids: ti.template(), F: ti.template(), laws: ti.template(),
     damped: ti.template(), capped: ti.template(), cap, dt, converged,
 ):  # fmt: skip
-    """P of eight particles, with the viscous part, cut to |P| <= cap where that is asked for."""
+    """P of eight particles, with the viscous part, scaled to |P| <= cap where there is a cap."""
     q, which = current(body, ids, laws)
     P = stress.piola(laws, which, F, q, converged)
     if ti.static(damped):
@@ -128,7 +128,7 @@ def add_viscous(body, ids, P, F):
     for a in range(3):
         for c in range(3):
             s = let(k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c]))
-            # s_ac enters sym twice: F (s + s^T).
+            # s_ac occurs twice in the symmetric part: F (s + s^T)
             for r in range(3):
                 put(P[3 * r + c], P[3 * r + c] + F[3 * r + a] * s)
                 put(P[3 * r + a], P[3 * r + a] + F[3 * r + c] * s)
@@ -140,25 +140,25 @@ def scatter_cell(
     body: ti.template(), cell, laws: ti.template(), damped: ti.template(), capped: ti.template(),
     cap, contact, dt, ih, phase, converged,
 ):  # fmt: skip
-    """Mass and momentum of one cell's particles into the cell's block."""
+    """P2G: mass and momentum of one cell's particles, to the cell's block."""
     corner = cell_corner(body, cell)
     for b in range(batches(body, cell)):
         ids = members(body, cell, b)
         axes = stencils(body, ids, corner, ih, phase)
-        alive = living(body, cell, b)
+        alive = not_filler(body, cell, b)
         m = live(alive, pick(body.m, ids, 0))
         volume = live(alive, pick(body.V0, ids, 0))
         F = admissible(body, ids, laws, dt, converged, True)
         P = piola(body, ids, F, laws, damped, capped, cap, dt, converged)
         moments = carried(body, ids, m, (0.0 - dt * ih) * volume, ih, P, F)
         if contact > 0:
-            add_push(body, ids, alive, dt, ih, moments)
+            add_contact_forces(body, ids, alive, dt, ih, moments)
         deposit(body, cell, b, m, moments, axes)
 
 
 @unrolled
 def carried(body, ids, m, s, ih, P, F):
-    """Along each axis momentum m v, its slope m C / ih and -dt ih V0 tau, in cells: 3 x 7."""
+    """Along each axis the momentum m v, its slope m C / ih and -dt ih V0 tau, in cells: 3 x 7."""
     row, affine = rows(ids, 3), rows(ids, 9)
     r = let(m / ih)
     out = []
@@ -171,8 +171,8 @@ def carried(body, ids, m, s, ih, P, F):
 
 
 @unrolled
-def add_push(body, ids, alive, dt, ih, moments):
-    """What the floor does to particles, added to what `carried` returns."""
+def add_contact_forces(body, ids, alive, dt, ih, moments):
+    """Add the contact forces on the particles to the result of `carried`."""
     row = rows(ids, 12)
     for d in range(3):
         o = 7 * d
@@ -184,7 +184,7 @@ def add_push(body, ids, alive, dt, ih, moments):
 
 @unrolled
 def deposit(body, cell, batch, m, moments, axes):
-    """Add the sums of the lanes to a cell's own block, which its first batch fills."""
+    """Add the sums over lanes to a cell's block; the first batch overwrites it."""
     (w0, z0, d0), (w1, z1, d1), (w2, z2, d2) = axes
     o, more = let(cell * 108), let(batch > 0)
 
@@ -211,14 +211,14 @@ def deposit(body, cell, batch, m, moments, axes):
 
 @unrolled
 def lane_sum(x):
-    """Sum of eight lanes, in pairs."""
+    """Sum of eight lanes, pairwise."""
     a = [at(x, lane) for lane in range(LANES)]
     return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]))
 
 
 @ti.func
 def gather_cell(body: ti.template(), cell, laws: ti.template(), drift, ih, phase):
-    """Motion of the nodes back to one cell's particles, which move by `drift` seconds."""
+    """G2P of one cell's particles, which advance by `drift` seconds."""
     corner = cell_corner(body, cell)
     for b in range(batches(body, cell)):
         ids = members(body, cell, b)
@@ -228,12 +228,12 @@ def gather_cell(body: ti.template(), cell, laws: ti.template(), drift, ih, phase
 
 @unrolled
 def move(body, cell, ids, laws, drift, ih, axes):
-    """v, C and L of eight particles from their nodes; x, F and the gradient that flows go on."""
+    """v, C and L of eight particles from their nodes; advance x, F and the elastic gradient."""
     row, square, flowing = rows(ids, 3), rows(ids, 9), rows(ids, laws.history)
     F = gradients(body.F, square)
     E = gradients(body.history, flowing) if laws.flows else F
     ih, drift = every(ih), every(drift)
-    ih4 = let(4.0 * ih)  # with distances in cells one h of 4/h^2 cancels
+    ih4 = let(4.0 * ih)  # with distances in cells, one h of 4/h^2 cancels
     first = let(27 * cell)
     nodes = let([3 * at(body.cell_nodes, first + n) for n in range(27)])
     for d in range(3):
@@ -258,7 +258,7 @@ def along(L, F, a):
 
 @unrolled
 def interpolated(q, axes):
-    """v, and rows of C h^2 / 4 and L in cells, of 27 numbers q at the nodes."""
+    """v, and rows of C h^2 / 4 and L in cells, from 27 nodal values q."""
     (w0, z0, d0), (w1, z1, d1), (w2, z2, d2) = axes
     sums = [[] for _ in range(7)]
     for i in range(3):
@@ -283,7 +283,7 @@ def dot(a, b):
 
 @ti.func
 def batches(body: ti.template(), cell):
-    """How many batches of eight the cell's particles make."""
+    """Number of batches of eight of the cell's particles."""
     return (body.cell_start[cell + 1] - body.cell_start[cell] + LANES - 1) // LANES
 
 
@@ -297,51 +297,51 @@ def members(body, cell, b):
 
 @unrolled
 def in_order(b, n):
-    """The eight particles of batch b of all n, as they are numbered."""
+    """The eight particles of batch b of all n, by index."""
     o, last = let(b * LANES), let(n - 1)
     return [ti.min(o + lane, last) for lane in range(LANES)]
 
 
 @unrolled
-def living(body, cell, b):
-    """Which lanes of batch b of a cell are no repetition."""
+def not_filler(body, cell, b):
+    """Which lanes of batch b of a cell are no fillers."""
     left = let(at(body.cell_start, cell + 1) - at(body.cell_start, cell) - LANES * b)
     return lanes([0.5 + lane for lane in range(LANES)]) < every(left)
 
 
 @unrolled
 def live(alive, x):
-    """x in the lanes that are no repetition, 0 in the others."""
+    """x in the lanes that are no fillers, 0 in the others."""
     return ti.select(alive, x, 0.0)
 
 
 @unrolled
 def every(x):
-    """The same number in each lane."""
+    """The same value in each lane."""
     return lanes([let(x)] * LANES)
 
 
 @unrolled
 def rows(ids, stride):
-    """Where the rows of `stride` numbers of eight particles begin."""
+    """Offsets of the rows of `stride` values of eight particles."""
     return ids if stride == 1 else let([i * stride for i in ids])
 
 
 @unrolled
 def pick(A, row, a):
-    """Entry a of rows of eight particles."""
+    """Entry a of the rows of eight particles."""
     return lanes([at(A, o + a) for o in row])
 
 
 @unrolled
 def lanes(numbers):
-    """A lane vector of these numbers, as a variable."""
+    """A lane vector of these values, as a variable."""
     return let(make_matrix(numbers))  # of a ti.Vector `let` only makes another expression
 
 
 @unrolled
 def write(A, row, a, x):
-    """x to entry a of rows of eight particles."""
+    """Store x to entry a of the rows of eight particles."""
     x = let(x)
     for lane, o in enumerate(row):
         put(at(A, o + a), at(x, lane))
@@ -361,7 +361,7 @@ def cell_corner(body: ti.template(), cell):
 
 @unrolled
 def stencils(body, ids, corner, ih, phase):
-    """Along each axis w, w times the distance to the node and dw, of three nodes, in cells."""
+    """Along each axis w, w times the distance to the node, and dw, of three nodes, in cells."""
     row = rows(ids, 3)
     out = []
     for d in range(3):

@@ -1,16 +1,16 @@
-"""Nodes near planes that mirror: see `walls`."""
+"""Nodes near mirror planes: see `updated_lagrangian.walls`."""
 
 import taichi as ti
 
 from gf_usd.physics.updated_lagrangian.kernels.particles import node_sum, vector
 from gf_usd.physics.updated_lagrangian.kernels.sorting import find_node
 
-REACH = 4  # [half cells] before a plane, of nodes whose images particles may touch
+REACH = 4  # [half cells] distance from a plane of nodes whose images may have particles in reach
 
 
 @ti.func
 def reflected(v, d: ti.template(), sticks):
-    """R v of a plane across an axis."""
+    """Reflection R v at a plane normal to axis d; with no slip -v."""
     w = v
     w[d] = 0.0 - w[d]
     if sticks > 0:
@@ -23,9 +23,11 @@ def move_walled_node(
     body: ti.template(), n, g, dt, keep, first: ti.template(), last: ti.template(),
     stuck: ti.template(), mask,
 ):  # fmt: skip
-    """`move_node`, with the images of planes; what they give the node's particles is kept."""
+    """`move_node` with the images of planes; stores the impulse of the planes on the node's
+    particles.
+    """
     at = vector(body.node_at, 3 * n)
-    own = at  # of the image that is inside
+    own = at  # the image inside of the planes
     below = at * 0
     above = at * 0
     for d in ti.static(range(3)):
@@ -83,7 +85,9 @@ def move_walled_node(
 
 @ti.func
 def add_given(body: ti.template()):
-    """What the planes gave in a substep, in the order of the nodes.  One thread does it."""
+    """Sum the impulses of the planes in a substep, in the order of the nodes. Runs on one
+    thread.
+    """
     for n in range(body.grid[0]):
         for d in ti.static(range(3)):
             body.wall_impulse[d] = body.wall_impulse[d] + body.node_given[3 * n + d]
