@@ -1,1 +1,1 @@
-"""Particles become frames."""
+"""Simulation: the solvers, their contact, constitutive laws and grid, and their output."""

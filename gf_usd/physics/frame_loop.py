@@ -48,7 +48,7 @@ class FrameStats:
 
     @property
     def rested(self) -> bool:
-        """Whether there were no substeps."""
+        """Whether the frame had no substeps."""
         return self.flying + self.sleeping > 0
 
 
@@ -79,7 +79,7 @@ class Solver(ABC):
     strained: int = 1
     state: Saved
     on_launch: Callable[[], None] | None = None
-    takes_forces = False  # whether it has `push`
+    takes_forces = False  # whether it implements `push`
 
     @property
     def in_place(self) -> bool:
@@ -106,7 +106,7 @@ class Solver(ABC):
 
     @abstractmethod
     def throw(self, velocities: Floats) -> None:
-        """Replace the velocities (n, 3) [m/s] at `places`."""
+        """Set the velocities (n, 3) [m/s] at `places`."""
 
     @property
     def frame_time(self) -> float:
@@ -339,5 +339,5 @@ def energy(h: Health) -> float:
 
 
 def worst(particles: Pose) -> int:
-    """The particle that is most strained: least J."""
+    """Index of the particle with the least J."""
     return int(np.argmin(np.linalg.det(particles.F)))

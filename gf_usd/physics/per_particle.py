@@ -1,8 +1,8 @@
-"""Per-particle kernels of a frame: rotation, stretches, radiance.
+"""Kernels over the particles of a frame: rotation, singular values, radiance.
 
-A particle stays in registers and threads share the particles; with arrays in NumPy each of some two
-hundred operations would walk through memory, on one core.  In double precision, but for the
-coefficients of radiance.
+The particles are shared among threads and their values stay in registers; in NumPy, each of some
+two hundred array operations would be limited by memory, on one core. Double precision, except for
+the radiance coefficients.
 """
 
 import numpy as np
@@ -25,18 +25,18 @@ from gf_usd.system.taichi_runtime import ensure_running, ensure_taichi, import_t
 
 ti = import_taichi()
 
-NEWTON = 12  # steps of the polar iteration, enough for stretches of 1/100 to 100
-SETTLED = 1e-9  # change after which an iterate is exact to rounding
+NEWTON = 12  # iterations for the polar decomposition, enough for stretches of 1/100 to 100
+SETTLED = 1e-9  # change below which an iterate is converged to rounding
 
 Many = ti.types.ndarray(dtype=ti.f64, ndim=1)
 Flags = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
 
 def nearest_rotation(F: Floats) -> NDArray[np.float64]:
-    """(N, 3, 3) R of the polar decomposition with det R = 1: that of the signed SVD.
+    """(N, 3, 3) R of the polar decomposition with det R = 1, as from the signed SVD.
 
-    By Newton's iteration Q <- (Q + Q^-T) / 2 (Higham 1986), several times as fast; by the SVD
-    itself where F is inverted, or so flat that the iteration would take long.
+    Newton's iteration Q <- (Q + Q^-T) / 2 (Higham 1986) is several times as fast as the SVD, which
+    is used where F is inverted or nearly singular.
     """
     ensure_running()
     R, done = np.empty(F.shape), np.zeros(len(F), np.int32)
@@ -51,7 +51,7 @@ def strains(F: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Singular values (N, 3), ascending, and determinants (N,) of F (N, 3, 3).
 
     Square roots of the eigenvalues of F^T F by the closed form for symmetric 3x3 matrices (Smith
-    1961), which is exact to about 1e-8 of the largest.
+    1961), with an error of about 1e-8 of the largest.
     """
     ensure_running()
     s, J = np.empty((len(F), 3)), np.empty(len(F))
@@ -65,13 +65,13 @@ def _flat(values: Floats) -> NDArray[np.float64]:
 
 @unrolled
 def matrix(values, p):
-    """Matrix p of many, nine numbers row by row."""
+    """Matrix p of an array, nine values row by row."""
     return [let(at(values, 9 * p + a)) for a in range(9)]
 
 
 @unrolled
 def keep(values, p, A):
-    """Write A where `matrix` reads it."""
+    """Store A in the layout of `matrix`."""
     for a in range(9):
         put(at(values, 9 * p + a), A[a])
 
@@ -119,7 +119,7 @@ def _stretches(F: Many, s: Many, J: Many):
         D = product(transposed(A), A)
         q = (D[0] + D[4] + D[8]) / 3.0
         r = scaled_deviator(D, q)
-        # within [-1, 1], and what is no number stays none
+        # within [-1, 1]; NaN stays NaN
         cosine = determinant(D, cofactor(D)) / 2.0
         cosine = ti.select(cosine > 1.0, cosine / cosine, cosine)
         cosine = ti.select(cosine < -1.0, 0.0 - cosine / cosine, cosine)
@@ -147,7 +147,7 @@ def scaled_deviator(D, q):
 
 @unrolled
 def root(x):
-    """sqrt(x), 0 where rounding made x negative; what is no number stays none."""
+    """sqrt(x), 0 where rounding made x negative; NaN stays NaN."""
     x = let(x)
     return ti.sqrt(ti.select(x < 0.0, 0.0 * x, x))
 
@@ -155,13 +155,13 @@ def root(x):
 _terms = ti.func(terms)
 F32_2, F32_3 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (2, 3))
 
-# (10, 15) what each direction gives to each coefficient above degree 0
+# (10, 15) contribution of each direction to each coefficient above degree 0
 GIVES = np.ascontiguousarray(np.concatenate(INVERSES, axis=0).T, np.float32)
 VIEW_DIRECTIONS = np.ascontiguousarray(DIRECTIONS, np.float32)
 
 
 def rotated(harmonics: NDArray[np.float32], rotations: Floats) -> NDArray[np.float32]:
-    """Coefficients (N, (d + 1)^2, 3) turned by rotations (N, 3, 3), d from 1 to 3.
+    """Spherical harmonic coefficients (N, (d + 1)^2, 3) rotated by (N, 3, 3), degree d from 1 to 3.
 
     In single precision: see `gf_usd.core.radiance`.
     """

@@ -1,4 +1,4 @@
-"""The solvers by their names, all behind `frame_loop.Solver`."""
+"""The registry of solvers by name; all implement `frame_loop.Solver`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _converting() -> type[Solver]:
     return Converting
 
 
-# One row makes a solver; its file is imported when it is asked for.
+# One row per solver; its module is imported on use.
 SOLVERS: dict[str, Callable[[], type[Solver]]] = {
     "tl": _total_lagrangian,
     "ul": _updated_lagrangian,
@@ -42,11 +42,12 @@ SOLVERS: dict[str, Callable[[], type[Solver]]] = {
 
 
 def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any) -> Solver:
-    """The solver that `settings.solver` names; `more` as for `TotalLagrangian`.
+    """The solver of `settings.solver`; `more` : arguments as for `TotalLagrangian`.
 
-    MIXED is no name that is asked for: it follows from the materials.
+    MIXED is not a name for users: it is chosen by the materials.
 
-    Raises UsageError for a name that is not in SOLVERS, or what the solver named does not know.
+    Raises UsageError for a name that is not in SOLVERS, or options that the solver does not
+    support.
     """
     if settings.solver == MIXED:
         both: Any = _converting() if particles.conversions else _coupled()

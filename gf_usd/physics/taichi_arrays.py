@@ -1,16 +1,13 @@
-"""Arrays of a device, copied to NumPy and back without a launch: in the CPU's memory, or by the
-CUDA driver.
+"""Fast access to Taichi arrays from NumPy, the state of a body on a device, and repeated launches.
 
-Taichi's own copies launch a kernel, some 100 microseconds each: with 30 of them a frame that is
-more than a small body's substeps.
+Arrays are copied without a kernel launch: directly in the CPU's memory, or by the CUDA driver.
+Taichi's own copies launch a kernel, some 100 us each; 30 of them in a frame take longer than the
+substeps of a small body.
 
-The state of a body on a device: what kernels and the steps between them change.
-
-A kernel launched again and again with the same pack of arrays.
-
-Taichi goes through every array of a pack twice at each launch, to see that their types are those it
-compiled for and to hand over their addresses: half a millisecond, several times the substeps of a
-small body.  Types and addresses stay, so here they are looked at once.
+`Launcher` launches a kernel repeatedly with the same pack of arrays. Taichi iterates twice over all
+arrays of a pack at each launch, to check their types and to pass their addresses: half a
+millisecond, several times the duration of the substeps of a small body. Types and addresses are
+constant, so that `Launcher` determines them once.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import GfUsdError
 from gf_usd.system.taichi_runtime import compiling, cuda_driver
 
-SEEN = "_gf_usd_memory"  # where an array keeps what was found of it
+SEEN = "_gf_usd_memory"  # attribute of an array that caches its memory view
 
 
 def values(array: Any) -> Floats:
@@ -37,13 +34,13 @@ def values(array: Any) -> Floats:
 
 
 def look(array: Any) -> Floats:
-    """The numbers of a ti.ndarray, not to be changed, nor kept beyond the next launch."""
+    """A view of a ti.ndarray: read-only, and valid until the next launch."""
     seen = _memory(array)
     return array.to_numpy() if seen is None else seen[...]
 
 
 def put(array: Any, new: Floats) -> None:
-    """Fill a ti.ndarray.  Raises ValueError where the shapes differ."""
+    """Fill a ti.ndarray. Raises ValueError where the shapes differ."""
     shape = _shape(array)
     if np.shape(new) != shape:
         raise ValueError(f"{np.shape(new)} values for an array of shape {shape}")
@@ -55,7 +52,7 @@ def put(array: Any, new: Floats) -> None:
 
 
 def put_first(array: Any, new: Floats) -> None:
-    """Fill the beginning of a flat ti.ndarray; what follows stays."""
+    """Fill the beginning of a flat ti.ndarray; the rest is unchanged."""
     seen = _memory(array)
     if seen is None:
         whole = array.to_numpy()
@@ -72,7 +69,7 @@ def first(array: Any, count: int) -> Floats:
 
 
 def part(array: Any, width: int, first: int, behind: int) -> Floats:
-    """A copy of columns `first` to `behind` of a ti.ndarray with rows of `width`."""
+    """A copy of columns `first` to `behind` (exclusive) of a ti.ndarray with rows of `width`."""
     seen = _memory(array)
     whole = array.to_numpy() if seen is None else seen[...]
     return whole.reshape(-1, width)[:, first:behind].copy()
@@ -80,7 +77,7 @@ def part(array: Any, width: int, first: int, behind: int) -> Floats:
 
 @contextmanager
 def written(array: Any, width: int) -> Generator[Floats, None, None]:
-    """A ti.ndarray as (n, width) to write into: its own memory where the CPU can reach it."""
+    """A ti.ndarray as a writable (n, width) array: its own memory where the CPU can access it."""
     seen = _memory(array)
     whole = array.to_numpy() if seen is None else seen[...]
     yield whole.reshape(-1, width)
@@ -104,7 +101,7 @@ def clear(array: Any) -> None:
 
 
 class _OnGpu:
-    """An array's memory on a GPU: copied by slices of its first rows."""
+    """The memory of an array on a GPU: copied by slices that begin at the first row."""
 
     def __init__(self, address: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> None:
         self._address, self._shape, self._kind = address, shape, kind
@@ -112,7 +109,7 @@ class _OnGpu:
         cuda_driver().cuCtxGetCurrent(ctypes.byref(self._context))
 
     def _rows(self, where: Any) -> tuple[int, ...]:
-        """The shape of what is copied; where : a slice from the first row on, or `...`."""
+        """The shape of a copy; where : a slice from the first row on, or `...`."""
         if where is Ellipsis:
             return self._shape
         first, behind, step = where.indices(self._shape[0])
@@ -130,12 +127,12 @@ class _OnGpu:
         self._ask("cuMemcpyHtoD_v2", self._address, given.ctypes.data, given.nbytes)
 
     def copy(self) -> Floats:
-        """All of it."""
+        """A copy of the whole array."""
         return self[...]
 
     def _ask(self, name: str, to: int, of: int, size: int) -> None:
         driver = cuda_driver()
-        if self._context:  # a thread has none of its own
+        if self._context:  # a new thread has no current context
             driver.cuCtxSetCurrent(self._context)
         failed = getattr(driver, name)(
             ctypes.c_uint64(to), ctypes.c_uint64(of), ctypes.c_size_t(size)
@@ -149,13 +146,13 @@ class _OnGpu:
 
 
 def _memory(array: Any) -> Any:
-    """The array's own memory; None where neither the CPU nor the CUDA driver can reach it."""
+    """The array's memory; None where neither the CPU nor the CUDA driver can access it."""
     seen = getattr(array, SEEN, None)
     if seen is None:
         seen = _look(array)
         if seen is None:
             return None
-        # It stays where it is as long as the array lives.
+        # The address is constant during the lifetime of the array.
         setattr(array, SEEN, seen)
     _wait()
     return seen
@@ -181,7 +178,7 @@ def _look(array: Any) -> Any:
 
 
 def _wait() -> None:
-    """Until the kernels that were launched are done."""
+    """Wait for the launched kernels."""
     from taichi.lang import impl
 
     program = impl.get_runtime().prog
@@ -190,9 +187,10 @@ def _wait() -> None:
 
 
 def aligned(rows: int, lanes: int) -> Floats:
-    """(rows, lanes) numbers for kernels that take rows as vectors, unset.
+    """(rows, lanes) uninitialized values, aligned for kernels that load rows as vectors.
 
-    A vector is read at once, from a multiple of its size; NumPy only sees to multiples of 16 bytes.
+    A vector is loaded from an address that is a multiple of its size; NumPy aligns to 16 bytes
+    only.
     """
     size = 8 * lanes
     raw = np.empty((rows + 1) * lanes)
@@ -201,14 +199,14 @@ def aligned(rows: int, lanes: int) -> Floats:
 
 
 def widened(rows: Floats, lanes: int) -> Floats:
-    """`aligned` rows (n, k) with zeros after the k numbers of each."""
+    """`aligned` rows from (n, k), padded with zeros."""
     wide = aligned(len(rows), lanes)
     wide[:, : rows.shape[1]], wide[:, rows.shape[1] :] = rows, 0.0
     return wide
 
 
 def to_device(values: Mapping[str, Floats], real: type) -> dict[str, Any]:
-    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64).
+    """Taichi ndarrays: int32 for integers, otherwise `real` (numpy float32 or float64).
 
     Rows of lanes become vectors.
     """
@@ -228,24 +226,24 @@ def to_device(values: Mapping[str, Floats], real: type) -> dict[str, Any]:
 
 
 class Saved(Protocol):
-    """What has a state of its own next to the arrays."""
+    """A component with a state in addition to the arrays."""
 
     def save(self) -> dict[str, Any]:
         """The state as arrays and numbers."""
         ...
 
     def load(self, saved: Mapping[str, Any]) -> None:
-        """Go back to what `save` returned."""
+        """Restore what `save` returned."""
         ...
 
 
 class DeviceState:
     """The state of a body: arrays on a device, the offset of the moving frame, and the time.
 
-    Only its methods write to the arrays between launches.
+    Between launches, only the methods of this class write to the arrays.
 
-    values : every array by its name, flat; real : numpy dtype of those that are no whole numbers.
-    saved : names of the arrays that `save` keeps; the others follow from them or are scratch.
+    values : every array by its name, flat; real : numpy dtype of those that are not integers.
+    saved : names of the arrays that `save` includes; the others are derived or temporary.
     offset : (3,) [m] rigid translation that the arrays leave out.
     """
 
@@ -256,11 +254,11 @@ class DeviceState:
         self.real, self.saved = real, tuple(saved)
         self.offset = np.asarray(offset, float)
         self.time = 0.0  # [s]
-        self.done = 0  # substeps since the start
+        self.done = 0  # number of substeps since the start
         self.parts: list[Saved] = []  # saved and loaded with the arrays
 
     def get(self, name: str) -> Floats:
-        """A copy of an array, as it is on the device."""
+        """A copy of an array, as on the device."""
         return values(self.arrays[name])
 
     def rows(self, name: str, width: int = 3) -> Floats:
@@ -272,23 +270,23 @@ class DeviceState:
         return part(self.arrays[name], width, first, behind).astype(float)
 
     def written(self, name: str, width: int) -> AbstractContextManager[Floats]:
-        """An array as (n, width), to write parts of it."""
+        """An array as a writable (n, width) array."""
         return written(self.arrays[name], width)
 
     def put(self, name: str, new: Any) -> None:
-        """Fill an array; `new` may have another shape.  Raises ValueError for another size."""
+        """Fill an array from `new` of any shape. Raises ValueError for another size."""
         array, new = self.arrays[name], np.asarray(new)
         kind = np.int32 if np.issubdtype(new.dtype, np.integer) else self.real
         put(array, new.astype(kind).reshape(_shape(array)))
 
     def put_first(self, name: str, new: Any) -> None:
-        """Fill the beginning of a flat array, and what follows with zeros."""
+        """Fill the beginning of a flat array, and the rest with zeros."""
         whole = np.zeros(self.arrays[name].shape, np.asarray(new).dtype)
         whole[: len(new)] = new
         self.put(name, whole)
 
     def put_head(self, name: str, new: Any) -> None:
-        """Fill the beginning of a flat array; what follows, which nothing reads, stays."""
+        """Fill the beginning of a flat array; the rest, which is not read, is unchanged."""
         put_first(self.arrays[name], new)
 
     def clear(self, *names: str) -> None:
@@ -297,14 +295,14 @@ class DeviceState:
             clear(self.arrays[name])
 
     def save(self) -> dict[str, Any]:
-        """All from which `load` goes on to the bit."""
+        """The state from which `load` continues bit-identically."""
         out: dict[str, Any] = {name: self.get(name) for name in self.saved}
         for part in self.parts:
             out |= part.save()
         return {**out, "offset": self.offset.copy(), "time": self.time, "done": self.done}
 
     def load(self, saved: Mapping[str, Any]) -> None:
-        """Go back to what `save` returned."""
+        """Restore what `save` returned."""
         for name in self.saved:
             self.put(name, saved[name])
         for part in self.parts:
@@ -314,9 +312,9 @@ class DeviceState:
 
 
 class Launcher:
-    """`kernel(pack, *values)` as `launcher(*values)`.
+    """Makes `launcher(*values)` equivalent to `kernel(pack, *values)`.
 
-    kernel : whose first argument is a pack of arrays, the others numbers and vectors.
+    kernel : its first argument is a pack of arrays, the others are numbers and vectors.
     pack : its arrays must outlive the launcher.
     """
 
@@ -325,7 +323,9 @@ class Launcher:
         self._ready: Any = None
 
     def __call__(self, *values: Any) -> None:
-        """Launch it.  Raises what Taichi raises where values do not fit at the first launch."""
+        """Launch the kernel. Raises Taichi's exceptions where values do not fit at the first
+        launch.
+        """
         from taichi.lang import impl
 
         if self._ready is None:
@@ -334,7 +334,7 @@ class Launcher:
                 self._ready = self._prepare(values)
             return
         made, compiled, argpack, arrays, setters = self._ready
-        context = made.make_launch_context()  # a launch uses it up
+        context = made.make_launch_context()  # valid for one launch
         context.set_arg_argpack((0,), argpack)
         for index, (put, value) in enumerate(zip(setters, values), 1):
             put(context, index, value)
@@ -357,7 +357,7 @@ class Launcher:
 
 
 def _setter(kind: Any) -> Any:
-    """How a number or a vector of a type gets into a launch."""
+    """The function that passes a number or a vector of a type to a launch."""
     from taichi.lang.matrix import MatrixType
     from taichi.types import primitive_types
 

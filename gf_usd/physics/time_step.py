@@ -1,19 +1,18 @@
-"""The largest stable step, from waves, damping and contact.
+"""The largest stable time step, from waves, damping, contact and strain.
 
-Symplectic Euler on a linear system whose stiffest vibration has angular frequency w and damping
-ratio z is stable for (Belytschko, Liu and Moran 2000, section 6.6.6)
+Symplectic Euler for a linear system whose stiffest vibration has the angular frequency w and the
+damping ratio z is stable for (Belytschko, Liu and Moran 2000, section 6.6.6)
 
     dt <= (2 / w) (sqrt(1 + z^2) - z)
 
-How much stiffer a strained material is: what the step of the next frame has to follow.
-
-A wave in direction N that moves matter along n changes F by n (x) N, along which J is linear.  So
-of a law psi = (shear part) + U(J) it feels at most (`moduli` of the law)
+Under strain the material stiffens. A plane wave with normal N and displacement along n changes F by
+n (x) N, along which J is linear. For a law psi = (shear part) + U(J) its stiffness is at most
+(`moduli` of the law)
 
     k = shear + U''(J) (J / s_min)^2,        s_min the smallest singular value of F
 
-which at rest is lam + 2 mu.  A node's frequency is that of all the particles in its cells, so that
-the mean of k over a cell is what counts, not a single particle.
+which is lam + 2 mu at rest. The frequency of a node depends on all particles in its cells, so that
+the mean of k over a cell is used.
 """
 
 from __future__ import annotations
@@ -31,22 +30,22 @@ if TYPE_CHECKING:
     from gf_usd.physics.laws.registry import ParticleLaws
 
 
-# Highest frequency of the quadratic stencil in units of c/h: measured with 8 random strata a cell,
-# 1.9; with 4, 2.2; with one particle in two cells (the paper's density), 3.1.
+# Highest frequency of the quadratic stencil in units of c/h, measured: 1.9 with 8 stratified random
+# particles per cell, 2.2 with 4, and 3.1 with one in two cells (the paper's density).
 GRID_FREQUENCY = ((4.0, 2.2), (1.0, 2.7), (0.0, 3.3))
 
-MARGIN = 0.8  # of the limit with contact
+MARGIN = 0.8  # factor on the limit with contact
 
 
 @dataclass(frozen=True, kw_only=True)
 class StableStep:
-    """What limits the step."""
+    """The quantities that limit the step."""
 
     elastic: float  # [rad/s]
     contact: float  # [rad/s]
-    viscous_time: float  # [s] as scaled to the pressure wave
+    viscous_time: float  # [s] scaled to the pressure wave
     contact_damping: float  # [1/s]
-    safety: float  # of the body's own limit
+    safety: float  # factor on the limit without contact
 
     @property
     def damping_ratio(self) -> float:
@@ -55,13 +54,13 @@ class StableStep:
         return float(0.5 * (self.viscous_time * self.elastic**2 + self.contact_damping) / w)
 
     def crowded(self, by: float) -> StableStep:
-        """With so many times the contact springs on a sample."""
+        """With `by` times as many contact springs on a sample."""
         return replace(
             self, contact=np.sqrt(by) * self.contact, contact_damping=by * self.contact_damping
         )
 
     def hardened(self, by: float) -> StableStep:
-        """With contact springs so many times as stiff, and damped as before."""
+        """With contact springs `by` times as stiff, and the same damping."""
         return replace(self, contact=np.sqrt(by) * self.contact)
 
     @property
@@ -72,17 +71,18 @@ class StableStep:
 
     @property
     def dt(self) -> float:
-        """[s] the step: `safety` of the body's own limit, and MARGIN of that with contact.
+        """[s] the step: `safety` times the limit without contact, and MARGIN times that with
+        contact.
 
-        The body's limit grows with its strain, which safety is for; contact has springs that do
-        not, and a bound that is exact.
+        The limit of the body decreases with strain, which `safety` allows for; the bound for
+        contact springs is exact.
         """
         body = replace(self, contact=0.0, contact_damping=0.0)
         return min(self.safety * body.limit, max(self.safety, MARGIN) * self.limit)
 
 
 def grid_frequency(per_cell: float) -> float:
-    """Bound of the grid's highest frequency in units of c/h, by particles per cell."""
+    """Bound of the grid's highest frequency in units of c/h, from the particles per cell."""
     return next(value for least, value in GRID_FREQUENCY if per_cell >= least)
 
 
@@ -122,11 +122,11 @@ def stable_step(
 
 
 def per_cell(particles: Particles, h: float) -> float:
-    """Particles in a full cell of h [m]."""
+    """Number of particles in a full cell of edge h [m]."""
     return len(particles) * h**3 / particles.volume
 
 
-SMALLEST = 1e-3  # a stretch below this counts as this: the guard sees to what is flat
+SMALLEST = 1e-3  # lower bound of a stretch here: `Guard` handles flatter particles
 
 
 def stiffness(law: ParticleLaws, stretch: Floats, J: Floats) -> Floats:
@@ -145,9 +145,10 @@ def wave_speed(k: Floats, density: Floats, order: np.ndarray, cell_start: np.nda
 def strained_step(
     rest: StableStep, speed: float, h: float, per_cell: float, frequency: float | None = None
 ) -> float:
-    """The stable step [s] with waves of this speed [m/s]; contact and damping as at rest.
+    """The stable step [s] for waves of this speed [m/s]; contact and damping as at rest.
 
-    No safety is taken off: the mean over a cell is on the safe side, and the guard behind it.
+    Without a safety factor: the mean over a cell is conservative, and `Guard` detects instability.
+
     frequency : see `stable_step`.
     """
     highest = grid_frequency(per_cell) if frequency is None else frequency

@@ -1,19 +1,19 @@
-"""Contact of what flows with solid bodies: planes of their surfaces, and what comes back.
+"""Contact between a flow and solid bodies: surface planes, and the reactions on the solids.
 
-In a span of a few substeps the flow moves against planes that go on at their velocity, and each of
-its samples receives an impulse J with the moment L about the origin (`FlowPlanes`).  The body that
-carries the plane gets half of -J before its own substeps of that span and half after them, which
-makes the pair of solvers position Verlet: for a spring between them of frequency w and a span T it
-is stable up to w T = 2 and keeps the energy, where one kick before the substeps damps and one
-after them feeds.
+In a span of a few substeps the flow moves against planes of constant velocity, and each of its
+samples receives an impulse J with the moment L about the origin (`FlowPlanes`). Half of the
+reaction -J acts on the solid body before its own substeps of the span and half after them, which
+makes the coupling position Verlet: for a spring of frequency w between the solvers and a span T it
+is stable up to w T = 2 and conserves energy, where a single impulse before the substeps dissipates
+and one after them adds energy.
 
-The kick goes to the three samples k that carry the plane, with weights w_k,
+The impulse acts on the three samples k that carry the plane, with weights w_k,
 
     p_k = -w_k J / 2 + alpha x r_k,    J_3 alpha = -L / 2 + (sum_k w_k x_k) x J / 2
 
-with r_k from their centroid, J_3 their moment of inertia with unit masses, and from there to the
-nodes by W^T and M~^-1: sum_k p_k = -J / 2 and sum_k x_k x p_k = -L / 2, so that both momenta are
-kept to rounding.
+with r_k from their centroid and J_3 their moment of inertia with unit masses, and from there on the
+nodes by W^T and M~^-1: sum_k p_k = -J / 2 and sum_k x_k x p_k = -L / 2, so that momentum and
+angular momentum are conserved to rounding.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class SolidBodies:
             rows = np.flatnonzero(((x >= low) & (x <= high)).all(1))
             if not len(rows):
                 continue
-            # what was inside at the last detection is there still; what begins to be may be at a
-            # fold of the surface
+            # points inside at the last detection may still be; others that seem to be inside
+            # may be at a fold of the surface
             was = (gap[rows] < 0.0) & (face[rows] == k)
             known = np.where(was, gap[rows] - EASE * self._spacing, 0.0)
             seen, carriers, weights = self._pairs.surface(
@@ -99,8 +99,8 @@ class Exchange:
         assert solid.body.contact is not None
         self._solid, self._flow = solid, flow
         self._contact = solid.body.contact
-        self._span = np.inf  # [s] of a span at most
-        self._dt = 0.0  # [s] of the flow's substeps at most
+        self._span = np.inf  # [s] upper bound of a span
+        self._dt = 0.0  # [s] upper bound of the flow's substeps
         self._half: tuple[Floats, Floats, Ints, Floats] | None = None
         self.full = False  # whether the flow left its grid
 
@@ -148,7 +148,7 @@ class Exchange:
             ratio = max(ratio, most)
         w = np.sqrt(ratio * contact.omega2)
         rate = ratio * contact.damping_rate
-        # a damper of rate c / m over a span: c T / m of what it takes, at most a quarter
+        # a damper of rate c / m over a span: bound c T / m by a quarter
         return float(min(STEP / max(w, 1e-300), 0.5 / max(rate, 1e-300)))
 
     def begin(self, substeps: int, dt: float) -> int:

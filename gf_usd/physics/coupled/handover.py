@@ -1,15 +1,15 @@
 """Bodies that are solid until the first of their particles is converted, and flow from then on.
 
 The Total Lagrangian solver simulates a body until, at the end of a frame, one of its particles has
-passed its limit.  Then the body's state is transferred (`transfer`) to the Updated Lagrangian
-solver, where the particles past their limit are converted (`updated_lagrangian.conversion`) and the
-others keep their law.
+exceeded its limit. The state of the body is then transferred (`transfer`) to the Updated Lagrangian
+solver, where the particles beyond their limit are converted (`updated_lagrangian.conversion`) and
+the others keep their law.
 
-Particles that can be converted then go to random places (by d at rest, `Particles.scatter`),
+Convertible particles then move to random positions (by d at rest, `Particles.scatter`),
 
     x = x_p + F d,   v = v_p + Fdot d,
 
-since rows of a lattice stay rows in what flows.  Before, they are where quadrature is most exact.
+since rows of a lattice would persist in a flow. Before, they are at the quadrature points.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Converting(Solver):
         )  # fmt: skip
         first = replace(particles, conversions=())
         self.flows: NDArray[np.bool_] = flowing_bodies(first, materials)
-        self._moved: Floats | None = None  # (N, 3) [m] at rest, of what flows
+        self._moved: Floats | None = None  # (N, 3) [m] d of the flowing particles
         if particles.scatter is not None:
             some = np.unique(np.concatenate([one.particles for one in particles.conversions]))
             self._moved = _centered(particles, some[particles.scatter[some].any(1)])
@@ -208,12 +208,14 @@ class Converting(Solver):
         return self._with_conversions(self._hand_over(self.now.next(index, last), index))
 
     def _with_conversions(self, frame: Frame) -> Frame:
-        """A frame with what was converted so far, and without a stress that nobody asked for."""
+        """A frame with the conversions so far, and without a stress output that was not
+        requested.
+        """
         converted = frame.converted
         if converted is None:
             converted = np.zeros(len(self.particles), bool)
         health, internal = frame.health, dict(frame.internal)
-        if self.settings.internal:  # of all laws, also those that nothing has yet, or no longer
+        if self.settings.internal:  # of all laws, also those without particles at present
             nothing = np.full(len(self.particles), np.nan)
             for variable in law_internals(one.law for one in self._materials):
                 internal.setdefault(variable.name, nothing)
@@ -231,7 +233,7 @@ class Converting(Solver):
         )
 
     def _hand_over(self, frame: Frame, index: int) -> Frame:
-        """A frame after the bodies in it that begin to flow have changed their solver."""
+        """The frame after a change of solver of the bodies that begin to flow in it."""
         body = self.particles.body_of
         waiting = tuple(
             one for one in self.particles.conversions if not self.flows[body[one.particles]].all()
@@ -280,7 +282,7 @@ class Converting(Solver):
     def _transfer(
         self, before: Solver, numbers: Ints, mine: Sequence[SolidState], time: float
     ) -> None:
-        """Give the new solver the state of the one before.
+        """Transfer the state from the previous solver to the new one.
 
         numbers : of the bodies that were solid; mine : their particles in the new flow.
         """
@@ -308,7 +310,7 @@ class Converting(Solver):
 
 
 def _centered(particles: Particles, rows: Ints) -> Floats:
-    """(N, 3) [m] the moves `scatter` of particles `rows`, but those of the centers of bodies."""
+    """(N, 3) [m] displacements `scatter` of particles `rows`, without the mean of each body."""
     assert particles.scatter is not None
     out = np.zeros((len(particles), 3))
     body, V0, d = particles.body_of[rows], particles.V0[rows], particles.scatter[rows]

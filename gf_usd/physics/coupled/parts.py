@@ -27,7 +27,7 @@ class Part:
     embedded: Mapping[str, Floats]
     embedded_body: Mapping[str, int]
     embedded_copy: Mapping[str, Ints]
-    copies: Ints | None  # (K,) new numbers of the copies of cells; -1: of others
+    copies: Ints | None  # (K,) new numbers of the cell copies; -1: of other bodies
 
     def velocity(self, velocity: Any) -> Any:
         """The initial velocities of the part's bodies, as a solver takes them."""
@@ -109,7 +109,7 @@ def part_of(
 
 
 def _conversions(given: Sequence[Conversion], count: int, at: Ints) -> tuple[Conversion, ...]:
-    """Those of the particles `at` of `count`, which have new numbers."""
+    """The conversions of particles `at` of `count`, with the new indices."""
     number = np.full(count, -1)
     number[at] = np.arange(len(at))
     found = [replace(one, particles=number[one.particles]) for one in given]
@@ -143,7 +143,7 @@ PER_PARTICLE = ("X", "V0", "material", "orientation", "scale", "color", "opacity
 def _copies(
     copies: CellCopies | None, which: Ints, number: Ints, at: Ints
 ) -> tuple[CellCopies | None, Ints | None]:
-    """The copies of cells of some bodies, and the new number of each; -1 for those of others."""
+    """The cell copies of some bodies, and the new number of each; -1 for those of other bodies."""
     if copies is None:
         return None, None
     mine = which[copies.body]
@@ -183,7 +183,7 @@ def solid_setup(setup: ContactSetup, solid: Part, copied: Ints | None = None) ->
 
 
 def passing_obstacles(setup: ContactSetup, body: Ints) -> dict[int, Ints]:
-    """By the number of each obstacle, which samples pass through it; body : (n,) of each sample."""
+    """By obstacle number, which samples pass through the obstacle; body : (n,) of each sample."""
     through = setup.through_colliders
     return {
         c: np.isin(body, [a for a, b in through if b == c]) for c in range(len(setup.colliders))

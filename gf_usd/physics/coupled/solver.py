@@ -76,7 +76,7 @@ class Coupled(Solver):
             )  # fmt: skip
 
         self._solid, self._flow = part(~flows, copied=True), part(flows, copied=False)
-        self.flowing_at = self._flow.at  # (n,) particles, among all
+        self.flowing_at = self._flow.at  # (n,) indices of the flowing particles
         own = replace(settings, shortcuts=False, settling=False, rolling=0.0)
         made, of_solid = used_materials(self._solid.particles, materials)
         self.solid = TotalLagrangian(
@@ -114,7 +114,7 @@ class Coupled(Solver):
         return max(self.solid.pressed(depth), self.flow.pressed(depth))
 
     def places(self) -> Floats:
-        """See `Solver`: of the solid bodies, then of the others."""
+        """See `Solver`: those of the solid bodies, then those of the flow."""
         return np.concatenate([self.solid.places(), self.flow.places()])
 
     def throw(self, velocities: Floats) -> None:
@@ -211,7 +211,7 @@ def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None
 
 
 class BothStates:
-    """The states of the two solvers as one: `Saved`."""
+    """The combined state of the two solvers: `Saved`."""
 
     def __init__(self, solid: TotalLagrangian, flow: UpdatedLagrangian) -> None:
         self._parts = {"solid": solid, "flow": flow}
@@ -264,7 +264,7 @@ def merged_health(solid: Health, flow: Health) -> Health:
             out[field.name] = tuple(x + y for x, y in zip(a, b, strict=True))
         else:
             out[field.name] = _sum(a, b)
-    # bodies that fell past everything are not counted here, flowing particles are
+    # of the flow, lost particles are counted, not fallen bodies
     return Health(**{**out, "fallen": None, "fallen_kinetic": flow.fallen_kinetic})
 
 

@@ -1,17 +1,17 @@
-"""State of bodies that change from one solver to another.
+"""Transfer of the state of bodies from one solver to another.
 
-From the Total to the Updated Lagrangian solver go x, F, the internal variables and, of the nodal
-velocities v_i, those of particles,
+From the Total to the Updated Lagrangian solver, x, F and the internal variables are copied. The
+velocities of particles follow from the nodal velocities v_i,
 
     v_p = W v + dv + w x (x_p - c),   C_p = s grad v
 
-dv and w are such that momentum and angular momentum are those of the body before, and s in [0, 1]
-such that its kinetic energy is, as far as possible: an affine motion C has the energy
-m h^2 |C|^2 / 8 and the angular momentum m h^2 axial(C) / 4 of its own.  The remaining difference of
-the energies, and the energy in springs of contact, is counted by `handover`: as lost by conversion
-where it is less after, as injected where it is more.
+with dv and w such that momentum and angular momentum of the body are conserved, and s in [0, 1]
+such that kinetic energy is, as far as possible: an affine velocity C has the energy m h^2 |C|^2 / 8
+and the angular momentum m h^2 axial(C) / 4. `handover` reports the remaining difference of the
+energies, and the energy of contact springs: a decrease as dissipated by conversion, an increase as
+injected.
 
-Bodies that stay with their kind of solver keep their state to the bit.
+Bodies that keep their solver keep their state exactly.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.energies import axial
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
-PLACED = 1e-6  # [cells] that nodes of the same place in two grids may be apart
+PLACED = 1e-6  # [cells] tolerance for nodes at the same position in two grids
 
 
 def solid_of(solver: Solver) -> TotalLagrangian | None:
@@ -41,14 +41,14 @@ def solid_of(solver: Solver) -> TotalLagrangian | None:
 
 
 def flow_of(solver: Solver) -> UpdatedLagrangian | None:
-    """The Updated Lagrangian part of a solver; None if nothing flows."""
+    """The Updated Lagrangian part of a solver; None if no body flows."""
     if isinstance(solver, Coupled):
         return solver.flow
     return solver if isinstance(solver, UpdatedLagrangian) else None
 
 
 def flowing_particles(solver: Solver, body: Ints) -> Ints:
-    """(n,) the particles that flow, among all N; body : (N,) the body of each."""
+    """(n,) indices of the flowing particles among all N; body : (N,) the body of each."""
     return solver.flowing_at if isinstance(solver, Coupled) else np.arange(len(body))
 
 
@@ -56,7 +56,7 @@ def flowing_particles(solver: Solver, body: Ints) -> Ints:
 class SolidState:
     """The state of one body of a Total Lagrangian solver."""
 
-    body: int  # its number in that solver
+    body: int  # index in that solver
     x: Floats  # (n, 3) [m]
     v: Floats  # (n, 3) [m/s]
     F: Floats  # (n, 3, 3)
@@ -68,14 +68,15 @@ class SolidState:
     kinetic: float  # [J]
 
     def moved(self, d: Floats) -> SolidState:
-        """The state with particles moved by d (n, 3) [m] at rest, to first order:
-        x + F d, v + Fdot d."""
+        """The state with particles displaced by d (n, 3) [m] at rest, to first order: x + F d, v +
+        Fdot d.
+        """
         Fd = np.einsum("nab,nb->na", self.F, d)
         return replace(self, x=self.x + Fd, v=self.v + np.einsum("nab,nb->na", self.L, Fd))
 
 
 def read_solid(solver: TotalLagrangian, body: int) -> SolidState:
-    """The state of a body, given by its number in the solver."""
+    """The state of a body, given by its index in the solver."""
     made, now = solver.body, solver.state.view()
     rows = np.flatnonzero(made.particles.body_of == body)
     pose = now.particles
@@ -101,7 +102,9 @@ def read_solid(solver: TotalLagrangian, body: int) -> SolidState:
 
 
 def write_flow(flow: UpdatedLagrangian, bodies: Sequence[tuple[Ints, SolidState]]) -> None:
-    """Write bodies into an Updated Lagrangian solver; each comes with its particles (n,) there."""
+    """Write bodies into an Updated Lagrangian solver; each with the indices (n,) of its particles
+    there.
+    """
     state, body = flow.state, flow.body
     x, v = state.rows("x"), state.rows("v")
     C, F, L = (state.rows(name, 9) for name in ("C", "F", "L"))
@@ -127,7 +130,8 @@ def write_flow(flow: UpdatedLagrangian, bodies: Sequence[tuple[Ints, SolidState]
 def conserving_velocities(one: SolidState, m: Floats, h: float) -> tuple[Floats, Floats]:
     """v (n, 3) [m/s] and C (n, 3, 3) [1/s] of particles of masses m (n,) [kg].
 
-    They conserve momentum, angular momentum and, as far as possible, kinetic energy: see above.
+    They conserve momentum, angular momentum and, as far as possible, kinetic energy: see the
+    module.
     """
     spread = 0.25 * h * h
     missing = one.kinetic - 0.5 * float(m @ (one.v**2).sum(1))
@@ -189,7 +193,7 @@ def copy_solid(before: TotalLagrangian, after: TotalLagrangian, left: Ints) -> N
     low = np.array([old.stencil.free_X[of == k].min(0) for k in range(len(left))])
 
     def order(X: Floats, body: Ints) -> Ints:
-        # copies of a node have one place, and the same order in both
+        # copies of a node have the same position, and the same order in both
         return np.lexsort((*np.round((X - low[body]) / new.h).T, body))
 
     was = kept[order(old.stencil.free_X[kept], of[kept])]
@@ -206,7 +210,7 @@ def copy_solid(before: TotalLagrangian, after: TotalLagrangian, left: Ints) -> N
     after.state.offset = before.state.offset.copy()
     if old.contact is not None and new.contact is not None:
         body = old.contact.samples.body
-        assert body is not None  # several bodies were solid: some leave, some stay
+        assert body is not None  # several bodies were solid: some are transferred
         mine = np.flatnonzero(number[np.asarray(body)] >= 0)
         after.state.put("sample_spring", before.state.rows("sample_spring")[mine])
     if new.law.set.flows and old.law.set.flows:
