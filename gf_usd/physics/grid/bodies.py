@@ -1,4 +1,4 @@
-"""The bodies among the particles: which is whose, how heavy and how large each is."""
+"""The bodies of a solver: particles, mass and radius of each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ class Bodies:
         return len(self.mass)
 
     def nearest(self, X: Floats, particles: Floats, body: Ints) -> Ints:
-        """Index of the particle (N, 3) [m] of the same body nearest to each point X (n, 3) [m]."""
+        """Index of the particle (N, 3) [m] of the same body that is nearest to each point X (n, 3)
+        [m].
+        """
         out = np.zeros(len(X), np.int64)
         for k in range(self.count):
             at, mine = np.flatnonzero(body == k), np.flatnonzero(self.of == k)
@@ -65,6 +67,6 @@ def start_velocity(velocity: Start, X: Floats, body: Ints) -> Floats:
 
 
 def fastest(velocity: Floats) -> float:
-    """[m/s] the greatest speed of (n, 3) that is a number."""
+    """[m/s] the largest finite speed of velocities (n, 3)."""
     speed = np.linalg.norm(velocity, axis=1)
     return float(speed[np.isfinite(speed)].max(initial=0.0))

@@ -1,12 +1,14 @@
-"""Virtual nodes: nodes that have a copy for each limb within their reach (docs/physics.md).
+"""Virtual nodes: copies of nodes for separate parts of the solid within their support
+(docs/physics.md).
 
-A node near two limbs that are apart belongs to both, once for each (Molino, Bao and Fedkiw 2004;
-Teran et al. 2005; Mitchell et al. 2015).  Cells are copied for each connected part of the solid in
-them (`CellCopies`), and a copy of a cell has its own 27 nodes, shared with those copies of the
-cells around it that the solid connects it to.
+A node in the support of two separate limbs is duplicated, once for each (Molino, Bao and Fedkiw
+2004; Teran et al. 2005; Mitchell et al. 2015). A cell has a copy for each connected part of the
+solid in it (`CellCopies`), and a copy of a cell has its own 27 nodes, shared with those copies of
+neighboring cells to which the solid connects it.
 
-Where nodes have copies, nearness says nothing: what follows nodes (light ones, points on cells that
-no particle reaches) finds them by going from cell to cell through the solid.
+Where nodes have copies, distance does not determine connectivity. Fits for dependent nodes (light
+ones, points in cells without particles) therefore search for nodes from cell to cell through the
+solid.
 """
 
 from __future__ import annotations
@@ -24,12 +26,12 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import CellCopies
 from gf_usd.core.neighbors import STENCIL, components, kd_tree, node_copies
 
-ZONE = 4.0  # [cells] from a node with copies: beyond it no fit takes one
-RINGS = 2  # cells gone through the solid, more where they do not lead to enough nodes
-ENOUGH = 24  # nodes: those that a fit takes
-PAIRS = 1 << 15  # of nodes at once: bounds memory
-SLACK = 1e-4  # [cells] by which a point may lie outside of the cell it belongs to
-# From places (n, 3) [cells] and nodes (m, 3) to rows (n, m); None or [cells] beyond which none is.
+ZONE = 4.0  # [cells] distance from a node with copies beyond which no fit uses it
+RINGS = 2  # steps from cell to cell, more where they reach fewer than ENOUGH nodes
+ENOUGH = 24  # nodes in a fit
+PAIRS = 1 << 15  # pairs of nodes processed at once: bounds memory
+SLACK = 1e-4  # [cells] tolerance for a point outside of its cell
+# From points (n, 3) [cells] and nodes (m, 3) to rows (n, m); None or the largest distance [cells].
 Fit = Callable[[Floats, Ints, float | None], sparse.csr_matrix]
 
 
@@ -38,44 +40,44 @@ class NodeCopies:
     """The copies of cells on the grid, and the nodes of each."""
 
     cell: Ints  # (K, 3) base node of each
-    nodes: Ints  # (K, 27) node; -1 where no particle reaches
+    nodes: Ints  # (K, 27) node; -1: outside of the particles' support
     cell_of: Ints  # (K,) row of `Stencil.cell_nodes` of each; -1: without particles
-    steps: sparse.csr_matrix  # (K, K) 1 from each copy to itself and to those it is linked to
-    near: NDArray[np.bool_]  # (K,) nodes with copies are near by
+    steps: sparse.csr_matrix  # (K, K) adjacency of cell copies, with the diagonal
+    near: NDArray[np.bool_]  # (K,) whether nodes with copies are nearby
 
     def renumbered(self, number: Ints) -> NodeCopies:
-        """The same after nodes got other numbers (M,)."""
+        """The same with other node numbers (M,)."""
         return replace(self, nodes=np.where(self.nodes < 0, -1, number[self.nodes]))
 
     @cached_property
     def home(self) -> Ints:
-        """(M,) a copy of a cell that each node belongs to, if copies of nodes are near by; else -1.
-
-        Of a node that is near no copies the cells are not."""
+        """(M,) a cell copy that contains each node, where nodes with copies are nearby; otherwise
+        -1.
+        """
         out = np.full(int(self.nodes.max()) + 1, -1)
         mine = np.flatnonzero(self.near & (self.cell_of >= 0))
         out[self.nodes[mine[::-1]]] = mine[::-1, None]
         return out
 
     def _at(self, copy: Ints) -> sparse.csr_matrix:
-        """(n, K) 1 at each of some copies of cells (n,)."""
+        """(n, K) 1 at each of some cell copies (n,)."""
         ends = np.arange(len(copy)), copy
         shape = len(copy), len(self.cell)
         return sparse.csr_matrix((np.ones(len(copy), np.float32), ends), shape=shape)
 
     def base(self, cells: Floats, copy: Ints) -> Ints:
-        """Base node (n, 3) of points at `cells` (n, 3), which belong to copies (n,) of cells.
+        """Base node (n, 3) of points at `cells` (n, 3), which belong to cell copies (n,).
 
-        A point on the face of a cell is in the cell of its copy.
+        A point on the face of a cell is assigned to the cell of its copy.
         """
         own = self.cell[copy]
         inside: Any = (np.abs(cells - own - 1.0) <= 0.5 + SLACK).all(1)
         return np.where(inside[:, None], own, np.floor(cells - 0.5).astype(np.int64))
 
     def locate(self, base: Ints, copy: Ints) -> Ints:
-        """Nodes (n, 27) of cells with these base nodes (n, 3), as seen from copies (n,) of cells.
+        """Nodes (n, 27) of cells with these base nodes (n, 3), connected to cell copies (n,).
 
-        -1 where the solid leads to none.
+        -1 where the solid does not connect to one.
         """
         out = self.nodes[copy]
         away = np.flatnonzero((base != self.cell[copy]).any(1))
@@ -90,7 +92,7 @@ class NodeCopies:
         wanted = ((group[:, None] * dims[0] + ijk[..., 0]) * dims[1] + ijk[..., 1]) * dims[2] + ijk[
             ..., 2
         ]
-        # From the nearest copies of cells to those farther through the solid: the first one counts.
+        # Breadth first from the given copies through the solid; the first node found is used.
         reach = self._at(home)
         keys, nodes = [], []
         for _ in range(RINGS + 1):
@@ -110,9 +112,10 @@ class NodeCopies:
         return out
 
     def around(self, copy: Ints, counts: NDArray[np.bool_]) -> tuple[Ints, Ints]:
-        """Pairs (place in `copy`, node) of the nodes that the solid leads to from copies (n,).
+        """Pairs (index in `copy`, node) of the nodes that are connected to cell copies (n,) by the
+        solid.
 
-        counts : (M,) the nodes that count.
+        counts : (M,) the nodes to be considered.
         """
         left = np.arange(len(copy))
         groups, found = [], []
@@ -129,7 +132,7 @@ class NodeCopies:
             row = np.repeat(at.row.astype(np.int64), 27)[use.ravel()]
             pairs = np.stack(divmod(np.unique(row * len(counts) + nodes[use]), len(counts)), 1)
             full = np.bincount(pairs[:, 0], minlength=len(left)) >= ENOUGH
-            if reach.nnz == before:  # this is all there is
+            if reach.nnz == before:  # the whole connected component
                 full[:] = True
             take = full[pairs[:, 0]]
             groups.append(left[pairs[take, 0]])
@@ -140,15 +143,16 @@ class NodeCopies:
     def through_solid(
         self, fit: Fit, at: Floats, copy: Ints, node_ijk: Ints, counts: NDArray[np.bool_]
     ) -> sparse.csr_matrix:
-        """Rows (n, M) of a fit at places `at` (n, 3) [cells] that knows nodes of their limbs only.
+        """Rows (n, M) of a fit at points `at` (n, 3) [cells] that uses only nodes connected by the
+        solid.
 
-        copy : (n,) of the cell that each belongs to; node_ijk : (M, 3); counts : (M,) the nodes it
-        may use.  A row is empty where the solid leads to none.
+        copy : (n,) the cell copy of each; node_ijk : (M, 3); counts : (M,) the nodes to be
+        considered. A row is empty where no node is connected.
         """
         home, group = np.unique(copy, return_inverse=True)
         group = group.ravel()
         of, node = self.around(home, counts)
-        # Each group far from the others, about its own cell.
+        # The groups are placed far apart, each relative to its own cell.
         some = np.flatnonzero(np.bincount(of, minlength=len(home))[group])
         if not len(some):
             return sparse.csr_matrix((len(at), len(node_ijk)))
@@ -169,11 +173,12 @@ class NodeCopies:
 
 
 def number_nodes(copies: CellCopies, shift: Ints) -> tuple[Ints, Ints, Ints, Ints]:
-    """Nodes of the copies of cells that particles are in, and of all copies.
+    """Nodes of the cell copies that contain particles, and of all copies.
 
-    shift : (bodies, 3) [cells] that sets the bodies apart.
-    Returns order : (C,) copies with particles, in the order of the grid; nodes (K, 27), -1 where no
-    particle reaches; node_ijk (M, 3), in the order of the grid; count (M,) copies of each.
+    shift : (bodies, 3) [cells] that separates the bodies.
+
+    Returns order : (C,) copies with particles, in grid order; nodes (K, 27), -1 outside of the
+    particles' support; node_ijk (M, 3), in grid order; count (M,) copies of each.
     """
     cell = copies.cell + shift[copies.body]
     whole = components(
@@ -197,7 +202,8 @@ def number_nodes(copies: CellCopies, shift: Ints) -> tuple[Ints, Ints, Ints, Int
 def link_copies(
     copies: CellCopies, shift: Ints, order: Ints, nodes: Ints, node_ijk: Ints, count: Ints
 ) -> NodeCopies:
-    """What `number_nodes` found, ready to be gone through; nodes as the stencil numbers them.
+    """The result of `number_nodes` with the links between cell copies; nodes as the stencil numbers
+    them.
 
     node_ijk : (M, 3), count : (M,) in that numbering.
     """
@@ -215,10 +221,10 @@ def link_copies(
 
 
 class SharedNodes:
-    """Which nodes hang together, as far as cells say: those of a cell, and of cells that share one.
+    """Connectivity of nodes by cells: nodes of one cell, and of cells that share a node.
 
-    Limbs that share no node are told apart by this alone; the nodes nearest to a place may be those
-    of a limb across a gap.
+    It separates limbs that share no node, where the nodes nearest to a point may belong to a limb
+    across a gap.
 
     ijk : (M, 3) nodes; cells : (K, 27) nodes of each cell.
     """
@@ -232,14 +238,14 @@ class SharedNodes:
         self._of = self._in.T.tocsr()
 
     def unconnected_fits(self, rows: sparse.csr_matrix, nodes: Ints, seed: Ints) -> Ints:
-        """Rows (n, m) over nodes (m,) that name one which does not hang together with their seed.
+        """Rows (n, m) over nodes (m,) that contain a node not connected to the seed of the row.
 
-        seed : (n,) node.  A third node has to be in a cell with both.
+        seed : (n,) node. Two nodes are connected if a third node shares a cell with both.
         """
         at = rows.tocoo()
         row, one, other = at.row, seed[at.row], nodes[at.col]
         left = np.flatnonzero(~self._share(one, other))
-        # As a rule the node halfway is that one.
+        # Usually the node halfway between shares a cell with both.
         halfway = self._find((self.ijk[one[left]] + self.ijk[other[left]]) // 2)
         known = halfway >= 0
         ok = np.zeros(len(left), bool)
@@ -255,7 +261,7 @@ class SharedNodes:
         return np.unique(row[left[~ok]])
 
     def _share(self, one: Ints, other: Ints) -> NDArray[np.bool_]:
-        """(n,) whether two nodes are in a cell."""
+        """(n,) whether two nodes share a cell."""
         out = np.zeros(len(one), bool)
         near = np.flatnonzero((np.abs(self.ijk[one] - self.ijk[other]) <= 2).all(1))
         rows, at = np.unique(one[near], return_inverse=True)
@@ -266,7 +272,7 @@ class SharedNodes:
         return out
 
     def _find(self, ijk: Ints) -> Ints:
-        """(n,) a node at each place; -1 where there is none."""
+        """(n,) the node at each grid position; -1 where there is none."""
         low, high = self.ijk.min(0), self.ijk.max(0)
         dims = high - low + 1
 

@@ -1,11 +1,11 @@
-"""Nodes that are no unknowns: they follow the others.
+"""Dependent nodes (followers): nodes whose motion is interpolated from free nodes.
 
-Nodes that hardly any particle reaches have next to no mass and stiffness: left free they wander by
-hundreds of cells (measured) and spoil F of the particles at the surface.  A light node follows the
-free ones by an affine fit, u_l = sum_j e_lj u_j with sum e = 1 and sum e X_j = X_l, and hands its
-force and mass on by the same numbers, which keeps linear and angular momentum exact.  Nodes that no
-particle reaches at all are evaluated the same way for points embedded there.  Pinned nodes follow
-the motion of their pin (`holds`).
+Nodes with very little mass and stiffness are not stable as unknowns: they move by hundreds of cells
+(measured) and spoil F of the particles at the surface. Such a light node is an affine fit of the
+free ones, u_l = sum_j e_lj u_j with sum e = 1 and sum e X_j = X_l. Its force and mass are
+distributed by the transpose, which conserves linear and angular momentum exactly. Nodes outside of
+the particles' support are evaluated the same way, for points embedded there. Pinned nodes follow
+their pin (`pins`).
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-# A node lighter than this fraction of the median one follows the others, if it is also lighter than
-# this fraction of the heaviest one around: the nodes of a thin leg are all light.
+# A node is light below this fraction of the median mass and of the heaviest neighbor's: all nodes
+# of a thin limb may be below the former.
 FREE_MASS = 0.1
 FIT_NEIGHBORS = 24  # free nodes in an affine fit
-FIT_LEAST = 1e-6  # weight of a node in a fit, next to the nearest one's
+FIT_LEAST = 1e-6  # least weight in a fit, relative to that of the nearest node
 TIE = 1e-9  # distances that differ by less are equal
-FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
+FIT_REACH = 2.0  # [cells] distance up to which a fit uses the nodes nearest to the point
 
 
 def affine_fit(ijk: Ints, free: Ints, reach: float | None = None) -> sparse.csr_matrix:
-    """Rows e (n, len(free)) that extend a field from free nodes to others, exact for affine fields.
+    """Rows e (n, len(free)) that extrapolate a field from free nodes, exact for affine fields.
 
     Moving least squares with a linear basis about the mean C of the nodes and Gaussian weights B:
     e_j = B_j (1 / sum B + (X_j - C) . M^+ (X_i - C)), M = sum B (X_j - C) (X_j - C)^T, so that
-    sum_j e_j = 1 and sum_j e_j X_j = X_i.  Where the nodes lie in a plane the field is constant
-    across it.
-    ijk : (n, 3), free : (m, 3) grid indices; reach : [cells] beyond which no node is taken.
+    sum_j e_j = 1 and sum_j e_j X_j = X_i. Where the nodes are coplanar the field is constant across
+    the plane.
+
+    ijk : (n, 3), free : (m, 3) grid indices; reach : [cells] largest distance of a node.
     """
     if len(ijk) == 0:
         return sparse.csr_matrix((0, len(free)))
     tree = kd_tree(free)
-    # From afar the nearest nodes may all lie in one flat face: take those around the nearest ones.
+    # For a distant point the nearest nodes may be coplanar: use the neighbors of the nearest ones.
     around = np.array(ijk, float)
     far = np.flatnonzero(tree.query(ijk)[0] > FIT_REACH)
     if len(far):
@@ -56,7 +57,7 @@ def affine_fit(ijk: Ints, free: Ints, reach: float | None = None) -> sparse.csr_
     distance, near = nearest(tree, around, FIT_NEIGHBORS)
     if reach is not None:
         distance[distance > reach] = np.inf
-    # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
+    # With a single near node the gradient depends on far ones: their weights must exceed rounding.
     B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
     B[np.isinf(distance)] = 0.0
     B /= B.sum(1, keepdims=True)
@@ -72,10 +73,10 @@ def affine_fit(ijk: Ints, free: Ints, reach: float | None = None) -> sparse.csr_
 
 
 def nearest(tree: cKDTree, X: Floats, count: int) -> tuple[Floats, Ints]:
-    """Distances (n, k) and nodes of the `count` nearest, and of all that are as near as the last.
+    """Distances (n, k) and nodes of the `count` nearest, with all that are as near as the last.
 
-    Which of them come first is the order of the axes: a choice among them would depend on it.  Rows
-    are filled up with distances inf.
+    Ties are included, since a choice among them would depend on the order of the axes. Rows are
+    padded with distances inf.
     """
     count = min(count, tree.n)
     k = min(count + count // 4 + 2, tree.n)
@@ -103,10 +104,10 @@ def replaced(rows: sparse.csr_matrix, which: Ints, by: sparse.csr_matrix) -> spa
 
 
 class Fits:
-    """Rows over nodes for places between and beyond them; each knows the nodes of its limb only.
+    """Rows over nodes for points between and beyond them; each uses only nodes of its own limb.
 
-    ijk : (M, 3) nodes; copies : of those near several limbs; cells : (K, 27) nodes of each cell, by
-    which limbs a little farther apart are told; None: they are not.
+    ijk : (M, 3) nodes; copies : of nodes near several limbs; cells : (K, 27) nodes of each cell,
+    which separate limbs without shared nodes; None: limbs are not separated.
     """
 
     def __init__(self, ijk: Ints, copies: NodeCopies | None, cells: Ints | None = None) -> None:
@@ -117,10 +118,11 @@ class Fits:
     def affine(
         self, at: Ints, counts: NDArray[np.bool_], home: Ints, seed: Ints | None = None
     ) -> sparse.csr_matrix:
-        """`affine_fit` at (n, 3) to the nodes that count (M,).
+        """`affine_fit` at (n, 3) to the nodes `counts` (M,).
 
-        home : (n,) copy of a cell that each is reached from, -1: any; empty: all any.
-        seed : (n,) node that each belongs to; None: the nearest.
+        home : (n,) cell copy from which nodes are searched, -1: no restriction; empty: none for
+        all.
+        seed : (n,) node to which each point belongs; None: the nearest.
         """
         nodes = np.flatnonzero(counts)
         rows = self._or_nearest(self._fit(affine_fit, at, nodes, home), at, nodes)
@@ -142,7 +144,9 @@ class Fits:
         )
 
     def _or_nearest(self, rows: sparse.csr_matrix, at: Ints, nodes: Ints) -> sparse.csr_matrix:
-        """Rows with the nearest of nodes in those that have none: a fleck without free nodes."""
+        """Rows with the nearest node in place of empty ones, for an isolated part without free
+        nodes.
+        """
         empty = np.flatnonzero(np.diff(rows.indptr) == 0)
         return replaced(rows, empty, affine_fit(at[empty], self.ijk[nodes]))
 
@@ -175,12 +179,15 @@ def split_nodes(
     copies: NodeCopies | None = None,
     cells: Ints | None = None,
 ) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
-    """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
+    """Free nodes (M,), the rows of the dependent nodes, and the free nodes' lumped masses.
 
-    A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
-    held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep;
-    share : (M,) e of `pins`.  A mirrored node hands on |e| of its mass: u^2 does not know the sign.
-    body : (M,) the body of each node: each is light by its own median.
+    A node whose lumped mass would fall below the bound by negative weights of a fit becomes
+    dependent too.
+
+    held : (M,) nodes held by a pin; mirror : (M, 3) [cells] their mirror points, nan where deep.
+    share : (M,) e of `pins`. A mirrored node contributes |e| of its mass, since kinetic energy does
+    not depend on the sign.
+    body : (M,) the body of each node: the median mass is that of its body.
     copies, cells : see `Fits`.
     """
     fits = Fits(ijk, copies, cells)
@@ -220,7 +227,7 @@ def split_nodes(
 
 
 def heaviest_around(mass: Floats, cells: Ints) -> NDArray[np.float64]:
-    """(M,) the greatest mass among the nodes that each has a cell of `cells` (K, 27) in common."""
+    """(M,) the largest mass among the nodes that share a cell of `cells` (K, 27) with each."""
     most = np.zeros(len(mass))
     np.maximum.at(most, cells.ravel(), np.repeat(mass[cells].max(1), cells.shape[1]))
     return most
@@ -235,7 +242,7 @@ def mirrored(
 ) -> sparse.csr_matrix:
     """Rows (held, others) of held nodes: e times the field, on other nodes, at the mirror point.
 
-    0 where the node lies deep, or where none of the others is around the mirror point.
+    0 where the node is deep in the pin, or where no other node is around the mirror point.
     """
     count = int(held.sum())
     if mirror is None or share is None:

@@ -1,21 +1,17 @@
-"""Embedded points: their poses, deformed normals and deformation gradients.
+"""Embedded points: interpolation rows, poses, normals and deformation gradients.
 
-Rows of the particles, or of the many points of a mesh or a capture that is embedded in a body, in
-little memory.
-
-Most of a surface lies on light nodes, each of which follows a dozen free ones.  A row over free
-nodes names them all, some hundred; a row over the 27 nodes around a point names those, once what
-they do has been worked out:
+A surface lies mostly in the support of light nodes, each of which depends on a dozen free ones. A
+row over free nodes would have some hundred entries; a row over the 27 nodes around a point has 27,
+after the dependent nodes are evaluated once:
 
     U = S u,   x = X + W U,   F = I + sum_b (G_b U) e_b
 
-with S the followers' combinations, and an affine fit for nodes that no particle reaches.  What is
-in W and the three of G follows from where a point is in its cell, and is worked out where it is
-used: kept, it would be a kilobyte a point.
+with S the combinations for dependent nodes, and an affine fit for nodes outside of the particles'
+support. W and the three G depend only on the position of a point in its cell and are recomputed on
+use: stored, they would take a kilobyte per point.
 
-Sparse products shared among threads, rows in turns: SciPy lets go of the interpreter meanwhile.
-
-Each row is a sum of its own, so that the result does not depend on how they are shared.
+Sparse products are split by rows among threads; SciPy releases the interpreter lock. Each row is an
+independent sum, so that the result does not depend on the split.
 """
 
 from __future__ import annotations
@@ -41,27 +37,27 @@ if TYPE_CHECKING:
 
 
 NODES = len(OFFSETS)
-FEW = 4_096  # rows for each thread, at least: handing them out takes some 50 us
+FEW = 4_096  # least number of rows per thread: starting one takes some 50 us
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplineRows:
-    """Rows of W and G of points over the 27 nodes of their cells, by where they are in these."""
+    """Rows of W and G of points over the 27 nodes of their cells, by the position in the cell."""
 
     X: Floats  # (n, 3) [m]
-    cell: Ints  # (n,) the row of `around` that has a point's nodes
+    cell: Ints  # (n,) the row of `around` with a point's nodes
     around: Ints  # (K, 27) nodes, int32
     fx: Floats  # (n, 3) distance from the first of them in cells
     h: float  # [m]
-    spread: sparse.csr_matrix  # S, from what `Rows` stack to the nodes
+    spread: sparse.csr_matrix  # S, from the stacked vector of `Rows` to the nodes
 
     def nodes(self, u: Floats) -> Floats:
-        """U = S u of a stack u (or v)."""
+        """U = S u of a stacked u (or v)."""
         return self.spread @ u
 
     @cached_property
     def combined(self) -> sparse.csr_matrix:
-        """W S: the same rows over what `Rows` stack."""
+        """W S: the rows over the stacked vector of `Rows`."""
         return sparse.csr_matrix(self.W @ self.spread)
 
     @cached_property
@@ -88,12 +84,12 @@ class SplineRows:
 
     @property
     def many(self) -> bool:
-        """Whether kernels are worth their loading; they run where the arrays are."""
+        """Whether there are enough points for kernels, which take time to load."""
         return len(self.X) >= FEW and not resident_blocks()
 
     @property
     def cells(self) -> tuple[Any, ...]:
-        """What the kernels know points by."""
+        """The arguments of the kernels that describe the points."""
         return self.cell, self.around, self.fx, 1.0 / self.h
 
     def _chunks(self) -> list[slice]:
@@ -117,7 +113,7 @@ def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
 
 
 def _in_one_pass(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
-    """The same, to rounding, in a third of the time."""
+    """`pose` by a kernel, equal to rounding, in a third of the time."""
     ensure_running()
     from gf_usd.physics.grid.row_kernels import LANES, embed
 
@@ -183,9 +179,9 @@ def gathered(rows: SplineRows, P: Floats) -> Floats:
 
 
 def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
-    """n = cof(F) n0, normalized: surfaces turn with the cofactor, defined at J <= 0 too.
+    """n = cof(F) n0, normalized (Nanson's formula; defined for J <= 0 too).
 
-    normals : (K, 3) at rest; points : (K,) the point that carries each; F : (V, 3, 3).
+    normals : (K, 3) at rest; points : (K,) the point of each; F : (V, 3, 3).
     """
     turned = cofactors(entries(F)).reshape(3, 3, -1)
     n = np.einsum("abk,kb->ka", turned[:, :, points], normals)
@@ -196,7 +192,7 @@ def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
 
 
 def particle_rows(stencil: Stencil, X: Floats) -> SplineRows:
-    """Rows of the particles that a stencil was made of, X (n, 3) [m]."""
+    """Rows of the particles of a stencil, X (n, 3) [m]."""
     cell, fx = np.empty(len(X), np.int32), np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
     cell[stencil.order] = np.repeat(
@@ -211,14 +207,14 @@ def particle_rows(stencil: Stencil, X: Floats) -> SplineRows:
 def embedded_rows(
     stencil: Stencil, X: Floats, body: Ints, cell_copy: Ints | None = None
 ) -> SplineRows:
-    """Rows of points X (n, 3) [m], each on a body (n,).
+    """Rows of points X (n, 3) [m], each of a body (n,).
 
-    The same as `Stencil.rows` makes, to rounding.
+    Equal to those of `Stencil.rows`, to rounding.
     """
     count = len(X)
     at = np.empty((count, NODES), np.int32)
     inside = np.empty((count, 3))
-    lost, parts = [], []  # nodes that no particle reaches, chunk by chunk, and where they stand
+    lost, parts = [], []  # nodes outside of the particles' support, by chunk, and their positions
     for k in range(0, count, CHUNK):
         some = slice(k, k + CHUNK)
         found, fx, ijk = stencil.reach(
@@ -243,7 +239,7 @@ def embedded_rows(
 
 
 def product(M: Any, u: Floats) -> NDArray[np.float64]:
-    """M u of a sparse M (n, m) in rows and u (m, k)."""
+    """M u of a sparse M (n, m) in CSR format and u (m, k)."""
     count = M.shape[0]
     parts = min(threads(), count // FEW)
     if parts < 2:
@@ -259,7 +255,7 @@ def product(M: Any, u: Floats) -> NDArray[np.float64]:
 
 
 def _rows(M: Any, first: int, behind: int) -> Any:
-    """Some rows of M, without a copy of what is in them."""
+    """Some rows of M, without a copy of its data."""
     start, end = M.indptr[first], M.indptr[behind]
     return type(M)(
         (M.data[start:end], M.indices[start:end], M.indptr[first : behind + 1] - start),

@@ -1,14 +1,15 @@
-"""Fields: what pushes the nodes besides gravity, the same for every mass.
+"""Fields: body forces on the nodes besides gravity, per unit mass.
 
-A field is held constant over a frame, at where the nodes are at its start and at the time of its
-middle.  As a body force b of the nodes it stands for the forces M~ b, so that its work in a frame
-is (M~ b) . (u' - u), whatever the substeps.
+A field is constant over a frame, evaluated at the nodes' positions at its start and at the time of
+its middle. A body force b of the nodes is equivalent to the forces M~ b, so that its work in a
+frame is (M~ b) . (u' - u) for any number of substeps.
 
-The noise is a sum of plane waves of one length, each transverse and so free of divergence,
+Noise is a sum of transverse, and so divergence-free, plane waves of one wavelength,
 
     b = a sqrt(2 / N) sum_n e_n cos(k_n . x + w_n t + p_n)        e_n . k_n = 0, |k_n| = 2 pi / L
 
-whose mean square over space is a^2, with directions, phases and w_n = +-2 pi rate of the seed.
+with the spatial mean square a^2; directions, phases and the signs of w_n = +-2 pi rate are random
+by the seed.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Field, Settings
 
-WAVES = 32  # of the noise
+WAVES = 32  # N of the noise
 
 
 class Fields:
-    """The fields of some settings."""
+    """The fields of a bake."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -33,7 +34,7 @@ class Fields:
         return bool(self._waves)
 
     def at(self, x: Floats, index: int) -> NDArray[np.float64]:
-        """b (n, 3) [m/s^2] at points (n, 3) [m], on the way from frame `index` - 1 to `index`."""
+        """b (n, 3) [m/s^2] at points (n, 3) [m], between frames `index` - 1 and `index`."""
         s, middle = self._settings, index - 0.5
         code, time = s.time_code(middle), middle * s.frame_time
         out = np.zeros_like(x, dtype=float)
@@ -43,7 +44,7 @@ class Fields:
 
 
 def _near(field: Field, x: Floats) -> Floats | float:
-    """(n, 1) what is left of a field away from its center."""
+    """(n, 1) attenuation factor by the distance from the field's center."""
     if field.radius is None:
         return 1.0
     away = ((x - np.asarray(field.center)) ** 2).sum(1, keepdims=True)
@@ -53,7 +54,7 @@ def _near(field: Field, x: Floats) -> Floats | float:
 def _strength(
     field: Field, waves: Floats, x: Floats, code: float, time: float, gravity: Floats
 ) -> Floats:
-    """(n, 3) or (3,) [m/s^2] without what distance takes of it."""
+    """(n, 3) or (3,) [m/s^2] before attenuation."""
     if field.kind == "wind":
         return np.asarray(field.vector)
     if field.kind == "gravity":
@@ -69,7 +70,7 @@ def _strength(
 
 
 def _waves(field: Field, seed: int, number: int) -> NDArray[np.float64]:
-    """(N, 8) k, e, phase and w of a noise; nothing of another field."""
+    """(N, 8) k, e, phase and w of a noise; empty for another field."""
     if field.kind != "noise":
         return np.zeros((0, 8))
     dice = np.random.default_rng([seed, number])

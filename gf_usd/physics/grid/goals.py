@@ -1,14 +1,14 @@
-"""Goals: where springs draw the nodes, how stiff the springs are, and how far nodes may go.
+"""Goals: positions toward which springs pull the nodes, their stiffness, and distance limits.
 
-A limit D on a way d is a pull that begins at D / 2 and has no end at D.  Per mass, with
-s = (d - D / 2) / (D / 2),
+A limit D on a distance d is a restoring acceleration that begins at D / 2 and continues beyond D.
+With s = (d - D / 2) / (D / 2),
 
     a = A s^2 / (1 - s)                        0 <= s <= s*
     a = A s*^2 / (1 - s*) + K (d - d*)         beyond, with da/dd = K at s*
 
-A is five times gravity, so that flesh under its weight comes to s = 0.36.  K is what the step
-takes: with M~ >= m / l, waves of w dt <= 1 and springs of l K dt^2 <= 1 / 2 are stable together, as
-(w^2 + l K) dt^2 < 4.  s* = 1 - 1 / sqrt(1 + K D / (2 A)).
+A is five times gravity, so that s = 0.36 under the body's weight. K is bounded by the step: with M~
+>= m / l, waves of w dt <= 1 and springs of l K dt^2 <= 1 / 2 are stable together, since (w^2 + l K)
+dt^2 < 4. s* = 1 - 1 / sqrt(1 + K D / (2 A)).
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.stage import AttachedPoints, FleshLimits, Goals
 
-STIFFEST = 1.0  # [1/dt] of w: as stiff as the grid's own highest frequency
-DAMPED = 200.0  # [1/dt] of c, of springs of single points
-HARDEST = 0.5  # [1/dt^2] of l K
+STIFFEST = 1.0  # [1/dt] bound of w: the grid's own highest frequency
+DAMPED = 200.0  # [1/dt] bound of c of springs of single points
+HARDEST = 0.5  # [1/dt^2] bound of l K
 PULL = 5.0 * G0  # [m/s^2] A
-BEGIN = 0.5  # of the way to a limit, where its pull begins
-# The kernels have GOAL numbers of a node: G, dG/dt from RATE on, k and c from SPRING on, and WORK.
-# With limits, K, the slacks D / 2 away from G and toward the bone (0: no limit), the place B that
-# the bone carries it to, as G, and the direction N from the bone, each with its rate.
+BEGIN = 0.5  # fraction of a limit at which its acceleration begins
+# Layout of the GOAL values per node: G, dG/dt from RATE on, k and c from SPRING on, and WORK. With
+# limits also K, the distances D / 2 from G and toward the bone (0: no limit), the position B given
+# by the bone, like G, and the direction N from the bone, each with its rate.
 GOAL, RATE, SPRING, WORK = 24, 3, 6, 8
 HARD, AWAY, TOWARD, CARRIED, NORMAL = 9, 10, 11, 12, 18
 
@@ -38,7 +38,7 @@ HARD, AWAY, TOWARD, CARRIED, NORMAL = 9, 10, 11, 12, 18
 class NodeGoals:
     """The goals of free nodes at X (n, 3) [m].
 
-    dt : [s] the stable step; lightest : l, of M~.  attached : springs of single points.
+    dt : [s] the stable step; lightest : l, of M~; attached : springs of single points.
     body : (n,) of each node; None: all are of the first.
     """
 
@@ -61,14 +61,14 @@ class NodeGoals:
         self._more = np.zeros((len(X), 2))
         if attached is not None:
             self._more = np.minimum(attached.springs, [(STIFFEST / dt) ** 2, DAMPED / dt])
-        self.springs = self._still + self._more  # (n, 2) k and c, before they change
+        self.springs = self._still + self._more  # (n, 2) initial k and c
         self.moving = any(one.moving for one, _ in parts)
         self.moving = self.moving or (attached is not None and attached.moving)
         limits = [(one.limits, rows) for one, rows in parts if one.limits]
         self._limits = _NodeLimits(limits, X, HARDEST / (lightest * dt**2))
 
     def between(self, index: int, frame_time: float) -> NDArray[np.float64]:
-        """(n GOAL,) the kernels' numbers for the way from frame `index` - 1 to `index`.
+        """(n GOAL,) the kernels' values between frames `index` - 1 and `index`.
 
         frame_time : [s] between them.
         """
@@ -93,7 +93,9 @@ class NodeGoals:
         return np.stack([w**2, 2.0 * self._damping * w], 1)
 
     def _way(self, frame: int, part: Floats) -> NDArray[np.float64]:
-        """(n, 3) [m] from each node to where it is drawn; part (n,) of k is that of points."""
+        """(n, 3) [m] displacement of the goal of each node; part (n,) is the fraction of k from
+        single points.
+        """
         way = _filled(self._X, [(rows, pose(frame)) for rows, pose in self._poses]) - self._X
         if self._attached is None:
             return way
@@ -101,7 +103,7 @@ class NodeGoals:
 
 
 def _parts(goals: Goals, body: Ints) -> list[tuple[Goals, Ints]]:
-    """Goals, and the nodes (k,) that are drawn to each; body : (n,) of the nodes."""
+    """Goals, and the nodes (k,) that each applies to; body : (n,) of the nodes."""
     others = np.isin(body, list(goals.of_body))
     found = [(goals, np.flatnonzero(~others))]
     found += [(one, np.flatnonzero(body == number)) for number, one in goals.of_body.items()]
@@ -109,7 +111,7 @@ def _parts(goals: Goals, body: Ints) -> list[tuple[Goals, Ints]]:
 
 
 def _filled(X: Floats, parts: Sequence[tuple[Ints, Floats]]) -> NDArray[np.float64]:
-    """Values (n, ...) of the nodes X (n, 3) of values of some of them."""
+    """Values (n, ...) of all nodes X (n, 3) from values of subsets of them."""
     out = np.zeros((len(X), *parts[0][1].shape[1:]) if parts else 0)
     for rows, values in parts:
         out[rows] = values
@@ -117,13 +119,13 @@ def _filled(X: Floats, parts: Sequence[tuple[Ints, Floats]]) -> NDArray[np.float
 
 
 class NodeSprings:
-    """Springs of single points p, shared out over free nodes i by their weights at the points.
+    """Springs of single points p, distributed to free nodes i by the interpolation weights.
 
         k_i = sum_p W_pi k_p / M_i    c_i = sum_p W_pi c_p / M_i
         G_i = sum_p W_pi k_p (y_p - X_p) / (k_i M_i)
 
-    with y_p where p is drawn: the forces on the nodes add up to those on the points, wherever these
-    are, as sum_i W_pi = 1.  Weights below 0, beyond the outermost nodes, are left out.
+    with y_p the target of p. Since sum_i W_pi = 1, the forces on the nodes sum to those on the
+    points. Negative weights, beyond the outermost nodes, are omitted.
 
     W : (p, n) weights of the free nodes; mass : (n,) [kg] of these.
     """
@@ -140,14 +142,14 @@ class NodeSprings:
         self.moving = bool((path != path[:1]).any() or (path[0] != attached.X).any())
 
     def way(self, frame: int) -> NDArray[np.float64]:
-        """(n, 3) [m] G at a frame; 0 where no point is near."""
+        """(n, 3) [m] G at a frame; 0 for nodes without a point in their support."""
         path = self._attached.path
         at = path[int(np.clip(frame, 0, len(path) - 1))]
         return np.asarray(self._mean @ (at - self._attached.X))
 
 
 class _NodeLimits:
-    """The limits' part of the numbers, of nodes (k,) that have limits; hardest : [1/s^2] K."""
+    """The values of limits for nodes (k,) that have them; hardest : [1/s^2] K."""
 
     def __init__(
         self, limits: Sequence[tuple[FleshLimits, Ints]], X: Floats, hardest: float
@@ -160,7 +162,7 @@ class _NodeLimits:
             self._rooms[rows] = (1.0 - BEGIN) * np.where(np.isfinite(ways), ways, 0.0)
 
     def fill(self, out: Floats, X: Floats, index: int, frame_time: float) -> None:
-        """Set them in rows (n, GOAL)."""
+        """Write the values to rows (n, GOAL)."""
         if not self._carried:
             return
         out[:, HARD] = self._hardest
@@ -174,5 +176,5 @@ class _NodeLimits:
 
 
 def work_of(numbers: Floats) -> float:
-    """[J] that goals did, of the kernels' numbers."""
+    """[J] work of the goals, from the kernels' values."""
     return float(numbers.reshape(-1, GOAL)[:, WORK].astype(float).sum())

@@ -1,27 +1,27 @@
-"""The mass matrix of the nodes: close to that of the particles, with a sparse inverse.
+"""The nodal mass matrix: near the consistent one, with a sparse inverse.
 
-The consistent mass of the velocities that particles have, MC_ij = sum_p m_p w_ip w_jp, cannot be
-inverted in every substep.  Its row sums M_i, the lumped mass, can, but spread the body: for
-quadratic splines sum_i w_ip |X_i - X_p|^2 = h^2/4 along each axis, so a body has too much inertia,
-and a wave of length 2 pi / k is too slow by (k h)^2 / 8.  What lumping adds to an affine velocity
-field is the force of springs between neighbors along the axes,
+The consistent mass MC_ij = sum_p m_p w_ip w_jp of the interpolated velocities cannot be inverted in
+every substep. Its row sums M_i, the lumped mass, can, but they increase the inertia: for quadratic
+B-splines sum_i w_ip |X_i - X_p|^2 = h^2/4 along each axis, and a wave of length 2 pi / k is too
+slow by the relative error (k h)^2 / 8. For an affine velocity field, the difference to the
+consistent mass is a Laplacian of springs between neighbors along the axes,
 
     (M - MC) X = K X,    k_ij = sum_p m_p x (flux of w_p (X - X_p) through the edge i j)
 
-for edges along x  w_0 f w_b w_c  and  w_2 (2 - f) w_b w_c,  f the distance from the base node in
-cells.  All k are positive and K is the Laplacian of these edges.  The solver's mass is M~ with
+with, for edges along x, the fluxes w_0 f w_b w_c and w_2 (2 - f) w_b w_c, f the distance from the
+base node in cells. All k are positive. The mass matrix M~ of the solver is defined by
 
     M~^-1 = M^-1 + M^-1 K M^-1
 
-the first two terms of the Neumann series of (M - K)^-1.  It is symmetric and positive definite;
-M~ 1 = M 1, so linear momentum is sum_i M_i v_i; and angular momentum sum_i x_i x (M~ v)_i is kept,
-as for any symmetric mass.  The error of a wave falls to the order (k h)^4: on a line,
-1 + (1 - cos kh) / 2 instead of 1 / (1 - (kh)^2 / 4 ...).
+the first two terms of the Neumann series of (M - K)^-1. It is symmetric and positive definite. M~ 1
+= M 1, so that linear momentum is sum_i M_i v_i; angular momentum sum_i x_i x (M~ v)_i is conserved,
+as for any symmetric mass. The error of a wave decreases to the order (k h)^4: in one dimension, 1 +
+(1 - cos kh) / 2 instead of 1 / (1 - (kh)^2 / 4 ...).
 
-Dependent nodes enter as E^T K E.  Next to the surface that ties nodes to some eighty others by
-springs that are nearly all far below the rest; those are left out (`WEAK`).  What the third term of
-the series would do near the surface is made up for by the springs' directions (`balanced`), so
-that the inertia of each body is that of its particles.
+Dependent nodes enter as E^T K E. Near the surface this couples nodes to some eighty others, mostly
+by springs that are far weaker than the rest; these are omitted (`WEAK`). The third term of the
+series is compensated near the surface by a correction of the springs by direction (`balanced`), so
+that the inertia tensor of each body is that of its particles.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from gf_usd.physics.grid.spectrum import ACCURACY, largest_eigenvalue
 from gf_usd.physics.taichi_arrays import widened
 from gf_usd.system.taichi_runtime import ensure_running, resident_blocks
 
-WEAK = 5e-3  # of sqrt(M_i M_j): springs below this are left out
+WEAK = 5e-3  # of sqrt(M_i M_j): weaker springs are omitted
 SOLVED = 1e-13  # residual of M~ v, relative
-MANY = 1000  # nodes, from where a kernel is worth its loading
-PASSES = 4  # of `balanced`: each leaves a hundredth of the error
-STIFFEST, SOFTEST = 2.0, 0.5  # times its own value that a spring may become there
-RIDGE = 1e-2  # a direction that few springs have is left as it is
+MANY = 1000  # nodes above which a kernel saves more time than its loading takes
+PASSES = 4  # Newton steps of `balanced`: each reduces the error a hundredfold
+STIFFEST, SOFTEST = 2.0, 0.5  # bounds of the factor on a spring there
+RIDGE = 1e-2  # regularization, for directions of few springs
 PRODUCTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 PAIRS = np.array([[a for a, _ in PRODUCTS], [b for _, b in PRODUCTS]])
 
@@ -54,8 +54,8 @@ class NodalMass:
     """M~ of the free nodes."""
 
     lumped: Floats  # (n,) [kg] M
-    springs: sparse.csr_matrix  # (n, n) [kg] k_ij, symmetric, nothing on the diagonal
-    ground: Floats  # (n,) [kg] sum_j K_ij: 0 but next to pins
+    springs: sparse.csr_matrix  # (n, n) [kg] k_ij, symmetric, no diagonal
+    ground: Floats  # (n,) [kg] sum_j K_ij: nonzero next to pins only
     axes: tuple[NodalMass, NodalMass, NodalMass] | None = None  # along each, where pins slide
 
     @cached_property
@@ -66,14 +66,13 @@ class NodalMass:
 
     @property
     def is_lumped(self) -> bool:
-        """Whether K is nothing."""
+        """Whether K = 0."""
         return not (self.springs.nnz or self.ground.any())
 
     @property
     def strengths(self) -> Floats:
-        """(nnz, 3) [kg] of the springs along each axis, one row for every entry of `springs`."""
-        # Not `springs.nonzero()`, which leaves out entries that are stored as 0: springs that the
-        # free axes lack and a held one has.
+        """(nnz, 3) [kg] of the springs along each axis, one row per entry of `springs`."""
+        # Not `springs.nonzero()`, which omits stored zeros: springs along held axes only.
         row = np.repeat(np.arange(self.springs.shape[0]), np.diff(self.springs.indptr))
         column = self.springs.indices
         axes = self.axes or (self, self, self)
@@ -102,9 +101,9 @@ class NodalMass:
     def momentum(self, v: Floats) -> Floats:
         """p = M~ v = M^1/2 S^-1 M^1/2 v [kg m/s] of velocities (n, 3) [m/s], to rounding.
 
-        By Chebyshev's iteration, whose error falls by (sqrt(k) - 1) / (sqrt(k) + 1) in each step, k
-        the condition of S, about 2 [Saad 2003, algorithm 12.1]: unlike conjugate gradients it asks
-        for no inner products.
+        By Chebyshev iteration, whose error decreases by (sqrt(k) - 1) / (sqrt(k) + 1) per step,
+        with k the condition number of S, about 2 [Saad 2003, algorithm 12.1]. Unlike conjugate
+        gradients it needs no inner products.
         """
         if self.axes:
             return np.stack([one.momentum(v[:, a]) for a, one in enumerate(self.axes)], 1)
@@ -128,14 +127,14 @@ class NodalMass:
                 rho = after
             r, d, z = _iterated(S, shrink, grow, r, d, z)
             left = ((r - S @ d) ** 2).sum(0)
-            # what is left is rounding where it falls no longer
+            # converged to rounding where the residual stagnates
             if (left <= least).all() or not left.sum() < last:
                 return root * z
             last = left.sum()
 
     @cached_property
     def lightest(self) -> float:
-        """Largest eigenvalue of M M~^-1: how much lighter than M a motion may be."""
+        """Largest eigenvalue of M M~^-1: the largest ratio of lumped to actual mass of a motion."""
         if self.axes:
             return max(one.lightest for one in self.axes)
         if self.is_lumped:
@@ -148,7 +147,7 @@ class NodalMass:
 def _iterated(
     S: sparse.csr_matrix, shrink: Floats, grow: Floats, *fields: Floats
 ) -> tuple[Floats, ...]:
-    """Residual r, direction d and solution z (n, ...) after steps of Chebyshev's iteration."""
+    """Residual r, direction d and solution z (n, ...) after steps of the Chebyshev iteration."""
     many = len(fields[0]) >= MANY and fields[0].shape[1:] == (3,)
     if many and S.indices.dtype == np.int32 and not resident_blocks():
         return _in_one_call(S, shrink, grow, fields)
@@ -164,7 +163,7 @@ def _iterated(
 def _in_one_call(
     S: sparse.csr_matrix, shrink: Floats, grow: Floats, fields: Sequence[Floats]
 ) -> tuple[Floats, ...]:
-    """The same, to the bit, in a third of the time."""
+    """`_iterated` by a kernel, bit-identical, in a third of the time."""
     ensure_running()
     from gf_usd.physics.grid.row_kernels import LANES, iterate
 
@@ -174,30 +173,30 @@ def _in_one_call(
 
 
 def per_row(values: Floats, like: Floats) -> Floats:
-    """Values (n,) as a column next to a field (n, ...)."""
+    """Values (n,) as a column that broadcasts to a field (n, ...)."""
     return values.reshape(-1, *(1,) * (like.ndim - 1))
 
 
 def lumped_mass(stencil: Stencil) -> NodalMass:
-    """M alone, as in the paper."""
+    """M alone, as in the paper (GaussianFlesh)."""
     n = stencil.free_count
     return NodalMass(lumped=stencil.mass, springs=sparse.csr_matrix((n, n)), ground=np.zeros(n))
 
 
 def consistent_mass(stencil: Stencil, m: Floats) -> NodalMass:
-    """M~ of a stencil with particles of masses m (N,) [kg], 0 where a pin holds them."""
+    """M~ of a stencil with particles of masses m (N,) [kg], 0 for pinned ones."""
     if stencil.factors is not None:
         return _of_axes(stencil, m)
     K = reduced(stencil, _without_regions(stencil, cell_springs(stencil, m)))
     exact = split(K, stencil.mass, 0.0)
     sparse_mass = split(K, stencil.mass, WEAK)
     out = balanced(stencil, sparse_mass, m)
-    # E^T K E is positive semi-definite; without the weak springs, of either sign, it need not be.
+    # E^T K E is positive semi-definite, but possibly not without the weak springs of either sign.
     return out if positive(out) else exact
 
 
 def _without_regions(stencil: Stencil, springs: Floats) -> Floats:
-    """Springs (cells, 54), 0 where a node of a rigid region is at one end: mass is lumped there."""
+    """Springs (cells, 54), set to 0 at nodes of rigid regions, where mass is lumped."""
     if stencil.region is None:
         return springs
     low, high = links()
@@ -206,7 +205,7 @@ def _without_regions(stencil: Stencil, springs: Floats) -> Floats:
 
 
 def _of_axes(stencil: Stencil, m: Floats) -> NodalMass:
-    """M~ with springs of each axis; those of the whole are of the axes that are free."""
+    """M~ with springs per axis, for sliding pins; `springs` are those of the free axes."""
     x, y, z = (consistent_mass(stencil.along(axis), m) for axis in range(3))
     free = consistent_mass(stencil.across, m)
     union = sum((abs(one.springs) for one in (x, y, z)), abs(free.springs))
@@ -218,7 +217,9 @@ def _of_axes(stencil: Stencil, m: Floats) -> NodalMass:
 
 
 def links() -> tuple[Ints, Ints]:
-    """The nodes (54,) of a cell that its edges join: two along each of nine lines of each axis."""
+    """The pairs of nodes (54,) joined by the edges of a cell: two on each of nine lines
+    per axis.
+    """
     node = np.arange(27).reshape(3, 3, 3)
     low = [node.take([0, 1], axis).ravel() for axis in range(3)]
     high = [node.take([1, 2], axis).ravel() for axis in range(3)]
@@ -244,7 +245,7 @@ def cell_springs(stencil: Stencil, m: Floats) -> Floats:
 
 
 def particle_springs(fx: Floats, m: Floats) -> Floats:
-    """k [kg] that particles (n,) at fx (n, 3) in their cells give to the 54 edges."""
+    """k [kg] of the 54 edges from particles (n,) at fx (n, 3) in their cells."""
     w = bspline(fx)[0]  # (n, node, axis)
     flux = np.stack([w[:, 0] * fx, w[:, 2] * (2.0 - fx)], 1)  # (n, edge, axis)
     x, y, z = np.moveaxis(w, 2, 0)
@@ -273,7 +274,7 @@ def reduced(stencil: Stencil, springs: Floats) -> sparse.csr_matrix:
 
 
 def split(K: sparse.csr_matrix, lumped: Floats, weak: float) -> NodalMass:
-    """K without the springs below weak sqrt(M_i M_j); what it does to 1 stays."""
+    """K without the springs below weak sqrt(M_i M_j); K 1 is unchanged."""
     ground = np.asarray(K.sum(1)).ravel()
     ground[np.abs(ground) < 1e-9 * lumped] = 0.0
     all_of = K.tocoo()
@@ -285,10 +286,11 @@ def split(K: sparse.csr_matrix, lumped: Floats, weak: float) -> NodalMass:
 
 
 def balanced(stencil: Stencil, mass: NodalMass, m: Floats) -> NodalMass:
-    """Springs k (1 + n . C n) of direction n with a C (3, 3) of each body that sets its inertia.
+    """Springs k (1 + n . C n) with n their direction and a symmetric C (3, 3) per body, to match
+    inertia.
 
-    sum_i X_i (x) (M~ X)_i = sum_p m_p X_p (x) X_p, by Newton's method on the six numbers of C; the
-    left side falls by z . K z with z = M^-1 M~ X.  A body that a pin holds is left as it is.
+    sum_i X_i (x) (M~ X)_i = sum_p m_p X_p (x) X_p is solved by Newton's method for the six entries
+    of C; the left side decreases by z . K z with z = M^-1 M~ X. A pinned body is unchanged.
     """
     node_body = stencil.node_body[: stencil.free_count]
     i = np.repeat(np.arange(stencil.free_count), np.diff(mass.springs.indptr))
@@ -298,7 +300,7 @@ def balanced(stencil: Stencil, mass: NodalMass, m: Floats) -> NodalMass:
     held = np.unique(stencil.node_body[stencil.held.pin >= 0])
     bodies = np.setdiff1d(np.unique(node_body), held)
     mp = m[stencil.order]
-    # Corners of cells lie half a cell below their base node's first neighbor: fx counts from it.
+    # fx is relative to the base node; cell corners are half a cell from nodes.
     Xp = particle_places(stencil)
     X = stencil.free_X.copy()
     target = np.zeros((len(bodies), 6))
@@ -320,7 +322,7 @@ def balanced(stencil: Stencil, mass: NodalMass, m: Floats) -> NodalMass:
         for b, number in enumerate(bodies):
             nodes, mine = node_body == number, spring_body == number
             over = products(np.ones(int(nodes.sum())), X[nodes], p[nodes]) - target[b]
-            # each spring stands twice
+            # each spring is stored twice
             T = (
                 0.5
                 * (dz[mine][:, PAIRS[0]] * dz[mine][:, PAIRS[1]]).T
@@ -332,7 +334,7 @@ def balanced(stencil: Stencil, mass: NodalMass, m: Floats) -> NodalMass:
 
 
 def products(m: Floats, a: Floats, b: Floats) -> Floats:
-    """sum m a (x) b, symmetric part, its six numbers in the order of PRODUCTS."""
+    """Symmetric part of sum m a (x) b, its six entries in the order of PRODUCTS."""
     S = np.stack([(m * a[:, r] * b[:, c] + m * a[:, c] * b[:, r]).sum() for r, c in PRODUCTS])
     return 0.5 * S
 
@@ -340,7 +342,7 @@ def products(m: Floats, a: Floats, b: Floats) -> Floats:
 def scaled_springs(
     mass: NodalMass, k: Floats, shape: Floats, spring_body: Ints, bodies: Ints, C: Floats
 ) -> NodalMass:
-    """`mass` with its springs times 1 + n . C n, within limits."""
+    """`mass` with its springs multiplied by 1 + n . C n, within bounds."""
     factor = np.ones(len(k))
     for b, number in enumerate(bodies):
         mine = spring_body == number
@@ -351,7 +353,7 @@ def scaled_springs(
 
 
 def particle_places(stencil: Stencil) -> Floats:
-    """(N,) x 3 [m] the particles, in the order of the stencil."""
+    """(N, 3) [m] positions of the particles, in the order of the stencil."""
     base = stencil.node_ijk[stencil.cell_nodes[:, 0]]
     shift = stencil.shift[stencil.node_body[stencil.cell_nodes[:, 0]]]
     cell = np.repeat(np.arange(len(base)), np.diff(stencil.cell_start))
@@ -359,10 +361,10 @@ def particle_places(stencil: Stencil) -> Floats:
 
 
 def positive(mass: NodalMass) -> bool:
-    """Whether M~ is positive definite with half of M to spare: 1 + K / M >= 1/2."""
+    """Whether M~ is positive definite with a margin: 1 + K / M >= 1/2."""
     inverse = 1.0 / mass.lumped
     most = mass.lightest
-    # Eigenvalues of most - K / M, whose largest tells K's lowest.
+    # The largest eigenvalue of most - K / M gives the smallest of K / M.
     shift = most * mass.lumped
     start = np.random.default_rng(1).normal(size=len(inverse))
     value = largest_eigenvalue(

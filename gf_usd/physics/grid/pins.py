@@ -1,42 +1,44 @@
-"""Pins: nodes whose displacement is given.
+"""Pins: nodes with a prescribed displacement, and the motion of pinned regions.
 
-A pin is a region of the rest body with a motion g(X, t).  Nodes inside it are no unknowns.  One
-that lies deep follows the motion, u_l = g(X_l).  One within reach of the particles outside goes on
-the line through the boundary's value and the field across it, as a ghost node does in finite
-differences: with b the boundary's nearest point, n the unit normal there into the body, and the
-node s behind it, X_l = b - s n,
+A pin is a region of the rest body with a motion g(X, t). Nodes inside it are no unknowns. A node
+deep inside follows the motion, u_l = g(X_l). A node in the support of particles outside is on the
+line through the boundary value and the field across it, like a ghost node of finite differences:
+with b the nearest point of the boundary, n the unit normal there into the body, and the node at
+distance s behind it, X_l = b - s n,
 
     u_l - g(X_l) = e (u - g)(X'_l),     X'_l = b + D n,   e = -s / D,   D = max(s, h - s)
 
-so that u = g on the boundary to second order in h, and uniform strain up to there is exact.
-(Setting u_l = g alone would clamp the body up to half a cell away from where it was asked to be.)
-A node of the body that lies within NEAR of the boundary is given likewise, with s < 0 and
-D = h - s; and where the field at an X' would hang on such nodes, D is 2 h - s.  With D = s alone, a
-bar of 10 cells that hangs sags by 3.7 times what it should where nodes lie on the boundary, and by
-.88 where they lie just behind it; with these rules by 1 to .7 %, wherever they lie.
+so that u = g on the boundary to second order in h, and uniform strain is exact up to the boundary.
+(u_l = g alone would clamp the body up to half a cell away from the boundary.) A node of the body
+within NEAR of the boundary is prescribed likewise, with s < 0 and D = h - s; where the field at X'
+depends on such nodes, D is 2 h - s. With D = s alone, a hanging bar of 10 cells sags by 3.7 times
+the exact value where nodes are on the boundary, and by .88 where they are just behind it; with
+these rules the error is .7 to 1 % for any position of the nodes.
+
 A pin that is not `sharp`, such as a bone's core, has no mirrored nodes: all nodes inside it follow
 the motion, and the particles there keep their mass and stress.
-Both are rows of the same kind as those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces go
-back through the same numbers.  Particles inside a pin move as given and carry no stress.
 
-A pin may hold some axes and let the others slide, as a symmetry plane does: the field goes on
-across the boundary odd in what is held and even in what is not, with D = s,
+Both kinds are rows like those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces are
+distributed by the transpose. Particles inside a pin move as prescribed and carry no stress.
+
+A pin may hold some axes and let the others slide, like a symmetry plane: the field is continued
+across the boundary, odd in held and even in free components, with D = s,
 
     u_la = +u_a(X'_l)  for a free axis a
 
-and behind its reach by an affine fit.  The row of such a node is that of a held one times a factor
-of each axis: 1 held, -1 free; 0 held and deep.  Where pins that hold different axes overlap, as the
-planes of a quarter of a body, a node holds the axes of all, mirrored at one boundary after another.
+and beyond the range of mirrored nodes by an affine fit. The row of such a node is that of a held
+one times a factor per axis: 1 held, -1 free; 0 held and deep. Where pins that hold different axes
+overlap, like the planes of a quarter model, a node holds the axes of all, mirrored at one boundary
+after another.
 
-How a pinned region moves between its anchors.
-
-Anchors are points whose place is known at every frame.  Any other point of the region moves by the
-map that fits the anchors near it best, with weights w_j that fall off with distance,
+The motion of a pinned region is interpolated from its anchors, points with a given position at
+every frame. Any other point of the region moves by the affine least squares fit of the anchors,
+with weights w_j that decrease with distance,
 
     x(X) = xbar + A (X - Xbar),    A = argmin sum_j w_j |A (X_j - Xbar) - (x_j - xbar)|^2
 
-affine where the anchors fill space, else the nearest rotation (Kabsch 1976): anchors on a flat face
-say nothing of the stretch across it.
+or by the nearest rotation (Kabsch 1976) where the anchors are nearly coplanar, since they do not
+determine the stretch across their plane.
 """
 
 from __future__ import annotations
@@ -57,19 +59,19 @@ from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin
 
-# Flesh begins 0.21 cells before the last node that is held, and the last of those inside a region
-# lies half a cell from its boundary on average.  Nodes up to 0.71 cells outside take part, then:
-# this is what a plane leaves of the mass of such a node, (1.5 - 0.71)^3 / 6.
+# The soft material begins 0.21 cells before the last held node, and the last node inside a region
+# is half a cell from its boundary on average, so that nodes up to 0.71 cells outside are included:
+# this is the fraction of such a node's mass beyond a plane, (1.5 - 0.71)^3 / 6.
 OWNED = 0.082
 REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outside ends at 1.5
-NEAR = 0.45  # [cells] less than a half, where a row of nodes is as well across the boundary
-ALIKE = 1e-6  # nodes that are as near to a small patch as the nearest one, but for rounding
-HANGS = 0.01  # of a row: more than this on nodes that are given, and X' goes farther in
+NEAR = 0.45  # [cells] below one half, where a row of nodes is equally near across the boundary
+ALIKE = 1e-6  # tolerance for nodes that are equally near to a small patch
+HANGS = 0.01  # weight of a row on prescribed nodes above which X' moves farther inward
 
 
 @dataclass(frozen=True, kw_only=True)
 class PinnedPoints:
-    """Which of a set of points are held, along which axes, and by which pin."""
+    """The pin that holds each axis of a set of points."""
 
     axes: Ints  # (n, 3) index of the pin that holds each axis; -1: free
 
@@ -90,23 +92,23 @@ class PinnedPoints:
 
     @property
     def slide(self) -> NDArray[np.bool_]:
-        """(n,) held along some axes only."""
+        """(n,) whether a point is held along some axes only."""
         return np.asarray(self.free.any(1) & ~self.free.all(1))
 
     def at(self, rows: Any) -> PinnedPoints:
-        """Some of the points."""
+        """A subset of the points."""
         return PinnedPoints(axes=self.axes[rows])
 
 
 def pinned_by(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> PinnedPoints:
-    """The first pin that holds each point X (n, 3) [m], and those after it that hold other axes.
+    """The first pin that contains each point X (n, 3) [m], and later ones that hold other axes.
 
     body : (n,) of each point; None: all are of the first.
     """
     body = np.zeros(len(X), np.int64) if body is None else body
     out = np.full((len(X), 3), -1)
     for index, pin in enumerate(pins):
-        if pin.rigid:  # nodes belong to it by their mass: see `rigid`
+        if pin.rigid:  # its nodes are chosen by mass: see `rigid`
             continue
         axes = np.asarray(pin.axes, bool)
         mine = True if pin.body is None else body == pin.body
@@ -119,9 +121,10 @@ def pinned_by(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> Pinne
 def region_of_nodes(
     of_region: Sequence[Floats], mass: Floats, held: Ints, numbers: Sequence[int]
 ) -> Ints:
-    """(M,) pin whose rigid region each node belongs to; -1: none.
+    """(M,) pin of the rigid region that each node belongs to; -1: none.
 
-    of_region : (M,) [kg] of each node that is each region's; mass : (M,) [kg] of all particles.
+    of_region : (M,) [kg] mass per node of each region's particles; mass : (M,) [kg] of all
+    particles.
     held : (M,) whether a pin holds a node already; numbers : of the regions' pins.
     """
     out = np.full(len(mass), -1)
@@ -133,7 +136,7 @@ def region_of_nodes(
 
 
 def boundary_held(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
-    """`pinned_by` of those pins that are held at their boundary: nothing is left to solve there."""
+    """`pinned_by` for pins with prescribed boundaries, inside of which nothing is simulated."""
     axes = pinned_by(pins, X).axes
     cores = [index for index, pin in enumerate(pins) if not pin.sharp]
     return PinnedPoints(axes=np.where(np.isin(axes, cores), -1, axes))
@@ -143,10 +146,10 @@ Given = Callable[[Ints, Floats], NDArray[np.float64]]  # of nodes by number, and
 
 
 def prescribed_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> PinnedPoints:
-    """Nodes X (n, 3) [m] with those of the body that lie within NEAR of a boundary that is held.
+    """Pins of nodes X (n, 3) [m], with those of the body within NEAR of a held boundary.
 
-    A pin that holds no node itself holds none nearby, but for a patch, which may be smaller than a
-    cell: of that, the nearest ones.
+    A pin that holds no node itself holds none nearby, except for a patch, which may be smaller than
+    a cell: this holds the nearest ones.
     """
     axes = held.axes.copy()
     for index, pin in enumerate(pins):
@@ -164,10 +167,10 @@ def prescribed_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: flo
 def fully_prescribed(
     pins: Sequence[Pin], held: PinnedPoints, mass: Floats, body: Ints, X: Floats
 ) -> PinnedPoints:
-    """Nodes X (n, 3) [m] with all those of the bodies whose particles are held without exception.
+    """Pins of nodes X (n, 3) [m], with all nodes of bodies without free particles.
 
-    mass : (n,) [kg] of what is free; body : (n,) of each node.  Such a body has no mass, and no
-    free node that the nodes around it could follow: each moves with the nearest pin of the body.
+    mass : (n,) [kg] of free particles; body : (n,) of each node. Such a body has no free nodes for
+    its other nodes to depend on: each moves with the nearest pin of the body.
     """
     massless = np.bincount(body, mass) == 0.0
     if not massless.any():
@@ -191,9 +194,10 @@ def _holds(pin: Pin) -> bool:
 def mirror_points(
     pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float, given: Given | None = None
 ) -> tuple[Floats, Floats]:
-    """X' (n, 3) [m] of held nodes near the boundary of their pins, nan for free and deep; e (n,).
+    """X' (n, 3) [m] of held nodes near the boundary of their pins, nan for free and deep nodes; e
+    (n,).
 
-    given : shares of fields at X' that hang on nodes that are given themselves; None: none do.
+    given : weights of the fields at X' on nodes that are prescribed themselves; None: none.
     """
     out = np.where(held.free.all(1, keepdims=True), np.nan, X)
     share = np.full(len(X), -1.0)
@@ -248,8 +252,8 @@ def weight_on(at: Floats, nodes: Ints) -> NDArray[np.float64]:
 def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
     """Trilinear weights (n, m) of a nodal field at grid positions `at` (n, 3) [cells].
 
-    Corners that are not among `nodes` (m, 3) are left out and the others share their weight; where
-    none is the row is empty.
+    Corners that are not in `nodes` (m, 3) are omitted and the other weights normalized; without any
+    corner the row is empty.
     """
     tree = kd_tree(nodes)
     base = np.floor(at + 1e-9).astype(int)
@@ -268,9 +272,9 @@ def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
 
 
 class PinConstraint:
-    """The pins of one body: what they hold, and where it is at each frame.
+    """The pins of a solver: held points, and their prescribed positions.
 
-    Raises InputError where a pin holds no node, which means that it would do nothing, or all.
+    Raises InputError for pins that hold all particles; `check` for a pin that holds no node.
     """
 
     def __init__(self, pins: Sequence[Pin], X: Floats) -> None:
@@ -288,12 +292,12 @@ class PinConstraint:
 
     @property
     def prescribed(self) -> bool:
-        """Whether any region has a given motion, and so a place."""
+        """Whether a pin prescribes a position."""
         return not all(pin.rigid for pin in self.pins)
 
     @property
     def moving(self) -> bool:
-        """Whether any region is animated."""
+        """Whether a pin is animated."""
         return any(motion.moving for motion in self.motions)
 
     def check(self, nodes: PinnedPoints) -> None:
@@ -352,9 +356,10 @@ class PinConstraint:
         frame_time: float,
         offset: Floats,
     ) -> Pose:
-        """A pose with the held points where they belong; offset (3,) [m] shifts all.
+        """A pose with the held points at their prescribed positions; offset (3,) [m] of the moving
+        frame.
 
-        Along a free axis they are evaluated from the grid, like all others.
+        Along a free axis they are interpolated from the grid, like all others.
         """
         mine = np.flatnonzero(held.pin >= 0)
         if not len(mine):
@@ -373,12 +378,12 @@ class PinConstraint:
 
 
 NEIGHBORS = 24
-SAME = 1e-6  # of the region's size: a point as near to an anchor as that moves with it
-FLAT = 1e-3  # ratio of the spreads of the anchors under which they count as flat
+SAME = 1e-6  # of the region's size: a point this near to an anchor moves with it
+FLAT = 1e-3  # ratio of the extents of the anchors below which they are coplanar
 
 
 class Motion:
-    """The motion of one pin; frames outside the path stay at its ends."""
+    """The motion of one pin, constant before the first and after the last frame of its path."""
 
     def __init__(self, anchors: Floats, path: Floats) -> None:
         self.anchors, self.path = np.asarray(anchors, float), np.asarray(path, float)
@@ -388,7 +393,7 @@ class Motion:
         self._extent = float(np.linalg.norm(np.ptp(self.anchors, axis=0)))
 
     def targets_at(self, frame: float) -> Floats:
-        """(k, 3) [m], linear between frames."""
+        """(k, 3) [m] positions of the anchors, linearly interpolated between frames."""
         frame = float(np.clip(frame, 0.0, len(self.path) - 1))
         low = min(int(frame), max(len(self.path) - 2, 0))
         high = min(low + 1, len(self.path) - 1)

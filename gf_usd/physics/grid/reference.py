@@ -1,13 +1,11 @@
-"""The reference grid: cells, nodes and the constant operators W and G.
+"""The reference grid: cells, nodes, and the constant interpolation operators W and G.
 
-Quadratic B-splines on a grid of spacing h that never moves (GaussianFlesh section 3.2;
-docs/physics.md).  A point at X touches the 27 nodes of its cell with
+Quadratic B-splines on a fixed grid of spacing h (GaussianFlesh section 3.2; docs/physics.md). A
+point at X is in the support of the 27 nodes of its cell, with
 
     w_ip = N(xi_x) N(xi_y) N(xi_z),     G_ip = dw_ip / dX,     sum_i w_ip = 1,  sum_i w_ip X_i = X_p
 
-and everything the solver and the skin do is built from those numbers.
-
-Some nodes are no unknowns and follow the others (`followers`).
+Dependent nodes are combinations of free ones (`dependent_nodes`, `pins`).
 """
 
 from __future__ import annotations
@@ -41,8 +39,8 @@ from gf_usd.physics.grid.pins import (
     weight_on,
 )
 
-APART = 40  # [cells] between bodies on the grid: beyond any neighbor that a fit would take
-CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays
+APART = 40  # [cells] between bodies on the grid: beyond the reach of a fit
+CHUNK = 1 << 16  # points processed at once: temporary arrays are many times the result
 
 
 def bspline(f: Floats) -> tuple[Floats, Floats]:
@@ -66,21 +64,23 @@ class Rows:
 
     X: Floats  # (n, 3) [m]
     W: sparse.csr_matrix  # (n, M)
-    G: tuple[sparse.csr_matrix, ...]  # three, (n, M) [1/m] each; (): nobody asks for gradients
+    G: tuple[sparse.csr_matrix, ...]  # three, (n, M) [1/m] each; (): without gradients
 
     @cached_property
     def slopes(self) -> sparse.csr_matrix:
-        """The three of G one under the other, (3 n, M): for few points, instead of three calls."""
+        """The three G stacked, (3 n, M): one product instead of three, for few points."""
         return sparse.csr_matrix(sparse.vstack(self.G, format="csr"))
 
     def nodes(self, u: Floats) -> Floats:
-        """What W and G are of, (M, 3), from a stack u (or v): see `embedding.SplineRows`."""
+        """The vector (M, 3) that W and G apply to, from a stacked u (or v): see
+        `embedding.SplineRows`.
+        """
         return u
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stencil:
-    """Particles sorted by cell on the compact set of nodes they reach."""
+    """Particles sorted by cell, and the nodes in their support."""
 
     origin: Floats  # (3,) [m] position of grid node (0, 0, 0)
     h: float  # [m]
@@ -89,21 +89,21 @@ class Stencil:
     cell_nodes: Ints  # (K, 27) nodes of each cell
     fx: Floats  # (N, 3) distance from the base node in cells, in `order`
     node_ijk: Ints  # (M, 3); the free nodes come first
-    mass: Floats  # (free,) [kg] sum_p w_ip m_p, the shares of the followers added
+    mass: Floats  # (free,) [kg] sum_p w_ip m_p, with the contributions of followers
     node_mass: Floats  # (M,) [kg] sum_p w_ip m_p of every node
     follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
-    shift: Floats  # (bodies, 3) [m] that sets the bodies apart on the grid: they share no node
+    shift: Floats  # (bodies, 3) [m] that separates the bodies on the grid: they share no node
     node_body: Ints  # (M,) the body of each node
-    held: PinnedPoints  # which followers a pin holds, and all nodes
+    held: PinnedPoints  # pins of all nodes
     mirror: Floats  # (M, 3) [m] mirror points of held nodes; nan elsewhere
-    mirror_share: Floats  # (M,) e: of the field there, see `pins`
+    mirror_share: Floats  # (M,) e, factor on the field there: see `pins`
     sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
     sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
     dims: Ints = field(repr=False)  # (3,) of the key space
     corner: Ints = field(repr=False)  # (3,) ijk of key 0
-    copies: NodeCopies | None = None  # of nodes near several limbs; None: there are none
+    copies: NodeCopies | None = None  # of nodes near several limbs; None: no copies
     factors: Floats | None = None  # (M - free, 3) of `follow` along each axis; None: 1
-    region: Ints | None = None  # (M,) rigid region (pin) of each node, -1; None: there are none
+    region: Ints | None = None  # (M,) rigid region (pin) of each node, -1: none; None: no regions
 
     @property
     def node_count(self) -> int:
@@ -124,12 +124,12 @@ class Stencil:
         return self.node_X[: self.free_count]
 
     def along(self, axis: int) -> Stencil:
-        """The same with `follow` as it is along an axis, where pins slide."""
+        """The stencil with `follow` for one axis, where pins slide."""
         return self if self.factors is None else self._scaled(self.factors[:, axis])
 
     @property
     def across(self) -> Stencil:
-        """The same with `follow` as it is along the axes that are free where pins slide."""
+        """The stencil with `follow` for the free axes of sliding pins."""
         return self if self.factors is None else self._scaled(self.factors.min(1))
 
     def _scaled(self, factors: Floats) -> Stencil:
@@ -137,12 +137,16 @@ class Stencil:
         return replace(self, follow=rows, factors=None)
 
     def slid(self, u: Floats) -> Floats:
-        """(M - free, 3) what sliding pins add to c of followers, u (free, 3) of the free nodes."""
+        """(M - free, 3) contribution of sliding pins to c of followers, for u (free, 3) of the free
+        nodes.
+        """
         assert self.factors is not None
         return (self.factors - 1.0) * (self.follow @ u)
 
     def locate(self, ijk: Ints) -> Ints:
-        """Compact index of grid nodes (..., 3), the first copy of each; -1: no particle reaches."""
+        """Compact index of grid nodes (..., 3), of the first copy; -1: outside of the particles'
+        support.
+        """
         shifted = ijk - self.corner
         inside = np.all((shifted >= 0) & (shifted < self.dims), axis=-1)
         keys = linear(np.where(inside[..., None], shifted, 0), self.dims)
@@ -160,8 +164,8 @@ class Stencil:
         """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c.
 
         body : (n,) the body of each; None: the first.
-        cell_copy : (n,) the copy of a cell that each is in, see `Particles.copies`; None: any.
-        gradients : make G, three times as much memory as W.
+        cell_copy : (n,) the cell copy of each, see `Particles.copies`; None: any.
+        gradients : compute G, which takes three times the memory of W.
         """
         body = np.zeros(len(X), int) if body is None else body
         parts = [
@@ -175,15 +179,16 @@ class Stencil:
         ]
         W, *G = (stacked([part.pop(0) for part in parts]) for _ in range(len(parts[0])))
         for one in G:
-            # Which nodes count is the same for all four, and as much memory as the weights.
+            # The node indices are shared by all four, and take as much memory as the weights.
             if np.array_equal(one.indices, W.indices):
                 one.indices, one.indptr = W.indices, W.indptr
         return Rows(X=X, W=W, G=tuple(G))
 
     def extension(self, beyond: Ints) -> sparse.csr_matrix:
-        """From what `Rows` stack to all nodes, and to those (n, 3 or 4) that none reaches.
+        """Rows from the stacked vector of `Rows` to all nodes, and to nodes (n, 3 or 4) without
+        particles.
 
-        beyond : ijk, and with `copies` the copy of a cell that each belongs to, or -1.
+        beyond : ijk, and with `copies` the cell copy of each, or -1.
         """
         free = sparse.identity(self.free_count, format="csr")
         moving = np.arange(self.node_count) < self.free_count
@@ -206,9 +211,11 @@ class Stencil:
     def reach(
         self, X: Floats, body: Ints, cell_copy: Ints | None = None
     ) -> tuple[Ints, Floats, Ints]:
-        """Nodes (n, 27) of points, -1 where no particle reaches, and distances (n, 3) in cells.
+        """Nodes (n, 27) of points, -1 outside of the particles' support, and distances (n, 3) in
+        cells.
 
-        Third come the nodes as `extension` knows those that none reaches, (n, 27, 3 or 4).
+        The third result is the nodes outside of the support as arguments of `extension`, (n, 27, 3
+        or 4).
         """
         base, fx = self.base(X + self.shift[body])
         ijk = base[:, None, :] + OFFSETS
@@ -228,7 +235,7 @@ class Stencil:
     def _operators(
         self, X: Floats, body: Ints, cell_copy: Ints | None, *, gradients: bool
     ) -> list[sparse.csr_matrix]:
-        """W and, if asked for, the three of G of some points, which take turns to leave."""
+        """W and optionally the three G of some points, yielded one at a time to bound memory."""
         at, fx, ijk = self.reach(X, body, cell_copy)
         missing = at < 0
         keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
@@ -257,7 +264,7 @@ def base_node(cells: Floats) -> tuple[Ints, Floats]:
 
 
 def stacked(parts: list[sparse.csr_matrix]) -> sparse.csr_matrix:
-    """Sparse rows one under the other."""
+    """Vertically stacked sparse matrices."""
     return parts[0] if len(parts) == 1 else sparse.csr_matrix(sparse.vstack(parts, format="csr"))
 
 
@@ -292,7 +299,7 @@ def linear(ijk: Ints, dims: Ints) -> Ints:
 def apart(X: Floats, body: Ints, h: float, corners: Floats) -> Floats:
     """Shifts (bodies, 3) [m], along x, after which no two bodies share a node.
 
-    Bodies are as far from each other then as a fit of followers could reach, and the corners
+    The distance between bodies is then beyond the reach of a fit for followers, and the corners
     (bodies, 3) [m] of their cells are whole cells from the first one's.
     """
     count = int(body.max()) + 1
@@ -319,20 +326,20 @@ def build_stencil(
     body: Ints | None = None,
     copies: CellCopies | None = None,
 ) -> Stencil:
-    """Sort particles by cell and number the nodes they reach.
+    """Sort particles by cell and number the nodes in their support.
 
-    X : (N, 3) [m]; m : (N,) [kg], 0 for particles that a pin holds; h : [m]; corner_at : (3,) [m] a
-    corner where cells meet, or (bodies, 3) one of each body, so that the cells are those that the
-    particles were made for.
-    free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
-    pin_constraint : the pins.   body : (N,) the body of each particle; None: all are one.
-    copies : of cells that several limbs share; None: every cell is one.
+    X : (N, 3) [m]; m : (N,) [kg], 0 for pinned particles; h : [m].
+    corner_at : (3,) [m] a corner of cells, or (bodies, 3) one per body, so that the cells are those
+    for which the particles were sampled.
+    free_mass : a node lighter than this fraction of the median is dependent; 0: none.
+    pin_constraint : the pins; body : (N,) the body of each particle; None: there is one.
+    copies : of cells that several limbs share; None: without copies.
     """
     body = np.zeros(len(X), np.int64) if body is None else body
     corners = np.broadcast_to(np.asarray(corner_at, float), (int(body.max()) + 1, 3))
     shift = apart(X, body, h, corners)
     X = X + shift[body]
-    # Cells of the quadratic stencil are centered on nodes: their corners lie half a cell off.
+    # Cells of the quadratic stencil are centered on nodes: their corners are half a cell off.
     origin = corners[0] - 0.5 * h
     base, fx = base_node((X - origin) / h)
     if copies is None:
@@ -362,7 +369,7 @@ def build_stencil(
     held = prescribed_nearby(pins, held, node_X, h)
     held = fully_prescribed(pins, held, mass, node_body, node_X)
     if copies is not None and held.any:
-        # What a pin's region holds of places, it holds of the limb that is in it.
+        # A pin holds the copies of a node that belong to the limb inside its region.
         inside = np.zeros(len(node_ijk), bool)
         pinned = pinned_by(pins, X - shift[body], body)
         inside[cell_nodes[cell[pinned.pin[order] >= 0]]] = True
@@ -396,7 +403,7 @@ def build_stencil(
     renumber = np.empty(len(mass), np.int64)
     renumber[ordered] = np.arange(len(mass))
     mirror, share = mirror[ordered], share[ordered]
-    mirror[int(free.sum()) :][np.diff(follow.indptr) == 0] = np.nan  # nothing free to mirror
+    mirror[int(free.sum()) :][np.diff(follow.indptr) == 0] = np.nan  # no free node to mirror
     held = held.at(ordered)
     after = slice(int(free.sum()), None)
     factors = axis_factors(held.at(after), mirror[after])
@@ -433,7 +440,7 @@ def build_stencil(
 
 
 def number_cells(base: Ints) -> tuple[Ints, Ints, Ints, Ints]:
-    """Particles cell by cell and the nodes of the cells, from the base nodes (N, 3).
+    """Particles sorted by cell and the nodes of the cells, from the base nodes (N, 3).
 
     Returns order (N,), cell_start (K + 1,), cell_nodes (K, 27) and node_ijk (M, 3).
     """

@@ -1,20 +1,19 @@
-"""Regions of a body that move as rigid bodies: six unknowns each instead of those of their nodes.
+"""Rigid regions of a body: six unknowns each in place of those of their nodes.
 
-A node belongs to a region if enough of its mass is that of the region's particles.  It is where the
-region's motion has it,
+A node belongs to a region if the region's particles contribute enough of its mass. Its motion is
 
     x_l = x_c + Q rho_l,    v_l = V + omega x (x_l - x_c)
 
-with x_c the center of mass, Q the rotation from the principal axes and rho_l the place along these.
-Mass and inertia are those of the nodes, less the springs between them (`grid.mass`),
+with x_c the center of mass, Q the rotation from the principal axes and rho_l the position along
+these. Mass and inertia are those of the nodes, less the springs between them (`grid.mass`),
 
     M = sum_l m_l        J = sum_l m_l (X_l - X_c) (x) (X_l - X_c) - sum k_lk (X_l - X_k) (x) (..)
 
-which for a region alone are the sums over its particles.  Springs between a region and free nodes
-are left out: the mass there is lumped, and momentum is kept.  Forces on the nodes add up to a force
-and a moment, dV/dt = F / M + g, dL/dt = T.  Between them the region turns freely, by rotations
-about its principal axes one after another (Dullweber, Leimkuhler and McLachlan 1997), which keep L
-exactly and are of second order.
+which for an isolated region equal the sums over its particles. Springs between a region and free
+nodes are omitted: the mass there is lumped, and momentum is conserved. Nodal forces sum to a force
+and a moment, dV/dt = F / M + g, dL/dt = T. The free rotation is integrated by successive rotations
+about the principal axes (Dullweber, Leimkuhler and McLachlan 1997), which conserve L exactly and
+are of second order.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ from gf_usd.core.stage import Pin
 from gf_usd.physics.grid.mass import cell_springs, links
 from gf_usd.physics.grid.reference import Stencil
 
-THIN = 1e-3  # of m h^2: the least moment of inertia of what turns about every axis
-# Numbers of a region: displacement of the center, rotation (w, x, y, z) from the principal axes,
-# velocity, angular momentum, mass, principal moments; and of each of its nodes.
+THIN = 1e-3  # of m h^2: least moment of inertia of a region
+# Layout of a region: displacement of the center, rotation (w, x, y, z) from the principal axes,
+# velocity, angular momentum, mass, principal moments; then the layout of each of its nodes.
 ROW, NODE = 17, 6
 D, Q, V, L, M, J = 0, 3, 7, 10, 13, 14
-RHO, ARM = 0, 3  # place along the principal axes; X_l - X_c
+RHO, ARM = 0, 3  # position along the principal axes; X_l - X_c
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +54,7 @@ class RigidRegions:
         return len(self.names)
 
     def arrays(self, velocity: Floats) -> dict[str, Floats]:
-        """What the kernels know; velocity : (followers, 3) [m/s] at the start."""
+        """The arrays of the kernels; velocity : (followers, 3) [m/s] at the start."""
         from scipy.spatial.transform import Rotation
 
         rows, nodes = np.zeros((self.count, ROW)), []
@@ -63,7 +62,7 @@ class RigidRegions:
             rows[k, Q:V] = Rotation.from_matrix(self.axes[k]).as_quat()[[3, 0, 1, 2]]
             v = velocity[of]
             rows[k, V:L] = v.mean(0)
-            # the rigid motion that is nearest to the nodes', which need not lie about the center
+            # least squares rigid motion of the nodes, whose mean need not be the center
             away = arms - arms.mean(0)
             second = away.T @ away
             inertia = np.trace(second) * np.eye(3) - second
@@ -80,7 +79,7 @@ class RigidRegions:
         }
 
     def spread(self, motion: Floats, followers: int) -> Floats:
-        """c (followers, 3) of small motions (2 R, 3): V and omega of each region."""
+        """c (followers, 3) for small motions (2 R, 3): V and omega of each region."""
         out = np.zeros((followers, 3))
         for k, (of, arms) in enumerate(zip(self.nodes, self.arms)):
             out[of] = motion[2 * k] + np.cross(motion[2 * k + 1], arms)
@@ -106,17 +105,17 @@ class RigidRegions:
 
 @dataclass(frozen=True, kw_only=True)
 class RigidMotion:
-    """Where the regions are and how they move, of the kernels' numbers."""
+    """Position and motion of the regions, from the kernels' values."""
 
     x: Floats  # (R, 3) [m] centers, without the offset
     v: Floats  # (R, 3) [m/s]
-    turn: Floats  # (R, 3, 3) from the principal axes
+    turn: Floats  # (R, 3, 3) rotation from the principal axes
     spin: Floats  # (R, 3) [kg m^2/s] angular momentum about the center
     omega: Floats  # (R, 3) [1/s]
 
     @classmethod
     def of(cls, regions: RigidRegions, numbers: Floats) -> RigidMotion:
-        """Of the array `rigid`."""
+        """From the array `rigid`."""
         from scipy.spatial.transform import Rotation
 
         rows = numbers[: ROW * regions.count].astype(float).reshape(-1, ROW)
@@ -129,7 +128,7 @@ class RigidMotion:
         )  # fmt: skip
 
     def constants(self, regions: RigidRegions, into: Floats, rate: Floats) -> None:
-        """Set c [m] and its rate [m/s] of the regions' nodes in arrays (followers, 3)."""
+        """Write c [m] and its rate [m/s] of the regions' nodes to arrays (followers, 3)."""
         for k, (of, arms) in enumerate(zip(regions.nodes, regions.arms)):
             arm = arms @ regions.axes[k] @ self.turn[k].T
             into[of] = (self.x[k] - regions.center[k]) + (arm - arms)
@@ -142,10 +141,11 @@ class RigidMotion:
 
 
 def rigid_regions(stencil: Stencil, m: Floats, pins: Sequence[Pin]) -> RigidRegions | None:
-    """The rigid regions of a stencil; None where it has none.
+    """The rigid regions of a stencil; None without any.
 
-    m : (N,) [kg] of the particles; pins : all of them, which `stencil.region` counts.
-    Raises InputError for a region that holds nothing, or too little to turn about every axis.
+    m : (N,) [kg] of the particles; pins : all of them, as indexed by `stencil.region`.
+
+    Raises InputError for a region that holds no particles, or has too small a moment of inertia.
     """
     if stencil.region is None:
         return None

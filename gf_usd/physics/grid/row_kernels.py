@@ -1,14 +1,14 @@
-"""Sums over nodes in double precision, three components at once.
+"""Interpolation kernels in double precision, for the three components at once.
 
-Position, velocity and deformation gradient of many points, by where they are in their cells: sums
-over the 27 nodes of a cell are taken axis by axis,
+Position, velocity and deformation gradient of many points from their positions in their cells. Sums
+over the 27 nodes of a cell are factored by axis,
 
     sum_ijk N_i(f_x) N_j(f_y) N_k(f_z) u_ijk = sum_i N_i sum_j N_j sum_k N_k u_ijk
 
-and alike with the slopes of one of the axes.  And sums over the rows of a sparse matrix, in the
-order of SciPy's products.
+and likewise with the derivative along one of the axes. Also products with sparse matrices, summed
+in SciPy's order.
 
-The components are a vector, with a fourth that says nothing, since processors have vectors of four.
+The components are a vector padded to four, the width of SIMD vectors.
 """
 
 from gf_usd.system.taichi_runtime import import_taichi
@@ -39,7 +39,7 @@ def slope(f):
 
 @ti.func
 def sums(around: ti.template(), c, fx: ti.template(), p, u: ti.template()):
-    """sum_i w_ip u_i, and the same with the slope along each axis, per cell."""
+    """sum_i w_ip u_i, and the same with the derivative along each axis, per cell."""
     wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
     dx, dy, dz = slope(fx[p, 0]), slope(fx[p, 1]), slope(fx[p, 2])
     zero = 0.0 * fx[p, 0]
@@ -85,7 +85,7 @@ def embed(
     cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, X: Rows, offset: Numbers, u: Lanes,
     v: Lanes, x: Rows, rate: Rows, F: Rows,
 ):  # fmt: skip
-    """x = X + offset + W u,  rate = W v,  F = I + sum_b (G_b u) e_b, (n, 9) row by row.
+    """x = X + offset + W u, rate = W v, F = I + sum_b (G_b u) e_b, (n, 9) row by row.
 
     cell, around, fx : of `embedding.SplineRows`; ih : 1 / h.
     """
@@ -111,7 +111,7 @@ def stretch(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, u: Lanes, D: Rows)
 
 @ti.kernel
 def gather(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, P: Rows, f: Lanes):
-    """f_i += sum_p P_p grad w_ip of P (n, 9), point by point on one thread: in one order."""
+    """f_i += sum_p P_p grad w_ip of P (n, 9), on one thread, for a fixed order of summation."""
     ti.loop_config(serialize=True)
     for p in range(P.shape[0]):
         wx, wy, wz = spline(fx[p, 0]), spline(fx[p, 1]), spline(fx[p, 2])
@@ -140,9 +140,9 @@ def iterate(
     d: Lanes,
     z: Lanes,
 ):
-    """r <- r - S d,  d <- shrink d + grow r,  z <- z + d, as often as there are numbers of both.
+    """r <- r - S d,  d <- shrink d + grow r,  z <- z + d, once per entry of `shrink` and `grow`.
 
-    start (n + 1,), node (nnz,), S : rows and values of a matrix (n, n).
+    start (n + 1,), node (nnz,), S : rows and values of a CSR matrix (n, n).
     """
     ti.loop_config(serialize=True)
     for s in range(shrink.shape[0]):

@@ -1,7 +1,7 @@
-"""The highest frequency of a body: the largest eigenvalue of A K, A and K symmetric.
+"""The highest frequency of a body: the largest eigenvalue of A K, with A and K symmetric.
 
-Lanczos' recursion in the inner product of K (Parlett 1998, section 13), in which A K is
-self-adjoint, so that A needs no root.  Sums are those of NumPy, not of BLAS: the same on any
+Lanczos iteration in the inner product of K (Parlett 1998, section 13), in which A K is
+self-adjoint, so that no root of A is needed. Sums are by NumPy, not BLAS: bit-identical for any
 number of threads.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 
-ACCURACY = 0.01  # of the eigenvalue: the residual that ends the recursion, and is added to it
-MOST = 60  # steps, more than the balls, boxes and bars of the tests take
+ACCURACY = 0.01  # of the eigenvalue: residual that ends the iteration, and is added to it
+MOST = 60  # steps, more than the balls, boxes and bars of the tests need
 Operator = Callable[[Floats], Floats]
 
 
@@ -23,10 +23,11 @@ def largest_eigenvalue(
 ) -> float:
     """Largest eigenvalue of A K, with the residual added.
 
-    accuracy : of the eigenvalue, the residual that is small enough.
     inverse_mass, stiffness : A and K on fields shaped as `start`, K positive semi-definite.
-    Lanczos' value comes from below, and some eigenvalue is within its residual, beta |s_last|.
-    Where the largest ones lie close together that may be a neighbor of the largest.
+    accuracy : relative residual that ends the iteration.
+
+    The Lanczos value approaches from below, and some eigenvalue is within its residual, beta
+    |s_last|. In a cluster of large eigenvalues it may be a neighbor of the largest.
     """
     q_old, q, beta = np.zeros_like(start), start, 0.0
     Kq = stiffness(q)
