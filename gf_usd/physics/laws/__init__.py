@@ -1,1 +1,1 @@
-"""Constitutive laws: energy, stress and moduli of each."""
+"""Constitutive laws: energy, stress, return mapping and moduli of each."""

@@ -1,22 +1,22 @@
-"""Crushable foam over Hencky's elastic law: volume that is lost stays lost.
+"""Crushable foam with Hencky's elastic law: plastic compaction.
 
 With the Kirchhoff stress of `von_mises`, its pressure p = -tr(tau) / 3 and sigma = sqrt(3/2) |s|,
-the material flows where the equivalent stress of Deshpande and Fleck (2000, eq. 3) exceeds a yield
-stress that grows as the cells close:
+plastic flow occurs where the equivalent stress of Deshpande and Fleck (2000, eq. 3) exceeds a yield
+stress that hardens with compaction:
 
     Q = sqrt((sigma^2 + alpha^2 p^2) / (1 + alpha^2 / 9)) > Y(c) = yield_stress + hardening c
 
-c is the volume lost for good, -ln det F_p where that is above 0, and alpha the shape of the cap
-(1.5 * sqrt(2) = 2.1 makes a uniaxial test show no plastic Poisson's ratio).  Under tension, p < 0,
-alpha of the numerator is alpha / r, r the ratio of the largest tension to the largest pressure: two
-half ellipses that share their widest point and its normal.  Associated flow
-de_p = l d(Q^2 (1 + alpha^2/9))/d tau returns stress along (its eq. 7, backward Euler)
+c is the plastic compaction max(0, -ln det F_p), and alpha the shape of the yield surface (for 1.5 *
+sqrt(2) = 2.1 the plastic Poisson's ratio of a uniaxial test is zero). Under tension, p < 0, alpha
+in the numerator is alpha / r, with r the ratio of tensile to compressive strength: two half
+ellipses with common widest point and normal. Associated flow de_p = l d(Q^2 (1 + alpha^2/9))/d tau
+returns the stress (their eq. 7, backward Euler)
 
     s = s* / (1 + 6 mu l),   p = p* / (1 + 2 alpha^2 K l),   K = lam + 2 mu / 3
 
-which keeps the sign of p, with l >= 0 such that Q = Y(c): Newton from below, since Q - Y falls with
-l.  Where a stretch of F_e
-is below 0.1 or F_e is inverted nothing flows: Hencky's law pushes it back first.
+which preserves the sign of p, with l >= 0 such that Q = Y(c). Newton's method converges from below,
+since Q - Y decreases with l. Where a stretch of F_e is below 0.1 or F_e is inverted no flow occurs,
+until the elastic forces have restored the particle.
 """
 
 import taichi as ti
@@ -49,12 +49,12 @@ from gf_usd.physics.laws.simd3x3 import (
 )
 
 ITERATIONS = 20
-CLOSE = 1e-6  # of Q: the step from such a residual ends at its square
+CLOSE = 1e-6  # residual relative to Q; quadratic convergence squares it in one more step
 
 
 @ti.func
 def flow(F, q, a, dt, converged):
-    """See the module."""
+    """The return mapping of the module; arguments and results as in `registry`."""
     D, C = gram(F)
     Z = cayley(D, C)
     E = F
@@ -90,7 +90,7 @@ def flow(F, q, a, dt, converged):
 
 @ti.func
 def dissipated(q, m, stress, pressure):
-    """tau : (e* - e) [J/m^3] of the stress that remains: of shear, and of pressure."""
+    """tau : (e* - e) [J/m^3] of the final stress: deviatoric part and pressure part."""
     u = 1.0 / (1.0 + 3.0 * m)
     w = 1.0 / (1.0 + slope(q, pressure) * m)
     shear = stress * stress * u * (1.0 - u) / (3.0 * q[0])
@@ -99,7 +99,7 @@ def dissipated(q, m, stress, pressure):
 
 @ti.func
 def cap(q, pressure):
-    """alpha^2 on the side of -p [Pa]: under tension over r^2."""
+    """alpha^2 for the sign of -p [Pa]: under tension divided by r^2."""
     return q[4] * q[4] * ti.select(pressure > 0.0, 1.0 / (q[5] * q[5]), 1.0)
 
 
@@ -120,7 +120,7 @@ def excess(q, a, size, trace):
 
 @ti.func
 def multiplier(q, a, y, stress, pressure, inward):
-    """m = 2 mu l of the return, and the growth of c; inward : -tr e* where that is above 0."""
+    """m = 2 mu l of the return, and the increment of c; inward : max(0, -tr e*)."""
     alpha = cap(q, pressure)
     scale = 1.0 / (1.0 + q[4] * q[4] / 9.0)
     b = slope(q, pressure)

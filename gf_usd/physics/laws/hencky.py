@@ -1,18 +1,20 @@
-"""Hencky's elastic law, in principal stretches: what laws with plastic flow are built on.
+"""Hencky's elastic law in principal stretches, the elastic part of laws with plastic flow.
 
     psi = mu sum e_i^2 + lam/2 (sum e_i)^2,   e_i = ln s_i,   F = U diag(s) V^T
     P = U diag((2 mu e_i + lam sum e) / s_i) V^T
 
-[Hencky 1928; Simo and Hughes 1998, section 9.3].  The logarithm is continued below s = 0.1 as in
-`neo_hookean`, so that both are defined for every F; where det F < 0 the smallest stretch counts as
-negative.  A return mapping in e is the one of small strains (box 9.1 there).
+[Hencky 1928; Simo and Hughes 1998, section 9.3]. The logarithm is continued below s = 0.1 as in
+`neo_hookean`, so that both are defined for every F; where det F < 0 the smallest stretch is
+negative. A return mapping in e is that of small strains (box 9.1 there).
 
-What flows is hardly strained by F_e, and then no stretch is asked for.  With E = 1/2 ln C the same
-stress is P = F^-T (2 mu E + lam tr(E) 1), and of c C = 1 + A near 1, whatever the number c,
+In most flowing particles the elastic strain is small, and no principal stretches are computed. With
+E = 1/2 ln C the stress is P = F^-T (2 mu E + lam tr(E) 1), and for c C = 1 + A near 1, with any
+number c,
 
     1/2 ln (c C) = Z + Z^3/3 + Z^5/5 + ...,   Z = A (2 + A)^-1
 
-has the deviator of E; tr E = ln J.  Three terms leave 2 |Z|^7 / 7, which `NEAR` keeps at rounding.
+has the deviator of E; tr E = ln J. The truncation error of three terms is 2 |Z|^7 / 7, which `NEAR`
+bounds by rounding.
 """
 
 import numpy as np
@@ -30,15 +32,15 @@ from gf_usd.physics.laws.simd3x3 import (
     unrolled,
 )
 
-SWEEPS = 6  # of Jacobi's iteration, which converges quadratically
-SMALL = 1e-6  # a stretch that is divided by is at least this large
+SWEEPS = 6  # of the Jacobi eigenvalue iteration, which converges quadratically
+SMALL = 1e-6  # lower bound of a stretch as a divisor
 NEAR = 1.0e-2, 6e-5  # |Z|^2 up to which the series is exact to 1e-7, and to 1e-15
-LEAST_J = J_EXTENSION**3  # of det F near 1 c: the stretches are as good as equal, and above 0.1
+LEAST_J = J_EXTENSION**3  # least det F for the series: nearly equal stretches above 0.1
 
 
 @unrolled
 def turn(D, C, V, p, q, r):
-    """Jacobi's rotation in the plane of p and q; C[r] is the entry at p and q."""
+    """Jacobi rotation in the plane of p and q; C[r] is the entry at p and q."""
     d = let(D[q] - D[p])
     size = let(ti.sqrt(d * d + 4.0 * C[r] * C[r]) + ti.select(d >= 0.0, d, 0.0 - d) + 1e-30)
     t = let(ti.select(d >= 0.0, 2.0 * C[r], -2.0 * C[r]) / size)
@@ -58,7 +60,9 @@ def turn(D, C, V, p, q, r):
 
 @unrolled
 def gram(F):
-    """Diagonal and other entries of F^T F; those of the plane of p and q at the third number."""
+    """Diagonal and off-diagonal entries of F^T F; entry r is that of the plane of the other two
+    axes.
+    """
 
     def dot(p, q):
         return F[p] * F[q] + F[3 + p] * F[3 + q] + F[6 + p] * F[6 + q]
@@ -68,7 +72,7 @@ def gram(F):
 
 @ti.func
 def stretches(F):
-    """Signed stretches s and their directions at rest, F^T F = V diag(s^2) V^T."""
+    """Signed stretches s and their directions V at rest, F^T F = V diag(s^2) V^T."""
     zero = F[0] * 0.0
     one = zero + 1.0
     V = [one, zero, zero, zero, one, zero, zero, zero, one]
@@ -99,7 +103,7 @@ def spectral(d, V):
 
 @ti.func
 def over(p, s):
-    """p / s, finite where s is not."""
+    """p / s, bounded for small s."""
     return p / ti.select(s >= 0.0, ti.max(s, SMALL), ti.min(s, -SMALL))
 
 
@@ -113,7 +117,7 @@ def exp(x):
 def strains(F):
     """Deviator d_i and trace of e, the directions V, and the least stretch.
 
-    Where that is not above J_EXTENSION, e is no logarithm, and no return mapping holds.
+    Where that is not above J_EXTENSION, e is not the logarithm, and return mappings do not apply.
     """
     s, V = stretches(F)
     e0 = log_extended(s[0])
@@ -127,7 +131,7 @@ def strains(F):
 
 @unrolled
 def commuting(A, B):
-    """A B of symmetric matrices that commute: the diagonal, then the entries at 12, 02 and 01."""
+    """A B of commuting symmetric matrices: the diagonal, then the entries at 12, 02 and 01."""
     a, b, c, d, e, f = A
     u, v, w, x, y, z = B
     return let(
@@ -183,7 +187,7 @@ def exponential(X):
 
 @ti.func
 def near(Z, converged):
-    """Whether the series is exact enough in every lane."""
+    """Whether the series is accurate in every lane."""
     most = NEAR[1]
     if converged > 1e-10:
         most = NEAR[0]
@@ -203,7 +207,7 @@ def psi(F, q, converged):
 
 @ti.func
 def pk1(F, q, converged):
-    """P = F^-T (2 mu E + lam tr(E) 1), or by stretches."""
+    """P = F^-T (2 mu E + lam tr(E) 1), by the series or by principal stretches."""
     cof = cofactor(F)
     J = determinant(F, cof)
     D, C = gram(F)
@@ -256,10 +260,10 @@ def stored(s, J, q):
 
 
 def moduli(s, J, q):
-    """Bounds of the stiffness that a wave feels, from the second derivatives in s.
+    """Bounds of the stiffness for plane waves, from the second derivatives in s.
 
     With g = ln s, a wave along n and N has a_ij = n_i N_j in the axes of s, where sum |a_ii| and
-    sum a_ij^2 are at most 1.  So (sum a_ii g_i')^2 lam <= lam g'^2 of the least stretch, and the
+    sum a_ij^2 are at most 1. So (sum a_ii g_i')^2 lam <= lam g'^2 of the least stretch, and the
     rest is at most the greater of 2 mu (g'^2 + g g'') + lam tr(e) g'' there and of the largest
     tension over its stretch, (2 mu e_i + lam tr(e)) / s_i^2.
     """

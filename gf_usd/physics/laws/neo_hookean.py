@@ -1,8 +1,8 @@
-"""The compressible Neo-Hookean law with a logarithm.
+"""The compressible Neo-Hookean law with a logarithmic volumetric term.
 
     psi = mu/2 (|F|^2 - 3) - mu g(J) + lam/2 g(J)^2,   P = mu F + (lam g - mu) g' cof F
 
-where g is ln J, continued below J0 by its second-order Taylor polynomial so that both are defined
+where g is ln J, continued below J0 by its second-order Taylor polynomial, so that both are defined
 for every F [Bonet and Wood 2008, eq. 6.28].
 """
 

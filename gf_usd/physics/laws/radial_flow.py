@@ -1,33 +1,33 @@
-"""Von Mises flow over the elastic energy of another isotropic law.
+"""Von Mises plasticity with the elastic energy of an isotropic law other than Hencky's.
 
-tau = P F^T is the Kirchhoff stress of the law at F_e = R U = V diag(s) W^T, sigma = sqrt(3/2)
-|dev tau|, and d the deviator of e = ln s.  The material flows where sigma exceeds Y(a) of
-`von_mises`:
+tau = P F^T is the Kirchhoff stress of the law at F_e = R U = V diag(s) W^T, sigma = sqrt(3/2) |dev
+tau|, and d the deviator of e = ln s. Plastic flow occurs where sigma exceeds Y(a) of `von_mises`:
 
     e(g) = e* - g n,  n = sqrt(3/2) d* / |d*|,   sigma(e(g)) = Y(a + g) + viscosity g / dt,   a += g
 
-The left side is sigma* at g = 0 and vanishes at g = sqrt(2/3) |d*|, where e(g) is spherical: there
-is a solution between, which the secant method finds, from the return of Hencky's law on, and
-halving where the secant leaves the bracket [Dahlquist and Bjorck 1974, section 6.4].  Hencky's law
-has dev tau = 2 mu d, and this is the radial return of `von_mises`; of other laws the flow along d
-is the associated one [Simo and Hughes 1998, box 9.1] to the first order in F_e - 1.  It keeps
-det F_p = 1, and dissipates
-g tau : n, which is no less than 0 wherever a greater stretch has the greater
-stress, the inequalities of Baker and Ericksen [Truesdell and Noll 1965, section 51].  Where it has
-not, as of the corotated law below half of the length at rest, nothing flows.
+The left side is sigma* at g = 0 and zero at g = sqrt(2/3) |d*|, where e(g) is spherical, so that a
+solution lies between. It is found by the secant method, starting at the return of Hencky's law,
+with bisection where the secant leaves the bracket [Dahlquist and Bjorck 1974, section 6.4]. For
+Hencky's law dev tau = 2 mu d, and this is the radial return of `von_mises`; for other laws flow
+along d is the associated flow [Simo and Hughes 1998, box 9.1] to first order in F_e - 1. It
+preserves det F_p = 1 and dissipates g tau : n, which is nonnegative wherever a greater principal
+stretch has the greater stress, the Baker-Ericksen inequalities [Truesdell and Noll 1965, section
+51]. Where they are violated, as for the corotated law below half of the rest length, no flow
+occurs.
 
-The stress of an isotropic law is R^T tau R = c1 U + c2 U^2 + c0 1 [Truesdell and Noll 1965,
-section 47].  A law names c1 and c2 by its function `powers`, which may depend on q: flow keeps J.
+The stress of an isotropic law is R^T tau R = c1 U + c2 U^2 + c0 1 [Truesdell and Noll 1965, section
+47]. A law defines c1 and c2 by its function `powers`; they may depend on q and J, which flow
+preserves.
 
-What flows is hardly strained by F_e, and then no stretch is asked for: d is the series X of
-`hencky`, U = j exp(X) with j = J^(1/3), and by Cayley and Hamilton's theorem, X^3 = h X + w 1 with
-h = |X|^2 / 2 and w = det X,
+In most flowing particles the elastic strain is small, and no principal stretches are computed: d is
+the series X of `hencky`, U = j exp(X) with j = J^(1/3), and by the Cayley-Hamilton theorem, X^3 = h
+X + w 1 with h = |X|^2 / 2 and w = det X,
 
     dev exp(k X) = A(k) X + B(k) dev X^2,   X : dev X^2 = 3 w,   |dev X^2|^2 = 2/3 h^2
 
-so that sigma(g), with k = 1 - g / (sqrt(2/3) |X|), is a function of three numbers.  Larger strains
-take principal stretches.  Where a stretch is below 0.1 or F is inverted nothing flows: the law
-pushes it back first.
+so that sigma(g), with k = 1 - g / (sqrt(2/3) |X|), is a function of three scalars. Larger strains
+use principal stretches. Where a stretch is below 0.1 or F is inverted no flow occurs, until the
+elastic forces have restored the particle.
 """
 
 import taichi as ti
@@ -57,14 +57,14 @@ from gf_usd.physics.laws.simd3x3 import (
 )
 from gf_usd.physics.laws.von_mises import INSTANT, bearable, hardening
 
-ITERATIONS = 24  # at most: superlinear, and halving at the worst
+ITERATIONS = 24  # at most: superlinear convergence, or bisection in the worst case
 TINY = 1e-30
 MARGIN = 1.25  # of |dev exp(k X)| <= k |X| exp(k |X|) at k = 2 and the largest |X| of the series
 
 
 @ti.func
 def flow_along_strain(powers: ti.template(), F, q, a, dt, converged):
-    """`flow` of the registry, of a law with these powers and the parameters of `von_mises`."""
+    """`flow` of the registry, for a law with these powers and the parameters of `von_mises`."""
     E = F
     g = a[0] * 0.0
     work = g
@@ -105,12 +105,14 @@ def flow_along_strain(powers: ti.template(), F, q, a, dt, converged):
 
 @ti.func
 def growth(law: ti.template(), c, q, a, trial, n, most, y, dt, converged):
-    """g of the module in (0, most), and the work; 0 where the excess y [Pa] or that is not above 0.
+    """g of the module in (0, most), and the work; 0 where the excess y [Pa] or g is not positive.
 
     law(c, trial, n, g) : sigma(e(g)) and tau : n [Pa].
     """
     slow = q[6] / ti.max(dt, INSTANT)
-    enough = ti.sqrt(converged * ti.sqrt(converged))  # of the stress: some digits above rounding
+    enough = ti.sqrt(
+        converged * ti.sqrt(converged)
+    )  # relative tolerance of the stress, above rounding
     low = y * 0.0
     high = most
     before = low
@@ -139,7 +141,7 @@ def growth(law: ti.template(), c, q, a, trial, n, most, y, dt, converged):
 
 @unrolled
 def bound(c, D, Z):
-    """sigma [Pa] is no more than this: |X| <= |Z| (1 + |Z|^2), j^2 <= tr C / 3."""
+    """An upper bound of sigma [Pa]: |X| <= |Z| (1 + |Z|^2), j^2 <= tr C / 3."""
     jj = let((D[0] + D[1] + D[2]) / 3.0)
     along = 2.0 * ti.max(c[1], 0.0 - c[1]) * jj + ti.max(c[0], 0.0 - c[0]) * ti.sqrt(jj)
     return ti.sqrt(1.5 * size_squared(Z)) * MARGIN * along

@@ -1,23 +1,23 @@
-"""The code of the laws whose rows stand in `gf_usd.core.materials.laws`, and the laws of a body.
+"""The implementations of the laws in `gf_usd.core.materials.laws`, and the laws of a body.
 
-The module that a row names holds, of an elastic deformation gradient F and the values
-q = (mu, lam, then the row's own parameters):
+The module that a row of that table names defines, for an elastic deformation gradient F and the
+values q = (mu, lam, then the parameters of the row):
 
     psi(F, q, converged)    energy density [J/m^3 of rest volume], Taichi
     pk1(F, q, converged)    its gradient P = d psi / d F [Pa], Taichi
-    flow(F, q, a, dt, converged)  only where the law flows, Taichi: the admissible F and internal
-                            variables a to which a trial state returns in dt [s] >= 0, and the
-                            work [J/m^3] of the remaining stress along the way, P : (trial F - F)
+    flow(F, q, a, dt, converged)  only for a law with plastic flow, Taichi: the admissible F and
+                            internal variables a to which a trial state returns in dt [s] >= 0, and
+                            the work [J/m^3] of the final stress, P : (trial F - F)
     stored(s, J, q)         psi of signed stretches s (N, 3) and their product J (N,), NumPy
     moduli(s, J, q)         d^2 psi / dF^2 along the planes that keep J, and d^2 psi / dJ^2 [Pa]
-    hardness(q, a)          only where internal variables stiffen the law, Taichi: by how much mu
-                            and lam are to be multiplied; flow is given them as they are at rest
-    hardnesses(q, a)        the same of a (N, internals), NumPy
+    hardness(q, a)          only where internal variables stiffen the law, Taichi: the factor on mu
+                            and lam; flow gets the initial mu and lam
+    hardnesses(q, a)        the same for a (N, internals), NumPy
 
-In Taichi F and P are lists of nine lane vectors (`simd3x3`), q and a lists of lane vectors, in
-NumPy q has rows (N,).  psi and pk1 are defined for every F, inverted ones included.  `flow` gives
-lanes that do not flow their F back to the bit.  The tests run over the registry, so that a new row
-is tested for gradient, objectivity and rest state as soon as it is listed.
+In Taichi F and P are lists of nine lane vectors (`simd3x3`), q and a lists of lane vectors; in
+NumPy q has rows (N,). psi and pk1 are defined for every F, including inverted ones. `flow` returns
+F exactly in lanes without flow. The tests iterate over the registry, so that gradient, objectivity
+and rest state of a new row are tested as soon as it is listed.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from gf_usd.core.materials.laws import ELASTIC_STRAIN, LAWS, LawSpec, check_law
 from gf_usd.core.materials.material import Material
 from gf_usd.physics import taichi_arrays
 
-MODULI = 2  # of the values of every law: mu, lam
-GRADIENT = 9  # numbers of a history that are a gradient: F_p^-1 (TL), F_e (UL)
+MODULI = 2  # first values of every law: mu, lam
+GRADIENT = 9  # first values of a history: F_p^-1 (TL) or F_e (UL)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Law:
-    """One constitutive law: its row, and the functions of its module."""
+    """A constitutive law: its row, and the functions of its module."""
 
     spec: LawSpec
     psi: Callable
@@ -54,13 +54,13 @@ class Law:
 
     @property
     def hardens(self) -> bool:
-        """Whether its moduli follow its internal variables."""
+        """Whether its moduli depend on its internal variables."""
         return self.hardness is not None
 
 
 @cache
 def load(spec: LawSpec) -> Law:
-    """The law of a row.  Raises ValueError where row and module disagree about whether it flows."""
+    """The law of a row. Raises ValueError where row and module disagree on plastic flow."""
     module = import_module(spec.code, __package__)
     flow = getattr(module, "flow", None)
     if spec.flows != (flow is not None):
@@ -74,7 +74,7 @@ def load(spec: LawSpec) -> Law:
 
 @dataclass(frozen=True)
 class LawSet:
-    """The laws present in a body, numbered by their place: what kernels are compiled for."""
+    """The laws of a body, numbered by position; kernels are compiled for a law set."""
 
     laws: tuple[Law, ...]
 
@@ -84,59 +84,65 @@ class LawSet:
 
     @property
     def several(self) -> int:
-        """1 where particles differ in their law, else 0."""
+        """1 for a body with several laws, otherwise 0."""
         return int(len(self.laws) > 1)
 
     @property
     def values(self) -> int:
-        """Values q of a particle: the moduli, and the parameters of the law with the most."""
+        """Number of values q per particle: the moduli, and the parameters of the law with
+        the most.
+        """
         return MODULI + max(len(law.spec.parameters) for law in self.laws)
 
     @property
     def constants(self) -> int:
-        """Numbers of a particle that do not change: q, and which law it has where they differ."""
+        """Number of constants per particle: q, and the number of the law where there are
+        several.
+        """
         return self.values + self.several
 
     @property
     def which(self) -> int:
-        """Where among the constants the number of the law stands; any of them for a single law."""
+        """Index of the law's number among the constants; arbitrary for a single law."""
         return self.constants - 1
 
     @property
     def flows(self) -> bool:
-        """Whether any particle has a history."""
+        """Whether a law has plastic flow, so that particles have a history."""
         return any(law.spec.flows for law in self.laws)
 
     @property
     def hardens(self) -> bool:
-        """Whether the moduli of any particle follow its history (Updated Lagrangian only)."""
+        """Whether the moduli of a law depend on the history (Updated Lagrangian only)."""
         return any(law.hardens for law in self.laws)
 
     @property
     def internals(self) -> int:
-        """Internal variables of a particle: those of the law with the most."""
+        """Number of internal variables per particle: those of the law with the most."""
         return max(len(law.spec.internal) for law in self.laws)
 
     @property
     def history(self) -> int:
-        """Numbers of a particle that change: a gradient, internals, and energy dissipated [J]."""
+        """Size of a particle's history: a gradient, internal variables, and dissipated
+        energy [J].
+        """
         return GRADIENT + self.internals + 1 if self.flows else 0
 
 
 def convergence(real: type) -> float:
-    """Change of a rotation that ends its iteration, in a precision of the kernels."""
+    """Change of a rotation at which its iteration ends, for a precision of the kernels."""
     return 1e-7 if real is np.float32 else 1e-15
 
 
 @cache
 def law_set(specs: tuple[LawSpec, ...]) -> LawSet:
-    """The same object for the same rows, so that kernels are compiled once for it."""
+    """The cached `LawSet` of the rows, so that kernels are compiled once for it."""
     return LawSet(tuple(load(spec) for spec in specs))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParticleLaws:
-    """Which law each particle has, with its values."""
+    """The law of each particle, with its values."""
 
     set: LawSet
     of: Ints  # (N,) into set.laws
@@ -145,25 +151,25 @@ class ParticleLaws:
 
     @property
     def unbounded(self) -> Ints:
-        """(N,) whether each particle's law flows without end."""
+        """(N,) whether the law of each particle allows unbounded flow."""
         return np.array([law.spec.unbounded for law in self.set.laws])[self.of]
 
     @property
     def constants(self) -> Floats:
-        """(N, set.constants) as the kernels have them."""
+        """(N, set.constants) in the kernels' layout."""
         number = [self.of] if self.set.several else []
         return np.column_stack([*self.q, *number])
 
     @property
     def history(self) -> Floats:
-        """(N, set.history) at rest, as the kernels have it."""
+        """(N, set.history) initial histories, in the kernels' layout."""
         n = len(self.of)
         if not self.set.flows:
             return np.zeros((n, 0))
         return np.column_stack([np.tile(np.eye(3).ravel(), (n, 1)), *self.rest, np.zeros(n)])
 
     def hardened(self, history: Floats) -> ParticleLaws:
-        """With mu and lam as their history has made them; history : (N, set.history)."""
+        """The laws with mu and lam after hardening; history : (N, set.history)."""
         if not self.set.hardens:
             return self
         q = self.q.copy()
@@ -174,13 +180,15 @@ class ParticleLaws:
         return replace(self, q=q)
 
     def written(self, history: Floats, stretch: Floats) -> dict[str, Floats]:
-        """`internal`, and |stretch - 1| at most of stretches (N, 3) of F_e; {}: nothing flows."""
+        """`internal`, and the largest |stretch - 1| of stretches (N, 3) of F_e; {} without plastic
+        flow.
+        """
         if not self.set.flows:
             return {}
         return {**self.internal(history), ELASTIC_STRAIN.name: np.abs(stretch - 1.0).max(1)}
 
     def internal(self, history: Floats) -> dict[str, Floats]:
-        """(N,) of each internal variable by name, NaN where a particle's law has none such.
+        """(N,) of each internal variable by name, NaN for particles whose law does not have it.
 
         history : (N, set.history).
         """
@@ -215,7 +223,7 @@ class ParticleLaws:
 
 
 def take_dissipated(laws: LawSet, array: Any) -> float:
-    """[J] that flow dissipated since this was last asked of a device's array of histories."""
+    """[J] dissipated by plastic flow since the last call, from a device array of histories."""
     seen = taichi_arrays.values(array)
     rows = seen.reshape(-1, laws.history, *array.element_shape)
     total = float(rows[:, -1].sum(dtype=float))
@@ -227,10 +235,12 @@ def take_dissipated(laws: LawSet, array: Any) -> float:
 def particle_laws(
     materials: Sequence[Material], material: Ints, per: dict[str, Floats]
 ) -> ParticleLaws:
-    """The laws of particles whose materials these are.
+    """The laws of particles.
 
-    material : (N,) into materials; per : (N,) of each value by name, as `frames.spread` has them.
-    Raises UsageError for a law that there is none of.
+    material : (N,) index into materials; per : (N,) of each value by name, from
+    `per_particle.spread`.
+
+    Raises UsageError for an unknown law.
     """
     tokens = [check_law(one.law) for one in materials]
     present = [token for token in LAWS if token in tokens]

@@ -1,26 +1,21 @@
-"""3x3 algebra on eight particles at once.
+"""3x3 matrix algebra on eight particles at once, and inlined kernel code.
 
-A matrix is a Python list of nine lane vectors, row by row: ``F[3 * a + b]`` holds component ab of
-eight particles.  Written this way one Taichi operation is one SIMD instruction, which is what makes
-the solver fast (measured: seven times the scalar code on AVX2).
+A matrix is a Python list of nine lane vectors, row by row: ``F[3 * a + b]`` is component ab of
+eight particles. One Taichi operation is then one SIMD instruction (measured: seven times the speed
+of scalar code on AVX2).
 
-Taichi 1.7 with ``real_matrix_scalarize=False`` aborts on some lane operations: unary minus, abs,
-exp and log.  Write ``0.0 - x``, and take logarithms lane by lane with `log`.
+Taichi 1.7 with ``real_matrix_scalarize=False`` aborts on some vector operations: unary minus, abs,
+exp and log. Use ``0.0 - x``, and compute logarithms by lane with `log`.
 
-Straight pieces of kernels, written by Python while a kernel is built.
+Taichi traverses the syntax tree of a `ti.func` at every call, and for every iteration of an
+unrolled loop, at each start of a program: 7 us per node, although the compiled kernel is cached. A
+function marked `unrolled` is executed by Python instead, with Taichi expressions as arguments, and
+its operators generate the same statements in a fifth of the time. Differences from a `ti.func`:
 
-Taichi walks through the syntax tree of a `ti.func` for every call of it and for every turn of a
-loop that is unrolled, at every start, 7 us a node, although the cache holds the kernel.  A function
-marked `unrolled` is not read but called, with Taichi's expressions as arguments, and its operators
-write down the same statements in a fifth of the time.
-
-What differs from a ti.func, where Taichi sees to it:
-
-- an expression stands for itself and is written again wherever it is used; `let` makes a variable
-  of it, worked out there and once;
-- `put` changes such a variable, as `+=` and the like do; a bare `=` names another expression;
-- loops and branches are Python's, over what is known while the kernel is built;
-- memory is read by `at`, and written by `put` into what `at` gives.
+- an expression is evaluated again at every use; `let` stores its value in a variable; - `put`
+assigns to such a variable, as `+=` etc. do; a bare `=` only binds a Python name; - loops and
+branches are Python's, over values known at compile time; - arrays are read by `at`, and written by
+`put` to the result of `at`.
 """
 
 from collections.abc import Callable
@@ -34,7 +29,7 @@ LANES = 1 << LANE_BITS
 
 
 def unrolled(function: Callable) -> Callable:
-    """Let kernels call a plain function: by Taichi's own mark of what it need not warn of."""
+    """Mark a plain Python function as callable from kernels, by Taichi's own attribute for this."""
     function._is_taichi_function = True
     function.func = SimpleNamespace(has_print=False)
     return function
@@ -70,7 +65,7 @@ def difference(A, B):
 
 @unrolled
 def choose(A, where, B):
-    """A <- B in the lanes where it is above 0, in place; lists of lane vectors."""
+    """A <- B in the lanes where `where` > 0, in place; lists of lane vectors."""
     where = let(where > 0.0)
     for a, b in zip(A, B):
         put(a, ti.select(where, b, a))
@@ -107,7 +102,7 @@ def log(x):
 
 @ti.func
 def inverse_guarded(J):
-    """1/J with |J| kept off zero (sign kept), so that a flat particle stays finite."""
+    """1/J with |J| bounded below (sign kept), so that a flat particle gives a finite value."""
     tiny = 1e-12
     return 1.0 / ti.select(J >= 0.0, ti.max(J, tiny), ti.min(J, -tiny))
 
@@ -117,18 +112,18 @@ def rotation(F, converged):
     """The rotation of the polar decomposition, F = R S with det R = +1.
 
     Newton's iteration Q <- (g Q + Q^-T / g) / 2 with Higham's scaling g converges to the nearest
-    orthogonal matrix (Higham 1986).  Where det F < 0 that matrix is a reflection: it is turned into
-    the rotation nearest to F, R = Q (I - 2 n n^T), n the direction of the smallest stretch, which
-    is the convention of the signed SVD (Irving, Teran and Fedkiw 2004).
+    orthogonal matrix (Higham 1986). Where det F < 0 that matrix is a reflection, which is replaced
+    by the rotation nearest to F, R = Q (I - 2 n n^T), with n the direction of the smallest stretch:
+    the convention of the signed SVD (Irving, Teran and Fedkiw 2004).
 
-    converged: squared change |Q' - Q|^2 after which the next iterate is exact to rounding.
+    converged : squared change |Q' - Q|^2 below which the next iterate is exact to rounding.
     """
     cof = cofactor(F)
     J = determinant(F, cof)
     rJ = inverse_guarded(J)
     g2 = ti.sqrt(double_dot(cof, cof) * rJ * rJ / ti.max(double_dot(F, F), 1e-30))
     g2 = ti.min(ti.max(g2, 1e-6), 1e6)
-    # A well-shaped particle is left unscaled: scaling only pays far from a rotation.
+    # No scaling near a rotation, where it does not accelerate the iteration.
     g2 = ti.select((g2 < 1.5) & (g2 > 0.67), 1.0, g2)
     g = ti.sqrt(g2)
     p = 0.5 * g
@@ -159,7 +154,7 @@ def advance(Q, r, c, change):
 @ti.func
 def unflip(Q: ti.template(), F, J):
     """Where J < 0, replace the reflection Q by Q (I - 2 n n^T), in place."""
-    # S = Q^T F is positive semi-definite; powers of its cofactor single out the smallest stretch.
+    # S = Q^T F is positive semi-definite; powers of its cofactor converge to the smallest stretch.
     S = product([Q[0], Q[3], Q[6], Q[1], Q[4], Q[7], Q[2], Q[5], Q[8]], F)
     B = cofactor(S)
     for _ in range(12):
@@ -210,7 +205,7 @@ def square(B, s):
 
 @unrolled
 def longest_column(B):
-    """Of the three, as the diagonal of a B = n n^T says."""
+    """The longest of the three columns, by the diagonal of B = n n^T."""
     n, best = [B[0], B[3], B[6]], B[0]
     for b in range(1, 3):
         longer = let(B[4 * b] > best)
@@ -221,7 +216,7 @@ def longest_column(B):
 
 @unrolled
 def mirror(Q, n, where):
-    """Q <- Q (I - 2 n n^T / |n|^2) in the lanes where it says so."""
+    """Q <- Q (I - 2 n n^T / |n|^2) in the lanes where `where` > 0."""
     k = 2.0 / ti.max(n[0] * n[0] + n[1] * n[1] + n[2] * n[2], 1e-30)
     k = let(ti.select(where, k, 0.0))
     for a in range(3):
@@ -247,7 +242,7 @@ def von_mises(P, F):
 
 
 def let(x):
-    """A variable that holds the expression x, or a list of them."""
+    """A variable initialized with the expression x, or a list of them."""
     return impl.expr_init(x)
 
 

@@ -1,24 +1,24 @@
-"""Evaluation of constitutive laws, shared by the kernels of every solver.
+"""Evaluation of constitutive laws, shared by the kernels of both solvers.
 
-A kernel hands over lane vectors, wherever it keeps them: F, the values q of
-`registry.particle_laws` and, of a body of several laws, `which` of them a lane has.  A law is
-evaluated where a lane has it; the Total Lagrangian solver sorts its particles so that all lanes of
-a batch have the same.
+A kernel passes lane vectors: F, the values q of `registry.particle_laws` and, for a body of several
+laws, the number `which` of the law in each lane. Each law is evaluated for its lanes only; in the
+Total Lagrangian solver all lanes of a batch have the same law.
 
-A law that flows has an elastic gradient of its own, F = F_e F_p [Simo 1992]: the stress is that of
-F_e, and before each evaluation F_e and the internal variables a return to what is admissible.  The
-flow dissipates P(F_e) : (trial F_e - F_e), the work of the stress that remains.  psi(trial F_e) -
-psi(F_e) is more by the half of C dF^2 that an explicit step overshoots: with it a block thrown far
-beyond yield seemed to gain 3.5 % of what it dissipated, with the work 0.05 % (measured).
+A law with plastic flow has an elastic gradient, F = F_e F_p [Simo 1992]: the stress is that of F_e.
+Before each evaluation F_e and the internal variables a are returned to an admissible state. The
+flow dissipates P(F_e) : (trial F_e - F_e), the work of the final stress. psi(trial F_e) - psi(F_e)
+would overestimate it by the quadratic error of an explicit step: for a block thrown far beyond
+yield the energy balance was off by 3.5 % of the dissipation, and by 0.05 % with the work
+(measured).
 
-Shock viscosity (von Neumann and Richtmyer 1950).  A body that lands faster than its own waves run
-is compressed by a shock, which a grid cannot resolve: behind it single particles are crushed until
-they turn inside out, whatever the law.  A pressure that acts in compression only,
+Shock viscosity (von Neumann and Richtmyer 1950). An impact faster than the material's wave speed
+causes a shock, which the grid cannot resolve: particles behind it are inverted, with any law. A
+pressure that acts in compression only,
 
     q = c2 rho l^2 (d ln J / dt)^2,    rho = rho0 / J,  l = J h,    P -= q cof F
 
-spreads the shock over about a cell h.  It is of second order in the rate of strain and
-in h: small vibrations and slow deformation do not feel it.
+spreads the shock over about a cell h. It is of second order in the strain rate and in h, and so
+negligible for small vibrations and slow deformation.
 """
 
 import taichi as ti
@@ -35,14 +35,14 @@ from gf_usd.physics.laws.simd3x3 import (
     scaled,
 )
 
-SHOCK = 1.5  # c2, the usual value in codes of impact (LS-DYNA Theory Manual, bulk viscosity)
+SHOCK = 1.5  # c2, the usual value in impact codes (LS-DYNA Theory Manual, bulk viscosity)
 SHOCK_GRID = 2.2**2  # (h w / c)^2 of the grid's highest frequency w: `time_step.GRID_FREQUENCY`
-LEAST_J = 0.01  # what is flatter, or inside out, has the density of this
+LEAST_J = 0.01  # lower bound of J in the density
 
 
 @ti.func
 def lanes_of(which, number: ti.template()):
-    """1 in the lanes whose law has this number, else 0."""
+    """1 in the lanes with the law of this number, otherwise 0."""
     here = (which > number - 0.5) & (which < number + 0.5)
     return ti.select(here, which * 0.0 + 1.0, which * 0.0)
 
@@ -75,10 +75,10 @@ def piola(laws: ti.template(), which, F, q, converged):
 
 @ti.func
 def flowed(laws: ti.template(), which, F, q, a, dt, converged):
-    """The admissible elastic gradients and internal variables that trial ones return to in dt [s].
+    """The admissible elastic gradients and internal variables to which trial ones return in dt [s].
 
-    And the energy density [J/m^3] that each lane lost; of associated flow its rounding, below 0,
-    counts as nothing.
+    Also the energy density [J/m^3] dissipated in each lane; for associated flow, negative values
+    are rounding and set to 0.
     """
     E = F
     A = a
@@ -100,7 +100,7 @@ def flowed(laws: ti.template(), which, F, q, a, dt, converged):
 
 @ti.func
 def hardness(laws: ti.template(), which, q, a):
-    """By how much mu and lam of each lane are multiplied, for what has happened to it."""
+    """The factor on mu and lam of each lane by hardening."""
     h = q[0] * 0.0 + 1.0
     for number, law in ti.static(enumerate(laws.laws)):
         if ti.static(law.hardens):
@@ -113,12 +113,13 @@ def hardness(laws: ti.template(), which, q, a):
 
 @ti.func
 def compensate(laws: ti.template(), which, Pi: ti.template(), F, E):
-    """Pi = F_p^-1 <- Pi F^-1 E in the lanes whose trial gradient F flowed to E, in place.
+    """Pi = F_p^-1 <- Pi F^-1 E in the lanes whose trial gradient F was returned to E, in place.
 
-    Where flow keeps the volume, det Pi is put back to 1 by Newton's iteration: in f32 each update
-    leaves it off by up to 1e-7, of one sign along a steady flow, and a bulk modulus of 1e5 yield
-    stresses makes a pressure of that.
-    Returns a number above 0 where any did.
+    Where flow preserves volume, det Pi is corrected to 1 by a Newton step: in f32 each update has
+    an error of up to 1e-7, of constant sign in a steady flow, which a bulk modulus of 1e5 yield
+    stresses turns into a pressure.
+
+    Returns a positive number where any lane had flow.
     """
     D = difference(E, F)
     moved = double_dot(D, D)
@@ -139,9 +140,10 @@ def compensate(laws: ti.template(), which, Pi: ti.template(), F, E):
 def shock(F, D, scale, k, dt):
     """-q [Pa] and cof F of the shock viscosity: P += -q cof F.
 
-    scale D : dF/dt [1/s]; k : c2 rho0 h^2 [Pa s^2].  In compression, w = dJ/dt < 0, the pressure
-    slows the grid's stiffest mode by dw/dt = n w^2, n = SHOCK_GRID c2 |cof F|^2 / J.  In a step it
-    does no more than end the compression, dt n w^2 <= -w, so it limits no step.
+    scale D : dF/dt [1/s]; k : c2 rho0 h^2 [Pa s^2]. In compression, w = dJ/dt < 0, the pressure
+    slows the grid's stiffest mode by dw/dt = n w^2, n = SHOCK_GRID c2 |cof F|^2 / J. It is bounded
+    such that a step at most stops the compression, dt n w^2 <= -w, so that it does not limit the
+    step.
     """
     cof = cofactor(F)
     r = 1.0 / ti.max(determinant(F, cof), LEAST_J)

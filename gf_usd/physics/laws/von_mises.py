@@ -1,20 +1,20 @@
-"""Von Mises plasticity over Hencky's elastic law: metals, clay, paste.
+"""Von Mises plasticity with Hencky's elastic law: metals, clay, paste.
 
 With the Kirchhoff stress tau = 2 mu e + lam tr(e) 1, s its deviator, sigma = sqrt(3/2) |s| and the
-equivalent plastic strain a, the material flows where
+equivalent plastic strain a, plastic flow occurs where
 
     sigma > Y(a) = yield_stress + hardening a + saturation (1 - exp(-saturation_rate a))
 
-(linear hardening, and Voce's that saturates), as fast as Perzyna's viscosity lets it:
-da/dt = (sigma - Y(a)) / viscosity; 0: at once.  Radial return, backward Euler in a
-[Simo and Hughes 1998, boxes 3.1, 3.2 and 9.1; Perzyna 1966]: with the trial stress sigma*,
+(linear hardening, and saturating hardening by Voce), at the rate of Perzyna's viscoplasticity,
+da/dt = (sigma - Y(a)) / viscosity; instantaneous for viscosity 0. Radial return, backward Euler in
+a [Simo and Hughes 1998, boxes 3.1, 3.2 and 9.1; Perzyna 1966]: with the trial stress sigma*,
 
     sigma* - 3 mu g = Y(a + g) + viscosity g / dt,   e -= g sqrt(3/2) s / |s|,   a += g
 
-whose left side falls and whose right side rises with g: one solution, at which Newton's iteration
-arrives from below, since Y is concave.  The flow keeps det F_p = 1 and dissipates
-(sigma* - 3 mu g) g.  Where a stretch of F_e is below 0.1 or F_e is inverted nothing flows: Hencky's
-law pushes it back first.
+The left side decreases and the right side increases with g, so that the solution is unique;
+Newton's method converges to it from below, since Y is concave. The flow preserves det F_p = 1 and
+dissipates (sigma* - 3 mu g) g. Where a stretch of F_e is below 0.1 or F_e is inverted no flow
+occurs, until the elastic forces have restored the particle.
 """
 
 import taichi as ti
@@ -38,15 +38,15 @@ from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: s
 from gf_usd.physics.laws.neo_hookean import J_EXTENSION
 from gf_usd.physics.laws.simd3x3 import assign, choose, cofactor, determinant, product, scaled
 
-ITERATIONS = 12  # of Newton, at most: from below on a concave curve, and quadratic
-CLOSE = 1e-5  # of the trial excess: the step from such a residual ends at its square
+ITERATIONS = 12  # largest number of Newton steps: quadratic convergence, monotone from below
+CLOSE = 1e-5  # residual relative to the excess; quadratic convergence squares it in one step
 MARGIN = 1.02  # 1 + |Z|^2 of the series
-INSTANT = 1e-30  # [s] a step this short lets nothing flow that is viscous
+INSTANT = 1e-30  # [s] lower bound of dt as a divisor: viscous flow then vanishes
 
 
 @ti.func
 def flow(F, q, a, dt, converged):
-    """See the module."""
+    """The return mapping of the module; arguments and results as in `registry`."""
     return radial_return(F, q, a, dt, converged, bearable, growth)
 
 
@@ -56,8 +56,7 @@ def radial_return(
 ):  # fmt: skip
     """F, plastic strain and work after the radial return.
 
-    bears : of q and the plastic strain, the stress [Pa] at which it begins to flow; grows : as
-    `growth`.
+    bears : yield stress [Pa] as a function of q and the plastic strain; grows : as `growth`.
     """
     D, C = gram(F)
     Z = cayley(D, C)
@@ -66,7 +65,7 @@ def radial_return(
     borne = g
     if near(Z, converged):
         Y = bears(q, a[0])
-        # |dev E| <= |E| <= |Z| (1 + |Z|^2): below that, no series is asked for.
+        # |dev E| <= |E| <= |Z| (1 + |Z|^2): below yield by this bound, no series is computed.
         if (ti.sqrt(6.0) * q[0] * ti.sqrt(size_squared(Z)) * MARGIN - Y).max() > 0.0:
             X = deviator_of_series(Z)
             size = ti.sqrt(size_squared(X))
@@ -92,7 +91,7 @@ def radial_return(
 
 @ti.func
 def growth(q, a, size, y, dt):
-    """g of the module, 0 where the excess y [Pa] is not above 0; size : |dev e| of the trial."""
+    """g of the module, 0 where the excess y [Pa] is not positive; size : |dev e| of the trial."""
     stress = ti.sqrt(6.0) * q[0] * size
     slow = q[6] / ti.max(dt, INSTANT)
     g = y * 0.0
@@ -103,7 +102,7 @@ def growth(q, a, size, y, dt):
         g = g + r / (3.0 * q[0] + hardening(q, a + g) + slow)
         unsolved = (ti.max(r, 0.0 - r) - CLOSE * ti.max(y, 0.0)).max()
         steps += 1
-        if q[4].max() <= 0.0:  # linear: one step ends it
+        if q[4].max() <= 0.0:  # linear: one step is exact
             unsolved = 0.0
     return g
 

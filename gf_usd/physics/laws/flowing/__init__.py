@@ -1,1 +1,1 @@
-"""Laws that flow without end, for the Updated Lagrangian solver: sand, snow, fluids."""
+"""Laws with unbounded flow, for the Updated Lagrangian solver: sand, snow, fluids."""

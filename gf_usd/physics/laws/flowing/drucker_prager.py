@@ -1,21 +1,21 @@
-"""Drucker-Prager plasticity over Hencky's elastic law: sand, gravel, soil.
+"""Drucker-Prager plasticity with Hencky's elastic law: sand, gravel, soil.
 
 With the Kirchhoff stress tau = 2 mu e + lam tr(e) 1, its deviator s and its pressure p = -K tr(e),
-K = lam + 2 mu / 3, the material bears a shear stress that grows with the pressure,
+K = lam + 2 mu / 3, the admissible shear stress increases with pressure,
 
     |s| / sqrt(2) <= internal_friction p + cohesion
 
-[Drucker and Prager 1952; with |s| / sqrt(2) the convention of mu(I) rheology, by which an infinite
-slope stays below tan(theta) = internal_friction].  Beyond it shears at constant volume (no
-dilatancy), and where it is pulled by more than the tip of the cone, cohesion / internal_friction,
-it comes apart [Klar et al. 2016, section 6]:
+[Drucker and Prager 1952; with |s| / sqrt(2) the convention of mu(I) rheology, for which an infinite
+slope is stable below tan(theta) = internal_friction]. Beyond it the material shears at constant
+volume (no dilatancy); under tension beyond the tip of the cone, cohesion / internal_friction, it
+separates [Klar et al. 2016, section 6]:
 
     e -= (1 - k) dev e,   k = sqrt(2) (internal_friction p + cohesion) / (2 mu |dev e|)
-    dev e = 0,   tr e = cohesion / (internal_friction K)      where it is pulled
+    dev e = 0,   tr e = cohesion / (internal_friction K)      beyond the tip
 
-What it gained in volume as it came apart, `loosening` = sum of tr(e*) - tr(e), is closed before it
-bears pressure again [Tampubolon et al. 2017, section 4.1]: tr(e) is increased by as much, up to 0.
-Where a stretch of F_e is below 0.1 or F_e is inverted nothing flows, as of `von_mises`.
+The volume gained by separation, `loosening` = sum of tr(e*) - tr(e), is closed before the material
+resists pressure again [Tampubolon et al. 2017, section 4.1]: tr(e) is increased by as much, up to
+0. Where a stretch of F_e is below 0.1 or F_e is inverted no flow occurs, as in `von_mises`.
 """
 
 import taichi as ti
@@ -52,7 +52,7 @@ ROOT = 1.4142135623730951
 
 @ti.func
 def flow(F, q, a, dt, converged):
-    """See the module."""
+    """The return mapping of the module; arguments and results as in `registry`."""
     D, C = gram(F)
     Z = cayley(D, C)
     E = F
@@ -87,7 +87,8 @@ def flow(F, q, a, dt, converged):
 
 @ti.func
 def returned(q, loose, size, trace):
-    """Above 0 where the trial strain is not kept; the share k of its deviator, and its trace.
+    """Positive where the trial strain is not admissible; the factor k on its deviator, and its
+    trace.
 
     size : |dev e| of the trial; trace : tr e of it.
     """
@@ -104,6 +105,6 @@ def returned(q, loose, size, trace):
 
 @ti.func
 def dissipated(q, size, trace, k, t):
-    """tau : (e* - e) [J/m^3] of the stress that remains: of shear, and of pressure."""
+    """tau : (e* - e) [J/m^3] of the final stress: deviatoric part and pressure part."""
     K = q[1] + q[0] * (2.0 / 3.0)
     return 2.0 * q[0] * k * (1.0 - k) * size * size + K * t * (trace - t)

@@ -1,21 +1,21 @@
-"""A weakly compressible fluid: Tait's equation of state, viscosity, and no tension.
+"""A weakly compressible fluid: Tait equation of state, viscosity, and bounded tension.
 
     p = K / gamma (J^-gamma - 1),  gamma = 7,  K = lam + 2 mu / 3
     psi = mu |dev e|^2 + K / gamma ((J^(1 - gamma) - 1) / (gamma - 1) + J - 1)
 
-[Tait's equation as Batchelor 1967, section 1.8, has it; for particles Monaghan 1994, for grids
-Tampubolon et al. 2017].  e is the logarithmic strain of F_e, whose deviator relaxes as Maxwell's
-does, backward Euler in time,
+[Tait's equation as in Batchelor 1967, section 1.8; for particles Monaghan 1994, for grids
+Tampubolon et al. 2017]. e is the logarithmic strain of F_e, whose deviator relaxes like that of a
+Maxwell fluid, by backward Euler,
 
     dev e = k dev e*,   k = viscosity / (viscosity + mu dt)
 
-so that the deviator of the stress is 2 viscosity D in a flow at the rate D slower than mu /
-viscosity, whatever mu is.  K is no property of the fluid: with K = rho (10 v)^2 what flows at v is
-compressed by 1 % or less [Monaghan 1994].
+so that the deviatoric stress is 2 viscosity D at a strain rate D below mu / viscosity, for any mu.
+K is not a physical property: with K = rho (10 v)^2 a flow at v is compressed by at most 1 %
+[Monaghan 1994].
 
-At a free surface, and where it is torn apart, the fluid bears no more tension than `cavitation`;
-what it gains in volume there, `loosening`, closes before it bears pressure again, as in
-`drucker_prager`.  Below J = 0.5 p is continued by its tangent, so that it is defined for every F.
+At a free surface, and where it separates, the fluid has no more tension than `cavitation`; the
+volume gained there, `loosening`, is closed before pressure builds up again, as in `drucker_prager`.
+Below J = 0.5, p is continued by its tangent, so that it is defined for every F.
 """
 
 import numpy as np
@@ -47,12 +47,12 @@ from gf_usd.physics.laws.simd3x3 import (
 
 GAMMA = 7
 J_TANGENT = 0.5
-LEAST = 1e-6  # of 1 - gamma cavitation / K: a fluid that is to bear more bears this much
+LEAST = 1e-6  # lower bound of 1 - gamma cavitation / K
 
 
 @ti.func
 def flow(F, q, a, dt, converged):
-    """See the module."""
+    """The return mapping of the module; arguments and results as in `registry`."""
     D, C = gram(F)
     Z = cayley(D, C)
     E = F
@@ -88,7 +88,7 @@ def flow(F, q, a, dt, converged):
 
 @ti.func
 def returned(q, loose, trace):
-    """tr e after what came apart has closed and tension has been cut."""
+    """tr e after closing the volume gained by separation and bounding tension."""
     t = ti.select(trace < 0.0, ti.min(trace + loose, 0.0), trace)
     K = q[1] + q[0] * (2.0 / 3.0)
     borne = ti.max(1.0 - GAMMA * q[3] / K, LEAST)
@@ -97,7 +97,7 @@ def returned(q, loose, trace):
 
 @ti.func
 def dissipated(q, square, trace, k, t):
-    """tau : (e* - e) [J/m^3] of the stress that remains: of shear, and of pressure."""
+    """tau : (e* - e) [J/m^3] of the final stress: deviatoric part and pressure part."""
     J = exp(t)
     K = q[1] + q[0] * (2.0 / 3.0)
     return 2.0 * q[0] * k * (1.0 - k) * square + J * slope(J, K) * (trace - t)
@@ -105,7 +105,7 @@ def dissipated(q, square, trace, k, t):
 
 @ti.func
 def slope(J, K):
-    """-p = dU/dJ = K / gamma (1 - J^-gamma), its tangent below J_TANGENT."""
+    """-p = dU/dJ = K / gamma (1 - J^-gamma), continued by its tangent below J_TANGENT."""
     r = 1.0 / ti.max(J, J_TANGENT)
     r2 = r * r
     r7 = r2 * r2 * r2 * r
@@ -147,11 +147,11 @@ def stored(s, J, q):
 
 
 def moduli(s, J, q):
-    """Bounds as of `hencky`, whose deviator alone has 4/3 mu along a stretch, and d^2 U / dJ^2.
+    """Bounds as in `hencky`: of the deviator, which has 4/3 mu along a stretch, and d^2 U / dJ^2.
 
-    With d = dev e and g = ln s a wave along the least stretch feels 2 mu (2/3 g'^2 + d g''), one
+    With d = dev e and g = ln s a wave along the least stretch has 2 mu (2/3 g'^2 + d g''), one
     along another at most its tension over the stretch; the quadratic form of waves is convex, so
-    that it is largest along an axis.
+    that its maximum is along an axis.
     """
     mu, e, least = q[0], hencky.logarithms(s), np.maximum(s[:, 0], hencky.J_EXTENSION)
     t = np.minimum(s[:, 0] - hencky.J_EXTENSION, 0.0) / hencky.J_EXTENSION

@@ -1,21 +1,21 @@
-"""A paste of Herschel and Bulkley over Hencky's elastic law: toothpaste, mud, cream.
+"""A Herschel-Bulkley paste with Hencky's elastic law: toothpaste, mud, cream.
 
 Below its yield stress it is elastic, as `von_mises`; above, the equivalent plastic strain a grows
-at the rate a' at which
+at the rate a' for which
 
     sigma = Y(a) + flow_viscosity (a')^n,   Y(a) = yield_stress + hardening a,   n = flow_exponent
 
-[Herschel and Bulkley 1926, as the overstress of Perzyna 1966].  In simple shear at a rate D that is
-tau = tau_y + k D^n with yield_stress = sqrt(3) tau_y and flow_viscosity = 3^((1 + n) / 2) k.  With
-n = 1 it is the paste of Bingham, and without a yield stress a fluid.
+[Herschel and Bulkley 1926, as the overstress of Perzyna 1966]. In simple shear at a rate D that is
+tau = tau_y + k D^n with yield_stress = sqrt(3) tau_y and flow_viscosity = 3^((1 + n) / 2) k. With n
+= 1 it is a Bingham paste, and without a yield stress a fluid.
 
-Radial return, backward Euler: of the trial excess y = sigma* - Y(a) the share x stays,
+Radial return, backward Euler: of the trial excess y = sigma* - Y(a) the fraction x remains,
 
     x + A x^(1/n) = 1,   A = (3 mu + hardening) dt / y (y / flow_viscosity)^(1/n)
     g = y A x^(1/n) / (3 mu + hardening)
 
-For n <= 1 the left side is convex and grows with x, so that Newton's iteration arrives from above,
-from a start at which neither term exceeds 1, whatever A is.
+For n <= 1 the left side is convex and increases with x, so that Newton's method converges from
+above, starting where neither term exceeds 1.
 """
 
 import taichi as ti
@@ -30,14 +30,14 @@ from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: s
 from gf_usd.physics.laws.simd3x3 import log
 from gf_usd.physics.laws.von_mises import INSTANT, radial_return
 
-ITERATIONS = 20  # of Newton, at most: six suffice for exponents from 0.1, measured
-CLOSE = 1e-6  # of 1: the step from such a residual ends at its square
-WIDE = 80.0  # logarithms of A that f32 can hold: beyond, all flows at once, or nothing does
+ITERATIONS = 20  # largest number of Newton steps: six suffice for exponents from 0.1 (measured)
+CLOSE = 1e-6  # residual; quadratic convergence squares it in one more step
+WIDE = 80.0  # bound of |ln A| in f32: beyond it the excess vanishes at once, or nothing flows
 
 
 @ti.func
 def flow(F, q, a, dt, converged):
-    """See the module."""
+    """The return mapping of the module; arguments and results as in `registry`."""
     return radial_return(F, q, a, dt, converged, bearable, growth)
 
 
@@ -49,7 +49,7 @@ def bearable(q, a):
 
 @ti.func
 def growth(q, a, size, y, dt):
-    """g of the module, 0 where the excess y [Pa] is not above 0."""
+    """g of the module, 0 where the excess y [Pa] is not positive."""
     stiff = 3.0 * q[0] + q[3]
     most = ti.max(y, 1e-30)
     g = ti.max(y, 0.0) / stiff

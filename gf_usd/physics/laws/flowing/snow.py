@@ -1,20 +1,20 @@
-"""Snow: corotated elasticity within critical stretches, harder the more it was compacted.
+"""Snow: corotated elasticity within critical stretches, with hardening by compaction.
 
     psi = h (mu |F_e - R_e|^2 + lam/2 (J_e - 1)^2),   h = exp(hardening_coefficient (1 - J_p))
 
-[Stomakhin, Schroeder, Chai, Teran and Selle 2013, section 5].  The stretches of F_e are clamped to
+[Stomakhin, Schroeder, Chai, Teran and Selle 2013, section 5]. The stretches of F_e are clamped to
 
     1 - critical_compression <= s_i <= 1 + critical_stretch
 
-and what is clamped off is plastic: det F_e J_p stays as it was, J_p = det F_p.  Compaction
-(J_p < 1) hardens, and what is torn apart (J_p > 1) softens to powder, which bears nothing until it
-is pressed together again.  h is at most HARDEST, beyond which no step is short enough.
+and the rest is plastic: det F_e J_p is unchanged, with J_p = det F_p. Compaction (J_p < 1) hardens,
+and expansion (J_p > 1) softens to powder, which has no strength until it is compacted again. h is
+bounded by HARDEST, to bound the time step.
 
-The clamp is not an associated flow.  Where several stretches differ in sign the work of the
-remaining stress may be below 0, which is counted with its sign (`LawSpec.associated`); of the
-energy that hardening stores as much is taken off,
+The clamp is not an associated flow. Where several stretches differ in sign the work of the final
+stress may be negative, and is counted with its sign (`LawSpec.associated`), less the energy stored
+by hardening,
 
-    work = h' P(F_e) : (F_e* - F_e) - (h' - h) psi(F_e)         h before, h' after it
+    work = h' P(F_e) : (F_e* - F_e) - (h' - h) psi(F_e)         h before, h' after the flow
 """
 
 import numpy as np
@@ -29,19 +29,19 @@ from gf_usd.physics.laws.corotated import (  # noqa: F401  (functions of the law
 from gf_usd.physics.laws.hencky import exp, gram, over, spectral, stretches
 from gf_usd.physics.laws.simd3x3 import choose, cofactor, determinant, product
 
-HARDEST = 50.0  # times as stiff as at first, at J_p = 0.6 with the coefficient 10
-LEAST = 0.01  # a stretch of a trial state below this counts as this in J_p
+HARDEST = 50.0  # bound of h, reached at J_p = 0.6 with the coefficient 10
+LEAST = 0.01  # lower bound of a stretch of a trial state in J_p
 
 
 @ti.func
 def flow(F, q, a, dt, converged):
-    """See the module."""
+    """The return mapping of the module; arguments and results as in `registry`."""
     E = F
     Jp = a[0]
     work = a[0] * 0.0
     J = determinant(F, cofactor(F))
     D, C = gram(F)
-    # No stretch leaves the limits where |F^T F - 1| is less than they are wide: most need no more.
+    # Where |F^T F - 1| is less than the limits allow, no stretches are computed: the common case.
     u = D[0] - 1.0
     v = D[1] - 1.0
     w = D[2] - 1.0
