@@ -1,1 +1,1 @@
-"""What particles are written as: Gaussians, and the surfaces of what flows."""
+"""Output of particles: Gaussians, and surfaces of flows."""

@@ -1,8 +1,8 @@
 """Gaussians of a frame, four particles at once, in double precision.
 
-A lane vector holds a number of four particles, and one operation on it is one SIMD instruction, as
-in `laws.simd3x3`, which has the algebra.  Where a particle is done before the others of its four,
-its lane keeps what it has: results are those of one particle at a time, to the bit.
+A lane vector has one value of four particles, so that one operation is one SIMD instruction, as in
+`laws.simd3x3`, whose algebra is used. A particle that converges before the others of its group is
+left unchanged in its lane, so that results are bit-identical to those of one particle at a time.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,14 @@ from gf_usd.system.taichi_runtime import ensure_running, import_taichi
 ti = import_taichi()
 
 LANES = 4
-SWEEPS = 6  # Jacobi converges quadratically: f64 digits are used up well before
+SWEEPS = 6  # Jacobi sweeps: quadratic convergence reaches f64 precision earlier
 Lanes = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 
 
 def to_lanes(values: Floats) -> NDArray[np.float64]:
-    """(k G, 4) of k numbers of each particle (N, ...): number a of group g in row a G + g.
+    """(k G, 4) of k values per particle (N, ...): value a of group g is in row a G + g.
 
-    The last group is filled up with the last particle.
+    The last group is padded with the last particle.
     """
     count, width = len(values), int(np.prod(values.shape[1:]))
     groups = -(-count // LANES)
@@ -49,7 +49,7 @@ def to_lanes(values: Floats) -> NDArray[np.float64]:
 
 
 def from_lanes(lanes: Floats, count: int, *shape: int) -> NDArray[np.float64]:
-    """(N, ...) what `to_lanes` was given."""
+    """(N, ...) the inverse of `to_lanes`."""
     width = int(np.prod(shape))
     wide = lanes.reshape(width, lanes.size // width)[:, :count]
     return np.ascontiguousarray(wide.T).reshape(count, *shape)
@@ -58,13 +58,13 @@ def from_lanes(lanes: Floats, count: int, *shape: int) -> NDArray[np.float64]:
 def carry(
     F: Floats, count: int, given: Sequence[Floats], R: Floats | None = None
 ) -> tuple[NDArray[np.float64], ...]:
-    """R, axes, quaternions and scales of Gaussians after a frame, as `to_lanes` has them.
+    """R, axes, quaternions and scales of Gaussians after a frame, in the layout of `to_lanes`.
 
     F : (9 G, 4) of `count` particles; given : Q0 diag(s0), and the rotations, axes and quaternions
-    of the frame before; R : rotations of F, the nearest; None: they are found.
+    of the previous frame; R : nearest rotations of F; None: they are computed.
 
-    By Newton's iteration Q <- (Q + Q^-T) / 2 (Higham 1986), several times as fast as the SVD; by
-    the SVD itself where F is inverted, or so flat that the iteration would take long.
+    Newton's iteration Q <- (Q + Q^-T) / 2 (Higham 1986) is several times as fast as the SVD, which
+    is used where F is inverted or nearly singular.
     """
     ensure_running()
     groups = len(F) // 9
@@ -86,19 +86,19 @@ def carry(
 
 
 def _of(lanes: Floats, which: Floats, groups: int) -> NDArray[np.float64]:
-    """What some of the particles have, in lanes of their own."""
+    """Values of some of the particles, in separate lanes."""
     return to_lanes(lanes.reshape(len(lanes) // groups, -1)[:, which].T)
 
 
 @unrolled
 def numbers(array, g, groups, count):
-    """`count` numbers of group g of as many."""
+    """`count` values of group g."""
     return let([at(array, a * groups + g) for a in range(count)])
 
 
 @unrolled
 def keep(array, g, groups, values):
-    """Write what `numbers` reads."""
+    """Store values in the layout of `numbers`."""
     for a, value in enumerate(values):
         put(at(array, a * groups + g), value)
 
@@ -108,10 +108,10 @@ def _carry(
     F: Lanes, rest: Lanes, turn: Lanes, axes: Lanes, last: Lanes, R: Lanes, new_axes: Lanes,
     new_last: Lanes, scales: Lanes, done: Lanes, groups: ti.i32, known: ti.i32,
 ):  # fmt: skip
-    """A frame of `gaussians.GaussianTrack`, of which turn, axes and last are the state.
+    """Advance `gaussians.GaussianTrack` by a frame; turn, axes and last are its state.
 
-    rest : Q0 diag(s0); R : rotations of F, the next turn, given where `known`, and else right where
-    done is left 1.
+    rest : Q0 diag(s0); R : rotations of F, the next turn, given where `known`, and otherwise valid
+    where done is still 1.
     """
     for g in range(groups):
         G = numbers(F, g, groups, 9)
@@ -135,7 +135,7 @@ def _carry(
 
 @ti.func
 def polar(Q: ti.template()):
-    """Q to the rotation of its polar decomposition, in place; 1 in the lanes where it is found."""
+    """Replace Q by the rotation of its polar decomposition, in place; 1 in the converged lanes."""
     J = determinant(Q, cofactor(Q))
     found = J * 0.0
     active = ti.select(J > 0.0, found + 1.0, found)
@@ -152,7 +152,7 @@ def polar(Q: ti.template()):
 
 @unrolled
 def newton(Q, C, J, active):
-    """Q <- (Q + C / J) / 2 where it is active; the largest change of an entry."""
+    """Q <- (Q + C / J) / 2 in active lanes; the largest change of an entry."""
     J, active, largest = let(J), let(active > 0.0), None
     for a in range(9):
         new = let(0.5 * (Q[a] + C[a] / J))
@@ -171,12 +171,12 @@ def magnitude(x):
 
 @ti.func
 def diagonalize(S: ti.template()):
-    """S <- Q^T S Q, diagonal, for a symmetric S of which the upper half is read and changed.
+    """S <- Q^T S Q, diagonal, for a symmetric S of which the upper half is used and modified.
 
     Returns Q, det Q = 1, near the identity: cyclic rotations (Jacobi 1846).
     """
     Q = identity(S[0])
-    # Below rounding an off-diagonal says nothing, and turning by it would be noise.
+    # An off-diagonal entry below rounding is noise and must not cause a rotation.
     least = 1e-14 * ti.max(S[0] + S[4] + S[8], 1e-300)
     sweep = 0
     moved = 1
@@ -199,8 +199,8 @@ def identity(like):
 
 @unrolled
 def turn_plane(S, Q, a, b, where):
-    """Make S_ab 0 by a rotation of at most 45 degrees in the plane of a and b, a < b, where it is
-    above 0.
+    """Make S_ab zero by a rotation of at most 45 degrees in the plane of a < b, in lanes with
+    `where` > 0.
     """
     where, off = let(where > 0.0), let(S[3 * a + b])
     tau = let((S[4 * b] - S[4 * a]) / (2.0 * off))
@@ -249,7 +249,9 @@ def quaternion(R):
 
 @unrolled
 def keep_gaussian(new_last, scales, last, g, groups, S, q):
-    """Write the roots of S_aa, and of q and -q, which are one rotation, the one near the last."""
+    """Store the square roots of S_aa, and of q and -q, which are the same rotation, the one nearer
+    to the previous one.
+    """
     q = let(q)
     for a in range(3):
         put(at(scales, a * groups + g), root(S[4 * a]))

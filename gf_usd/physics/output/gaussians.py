@@ -1,21 +1,20 @@
-"""Deformed Gaussians as orientation and scale, continuous in time.
+"""Deformed Gaussians as orientation and scale, continuous in time; Gaussians of a capture.
 
-A Gaussian deforms as Sigma = F Sigma0 F^T (GaussianFlesh section 3.1).  USD stores it as a rotation
-Q and standard deviations s, Sigma = Q diag(s^2) Q^T, whose axes may swap and flip from frame to
-frame; a client that interpolates would then show a spinning needle.  So each frame starts from the
-last one's axes turned by the body's own rotation and turns them no further than it must: cyclic
-Jacobi rotations of at most 45 degrees.
+A Gaussian deforms as Sigma = F Sigma0 F^T (GaussianFlesh section 3.1). USD stores a rotation Q and
+standard deviations s, Sigma = Q diag(s^2) Q^T, whose axes may be permuted or flipped between
+frames, so that interpolation in a client would show spurious rotations. Each frame therefore starts
+from the axes of the previous one, rotated with the body, and diagonalizes by the least rotation:
+cyclic Jacobi rotations of at most 45 degrees.
 
-Captured Gaussians that move with the body.
-
-A Gaussian at X with Sigma0 and coefficients h goes to
+A captured Gaussian at X with Sigma0 and radiance coefficients h becomes
 
     x,    F Sigma0 F^T,    D(R) h,    F = R U
 
-(PhysGaussian, section 3.3): its radiance turns with the body.  All of it happens in the space of
-the Gaussians' own prim, with L the linear map from there to the world: F_local = L(t)^-1 F L(0).
-What lies too far from the body to be part of its grid hangs stiffly on the nearest point that is:
-x = x_a + R (X - X_a).
+(PhysGaussian, section 3.3): its radiance rotates with the body. This is done in the space of the
+Gaussians' own prim, with L the linear map from there to the world: F_local = L(t)^-1 F L(0).
+
+A Gaussian too far from the body to be in its grid moves rigidly with the nearest point that is: x =
+x_a + R (X - X_a).
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from gf_usd.physics.per_particle import nearest_rotation, rotated
 
 
 class GaussianTrack:
-    """Turns poses into Gaussians, one frame after another.
+    """Converts poses to Gaussians, one frame after another.
 
     rest_orientation : (N, 4) (w, x, y, z); rest_scale : (N, 3) [m].
     """
@@ -53,7 +52,9 @@ class GaussianTrack:
         return from_lanes(self._lanes[0], self._count, 3, 3)
 
     def state(self) -> dict[str, Floats]:
-        """What the next frame starts from: axes and turn (N, 3, 3), quaternions (N, 4)."""
+        """The state from which the next frame starts: axes and turn (N, 3, 3), quaternions
+        (N, 4).
+        """
         _, axes, last = self._lanes
         return {
             "axes": from_lanes(axes, self._count, 3, 3),
@@ -62,7 +63,7 @@ class GaussianTrack:
         }
 
     def load(self, state: Mapping[str, Floats]) -> None:
-        """Go on from `state`."""
+        """Restore `state`."""
         self._lanes = tuple(to_lanes(state[name]) for name in ("turn", "axes", "last"))
 
     def advance(self, pose: Pose) -> GaussianPose:
@@ -77,12 +78,12 @@ class GaussianTrack:
 
 
 STRETCH = (
-    4.0  # no Gaussian grows or shrinks more than this beyond its own longest and shortest axis
+    4.0  # bound of the growth beyond the longest, and the decrease below the shortest rest axis
 )
 
 
 class CarriedSplats:
-    """Turns poses of carried points into Gaussians, one frame after another.
+    """Converts poses of embedded points to Gaussians, one frame after another.
 
     splats : at rest.
     """
@@ -98,14 +99,16 @@ class CarriedSplats:
         self._hanging = np.flatnonzero((arm != 0.0).any(axis=1))
         self._arm = arm[self._hanging]
         self._colors = splats.degree > 0
-        self.clamped = 0  # Gaussians that were kept within bounds, summed over the frames
+        self.clamped = 0  # number of clamped Gaussians, summed over the frames
 
     def state(self) -> dict[str, Floats]:
-        """What the next frame starts from: that of `GaussianTrack`, and what was clamped."""
+        """The state from which the next frame starts: that of `GaussianTrack`, and the
+        clamp count.
+        """
         return {**self._track.state(), "clamped": np.array([self.clamped])}
 
     def load(self, state: Mapping[str, Floats]) -> None:
-        """Go on from `state`."""
+        """Restore `state`."""
         self._track.load(state)
         self.clamped = int(state["clamped"][0])
 
@@ -122,7 +125,7 @@ class CarriedSplats:
         local = replace(pose, F=to_local @ pose.F @ self._linear)
         made = self._track.advance(local)
         scales = np.clip(made.scales, self._least, self._most)
-        # rounding is no clamp
+        # not counted within rounding
         self.clamped += int((np.abs(scales - made.scales) > 1e-9 * self._most).any(axis=1).sum())
         harmonics = None
         if self._colors:

@@ -1,28 +1,28 @@
-"""The surface of particles that flow: a closed mesh of its own for every frame.
+"""The surface of flowing particles: a separate closed mesh for every frame.
 
-It is where the field of Zhu and Bridson (2005, section 5) is zero, with the radius of Solenthaler
-et al. (2007, section 4):
+It is the zero level set of the field of Zhu and Bridson (2005, section 5), with the radius of
+Solenthaler et al. (2007, section 4):
 
     phi(x) = |x_mean - x| - f r_mean,   x_mean = sum_p w_p x_p / sum_p w_p,   r_mean likewise,
     w_p = (1 - |x - x_p|^2 / R^2)^3 within R,   r_p = (3 V_p / 4 pi)^(1/3).
 
-f is 1 where particles are close to each other, and falls to 0 where they are apart, so that
-nothing is drawn between drops: f = s^3 - 3 s^2 + 3 s, s = (3.5 - e) / 3.1 within 0 and 1, with e
-the largest eigenvalue of the symmetric part of grad x_mean.
+f is 1 where particles are dense, and decreases to 0 between separated particles, so that drops are
+not connected: f = s^3 - 3 s^2 + 3 s, s = (3.5 - e) / 3.1 clamped to [0, 1], with e the largest
+eigenvalue of the symmetric part of grad x_mean.
 
-R follows from r.  Above a half-space that particles fill evenly, |x_mean - x| at its boundary is
-R / 2 times the ratio of the integrals of t^3 (1 - t^2)^3 and t^2 (1 - t^2)^3 over t in [0, 1]:
-R times `DEPTH`.  With R = r / DEPTH the surface of what is flat lies where the material ends, and a
-drop of one particle has the volume of that particle.  A boundary of radius a is drawn
+R is chosen by r. At the boundary of an evenly filled half-space, |x_mean - x| is R / 2 times the
+ratio of the integrals of t^3 (1 - t^2)^3 and t^2 (1 - t^2)^3 over t in [0, 1]: R times `DEPTH`.
+With R = r / DEPTH a flat surface is at the boundary of the material, and a drop of one particle has
+the volume of that particle. A boundary of curvature radius a is drawn
 
     r^2 / a times DEPTH / 0.406                                                                (1)
 
-too far inside (`CURVED`): .6 of a spacing squared over a.
+too far inside (`CURVED`): .6 of a squared spacing over a.
 
-The field is sampled at nodes of cells R / 5 wide, in blocks of 5 x 5 x 5 cells that are near a
-particle; there are no others, however far apart the particles are.  Marching cubes (Lorensen and
-Cline 1987, of libigl) makes triangles of the cells through which the surface goes.  Smoothing that
-does not shrink (Taubin 1995) takes out the steps of the cells.
+The field is sampled at the nodes of cells of width R / 5, in blocks of 5 x 5 x 5 cells near
+particles; other blocks are not stored. Marching cubes (Lorensen and Cline 1987, from libigl)
+triangulates the level set, and smoothing without shrinkage (Taubin 1995) removes the steps of the
+cells.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ DEPTH = 63.0 / 256.0  # Beta(2, 4) / (2 Beta(3/2, 4)), the two integrals
 SLOPE = DEPTH * (1.0 / 8.0) / (16.0 / 315.0)
 PASSES = 6
 SHRINK, GROW = 0.5, -0.53  # Taubin's lambda and mu: 1/mu + 1/lambda = 0.11, his pass band
-FAR = 1 << 20  # blocks from the origin that have a key
+FAR = 1 << 20  # largest distance from the origin [blocks] with a key
 
 CORNERS = np.array(
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
@@ -54,23 +54,24 @@ AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), -1).resha
 
 @dataclass(frozen=True, kw_only=True)
 class ParticleSurface:
-    """Triangles around particles, counter-clockwise seen from outside."""
+    """A triangle mesh around particles, counter-clockwise seen from outside."""
 
     points: NDArray[np.float64]  # (V, 3) [m]
     triangles: NDArray[np.int64]  # (T, 3)
     normals: NDArray[np.float64]  # (V, 3) unit, outward
-    carried: NDArray[np.float64]  # (V, c) means of the values of particles
+    carried: NDArray[np.float64]  # (V, c) weighted means of particle values
 
 
 def reach(V0: Floats) -> float:
-    """[m] R of particles of volumes (N,) [m^3]: that of their mean."""
+    """[m] R for particles of volumes (N,) [m^3], from their mean."""
     return float(np.cbrt(0.75 / np.pi * np.mean(V0))) / DEPTH
 
 
 def surface(x: Floats, V0: Floats, values: Floats) -> ParticleSurface:
-    """The surface of particles at x (N, 3) [m] of volumes (N,) [m^3], one or more.
+    """The surface of one or more particles at x (N, 3) [m] of volumes (N,) [m^3].
 
-    values : (N, c) what is carried to its vertices, such as velocities and colors.
+    values : (N, c) particle values that are interpolated to the vertices, such as velocity and
+    color.
 
     Raises BakeError where a particle is more than a million R from the origin.
     """
@@ -89,7 +90,7 @@ def surface(x: Floats, V0: Floats, values: Floats) -> ParticleSurface:
 
 
 def _keys(block: Ints) -> NDArray[np.int64]:
-    """One number for each block (n, 3), in their order along x, y and z."""
+    """One integer per block (n, 3), in lexicographic order."""
     a, b, c = (np.asarray(block, np.int64) + FAR).T
     return (a << 42) | (b << 21) | c
 
@@ -100,7 +101,7 @@ def _unkeyed(keys: Ints) -> NDArray[np.int64]:
 
 
 class _Blocks:
-    """Blocks of cells that are near a particle; lengths in cells.
+    """Blocks of cells near particles; lengths in cells.
 
     x : (N, 3) [cells] of the particles.
     """
@@ -130,11 +131,11 @@ class _Blocks:
         """(B, NODES) phi [cells] at the nodes of each block."""
         phi = np.empty((len(self.keys), NODES), np.float32)
         field(self._x, radii[self._order], self._first, self._around, phi, float(BLOCK))
-        phi[phi == 0.0] = np.finfo(np.float32).tiny  # a node on the surface is outside
+        phi[phi == 0.0] = np.finfo(np.float32).tiny  # a node on the surface counts as outside
         return phi
 
     def carry(self, values: NDArray[np.float32], points: Floats) -> NDArray[np.float64]:
-        """(V, c) means of the values of particles at points (V, 3) [cells] near the surface."""
+        """(V, c) weighted means of particle values at points (V, 3) [cells] near the surface."""
         block = np.floor(points / BLOCK).astype(np.int64)
         at = (points - BLOCK * block).astype(np.float32)
         number = _found(self.keys, _keys(block)).astype(np.int32)
@@ -144,16 +145,16 @@ class _Blocks:
 
 
 def _found(keys: Ints, wanted: Ints) -> NDArray[np.int64]:
-    """Where sorted keys hold the wanted ones; -1 where they do not."""
+    """Index of the wanted keys in sorted keys; -1 where absent."""
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
     return np.where(keys[at] == wanted, at, -1)
 
 
 def _march(blocks: _Blocks, phi: Floats) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices [cells] and triangles of the cells in which phi changes its sign."""
+    """Vertices [cells] and triangles of the cells in which phi changes sign."""
     grid = phi.reshape(-1, BLOCK, BLOCK, BLOCK)
     inside = (grid < 0.0).reshape(len(grid), -1)
-    # The nodes beyond a block's own are those of its neighbors; without one nothing is inside.
+    # Nodes on the upper faces belong to neighbor blocks; without a neighbor they are outside.
     near = np.flatnonzero(inside.any(1))
     near = np.unique(_keys((blocks.corners[near][:, None] + AROUND).reshape(-1, 3)))
     near = _found(blocks.keys, near)
@@ -189,10 +190,10 @@ def _window(corner: Ints) -> tuple[slice, ...]:
 
 
 def _smoothed(points: Floats, triangles: Ints) -> NDArray[np.float64]:
-    """Points after `PASSES` of Taubin's smoothing, each vertex toward the mean of its neighbors.
+    """Points after `PASSES` of Taubin smoothing, with the umbrella operator.
 
-    Every part is then scaled about its middle to the volume that it had (Desbrun et al. 1999,
-    section 4.4), for drops of few triangles do shrink.
+    Every component is then scaled about its center to its previous volume (Desbrun et al. 1999,
+    section 4.4), since drops of few triangles shrink.
     """
     from scipy.sparse import coo_matrix
 
@@ -216,7 +217,9 @@ def _smoothed(points: Floats, triangles: Ints) -> NDArray[np.float64]:
 
 
 def _volumes(points: Floats, triangles: Ints, part: Ints, parts: int) -> NDArray[np.float64]:
-    """(parts,) six times the volume of each part, below 0 of a cavity; points from its middle."""
+    """(parts,) six times the volume of each component, negative for a cavity; points relative to
+    centers.
+    """
     a, b, c = (points[triangles[:, k]] for k in range(3))
     six = np.einsum("ij,ij->i", a, np.cross(b, c))
     return np.bincount(part[triangles[:, 0]], six, parts).astype(np.float64)
@@ -229,7 +232,7 @@ def _sums(label: Ints, values: Floats, count: int) -> NDArray[np.float64]:
 
 
 def _normals(points: Floats, triangles: Ints) -> NDArray[np.float64]:
-    """(V, 3) unit means of the normals of the triangles around, by area."""
+    """(V, 3) unit area-weighted means of the normals of adjacent triangles."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     area = np.cross(b - a, c - a)
     total = _sums(triangles.ravel(), np.repeat(area, 3, axis=0), len(points))

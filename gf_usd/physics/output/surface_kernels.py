@@ -1,15 +1,15 @@
-"""The field whose zero is the surface of particles, and what particles carry to that surface.
+"""The field whose zero level set is the surface of particles, and interpolation to that surface.
 
-Lengths are in edges of a cell, counted from the corner of a block of `BLOCK` cells a side: numbers
-stay small however far apart particles are.  Each node sums over the particles of the 27 blocks
-around it in their order, so that sums come out the same to the bit whatever the threads do.
+Lengths are in cells, relative to the corner of a block of `BLOCK` cells per side, so that
+coordinates are small for any distance of the particles. Each node sums over the particles of the 27
+blocks around it in a fixed order, so that the sums are bit-identical for any number of threads.
 """
 
 import taichi as ti
 
-BLOCK = 5  # [cells] edge of a block, which is the support of the kernel
+BLOCK = 5  # [cells] edge of a block, equal to the radius of the kernel
 NODES = BLOCK**3
-# Where the largest eigenvalue of grad x_mean exceeds LOW the radius shrinks, to nothing at HIGH
+# The radius decreases with the largest eigenvalue of grad x_mean from LOW on, to 0 at HIGH
 # (Solenthaler et al. 2007, section 4).
 LOW, HIGH = 0.4, 3.5
 
@@ -27,7 +27,7 @@ def place(a: ti.template(), i):
 
 @ti.func
 def corner(k):
-    """[cells] of the corner of neighbor k of 27, from that of the block in the middle."""
+    """[cells] corner of neighbor k of 27, relative to that of the central block."""
     return ti.Vector([k // 9 - 1.0, k // 3 % 3 - 1.0, k % 3 - 1.0]) * BLOCK
 
 
@@ -35,7 +35,7 @@ def corner(k):
 def slabs(o, step, at):
     """First and last of the slabs along x of occupied block o that may be within reach.
 
-    step : where the block is along x, -1, 0 or 1; at : [cells] x in the block in the middle.
+    step : offset of the block along x, -1, 0 or 1; at : [cells] x relative to the central block.
     """
     floor = ti.cast(ti.floor(at), ti.i32)
     low, high = BLOCK * o, BLOCK * (o + 1)
@@ -48,7 +48,9 @@ def slabs(o, step, at):
 
 @ti.func
 def largest_eigenvalue(square, mixed):
-    """Of a symmetric matrix with the diagonal `square` and xy, yz, zx in `mixed` (Smith 1961)."""
+    """Largest eigenvalue of a symmetric matrix with the diagonal `square` and xy, yz, zx in `mixed`
+    (Smith 1961).
+    """
     q = (square[0] + square[1] + square[2]) / 3.0
     a = square - q
     r = ti.sqrt(a.dot(a) / 6.0 + mixed.dot(mixed) / 3.0)
@@ -66,9 +68,9 @@ def largest_eigenvalue(square, mixed):
 def field(x: Floats2, r: Floats1, first: Ints1, around: Ints2, phi: Floats2, reach: ti.f32):
     """phi (B, NODES) [cells] at the nodes of each block: see `surface`.
 
-    x : (N, 3) of particles from the corners of their blocks; r : (N,) their radii.
-    first : (BLOCK O + 1,) where the particles of each slab of each occupied block begin: BLOCK
-    slabs along x, each as thick as a cell.
+    x : (N, 3) of particles relative to the corners of their blocks; r : (N,) their radii.
+    first : (BLOCK O + 1,) start of the particles of each slab of each occupied block: BLOCK slabs
+    along x, one cell thick.
     around : (B, 27) the occupied blocks around each block, -1 where there is none.
     """
     for b in range(phi.shape[0]):
@@ -111,10 +113,10 @@ def carried(
     x: Floats2, values: Floats2, first: Ints1, around: Ints2,
     at: Floats2, block: Ints1, out: Floats2, reach: ti.f32
 ):  # fmt: skip
-    """out (V, c): means of the values (N, c) of particles, weighed by the kernel.
+    """out (V, c): kernel-weighted means of the values (N, c) of particles.
 
-    at : (V, 3) places from the corners of the blocks `block` (V,), into `around`; the rest as of
-    `field`.
+    at : (V, 3) points relative to the corners of the blocks `block` (V,), which index `around`; the
+    others as for `field`.
     """
     for v in range(out.shape[0]):
         total = 0.0
