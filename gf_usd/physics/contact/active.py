@@ -1,4 +1,4 @@
-"""The active set of floor contact: the samples that may meet the floor before the next frame."""
+"""The active set of floor contact: the samples that may reach the floor before the next frame."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State
 
-SURPLUS = 1.25  # of the samples that are wanted: so many are evaluated before they are chosen anew
+SURPLUS = 1.25  # ratio of evaluated to needed samples at which the set is rebuilt
 
 
 class ActiveSamples:
-    """Which contact samples the kernels of a body evaluate."""
+    """The contact samples that the kernels of a body evaluate."""
 
     def __init__(self, body: Body) -> None:
         self._body = body
-        self._active: tuple[Ints, Ints] | None = None  # what the device holds
-        self._height = np.zeros(0)  # [m] of the samples over the floor, without u and the offset
-        self._drift = 0.0  # [m/s] toward the floor that pins give the fastest of them
-        self._fall = 0.0  # [m/s] that none of them falls faster than
-        self.pushed = 0.0  # [m/s] that they may gain besides, of what flows against them
+        self._active: tuple[Ints, Ints] | None = None  # the set on the device
+        self._height = np.zeros(0)  # [m] of the samples above the floor, without u and the offset
+        self._drift = 0.0  # [m/s] largest velocity toward the floor prescribed by pins
+        self._fall = 0.0  # [m/s] bound of the falling speed
+        self.pushed = 0.0  # [m/s] bound of the speed gained from a flow
 
     def near_floor(self, state: State, *, everywhere: bool = False) -> Ints:
-        """The samples within reach of the floor; clears what all of them noticed.
+        """The samples within reach of the floor; resets the results of all samples.
 
-        everywhere : all, since what comes to push them within the frame is not known.
+        everywhere : all samples, where the impulses on them within the frame are not known.
         """
         body, contact = self._body, self._body.contact
         if contact is None:
@@ -44,13 +44,13 @@ class ActiveSamples:
         return self._within(state, span)
 
     def nearer(self, state: State, near: Ints, span: float) -> Ints:
-        """Those of the samples `near` that are so for a part of the frame, a span [s] from now."""
+        """Those of the samples `near` that may reach the floor within a span [s] from now."""
         if not len(near) or self._body.contact is None or self._body.contact.constants is not None:
-            return near  # what pins move is told for the frame
+            return near  # the motion of pins is set for the whole frame
         return np.intersect1d(near, self._within(state, span), assume_unique=True)
 
     def _within(self, state: State, span: float) -> Ints:
-        """Samples that may come to the floor within a span [s]."""
+        """Samples that may reach the floor within a span [s]."""
         body, contact, normal = self._body, self._body.contact, self._body.settings.normal
         assert contact is not None
         now = state.view()
@@ -79,18 +79,18 @@ class ActiveSamples:
         move_springs(state, velocity, body.settings.normal, time)
 
     def select(self, state: State, near: Ints, paired: Ints, dt: float) -> int:
-        """Restrict the kernels to these samples; returns how many there are.
+        """Restrict the kernels to these samples; returns their number.
 
         near, paired : (k,) ascending, those that the floor may reach and those of contact pairs,
-        with a body or an obstacle.  The nodal sums are W^T of these alone: all others are 0.
-        dt : [s] of the substeps to come.
+        with a body or an obstacle. Nodal sums are W^T of these only; the others have no force.
+        dt : [s] of the following substeps.
         """
         if self._body.contact is None:
             return 0
         state.clear("sample_force")
         numbers = state.get("numbers")[: CLEARANCE + 1]
         numbers[FALL], numbers[CLEARANCE] = self._fall, self._body.particles.spacing
-        state.put_first("numbers", numbers)  # and every slack is 0: all are asked at first
+        state.put_first("numbers", numbers)  # every slack is 0: all samples are tested at first
         if self._body.options.driven and self._body.settings.floor is not None:
             self._drive(state, dt)
         samples = np.union1d(near, paired) if len(paired) else near
@@ -108,9 +108,11 @@ class ActiveSamples:
         return len(samples)
 
     def _serves(self, samples: Ints, paired: Ints) -> bool:
-        """Whether the device holds these samples already, with few others, which touch nothing.
+        """Whether the set on the device contains these samples, and few others, which have no
+        contact.
 
-        What touches nothing adds 0 to a node's force: to select anew costs more than some of it.
+        A sample without contact contributes 0 to a nodal force; a few of them cost less than a new
+        set.
         """
         if self._active is None or not np.array_equal(self._active[1], paired):
             return False
@@ -119,7 +121,7 @@ class ActiveSamples:
         return few and bool(np.isin(samples, held, assume_unique=True).all())
 
     def _drive(self, state: State, dt: float) -> None:
-        """Tell the kernels where pins have the samples in the middle of the first substep."""
+        """Set the positions that pins give the samples in the middle of the first substep."""
         body, contact, normal = self._body, self._body.contact, self._body.settings.normal
         assert contact is not None
         assert contact.driven is not None

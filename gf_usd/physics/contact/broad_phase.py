@@ -1,10 +1,10 @@
-"""Broad phase: bodies and obstacles that are near each other, and for how long they are.
+"""Broad phase: pairs of bodies and obstacles that are near each other, and for how long.
 
-A pair whose boxes are apart is left alone until they could have come together.
+A pair whose bounding boxes are separated is skipped until they could overlap.
 
-Parts of one body: its surface is divided into patches, and every pair of them is compared.  Those
-that are apart are left alone until they could have come together, those that are neighbors at rest
-until the surface is folded between them.
+For self-contact a surface is divided into patches, and all pairs of patches are compared. Separated
+ones are skipped until they could be in contact, and pairs that are neighbors at rest until the
+surface between them is folded.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from gf_usd.physics.contact.obstacles import Obstacle
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """A body as others come near it."""
+    """Bounding box and velocity range of a body."""
 
     low: Floats  # (3,) [m]
     high: Floats  # (3,) [m]
     mean: Floats  # (3,) [m/s] of its samples
-    spread: float  # [m/s] the fastest of them against the mean
+    spread: float  # [m/s] largest deviation from the mean
 
     @classmethod
     def around(cls, x: Floats, v: Floats) -> Box:
-        """Of samples at x (n, 3) [m] with v (n, 3) [m/s]."""
+        """The box of samples at x (n, 3) [m] with v (n, 3) [m/s]."""
         mean = v.mean(0)
         off = v - mean
         fastest = float(np.sqrt(np.einsum("na,na->n", off, off).max()))
@@ -51,15 +51,15 @@ def schedule(
 ) -> tuple[list[tuple[int, int]], float]:
     """Which pairs (body, body or -1 - obstacle) are near, and for how long [s] that holds.
 
-    frame : where the obstacles are; fall : [m/s] that gravity adds until the next detection;
-    reach : [m] from where something is faced; bodies `still` (B,) do not move: what does not either
-    is no concern of theirs.
+    frame : time of the obstacles; fall : [m/s] bound of the speed gained by gravity until the next
+    detection; reach : [m] distance within which contact is considered.
+    still : (B,) bodies that do not move: pairs of two static partners are omitted.
     """
     near: list[tuple[int, int]] = []
     hold = float("inf")
 
     def until(gap: Floats, speed: Floats) -> float:
-        # What no sample faces yet is farther than that off, or comes from beyond the box.
+        # Surfaces without a plane yet are beyond this distance, or outside of the box.
         left = np.maximum(reach, gap - spacing) / np.maximum(speed + fall, 1e-30)
         return float(left.min(initial=np.inf))
 

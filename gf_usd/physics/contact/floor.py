@@ -1,14 +1,14 @@
-"""Contact of surface samples with the floor: stiffness, damping, rows.
+"""Contact of surface samples with the floor: stiffness, damping, interpolation rows.
 
-Stiffness per mass (docs/physics.md) for particles a distance s apart and an impact at v:
+Stiffness per mass (docs/physics.md) for particles at a spacing s and an impact at speed v:
 
     k/m = max(1.3 E* / (rho s^2), (v / (0.25 s))^2, p0 / (0.045 rho s^2)),    E* = E / (1 - nu^2)
 
-the first for the compliance of a half space at the scale of a particle, which the grid leaves out,
-so that an impact takes as long as Hertz's theory says; the second to stop a fall within a quarter
-of a spacing or so where the body is soft; the third so that a body at rest sinks by less than a
-tenth of s under the greatest pressure of its own weight, which for a sphere is Hertz's p0 (Johnson
-1985, eq. 4.24; measured without this term: half a spacing).
+The first term is the compliance of a half space at the scale of a particle, which the grid does not
+resolve, so that the duration of an impact agrees with Hertz's theory. The second stops an impact
+within about a quarter of a spacing where the body is soft. The third limits the depth of a body at
+rest to a tenth of s under the largest pressure of its own weight, which for a sphere is Hertz's p0
+(Johnson 1985, eq. 4.24; half a spacing without this term, measured).
 """
 
 from __future__ import annotations
@@ -27,56 +27,58 @@ from gf_usd.physics.grid.reference import Rows, Stencil
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.time_step import StableStep
 
-# Of E* / (rho s^2).  A rigid sample on a grid of quadratic splines sinks in by less than on a half
-# space: with stiffer springs an impact is too short, by 7 % at an approach of .05 R and 13 % at .01
-# R with 8,000 particles, with softer ones too long.  With 1.3 both are Hertz's to 2 and 4 %, for nu
-# of 0, .3 and .45 alike (measured); scaled by c^2 instead of E* they would not be.
+# Of E* / (rho s^2). The grid of quadratic B-splines already has a part of the compliance of a half
+# space. With stiffer springs an impact is too short, by 7 % at an approach of .05 R and 13 % at .01
+# R with 8,000 particles, with softer ones too long. With 1.3 both agree with Hertz's theory to 2
+# and 4 %, for nu of 0, .3 and .45 (measured), which is not so for a scaling by c^2 instead of E*.
 HALF_SPACE = 1.3
 STOPPING_DISTANCE = 0.25  # of s
-# Of the second and third term where two bodies meet, or a body and an obstacle, which may come
-# twice as fast as one body alone: twice the stiffness for a mass of half.  Balls of jelly overlap
-# by .41 spacings with it, by .54 without (measured, at 3 m/s each).
+# Factor on the second and third term between two bodies, or a body and an obstacle, whose relative
+# speed may be twice that of one body: twice the stiffness for half the (reduced) mass. Jelly balls
+# overlap by .41 spacings with it, by .54 without (measured, at 3 m/s each).
 PAIR_STIFFNESS = 2.0
-# [spacings] a: as deep under where it begins to harden, a spring is stronger by k a.  The springs
-# between bodies harden from their surface on, by the same term.
+# [spacings] a: at this depth below the onset of hardening, the force is increased by k a. The
+# springs between bodies harden from depth 0 on, by the same term.
 HARD = 0.2
-REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for, sinks twice as deep
+REST_DEPTH = 0.045  # of s; twice as deep for jelly, whose strain is too large for Hertz's theory
 
 
-# A kernel takes few arrays: what is constant of a sample stands in one row of `sample_constants`.
+# The constants of a sample are one row of `sample_constants`, to limit the number of arrays.
 FLOOR_ROW = 7
 # [N/m], [N s/m], [N/m] along the floor, friction, [kg], d0 [m] and 1 / a^2 [1/m^2] of hardening
 K, C, K_T, MU, M_S, LINEAR, HARDENING = range(FLOOR_ROW)
-# What pins give a sample: its height [m] over the floor without u and the offset, its velocity
-# [m/s], and the work [J] that they did on it.
+# Prescribed motion of a sample by pins: its height [m] above the floor without u and the offset,
+# its velocity [m/s], and the work [J] of the pins on it.
 GIVEN_ROW = 5
 HEIGHT, DRIFT, WORK = 0, 1, 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class FloorContact:
-    """Contact samples of all bodies, ready for the kernels."""
+    """Contact samples of all bodies, in the form that the kernels need."""
 
-    samples: SurfaceSamples  # those that no pin holds
+    samples: SurfaceSamples  # without pinned ones
     rows: Rows  # on the free nodes
-    constants: sparse.csr_matrix | None  # (n, followers) of their constants, where there are pins
-    driven: sparse.csr_matrix | None  # the same of what is given; None: nothing is
-    nodes: sparse.csr_matrix  # (n, nodes) of what is not: free nodes, and those of rigid regions
-    mass: Floats  # (n,) [kg] that each sample stands for: rho * area * s
+    constants: (
+        sparse.csr_matrix | None
+    )  # (n, followers) weights of the followers' constants, with pins
+    driven: sparse.csr_matrix | None  # the same for prescribed nodes; None: there are none
+    nodes: sparse.csr_matrix  # (n, nodes) weights of free nodes, and of those of rigid regions
+    mass: Floats  # (n,) [kg] represented by each sample: rho * area * s
     stiffness: Floats  # (n,) [N/m]
-    pair_stiffness: Floats  # (n,) [N/m] where it meets a body or an obstacle
+    pair_stiffness: Floats  # (n,) [N/m] in contact with a body or an obstacle
     damping: Floats  # (n,) [N s/m]
-    tangential: Floats  # (n,) [N/m] of the springs by which friction sticks; 0: none
+    tangential: Floats  # (n,) [N/m] of the tangential springs of friction; 0: none
     friction: Floats  # (n,)
     restitution: Floats  # (n,)
-    linear: float  # [m] the depth down to which springs are linear
+    linear: float  # [m] d0, depth down to which springs are linear
     hardening: float  # [1/m^2] 1 / a^2 beyond it
     omega2: float  # [1/s^2] largest eigenvalue of M^-1 W^T K W: the contact's stiffest vibration
     damping_rate: float  # [1/s] the same bound for M^-1 W^T C W
 
     @property
     def law(self) -> Floats:
-        """(n, FLOOR_ROW) of the kernels."""
+        """(n, FLOOR_ROW) values for the kernels."""
         alike = np.ones_like(self.mass)
         return np.stack(
             [
@@ -92,12 +94,16 @@ class FloorContact:
         return float(self.stiffness @ square)
 
     def stiffer(self, depth: float) -> float:
-        """1 + 3 e^2 / a^2: how many times as stiff as at first a spring is at a depth [m]."""
+        """1 + 3 e^2 / a^2: ratio of a spring's tangent stiffness at a depth [m] to that at
+        depth 0.
+        """
         return 1.0 + 3.0 * self.hardening * max(0.0, depth - self.linear) ** 2
 
 
 def pressed_step(contact: FloorContact | None, step: StableStep, depth: float) -> StableStep:
-    """The step at rest with the floor's springs as hard as where the deepest is so deep [m]."""
+    """The step at rest, with the floor's springs as stiff as at a depth [m] of the deepest
+    sample.
+    """
     return step if contact is None else step.hardened(contact.stiffer(depth))
 
 
@@ -110,7 +116,9 @@ def stiffness_per_mass(
     density: Floats,
     times: float = 1.0,
 ) -> Floats:
-    """k/m [1/s^2] of the module's formula; modulus : E* [Pa]; times : of all but the first."""
+    """k/m [1/s^2] of the module's formula; modulus : E* [Pa]; times : factor on all but the first
+    term.
+    """
     elastic = HALF_SPACE * modulus / (density * spacing**2)
     stopping = (impact_speed / (STOPPING_DISTANCE * spacing)) ** 2
     resting = pressure / (REST_DEPTH * density * spacing**2)
@@ -118,7 +126,7 @@ def stiffness_per_mass(
 
 
 def plane_modulus(youngs: Floats, poisson: Floats) -> Floats:
-    """E* = E / (1 - nu^2) [Pa], of contact with what is rigid."""
+    """E* = E / (1 - nu^2) [Pa], for contact with a rigid surface."""
     return youngs / (1.0 - poisson**2)
 
 
@@ -130,8 +138,8 @@ def hertz_pressure(*, weight: Floats, radius: Floats, modulus: Floats) -> Floats
 def damping_coefficient(k: Floats, m: Floats, restitution: Floats) -> Floats:
     """c = -2 sqrt(k m) ln r / sqrt(pi^2 + ln^2 r) [N s/m] (GaussianFlesh section 3.4).
 
-    A lone mass on such a spring leaves with r times the speed it came with, a little more because
-    the floor never pulls (asked for .85 it leaves with .855); r = 0 is critical.
+    A point mass on such a spring rebounds with r times its impact speed, slightly more because the
+    floor does not pull (.855 for r = .85); r = 0 is critical damping.
     """
     ln = np.log(np.maximum(restitution, 1e-6))
     return -2.0 * np.sqrt(k * m) * ln / np.sqrt(np.pi**2 + ln**2)
@@ -153,11 +161,11 @@ def build_contact(
 ) -> FloorContact:
     """Contact samples with their rows; material values are per sample (n,).
 
-    rate : [1/s^2] stiffness per mass instead of the formula.  Then the floor does not harden and
-    friction has no springs, as the paper's: it only slows down.
+    rate : [1/s^2] stiffness per mass instead of the formula. The floor then does not harden, and
+    friction is viscous as in the paper.
     mass : of the free nodes; None: lumped.
     """
-    # The floor acts along what a pin lets slide: a sample has one row for all axes.
+    # The floor acts on sliding nodes too: a sample has one row for all axes.
     rows = stencil.across.rows(samples.X, samples.body, samples.cell_copy, gradients=False)
     constants = None
     driven, nodes = None, rows.W
@@ -220,7 +228,7 @@ def contact_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: NodalMass) -> floa
 def largest_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: Floats) -> float:
     """Largest eigenvalue of M^-1 W^T diag(k) W, by power iteration from a fixed start.
 
-    Power iteration approaches from below; the residual bounds what is missing and is added.
+    Power iteration converges from below; the residual bounds the difference and is added.
     """
     if W.shape[0] == 0:
         return 0.0
@@ -241,10 +249,10 @@ def largest_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: Floats) -> float:
 def move_springs(
     state: DeviceState, velocity: Callable[[Ints], Floats], normal: Floats, time: float
 ) -> None:
-    """Let the springs of friction on the floor go on with their samples for a time [s].
+    """Advance the friction springs of the floor with their samples by a time [s].
 
-    velocity : of samples (k,), (k, 3) [m/s].  Forces are those of half a substep after a frame's
-    start and before its end; what a frame tells, and where the next one goes on, is the end.
+    velocity : of samples (k,), (k, 3) [m/s]. Forces are evaluated half a substep after the start of
+    a frame and half a substep before its end; frames and restarts refer to the end.
     """
     xi = state.rows("sample_spring")
     if (held := np.flatnonzero(xi.any(1))).size:

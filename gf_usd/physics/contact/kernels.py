@@ -1,40 +1,36 @@
-"""Floor contact on surface samples, inside a substep.
+"""Contact forces on surface samples within a substep: of the floor, other bodies and obstacles.
 
-A sample of mass m_s at depth d > 0 below the floor, moving along the floor's normal n with v_n:
+Floor. A sample of mass m_s at depth d > 0, with velocity v_n along the floor's normal n:
 
     f_n = max(0, k (d + e^3 / a^2) - c v_n),   e = max(0, d - d0)                (see `floor`)
     c = -2 sqrt(k m_s) ln r / sqrt(pi^2 + ln^2 r)                                (section 3.4)
-    xi' = v_t,   |k_t xi| <= mu f_n             the spring by which the sample sticks, or slips
+    xi' = v_t,   |k_t xi| <= mu f_n              tangential spring: stick or slip
     f_t = -(k_t xi + c v_t),   |f_t| <= mu f_n   (Cundall and Strack 1979; Coulomb)
 
-Each bound shortens its vector.  What shortens xi is slip, and f_t . v_t is never less than what the
-spring stores and loses: projection on a ball is monotone.  So friction only takes energy.
+Vectors beyond a bound are scaled to it. The slip is the reduction of xi, and f_t . v_t is at least
+the power stored and dissipated by the spring, since projection onto a ball is monotone: friction
+never adds energy. Without the spring (k_t = 0, as in the paper) c is m_s / (2 dt), the limit of
+stability, and such a sample creeps; it is counted where it creeps although mu f_n is larger.
 
-Without the spring (k_t = 0: the paper's) c is m_s / (2 dt), the limit of stability: such a sample
-creeps.  Where it does although mu f_n is larger it is counted.
+A sample at height h above the floor cannot reach it before it has fallen by h. With w a bound of
+the falling speed (`active`), it is skipped while h - b - n dt w > 0 after n substeps, with a margin
+b of one spacing. Its force would be 0, so that results are unchanged. A node likewise skips its sum
+while all its samples are skipped.
 
-A sample that was h over the floor cannot touch it before it has fallen by h.  With w the fastest
-that any may fall (`active`), it is left alone while h - b - n dt w > 0, n substeps later; b, a
-spacing, is to spare.  What it would give is 0, so that no result depends on it.  A node, too, sums
-nothing as long as none of its samples is asked.
-
-Contact of surface samples with other bodies and with obstacles, inside a substep.
-
-A sample s faces at most one plane, chosen by `pairs` between substeps.  The plane belongs to an
-obstacle, which moves it (point q, velocity v_q), or to a body, three of whose samples carry it
-(`planes.carriers`): it turns with them at omega,
+Bodies and obstacles. A sample s has at most one plane, chosen by `pairs` between substeps. It
+belongs to an obstacle (point q, velocity v_q), or to a body and is then carried by three of its
+samples (`planes.carriers`), with which it rotates at omega,
 
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
 With the plane's outward normal n, at depth d = (q - x_s) . n > 0,
 
     f_n = max(0, k d (1 + (d / a)^2) - c (v_s - v_q) . n)
-    f_t as on the floor, k_t = k, xi turns with n
+    f_t as on the floor, k_t = k, xi rotates with n
     f_s += f,    f_k += -w_k f + alpha x r_k,    J alpha = -(x_s - sum_k w_k x_k) x f
 
-so that what one body loses another gains, momentum and angular momentum alike, to rounding.  A
-sample sums what it is dealt in the order of a list, without atomics: the result does not depend on
-the number of threads.
+which conserves momentum and angular momentum of the bodies to rounding. A sample sums its reactions
+in the order of a list, without atomics: the result does not depend on the number of threads.
 """
 
 import taichi as ti
@@ -72,13 +68,13 @@ from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL, SLACK
 
 @ti.func
 def row(A: ti.template(), o):
-    """Three numbers of an array from o on."""
+    """Three components of an array, starting at o."""
     return ti.Vector([A[o], A[o + 1], A[o + 2]])
 
 
 @ti.func
 def keep(A: ti.template(), o, value):
-    """The same, written."""
+    """Store three components, starting at o."""
     for a in ti.static(range(3)):
         A[o + a] = value[a]
 
@@ -87,7 +83,7 @@ def keep(A: ti.template(), o, value):
 def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
     """Force of the floor on sample s; lift is the height of the moving frame of u [m].
 
-    driven : pins move samples, and what they give moves on.
+    driven : pins move samples, whose prescribed position advances.
     """
     drift = up * 0.0
     o = GIVEN_ROW * s
@@ -106,7 +102,7 @@ def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
         drift = row(body.sample_given, o + floor.DRIFT)
         body.sample_given[o + HEIGHT] = body.sample_given[o + HEIGHT] + dt * drift.dot(up)
     v = drift
-    # Most that are watched are above the floor: their velocity is not asked for.
+    # Most active samples are above the floor and need no velocity.
     if d > 0.0:
         for e in range(body.sample_start[s], body.sample_start[s + 1]):
             n = body.sample_node[e] * 3
@@ -120,7 +116,7 @@ def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
 
 @ti.func
 def friction(xi, v, k, c, most):
-    """The spring xi [m] as slip leaves it, and the force of friction, at most `most` [N]."""
+    """The spring xi [m] after slip, and the force of friction, at most `most` [N]."""
     held = k * xi.norm()
     if held > most:
         xi = (most / held) * xi
@@ -133,7 +129,9 @@ def friction(xi, v, k, c, most):
 
 @ti.func
 def floor_force(body: ti.template(), s, d, v, up, dt):
-    """Set the force on sample s at depth d [m], moving with v; note its depth and cap."""
+    """Set the force on sample s at depth d [m] with velocity v; store its depth and whether
+    friction is capped.
+    """
     f = up * 0.0
     xi = up * 0.0
     if d > 0.0:
@@ -164,10 +162,10 @@ def floor_force(body: ti.template(), s, d, v, up, dt):
 
 @ti.func
 def contact_force(body: ti.template(), node, dt):
-    """sum_s W_si f_s on a node, over the samples that are watched."""
+    """sum_s W_si f_s on a node, over the active samples."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     left = body.numbers[SLACK + 2 * node + 1] - dt * body.numbers[FALL]
-    # Of what bodies do to each other the slack knows nothing.
+    # The slack applies to the floor only, not to contact pairs.
     if left <= 0.0 or body.sample_active[0] > 0:
         first, behind = body.node_sample_start[node], body.node_sample_start[node + 1]
         left = ti.math.inf
@@ -181,11 +179,11 @@ def contact_force(body: ti.template(), node, dt):
 
 @ti.func
 def sample_motion(body: ti.template(), s, dt):
-    """x (without the offset) and v of sample s, kept for those that face it."""
+    """Store x (without the offset) and v of sample s, for the samples whose planes it carries."""
     o = ROW * s
     x = row(body.pair, o + REST)
     v = row(body.pair, o + DRIFT)
-    keep(body.pair, o + REST, x + dt * v)  # what a pin gives moves on
+    keep(body.pair, o + REST, x + dt * v)  # advance the prescribed position
     for e in range(body.sample_start[s], body.sample_start[s + 1]):
         w = body.sample_weight[e]
         x += w * row(body.u, 3 * body.sample_node[e])
@@ -196,9 +194,9 @@ def sample_motion(body: ti.template(), s, dt):
 
 @ti.func
 def inverse_inertia(a, b, c):
-    """J^-1 [1/m^2] of three points at a, b, c [m] from their centroid; 0 where they are in line.
+    """J^-1 [1/m^2] of three points at a, b, c [m] from their centroid; 0 where they are collinear.
 
-    J goes by its trace first: the third power of a small body's spacing, squared, underflows.
+    J is first divided by its trace: powers of a small spacing would underflow.
     """
     square = a.norm_sqr() + b.norm_sqr() + c.norm_sqr()
     xx = a[0] * a[0] + b[0] * b[0] + c[0] * c[0]
@@ -221,7 +219,7 @@ def inverse_inertia(a, b, c):
 
 @ti.func
 def pair_contact(body: ti.template(), s, dt):
-    """Force on sample s of the plane it faces, and what of it comes back to the carriers."""
+    """Force of its plane on sample s, and the reactions on the carriers."""
     who = body.links[LINKS * s + PARTNER]
     o = ROW * s
     x = row(body.pair, o + PLACE)
@@ -288,9 +286,9 @@ def pair_contact(body: ti.template(), s, dt):
 
 @ti.func
 def pair_total(body: ti.template(), s, dt, driven: ti.template()):
-    """sample_force += own force + what comes back of those on the planes that s carries.
+    """sample_force += own force + reactions of the planes that s carries.
 
-    driven : pins move samples; what they work against these forces is counted.
+    driven : pins move samples; their work against these forces is counted.
     """
     f = row(body.pair, ROW * s + FORCE)
     for e in range(body.links[LINKS * s + START], body.links[LINKS * (s + 1) + START]):

@@ -1,8 +1,8 @@
-"""Narrow phase: which of the planes that are near a contact sample it faces.
+"""Narrow phase: which of the nearby surfaces a contact sample is in contact with.
 
-Between two detections no sample may move by more than half a spacing against another body, so that
-what is near is known before it is deep.  A sample faces the obstacle or the body that it is deepest
-in, or nearest to.
+Between two detections no sample moves by more than half a spacing relative to another body, so that
+a surface is known before the sample is deep. A sample gets the plane of the obstacle or body in
+which it is deepest, or to which it is nearest.
 """
 
 from __future__ import annotations
@@ -21,22 +21,21 @@ from gf_usd.physics.contact.planes.carriers import NEAR, Triples, chosen
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE, ContactPlanes, nothing
 from gf_usd.physics.grid.reference import Rows
 
-FACING = 1.5  # [spacings] a sample stands for the surface this far around it
-TRAVEL = 0.5  # [spacings] that samples may move between two detections
-# [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
-# first; the rest is for speeds that grow and for what the surface does between its samples.
+FACING = 1.5  # [spacings] radius of the surface represented by a sample
+TRAVEL = 0.5  # [spacings] largest motion of samples between two detections
+# [spacings] largest decrease of a gap between two detections: TRAVEL at the initial speeds, and a
+# margin for accelerations and for motion of the surface between its samples.
 CLOSER = 1.5 * TRAVEL
 
 
 class ContactSearch:
-    """Collects, of all that a sample might face, what it is deepest in or nearest to.
+    """Selects, for each sample, the plane in which it is deepest or to which it is nearest.
 
-    x : (n, 3) [m]; reach : [m] from where something is faced; least : (n,) [m] the gap that each
-    may have come to since the last detection.
+    x : (n, 3) [m]; reach : [m] distance within which planes are considered.
+    least : (n,) [m] the smallest possible gap since the last detection.
 
-    A surface that a crash folded or turned inside out shows a wrong side to what is near it.  A
-    sample that seems deeper than it can have come is released there, and counted: a spring that
-    begins deep would throw it out with energy that nobody's motion paid for.
+    At a folded or inverted surface the sign of the distance may be wrong. A sample that seems
+    deeper than possible is released, and counted: a spring that begins deep would add energy.
     """
 
     def __init__(self, x: Floats, reach: float, least: Floats) -> None:
@@ -44,13 +43,13 @@ class ContactSearch:
         self.gap = np.full(len(x), reach)
         self.planes = nothing(len(x))
         self._gone = np.zeros(len(x), bool)
-        # Of those that face a place whose carriers are not known yet: its body, -1: none, and where
-        # it is at rest.
+        # For planes whose carriers are not yet known: the body, -1: none, and the rest position of
+        # the point.
         self._owner, self._rest = np.full(len(x), -1), np.zeros((len(x), 3))
 
     @property
     def released(self) -> int:
-        """How many samples were released."""
+        """Number of released samples."""
         return int(self._gone.sum())
 
     def offer(
@@ -58,10 +57,11 @@ class ContactSearch:
         carriers: Ints | None = None, weights: Floats | None = None,
         *, velocity: Floats | None = None, obstacle: int = -1, sure: bool = False,
     ) -> None:  # fmt: skip
-        """Offer samples `rows` (k,) a plane each, carried by samples, or by an obstacle.
+        """Offer planes to samples `rows` (k,), each carried by samples, or by an obstacle.
 
-        gap : (k,) [m]; point : (k, 3) [m] on it; carriers, weights : (k, 3), see `BodySkin`; None:
-        an obstacle's, that moves with velocity (k, 3) [m/s].  sure : how they came there is known.
+        gap : (k,) [m]; point : (k, 3) [m] on the plane; carriers, weights : (k, 3), see `BodySkin`;
+        None: of an obstacle, with velocity (k, 3) [m/s]; sure : the depth is not checked for
+        plausibility.
         """
         nearer = self._take(rows, gap, normal, obstacle, sure=sure)
         rows, f = rows[nearer], self.planes
@@ -78,9 +78,9 @@ class ContactSearch:
     def offer_places(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: int, rest: Floats
     ) -> None:
-        """Offer samples `rows` (k,) planes at places of a body, rest (k, 3) [m] at rest.
+        """Offer planes to samples `rows` (k,) at points of a body, rest (k, 3) [m] at rest.
 
-        `carry` has to follow, which finds the samples that carry those that are faced in the end.
+        A call of `carry` must follow, which finds the carriers of the planes that are selected.
         """
         nearer = self._take(rows, gap, normal, -1, sure=False)
         rows = rows[nearer]
@@ -88,8 +88,9 @@ class ContactSearch:
         self._owner[rows], self._rest[rows] = body, rest[nearer]
 
     def _take(self, rows: Ints, gap: Floats, normal: Floats, obstacle: int, *, sure: bool) -> Ints:
-        """(k,) which of what is offered is believed and nearer than what was; takes what all planes
-        have of it."""
+        """(k,) which offers are plausible and nearer than the current plane; stores their common
+        values.
+        """
         likely = np.full(len(rows), True) if sure else gap >= self._least[rows]
         self._gone[rows[~likely]] = True
         nearer = likely & (gap < self.gap[rows])
@@ -100,7 +101,7 @@ class ContactSearch:
         return nearer
 
     def carry(self, skins: Mapping[int, BodySkin], X: Floats) -> None:
-        """Find the samples that carry places of the skins; X : (n, 3) [m] of all at rest."""
+        """Find the samples that carry points of the skins; X : (n, 3) [m] of all at rest."""
         rows = np.flatnonzero(self._owner >= 0)
         if not len(rows):
             return
@@ -120,11 +121,12 @@ def pair_values(
     contact: FloorContact,
     walls: Sequence[tuple[float | None, float | None]],
 ) -> dict[str, Floats]:
-    """k, m, friction and damping c of each sample with what it faces.
+    """k, m, friction and damping c of each sample with its partner.
 
-    Two bodies meet with the softer's
-    stiffness, their reduced mass, the geometric mean of their frictions and the lower restitution;
-    walls : (friction, restitution) of each obstacle, None: the sample's own.
+    Two bodies have the softer one's stiffness, their reduced mass, the geometric mean of their
+    friction coefficients and the lower restitution.
+
+    walls : (friction, restitution) of each obstacle, None: those of the sample.
     """
     mass, friction, restitution = contact.mass, contact.friction, contact.restitution
     k, m, mu, e = (
@@ -145,7 +147,7 @@ def pair_values(
 
 
 class BodySkin:
-    """One body's surface.
+    """The surface of one body.
 
     skin : at rest; rows : of its points on the grid; samples : (n,) indices of the body's contact
     samples; X : (n, 3) [m] of those at rest.
@@ -161,11 +163,11 @@ class BodySkin:
     def near(
         self, X: Floats, known: Floats, u: Floats, offset: Floats, reach: float
     ) -> tuple[Closest, Floats]:
-        """The surface as points X (m, 3) [m] see it, and the places seen (k, 3) [m] at rest.
+        """The closest points of the surface to X (m, 3) [m], and their rest positions (k, 3) [m].
 
-        known : (m,) [m] <= 0, from where on a signed distance is believed; what seems deeper is
-        asked of the whole surface.  u : (nodes, 3) [m] as `Rows` stack them, without offset (3,)
-        [m].
+        known : (m,) [m] <= 0, smallest plausible signed distance; where it is less, the whole
+        surface is tested by its winding number.
+        u : (nodes, 3) [m] as stacked by `Rows`, without offset (3,) [m].
         """
         skin = self.skin
         points = skin.points + offset + self._W @ u
@@ -181,7 +183,7 @@ class BodySkin:
         return seen, np.einsum("nk,nka->na", seen.weights, rest)
 
     def carriers(self, places: Floats) -> tuple[Ints, Floats]:
-        """Contact samples (k, 3) and weights (k, 3) that carry places (k, 3) [m] at rest.
+        """Contact samples (k, 3) and weights (k, 3) that carry points (k, 3) [m] at rest.
 
         The weights sum to 1, the largest first: see `Triples`.
         """
@@ -191,6 +193,6 @@ class BodySkin:
         return self.samples[at], weights
 
     def nearest(self, places: Floats) -> Ints:
-        """(k, NEAR) contact samples nearest to places (k, 3) [m] at rest; -1: no more."""
+        """(k, NEAR) contact samples nearest to points (k, 3) [m] at rest; -1: no more."""
         near = self._triples.near(places)
         return np.where(near >= 0, self.samples[near], -1)

@@ -1,4 +1,4 @@
-"""Obstacles: where they are at a time, and the planes that points of a body face on them."""
+"""Obstacles: their position over time, and contact planes on their surfaces."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from gf_usd.physics.contact.distance.tree import SurfaceTree
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
-    """The surface of one obstacle near some points, and how it moves there."""
+    """Tangent planes of one obstacle near some points, and their velocities."""
 
     seen: Closest
     velocity: Floats  # (k, 3) [m/s] of the closest points
 
 
 class Obstacle:
-    """One obstacle in time; before its first and after its last frame it stays.
+    """One obstacle over time; constant before its first and after its last frame.
 
-    frame_time : [s] simulated between two frames.
+    frame_time : [s] simulated time between two frames.
     """
 
     def __init__(self, collider: Collider, frame_time: float) -> None:
@@ -34,15 +34,15 @@ class Obstacle:
         frames = [collider.positions(f) for f in range(collider.frames)]
         self._low = np.min([p.min(0) for p in frames], axis=0)
         self._high = np.max([p.max(0) for p in frames], axis=0)
-        self._tree: SurfaceTree | None = None  # made once something is near
+        self._tree: SurfaceTree | None = None  # built on first use
 
     @property
     def box(self) -> tuple[Floats, Floats]:
-        """Corners (3,) [m] of the box of all the places that it comes to."""
+        """Corners (3,) [m] of the bounding box over all frames."""
         return self._low, self._high
 
     def positions(self, frame: float) -> Floats:
-        """Points (V, 3) [m] at a frame, linear in between."""
+        """Points (V, 3) [m] at a frame, linearly interpolated."""
         last = self.collider.frames - 1
         frame = float(np.clip(frame, 0.0, last))
         low = min(int(frame), max(last - 1, 0))
@@ -51,18 +51,20 @@ class Obstacle:
         return start if t == 0.0 else (1.0 - t) * start + t * self.collider.positions(low + 1)
 
     def speed(self, frame: float) -> float:
-        """[m/s] of its fastest point from a frame to the next."""
+        """[m/s] of its fastest point between a frame and the next."""
         if not self.collider.moves:
             return 0.0
         way = self.positions(np.floor(frame) + 1.0) - self.positions(np.floor(frame))
         return float(np.linalg.norm(way, axis=1).max()) / self._frame_time
 
     def gap(self, low: Floats, high: Floats) -> float:
-        """[m] from a box to the box of all the places that the obstacle comes to."""
+        """[m] distance of a box to the bounding box over all frames."""
         return 0.0 if self.endless else box_gap(low, high, self._low, self._high)
 
     def planes(self, X: Floats, reach: float, frame: float, span: float) -> Plane:
-        """What points X (n, 3) [m] face at a frame; the velocity is that of the next span [s]."""
+        """Tangent planes for points X (n, 3) [m] at a frame; the velocity is that of the next span
+        [s].
+        """
         now, triangles = self.positions(frame), self.collider.triangles
         if self.endless:
             seen = above_plane(X, now[triangles[0]], reach)
@@ -78,11 +80,11 @@ class Obstacle:
 
 
 def obstacles(colliders: Sequence[Collider], frame_time: float) -> tuple[Obstacle, ...]:
-    """All of them."""
+    """The obstacles of colliders; frame_time : [s] between two frames."""
     return tuple(Obstacle(collider, frame_time) for collider in colliders)
 
 
 def box_gap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
-    """[m] between two boxes; 0 where they overlap."""
+    """[m] distance between two boxes; 0 where they overlap."""
     apart = np.maximum(np.maximum(other_low - high, low - other_high), 0.0)
     return float(np.linalg.norm(apart))

@@ -1,14 +1,14 @@
-"""How stiff the contact of one detection is: what the stable step has to follow.
+"""Stiffness of the contact found by one detection, for the stable step.
 
-With W the rows of the samples, sample s facing a plane that samples c_k carry with weights w_k, and
-springs k_s between them, the springs are stretched by and pull on the nodes with
+With W the interpolation rows of the samples, sample s in contact with a plane carried by samples
+c_k with weights w_k, and springs k_s between them, the elongations and nodal forces are
 
     (B u)_s = (W u)_s - sum_k w_k (W u)_{c_k},        f = -B^T K B u
 
-and their stiffest vibration is w^2 = max eigenvalue of M~^-1 B^T K B.  Friction has springs as
-stiff along the plane, so that all axes are alike.  Samples near the floor face what does not move:
-B is W there.  A plane that turns with its carriers acts on them by levers, too; their share is
-counted into k_s.
+and the stiffest vibration is w^2 = max eigenvalue of M~^-1 B^T K B. Tangential springs of friction
+are equally stiff, so that the three axes are alike. For samples near the floor, which does not
+move, B is W. A plane that rotates with its carriers also acts on them by moments, whose
+contribution is included in k_s.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
 
-ACCURACY = 0.05  # of an eigenvalue: what is missing at most, which is added
-COLUMN = 4.0  # samples' masses that come to a stop behind one that touches
-DAMPED = 0.9  # of the step without damping: where a bound of it asks for less, it is computed
-SPARE = 1.5  # of the springs on a crowded sample: few samples are deep
+ACCURACY = 0.05  # relative error bound of an eigenvalue, which is added
+COLUMN = 4.0  # mass stopped by one sample in contact, in masses of a sample
+DAMPED = 0.9  # of the undamped step: below it the damped one is computed, not bounded
+SPARE = 1.5  # factor on the springs of a crowded sample: few samples are deep
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairSprings:
-    """The springs between n samples and their planes, from a detection on."""
+    """The springs between n samples and their planes, after a detection."""
 
     planes: ContactPlanes
     k: Floats  # (n,) [N/m]
@@ -50,10 +50,11 @@ class PairSprings:
         self, contact: FloorContact, mass: NodalMass, rest: StableStep, x: Floats, v: Floats,
         span: float, fall: float, near: Ints,
     ) -> StableStep:  # fmt: skip
-        """The stable step of a body with these springs, and the floor's on the samples `near`.
+        """The stable step of a body with these springs, and those of the floor on the samples
+        `near`.
 
-        rest : without them; x, v : (n, 3) [m], [m/s] of the samples now; span : [s] for which the
-        planes stay; fall : [m/s] that forces on the body add to a speed until then.
+        rest : the step without them; x, v : (n, 3) [m], [m/s] of the samples; span : [s] until the
+        next detection; fall : [m/s] bound of the speed gained from body forces until then.
         """
         rows, harder = self._touching(x, v, span, fall)
         k, c = self.k[rows] * harder, self.values["damping"][rows]
@@ -64,7 +65,7 @@ class PairSprings:
             return stiffest(B, mass, np.concatenate([pairs * lever, floor[near]]))
 
         omega2 = largest(k, contact.stiffness)
-        # Of every spring c <= rate k, so that this bounds the eigenvalue, widely where they differ.
+        # c <= rate k for every spring, which bounds the eigenvalue, loosely if the ratios differ.
         rate = max(_most(c, k), _most(contact.damping[near], contact.stiffness[near]))
         free = replace(rest, contact=float(np.sqrt(omega2)), contact_damping=0.0)
         bounded = replace(free, contact_damping=rate * omega2)
@@ -76,8 +77,8 @@ class PairSprings:
         self, contact: FloorContact, rest: StableStep, x: Floats, v: Floats,
         span: float, fall: float, crowd: float,
     ) -> StableStep:  # fmt: skip
-        """The same of a body with rigid regions, which are no nodes: with `crowd` times as many
-        springs on each sample as the floor has.
+        """The same for a body with rigid regions: with `crowd` times as many springs on each sample
+        as the floor has.
         """
         deepest = float(self._touching(x, v, span, fall)[1].max(initial=1.0))
         floor = replace(
@@ -86,8 +87,9 @@ class PairSprings:
         return floor.crowded(crowd * max(1.0, deepest / SPARE))
 
     def _touching(self, x: Floats, v: Floats, span: float, fall: float) -> tuple[Ints, Floats]:
-        """Samples (m,) that may touch within a span [s]; (m,) >= 1 how much harder their springs
-        may become: 1 + 3 (d / a)^2 times as stiff against more as against little."""
+        """Samples (m,) that may be in contact within a span [s]; (m,) >= 1 factor by which their
+        springs may harden: 1 + 3 (d / a)^2.
+        """
         faces = self.planes.facing
         f = self.planes.of(faces)
         away = f.interpolated(x) + f.point - x[faces]
@@ -97,21 +99,21 @@ class PairSprings:
         coming = coming_depth(
             depth, fastest, span, self.k[faces], self.values["mass"][faces], self.hardening
         )
-        # A detection is made before samples come closer: what says more is about to fail anyway.
+        # Detection precedes a closer approach; a larger estimate indicates a failing frame.
         coming = np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
         touches = coming > -NEARLY * self.spacing
         return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
 
 
 def _most(c: Floats, k: Floats) -> float:
-    """[s] the largest c / k of springs; those without stiffness have none."""
+    """[s] the largest c / k of springs with k > 0."""
     return float((c[k > 0.0] / k[k > 0.0]).max(initial=0.0))
 
 
 def stretches(
     W: sparse.csr_matrix, planes: ContactPlanes, rows: Ints, floor: Ints
 ) -> sparse.csr_matrix:
-    """B (m + l, nodes) of samples `rows` (m,) that face a plane, and `floor` (l,) near the floor.
+    """B (m + l, nodes) of samples `rows` (m,) with a plane, and `floor` (l,) near the floor.
 
     W : (n, nodes) of all samples.
     """
@@ -127,7 +129,9 @@ def stretches(
 
 
 def stiffest(B: sparse.csr_matrix, mass: NodalMass, k: Floats) -> float:
-    """The largest eigenvalue [1/s^2] of M~^-1 B^T K B, or a little more; k : (m + l,) [N/m]."""
+    """The largest eigenvalue [1/s^2] of M~^-1 B^T K B, or an upper bound of it; k : (m +
+    l,) [N/m].
+    """
     if not k.any():
         return 0.0
     Bt, start = B.T, np.random.default_rng(0).normal(size=B.shape[1])
@@ -137,10 +141,10 @@ def stiffest(B: sparse.csr_matrix, mass: NodalMass, k: Floats) -> float:
 
 
 def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
-    """(m,) >= 1: |G|^2 of the planes of `rows` over what it is without turning.
+    """(m,) >= 1: ratio of |G|^2 of the planes of `rows` to its value without rotation.
 
-    G n = (n, -w_k n + alpha x r_k) is the force on a sample and on its carriers by a unit force
-    along the normal: see `planes.carriers`.  x : (n, 3) [m].
+    G n = (n, -w_k n + alpha x r_k) is the force on a sample and on its carriers for a unit normal
+    force: see `planes.carriers`. x : (n, 3) [m].
     """
     out = np.ones(len(rows))
     carried = np.flatnonzero(planes.partner[rows] >= 0)
@@ -160,11 +164,12 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
 def coming_depth(
     depth: Floats, speed: Floats, span: float, k: Floats, mass: Floats, hardening: float
 ) -> Floats:
-    """(m,) [m] the deepest that samples may come to be within a span [s].
+    """(m,) [m] bound of the depth of samples within a span [s].
 
-    depth : (m,) [m] now, below 0 outside; speed : (m,) [m/s] into the plane; k, mass : (m,) of
-    samples; hardening : [1/m^2] 1 / a^2.  A sample goes on for the whole span, or until the
-    spring k d (1 + d^2 / a^2) has taken the energy of `COLUMN` times its mass.
+    depth : (m,) [m] now, negative outside; speed : (m,) [m/s] into the plane; k, mass : (m,) of
+    samples;
+    hardening : [1/m^2] 1 / a^2. A sample continues for the span, or until the spring k d (1 + d^2 /
+    a^2) has absorbed the kinetic energy of `COLUMN` times its mass.
     """
     fast = np.maximum(speed, 0.0)
     energy = 0.5 * COLUMN * mass * fast**2

@@ -1,1 +1,1 @@
-"""Signed distance of points to surfaces, and how often these wind around a point."""
+"""Signed distance of points to surfaces, and winding numbers."""

@@ -1,8 +1,8 @@
-"""Signed distance of points to triangles: exact, near the triangles only.
+"""Signed distance of points to triangles: exact, within a reach.
 
 The sign is that of the angle-weighted pseudo-normal at the closest point (Baerentzen and Aanaes
-2005, by libigl), so that a surface may be as fine or as deformed as it likes.  Where it is folded
-onto itself or inside out, that sign is wrong, and how often it winds around a point counts.
+2005, from libigl), which does not depend on the resolution or deformation of the surface. Where the
+surface is folded onto itself or inverted, that sign is wrong, and `winding` corrects it.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 
-ON_SURFACE = 1e-6  # of the reach: nearer, the direction to the surface is rounding
+ON_SURFACE = 1e-6  # of the reach: at a smaller distance the direction is rounding
 
-# What `faced_kernels` finds of each sample: columns of numbers, and of whole ones.
+# Columns of the results of `faced_kernels` per sample: reals, and integers.
 NORMAL, WEIGHTS, PSEUDO, LEAST, FOUND = 0, 3, 6, 9, 10
 SEED, TRIANGLE, TIES, WHICH = 0, 1, 2, 3
-LOOKS, WANTED = 0, 1  # and of what it is asked
+LOOKS, WANTED = 0, 1  # and columns of its flags
 
 
 @dataclass(frozen=True, kw_only=True)
 class Closest:
-    """The surface as some of a set of points see it."""
+    """The closest points of a surface to some of a set of points."""
 
-    rows: Ints  # (k,) which of the points are near
+    rows: Ints  # (k,) indices of the points within reach
     gap: Floats  # (k,) [m] signed distance, negative inside
     triangle: Ints  # (k,)
     weights: Floats  # (k, 3) barycentric, of the closest point
     point: Floats  # (k, 3) [m] the closest point
-    normal: Floats  # (k, 3) unit, out of the surface
+    normal: Floats  # (k, 3) outward unit normal
 
 
 def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest:
-    """Points X (n, 3) [m] no farther than reach [m] from triangles (T, 3) of points (V, 3) [m]."""
+    """Closest points for X (n, 3) [m] within reach [m] of triangles (T, 3) of points (V, 3) [m]."""
     low, high = X.min(0) - 2.0 * reach, X.max(0) + 2.0 * reach
     a, b, c = (points[triangles[:, k]] for k in range(3))
     least, most = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
@@ -53,7 +53,7 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
         np.ascontiguousarray(points[used] - center, dtype=float),
         np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
         sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
-        lower_bound=-reach,  # what is farther off is not looked for: its distance is nan
+        lower_bound=-reach,  # beyond it the distance is nan
         upper_bound=reach,
     )
     gap, at = np.asarray(S).reshape(-1), np.asarray(at).reshape(-1)
@@ -62,7 +62,7 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
     away = X[rows] - point
     on = np.linalg.norm(away, axis=1) <= ON_SURFACE * reach
     away[on] = np.asarray(N)[near][on]
-    # The direction to the closest point is that of the distance's gradient, up to its sign.
+    # The direction to the closest point is the gradient of the distance, up to its sign.
     away *= np.where(on | (gap > 0.0), 1.0, -1.0)[:, None]
     length = np.linalg.norm(away, axis=1, keepdims=True)
     return Closest(
@@ -76,7 +76,7 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
 
 
 def above_plane(X: Floats, corners: Floats, reach: float) -> Closest:
-    """The same for the half space under the triangle of corners (3, 3) [m]; inside has no end."""
+    """The same for the half space below the plane of a triangle with corners (3, 3) [m]."""
     a, b, c = corners
     n = np.cross(b - a, c - a)
     n = n / np.linalg.norm(n)
@@ -106,7 +106,7 @@ def barycentric(P: Floats, corners: Floats) -> Floats:
 
 
 def none_seen() -> Closest:
-    """What sees nothing."""
+    """A result without points."""
     whole, three = np.zeros(0, np.int64), np.zeros((0, 3))
     return Closest(
         rows=whole, gap=np.zeros(0), triangle=whole, weights=three, point=three, normal=three

@@ -1,7 +1,7 @@
-"""What samples of a body face of itself, by sample: see `SelfContact.find`.
+"""Search for opposite places of the same surface, per sample: see `SelfContact.find`.
 
-A sample stays in registers and finds others in a grid of cells, where NumPy goes through memory in
-some hundred passes and SciPy's trees are made anew at every detection.
+The values of a sample stay in registers, and neighbors are found in a uniform grid; NumPy would
+need some hundred passes over memory, and SciPy a new tree for every detection.
 """
 
 import taichi as ti
@@ -18,15 +18,15 @@ from gf_usd.physics.contact.distance.closest import (
 )
 from gf_usd.physics.contact.distance.kernels import closest_on_triangle, vector
 
-LOOKED = 8  # samples of which SEEDS are chosen
-SEEDS = 3  # samples facing one whose triangles are looked at
+LOOKED = 8  # candidates from which SEEDS are chosen
+SEEDS = 3  # opposite samples whose triangles are searched
 
 
 @ti.func
 def listed(lists: ti.template(), i, j):
     """Whether j is in the ascending list of i.
 
-    lists : where the list of each begins, and the last one ends; then the lists.
+    lists : the start of each list and the end of the last one; then the lists.
     """
     low, high = lists[i], lists[i + 1]
     while low < high:
@@ -43,7 +43,7 @@ def listed(lists: ti.template(), i, j):
 
 @ti.func
 def cell_at(p, low, edge, size, a):
-    """Which of `size` cells along axis a a place is in, the nearest where it is beyond them."""
+    """Index of the cell along axis a that contains a point, clamped to 0 .. size - 1."""
     return ti.min(ti.max(ti.floor((p[a] - low[a]) / edge, ti.i32), 0), size[a] - 1)
 
 
@@ -61,18 +61,18 @@ def faced_seeds(
     turn,
     widest,
 ):
-    """The SEEDS nearest of the LOOKED samples that face sample i most and are not near it at rest;
-    -1: no more.
+    """The SEEDS nearest of the LOOKED samples that are most nearly opposite to sample i and not
+    near it at rest; -1: no more.
 
-    Facing is near in space and in minus the normal: turn [m] is as far as a radian, and widest [m]
-    as far as is looked.
+    Opposite means near in space and in minus the normal: `turn` [m] is the weight of a radian,
+    `widest` [m] the search radius.
     """
     p, n = vector(x, i), vector(found, i)
     best = ti.Vector([widest * widest for _ in range(ti.static(LOOKED))])
     who = ti.Vector([-1 for _ in range(ti.static(LOOKED))])
     worst, far = 0, widest * widest
     own = ti.Vector([cell_at(p, low, edge, size, a) for a in range(2)])
-    # Columns of cells around its own, from the inside out, until they are farther than what it has.
+    # Columns of cells in rings around its own, until they are farther than the candidates.
     ring, behind = 0, ti.max(size[0], size[1])
     while ring < behind:
         across = ti.max(ring - 1, 0) * edge
@@ -91,20 +91,20 @@ def faced_seeds(
                             along = n.dot(vector(found, j))
                             square = (vector(x, j) - p).norm_sqr()
                             square += turn * turn * (2.0 + 2.0 * along)
-                            # one question, as a processor foresees the answers to few
+                            # one branch, to reduce mispredictions
                             if ti.select(along < 0.0, square, far) < far:
-                                for k in ti.static(range(LOOKED)):  # in the farthest's place
+                                for k in ti.static(range(LOOKED)):  # replaces the farthest
                                     best[k] = ti.select(k == worst, square, best[k])
                                     who[k] = ti.select(k == worst, j, who[k])
                                 worst, far = 0, best[0]
                                 for k in ti.static(range(1, LOOKED)):
                                     worst = ti.select(best[k] > far, k, worst)
                                     far = ti.max(best[k], far)
-                    # only the first and the last row have columns between their ends
+                    # only the first and last row of a ring have inner columns
                     inner = cx != own[0] - ring and cx != own[0] + ring
                     cy += 2 * ring if inner and ring > 0 else 1
         ring += 1
-    # The nearest of these in space: sorted into seeds by insertion, equal ones by their numbers.
+    # The nearest of these in space, by insertion sort; ties by index.
     seeds = ti.Vector([-1 for _ in range(ti.static(SEEDS))])
     least = ti.Vector([4.0 * widest * widest for _ in range(ti.static(SEEDS))])
     for k in ti.static(range(LOOKED)):
@@ -123,8 +123,10 @@ def faced_seeds(
 def admitted(
     triangles: ti.template(), faces: ti.template(), near: ti.template(), seeds, m, i, t, n, aside
 ):
-    """Whether triangle t, at seed m of sample i with the normal n, may be what that faces: none of
-    its corners is near it at rest, and no earlier seed is a corner, whose triangles were seen."""
+    """Whether triangle t, at seed m of sample i with the normal n, is a candidate: none of its
+    corners is near the sample at rest, and no earlier seed is a corner, whose triangles were
+    already searched.
+    """
     yes = n.dot(vector(faces, t)) < aside
     for k in ti.static(range(3)):
         for earlier in ti.static(range(SEEDS - 1)):
@@ -158,15 +160,16 @@ def find_faced(
     tie: ti.f64,
     vertex: ti.f64,
 ):
-    """The closest place that each wanted sample of x (n, 3) [m] faces: see `SelfContact.find`.
+    """The closest opposite point for each wanted sample of x (n, 3) [m]: see `SelfContact.find`.
 
     triangles (T, 3), around (n, k) : of the `SampleMesh`; near : of `Neighbors`, see `listed`.
-    flags : (n, 2) whether samples look ahead, and are wanted anyway; the others that are wanted are
-    added.  cells : (c + 1 + 2 n,) and faces : (T, 6) are scratch, of a grid of `size` cells of an
-    edge [m] from a corner [m] on, and of normals and angles.  found, which : (n, 10), (n, 3), see
-    the columns; -1: nothing.  radius : [m] of the ball in which samples look ahead; turn, widest :
-    of `faced_seeds`; reach : [m] from the first seed as far as something is faced; tie : [m];
-    vertex : a weight from which a place is a corner.
+    flags : (n, 2) whether samples search, and are wanted anyway; other wanted samples are added.
+    cells : (c + 1 + 2 n,) and faces : (T, 6) are temporary, of a grid of `size` cells of an edge
+    [m] from a corner [m] on, and of normals and angles.
+    found, which : (n, 10), (n, 3) results, see the columns; -1: none.
+    radius : [m] search radius; turn, widest : of `faced_seeds`; reach : [m] largest distance,
+    relative to the first seed; tie : [m] tolerance of distances; vertex : barycentric weight of a
+    corner.
     """
     for t in range(triangles.shape[0]):
         a, b = vector(x, triangles[t, 0]), vector(x, triangles[t, 1])
@@ -226,7 +229,7 @@ def find_faced(
                             if not listed(near, i, j):
                                 flags[i, WANTED] = 1
                                 flags[j, WANTED] = 1
-            # A crease is full of neighbors, which may hide what is far.
+            # In a crease, neighbors may exclude more distant candidates.
             if seen >= LOOKED:
                 flags[i, WANTED] = 1
     for i in range(x.shape[0]):
@@ -258,7 +261,7 @@ def find_faced(
                         if distance < least - tie:
                             least, at, ties, pseudo = distance, -1, 0, 0.0 * p
                         if distance <= least + tie:
-                            # Faces and edges by their faces, vertices by their angles.
+                            # Faces and edges by face normals, vertices weighted by angles.
                             share = 1.0 + 0.0 * distance
                             for corner in ti.static(range(3)):
                                 if weights[corner] > vertex:

@@ -1,13 +1,13 @@
-"""The closest point of a surface, found in a tree of boxes, by point.
+"""The closest point of a surface by a bounding volume tree, per point.
 
-The tree is complete and stands as a heap: node i has the children 2 i and 2 i + 1, and the leaves
-are those of the last level.  A point descends to the nearest leaf and then goes through the tree in
-order, past every box that is farther off than what it found.
+The tree is complete and stored as a heap: node i has the children 2 i and 2 i + 1, and the leaves
+are the last level. A query descends to the nearest leaf and then traverses the tree in order,
+skipping boxes that are farther than the closest point found.
 """
 
 import taichi as ti
 
-ON_EDGE = 1e-9  # a weight below it is rounding
+ON_EDGE = 1e-9  # a barycentric weight below it counts as 0
 
 
 @ti.func
@@ -18,7 +18,7 @@ def vector(A: ti.template(), i):
 
 @ti.func
 def box_distance(boxes: ti.template(), i, p):
-    """Square of the distance from p to box i."""
+    """Squared distance from p to box i."""
     out = p[0] * 0.0
     for a in ti.static(range(3)):
         off = ti.max(ti.max(boxes[i, a] - p[a], p[a] - boxes[i, a + 3]), 0.0 * p[a])
@@ -28,7 +28,7 @@ def box_distance(boxes: ti.template(), i, p):
 
 @ti.func
 def closest_on_edge(p, a, b):
-    """How far along the edge from a to b the point nearest to p is, 0 to 1."""
+    """Parameter along the edge from a to b of the point nearest to p, 0 to 1."""
     way = b - a
     square = way.norm_sqr()
     t = p[0] * 0.0
@@ -39,9 +39,10 @@ def closest_on_edge(p, a, b):
 
 @ti.func
 def closest_on_triangle(p, a, b, c):
-    """Barycentric weights of the point of a triangle that is nearest to p.
+    """Barycentric weights of the point of a triangle nearest to p.
 
-    That of its plane where it is inside, otherwise the nearest of the three edges.
+    The projection to its plane where that is inside, otherwise the nearest point of the three
+    edges.
     """
     u, v, w = b - a, c - a, p - a
     n = u.cross(v)
@@ -90,7 +91,7 @@ def angle_of(points: ti.template(), corners: ti.template(), t, k):
 
 @ti.func
 def pseudo_normal(points: ti.template(), corners: ti.template(), around: ti.template(), t, w):
-    """The angle-weighted normal of the face, the edge or the vertex where the weights w lie.
+    """The angle-weighted normal of the face, edge or vertex that contains the point with weights w.
 
     around : of `SurfaceTree`.
     """
@@ -123,11 +124,11 @@ def pseudo_normal(points: ti.template(), corners: ti.template(), around: ti.temp
 
 @ti.func
 def nearest_in_leaf(points: ti.template(), corners: ti.template(), first, behind, p, best, at, w):
-    """The nearest of triangles `first` to `behind`, where one is nearer than `best` [m^2]."""
+    """The nearest of triangles `first` to `behind` (exclusive), if nearer than `best` [m^2]."""
     for t in range(first, behind):
         a, b = vector(points, corners[t, 0]), vector(points, corners[t, 1])
         c = vector(points, corners[t, 2])
-        # Most triangles of a leaf are farther off than what was found, by their own boxes.
+        # Most triangles of a leaf are excluded by their own boxes.
         low, high = ti.min(a, ti.min(b, c)), ti.max(a, ti.max(b, c))
         if ti.max(ti.max(low - p, p - high), 0.0 * p).norm_sqr() < best:
             weights = closest_on_triangle(p, a, b, c)
@@ -139,7 +140,7 @@ def nearest_in_leaf(points: ti.template(), corners: ti.template(), first, behind
 
 @ti.func
 def keep_box(boxes: ti.template(), i, low, high):
-    """Write the corners of box i."""
+    """Store the corners of box i."""
     for a in ti.static(range(3)):
         boxes[i, a] = low[a]
         boxes[i, a + 3] = high[a]
@@ -149,7 +150,7 @@ def keep_box(boxes: ti.template(), i, low, high):
 def enclose_leaf(
     points: ti.template(), corners: ti.template(), starts: ti.template(), boxes: ti.template(), leaf
 ):
-    """The box of a leaf, around where its triangles are."""
+    """Bounding box of a leaf's triangles."""
     first = starts[leaf]
     low = vector(points, corners[first, 0])
     high = low
@@ -162,7 +163,7 @@ def enclose_leaf(
 
 @ti.func
 def enclose_children(boxes: ti.template(), node):
-    """The box of a node, around those of its children."""
+    """Bounding box of a node, from those of its children."""
     for a in ti.static(range(3)):
         boxes[node, a] = ti.min(boxes[2 * node, a], boxes[2 * node + 1, a])
         boxes[node, a + 3] = ti.max(boxes[2 * node, a + 3], boxes[2 * node + 1, a + 3])
@@ -183,8 +184,8 @@ def closest_points(
 ):
     """The nearest triangle to each X (n, 3) [m] within a reach [m], -1 where there is none.
 
-    moved : 1: the boxes are refitted first, from the leaves to the root.  found : (n, 6) weights
-    and pseudo-normal, not of unit length; the rest as `SurfaceTree` has it.
+    moved : 1: the boxes are first refitted, from the leaves to the root; found : (n, 6) weights and
+    pseudo-normal, not normalized; the others as in `SurfaceTree`.
     """
     for leaf in range((starts.shape[0] - 1) * moved):
         enclose_leaf(points, corners, starts, boxes, leaf)

@@ -1,8 +1,8 @@
-"""A tree of boxes around the triangles of a surface that moves: made once, then refitted.
+"""A bounding volume tree of a deforming surface: built once, then refitted.
 
-To build a tree takes longer than to ask it, and a detection asks each surface a few hundred times.
-Triangles that are near each other stay so, so that the tree of the surface at rest serves, with
-boxes of where its triangles are now (van den Bergen 1997).
+Building a tree takes longer than its queries, since a detection has a few hundred queries per
+surface. Neighboring triangles stay neighbors, so that the tree of the rest surface is used with
+boxes of the current positions (van den Bergen 1997).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.distance.closest import ON_SURFACE, Closest, none_seen
 
-LEAF = 8  # triangles of a leaf, at most
+LEAF = 8  # largest number of triangles in a leaf
 
 
 class SurfaceTree:
@@ -29,9 +29,10 @@ class SurfaceTree:
         self._fitted = False
 
     def closest(self, X: Floats, points: Floats, reach: float, *, moved: bool = True) -> Closest:
-        """What `closest` says of X (n, 3) [m] no farther than reach [m], of points (V, 3) [m].
+        """The result of `closest` for X (n, 3) [m] within reach [m] of the surface with points (V,
+        3) [m].
 
-        moved : whether the points are elsewhere than the last time.
+        moved : whether the points have changed since the last call.
         """
         from gf_usd.physics.contact.distance import kernels
 
@@ -51,11 +52,11 @@ class SurfaceTree:
         distance = np.sqrt((away * away).sum(1))
         gap = np.where((away * pseudo).sum(1) < 0.0, -distance, distance)
         on = distance <= ON_SURFACE * reach
-        # The direction to the closest point is that of the distance's gradient, up to its sign.
+        # The direction to the closest point is the gradient of the distance, up to its sign.
         away *= np.where(gap < 0.0, -1.0, 1.0)[:, None]
         away[on] = pseudo[on]
         length = np.linalg.norm(away, axis=1, keepdims=True)
-        sure = np.flatnonzero(length[:, 0] > 0.0)  # on a triangle without area nothing is out
+        sure = np.flatnonzero(length[:, 0] > 0.0)  # a triangle without area has no outside
         return Closest(
             rows=rows[sure],
             gap=gap[sure],
@@ -69,7 +70,7 @@ class SurfaceTree:
 def _sorted(centers: Floats, bounds: Ints, levels: int) -> Ints:
     """Triangles with centers (T, 3) in the order of a tree with leaves between `bounds`.
 
-    Every node is cut across its longest side, so that its halves are of the leaves' sizes.
+    Every node is split along its longest side, in proportion to the sizes of its children.
     """
     order = np.arange(len(centers))
     for level in range(levels):
@@ -83,11 +84,11 @@ def _sorted(centers: Floats, bounds: Ints, levels: int) -> Ints:
 
 
 def _around(corners: Ints, points: int) -> Ints:
-    """What meets at the edges and vertices of triangles (T, 3), in one list for the kernels.
+    """The triangles at the edges and vertices of triangles (T, 3), in one list for the kernels.
 
-    (T, 3) the edge that begins at each corner, (T, 3) where the list of each corner's vertex
-    begins; where the lists of the edges begin, and after the last one end; where those of the
-    vertices do; then the triangles of each edge, and 3 t + k of the corners at each vertex.
+    (T, 3) the edge that begins at each corner, (T, 3) the start of the list of each corner's
+    vertex; the starts of the lists of the edges, with the end of the last; those of the vertices;
+    then the triangles of each edge, and 3 t + k of the corners at each vertex.
     """
     faces = len(corners)
     ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], -1), axis=-1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Which three of the samples near a place carry it, in a kernel: see `carriers.Triples`."""
+"""Choice of the three samples that carry a point, in a kernel: see `carriers.Triples`."""
 
 import taichi as ti
 
@@ -7,10 +7,10 @@ from gf_usd.physics.contact.distance.kernels import vector
 
 @ti.func
 def weigh(a, b, c):
-    """Weights of the origin in a triangle, its height [m] and how fat that is, 0 to 1.
+    """Weights of the origin in a triangle, its height [m] and the triangle's shape measure, 0 to 1.
 
-    The weights are barycentric of the origin's projection; where the triangle has no area, the
-    first corner's is 1.
+    The weights are the barycentric ones of the origin's projection; where the triangle has no area,
+    the first corner has weight 1.
     """
     u, v = b - a, c - a
     uu, uv, vv = u.norm_sqr(), u.dot(v), v.norm_sqr()
@@ -37,11 +37,11 @@ def choose_triples(
     samples: ti.types.ndarray(dtype=ti.i32, ndim=2),
     weights: ti.types.ndarray(dtype=ti.f64, ndim=2),
 ):
-    """Of X (n, 3) [m] those that carry places (k, 3) [m]: samples and weights (k, 3), the largest
-    weight first.
+    """The samples among X (n, 3) [m] that carry points (k, 3) [m]: indices and weights (k, 3), the
+    largest weight first.
 
-    near : (k, 6) samples near each place; -1: no more.  With less than three the first carries
-    alone.  fat, spread : FAT and SPREAD of `carriers`.
+    near : (k, 6) samples near each point; -1: no more. With fewer than three, the first is the only
+    carrier. fat, spread : FAT and SPREAD of `carriers`.
     """
     for i in range(places.shape[0]):
         p = vector(places, i)

@@ -1,7 +1,7 @@
-"""How often a surface winds around a point: which side of it that is on, where its sign is wrong.
+"""Winding numbers of surfaces, which correct the sign of the distance.
 
-The sign of a pseudo-normal is that of the nearest triangle, which a fold or a lobe that is inside
-out turns around.
+The sign by the pseudo-normal is that of the nearest triangle, which is wrong at folds and inverted
+parts.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.distance.closest import Closest
 
-WOUND = 0.5  # winding numbers are whole but for the error of the fast sum: 0 outside, 1 within
+WOUND = 0.5  # threshold between the winding numbers 0 outside and 1 inside
 
 
 def outside_where_unwound(
     seen: Closest, inside: Ints, X: Floats, points: Floats, triangles: Ints, *, shell: bool = False
 ) -> Closest:
-    """`seen` with those of its rows `inside` outside around which the surface does not wind.
+    """`seen`, with its rows `inside` set to outside where the winding number is not positive.
 
-    X : (n, 3) [m] that `seen.rows` are of; points (V, 3) [m], triangles (T, 3) : all of a closed
-    surface.  Its winding number (Jacobson et al. 2013; summed fast as Barill et al. 2018, by
-    libigl) is 1 inside, 2 where it overlaps itself, 0 outside, -1 in a lobe that is inside out.
-    shell : the triangles are those of a `shell`, whose winding number `crossings` counts.
+    X : (n, 3) [m] points that `seen.rows` refers to; points (V, 3) [m], triangles (T, 3) : a closed
+    surface. Its winding number (Jacobson et al. 2013; fast evaluation by Barill et al. 2018, from
+    libigl) is 1 inside, 2 where it overlaps itself, 0 outside, -1 in an inverted part.
+    shell : the triangles are those of a `shell`, whose winding number `crossings` computes.
     """
     asked = np.ascontiguousarray(X[seen.rows[inside]], dtype=float)
     if shell:
@@ -41,14 +41,15 @@ def outside_where_unwound(
     return replace(seen, gap=side * seen.gap, normal=side[:, None] * seen.normal)
 
 
-WELD = 1e-9  # of the extent: vertices nearer to each other are one
-PAIRS = 20_000_000  # of points and triangles whose boxes are compared at once
+WELD = 1e-9  # of the extent: nearer vertices are merged
+PAIRS = 20_000_000  # pairs of points and triangles compared at once
 
 
 def shell(points: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
-    """A surface without borders: the vertices that stand for all, and the triangles of these.
+    """A surface without borders: a representative of each group of merged vertices, and the
+    triangles.
 
-    None where it has borders: every edge has to be there as often one way as the other.
+    None where it has borders: every edge must occur equally often in both directions.
     """
     cell = WELD * max(float(np.ptp(points, axis=0).max()), 1e-30)
     _, first, of = np.unique(
@@ -66,9 +67,9 @@ def shell(points: Floats, triangles: Ints) -> tuple[Ints, Ints] | None:
 
 
 def crossings(P: Floats, points: Floats, triangles: Ints) -> Ints:
-    """(m,) how often a shell winds around points P (m, 3): crossings of a ray along x, by sign.
+    """(m,) winding number of a shell at points P (m, 3): signed crossings of a ray along x.
 
-    Every edge is seen the same way by all its triangles, so that a ray through it crosses one.
+    An edge is evaluated identically for all its triangles, so that a ray through it crosses one.
     """
     a, b, c = (points[triangles[:, k]] for k in range(3))
     low = np.minimum(np.minimum(a, b), c)
@@ -87,14 +88,16 @@ def crossings(P: Floats, points: Floats, triangles: Ints) -> Ints:
 
 
 def _through(P: Floats, points: Floats, t: Ints) -> tuple[Floats, Floats]:
-    """Of lines along x through P (n, 3) and triangles t (n, 3): 1, 0 or -1 and where they cross."""
-    a, b = t[:, [1, 2, 0]], t[:, [2, 0, 1]]  # the edges opposite to each corner
+    """For lines along x through P (n, 3) and triangles t (n, 3): 1, 0 or -1, and the crossing
+    points.
+    """
+    a, b = t[:, [1, 2, 0]], t[:, [2, 0, 1]]  # the edge opposite to each corner
     turned = a > b
     first, last = np.where(turned, b, a), np.where(turned, a, b)
     y, z = points[:, 1], points[:, 2]
     dy, dz = y[last] - y[first], z[last] - z[first]
     side = dy * (P[:, 2:] - z[first]) - dz * (P[:, 1:2] - y[first])
-    # On its line a point counts for one side, the same for every triangle of the edge.
+    # A point on the line of an edge is assigned to one side, the same for all its triangles.
     positive = (side > 0.0) | (side == 0.0) & ((dz > 0.0) | (dz == 0.0) & (dy > 0.0))
     left = positive != turned
     sign = np.where(left.all(1), 1.0, np.where(left.any(1), 0.0, -1.0))

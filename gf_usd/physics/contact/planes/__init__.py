@@ -1,1 +1,1 @@
-"""Contact planes: what they hold, what carries them, and what of them lasts past a detection."""
+"""Contact planes: their data, their carriers, and continuity between detections."""

@@ -1,18 +1,18 @@
-"""Three samples of a surface that carry a plane: which they are, and how they turn.
+"""The three samples of a surface that carry a contact plane, and the rotation of the plane.
 
-A plane moves with three samples k of the body it belongs to, with weights w_k barycentric of
-its point in their triangle.  With r_k from their centroid they turn at the rate of the rigid motion
-nearest to theirs,
+A plane moves with three samples k of its body, with w_k the barycentric weights of its point in
+their triangle. With r_k relative to their centroid, the angular velocity is that of the least
+squares rigid motion,
 
     J omega = sum_k r_k x v_k,        J = sum_k (r_k^2 I - r_k r_k^T)
 
-and the plane's normal and its offset from sum_k w_k x_k turn with them.  The transpose of that is
-how a force f on the sample that faces the plane, at x_s, comes back to the three:
+and the plane's normal and its offset from sum_k w_k x_k rotate with it. The reaction to a force f
+on the sample at x_s is distributed by the transpose:
 
     f_k = -w_k f + alpha x r_k,       J alpha = -(x_s - sum_k w_k x_k) x f
 
-so that sum_k f_k = -f and sum_k x_k x f_k = -x_s x f: linear and angular momentum are kept, and the
-power of the four forces is that of the spring between them.
+so that sum_k f_k = -f and sum_k x_k x f_k = -x_s x f: linear and angular momentum are conserved,
+and the power of the four forces is that of the spring between them.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.system.taichi_runtime import ensure_running
 
-NEAR = 6  # samples of which three are chosen
-# Of the area of an equilateral triangle with the same sum of squared edges: below it a triangle is
-# so thin that a moment about its long axis asks for large forces.
+NEAR = 6  # candidates from which three are chosen
+# Of the area of an equilateral triangle with the same sum of squared edges: in a thinner triangle a
+# moment about the long axis requires large forces.
 FAT = 0.3
-SPREAD = 0.1  # weight of the triangle's size against how far its point is from what carries it
+SPREAD = 0.1  # weight of the triangle's size relative to the distance of its point
 
 
 class Triples:
-    """The triangles of samples X (n, 3) [m] at rest that carry places of the surface."""
+    """Triangles of samples X (n, 3) [m] at rest that carry points of the surface."""
 
     def __init__(self, X: Floats) -> None:
         self._X, self._tree = X, kd_tree(X)
 
     def near(self, places: Floats) -> Ints:
-        """(k, NEAR) the samples nearest to places (k, 3) [m] at rest; -1: no more."""
+        """(k, NEAR) the samples nearest to points (k, 3) [m] at rest; -1: no more."""
         count = min(NEAR, len(self._X))
         out = np.full((len(places), NEAR), -1, np.int32)
         found = self._tree.query(places, k=list(range(1, count + 1)))[1]
@@ -47,16 +47,16 @@ class Triples:
         return out
 
     def __call__(self, places: Floats) -> tuple[Ints, Floats]:
-        """Samples (k, 3) and weights (k, 3), the largest first, for places (k, 3) [m] at rest."""
+        """Samples (k, 3) and weights (k, 3), the largest first, for points (k, 3) [m] at rest."""
         return chosen(self._X, places, self.near(places))
 
 
 def chosen(X: Floats, places: Floats, near: Ints) -> tuple[Ints, Floats]:
-    """Samples (k, 3) of X (n, 3) [m] and weights (k, 3), the largest first, for places (k, 3) [m].
+    """Samples (k, 3) of X (n, 3) [m] and weights (k, 3), the largest first, for points (k, 3) [m].
 
-    near : (k, NEAR) the samples nearest to each; -1: no more.  Of the triangles of these the one
-    with the least sum of |w_k| |X_k - X| + distance from its plane, over its fatness.  Where there
-    are fewer than three samples one of them carries alone.
+    near : (k, NEAR) the samples nearest to each; -1: no more. The triangle of these with the least
+    sum of |w_k| |X_k - X| and the distance from its plane, divided by its shape measure. With fewer
+    than three samples, one is the only carrier.
     """
     ensure_running()
     from gf_usd.physics.contact.distance.triple_kernels import choose_triples
@@ -68,25 +68,26 @@ def chosen(X: Floats, places: Floats, near: Ints) -> tuple[Ints, Floats]:
     return samples.astype(np.int64), weights
 
 
-FLAT = 1e-4  # of det J / (tr J)^3, at most 1/32: below it three samples lie on a line
+FLAT = 1e-4  # of det J / (tr J)^3, at most 1/32: below it three samples are collinear
 
 
 def spin(x: Floats, v: Floats) -> Floats:
-    """omega (k, 3) [1/s] of triples at x (k, 3, 3) [m] with v (k, 3, 3) [m/s]; 0 on a line."""
+    """omega (k, 3) [1/s] of triples at x (k, 3, 3) [m] with v (k, 3, 3) [m/s]; 0 if collinear."""
     x, y, z = _from_centroid(x)
     u, v, w = np.ascontiguousarray(np.moveaxis(v, 2, 0))
     return _turn((x, y, z), (_sum(y * w - z * v), _sum(z * u - x * w), _sum(x * v - y * u)))
 
 
 def turn(r: Floats, moment: Floats) -> Floats:
-    """alpha (k, 3) with J alpha = moment (k, 3), of triples at r (k, 3, 3) [m] from their centroid;
-    0 on a line."""
+    """alpha (k, 3) with J alpha = moment (k, 3), for triples at r (k, 3, 3) [m] from their
+    centroid; 0 if collinear.
+    """
     x, y, z = np.moveaxis(r, 2, 0)
     return _turn((x, y, z), (moment[:, 0], moment[:, 1], moment[:, 2]))
 
 
 def _turn(r: Sequence[Floats], moment: Sequence[Floats]) -> Floats:
-    """The same of columns: r 3 x (k, 3), moment 3 x (k,).  By the cofactors of J / (2 tr J)."""
+    """The same by components: r 3 x (k, 3), moment 3 x (k,). By the cofactors of J / (2 tr J)."""
     x, y, z = r
     xx, yy, zz = _sum(x * x), _sum(y * y), _sum(z * z)
     size = 2.0 * (xx + yy + zz)
@@ -108,13 +109,15 @@ def _from_centroid(x: Floats) -> Floats:
 
 
 def _sum(three: Floats) -> Floats:
-    """Over the last axis, of length three: NumPy reduces that with a loop per row."""
+    """Sum over the last axis, of length three: faster than NumPy's reduction, which loops
+    per row.
+    """
     return three[..., 0] + three[..., 1] + three[..., 2]
 
 
-NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each
+NEXT, LAST = (1, 2, 0), (2, 0, 1)  # cyclic successor and predecessor of each axis
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    """a x b of rows (n, 3): `numpy.cross` without its questions about axes and shapes."""
+    """a x b of rows (n, 3): `numpy.cross` without its general handling of axes and shapes."""
     return a.take(NEXT, 1) * b.take(LAST, 1) - a.take(LAST, 1) * b.take(NEXT, 1)

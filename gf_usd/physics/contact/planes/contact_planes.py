@@ -1,7 +1,7 @@
-"""The plane that each contact sample faces until the next detection.
+"""The contact plane of each sample until the next detection.
 
-A plane belongs to an obstacle, with a velocity of its own, or to a body: three samples of that body
-carry it (`carriers`).
+A plane belongs to an obstacle, with its own velocity, or to a body, three of whose samples carry it
+(`carriers`).
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from gf_usd.core.arrays import Floats, Ints, lengths, nonzero_rows, row_dots
 from gf_usd.physics.contact.planes.carriers import cross, spin
 
 ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
-NOBODY = -1  # as a partner: nothing is faced
-OBSTACLE = -2  # as a partner: an obstacle is faced
+NOBODY = -1  # as a partner: no plane
+OBSTACLE = -2  # as a partner: a plane of an obstacle
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPlanes:
-    """What each of n samples faces, in the world."""
+    """The contact planes of n samples, in world coordinates."""
 
     partner: Ints  # (n,) the first of the samples that carry the plane, NOBODY or OBSTACLE
     carriers: Ints  # (n, 3) all of them: see `carriers`
     weights: Floats  # (n, 3) of the carriers
     obstacle: Ints  # (n,) which obstacle; -1: none
-    normal: Floats  # (n, 3) unit, out of what is faced
-    point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from sum w_k x_k of the carriers
+    normal: Floats  # (n, 3) outward unit normal of the partner
+    point: Floats  # (n, 3) [m] on the plane; of a body, relative to sum w_k x_k
     velocity: Floats  # (n, 3) [m/s] of an obstacle
-    spring: Floats  # (n, 3) [m] xi of friction, along the plane
+    spring: Floats  # (n, 3) [m] xi of friction, tangential
 
     @property
     def carried(self) -> Ints:
@@ -38,24 +38,26 @@ class ContactPlanes:
 
     @property
     def active(self) -> Ints:
-        """Samples that face something or carry a plane."""
+        """Samples that have a plane or carry one."""
         found = self.partner != NOBODY
         found[self.carriers[self.carried]] = True
         return np.flatnonzero(found)
 
     @property
     def any_facing(self) -> bool:
-        """Whether a sample faces something."""
+        """Whether a sample has a plane."""
         return bool((self.partner != NOBODY).any())
 
     def forget(self, rows: Ints) -> None:
-        """Samples `rows` face nothing."""
+        """Remove the planes of samples `rows`."""
         away = nothing(len(rows))
         for name in ARRAYS:
             getattr(self, name)[rows] = getattr(away, name)
 
     def lists(self) -> tuple[Ints, Ints]:
-        """(n + 1,) and (3 m,): for each sample the 3 s + k whose carrier k it is, in order."""
+        """(n + 1,) and (3 m,): for each sample the 3 s + k of the planes s of which it is carrier
+        k, in order.
+        """
         who = self.carried
         entries = (3 * who[:, None] + np.arange(3)).ravel()
         carriers = self.carriers[who].ravel()
@@ -65,15 +67,17 @@ class ContactPlanes:
 
     @property
     def facing(self) -> Ints:
-        """Samples that face something."""
+        """Samples that have a plane."""
         return np.flatnonzero(self.partner != NOBODY)
 
     def of(self, rows: Ints) -> ContactPlanes:
-        """What some of the samples, rows (k,), face; carriers keep their numbers."""
+        """The planes of samples `rows` (k,); carriers keep their indices."""
         return ContactPlanes(**{name: getattr(self, name)[rows] for name in ARRAYS})
 
     def interpolated(self, values: Floats) -> Floats:
-        """Values (n, 3) of all samples, interpolated to the planes: sum_k w_k; 0 for obstacles."""
+        """Values (n, 3) of all samples, interpolated to the planes by sum_k w_k; 0 for
+        obstacles.
+        """
         out, who = np.zeros((len(self.partner), 3)), self.carried
         out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
         return out
@@ -88,7 +92,7 @@ class ContactPlanes:
 
 
 def nothing(n: int) -> ContactPlanes:
-    """n samples that face nothing."""
+    """n samples without planes."""
     return ContactPlanes(
         partner=np.full(n, NOBODY),
         carriers=np.full((n, 3), NOBODY),
@@ -102,10 +106,10 @@ def nothing(n: int) -> ContactPlanes:
 
 
 def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPlanes:
-    """The planes as what carries them leaves them a short time [s] on; those of obstacles stay.
+    """The planes after a short time [s], moved with their carriers; those of obstacles are
+    unchanged.
 
-    x [m], v [m/s] : (n, 3) of the samples.  Springs of friction, where there are any, go with the
-    slip of their samples.
+    x [m], v [m/s] : (n, 3) of the samples. Friction springs advance with the slip of their samples.
     """
     p, who = planes, planes.carried
     normal, point, spring = p.normal.copy(), p.point.copy(), p.spring.copy()
@@ -128,5 +132,5 @@ def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPl
 
 
 def along(vectors: Floats, normal: Floats) -> Floats:
-    """(n, 3) what of vectors lies in the planes of unit normals."""
+    """(n, 3) the tangential components of vectors, for unit normals."""
     return vectors - row_dots(vectors, normal)[:, None] * normal

@@ -1,15 +1,14 @@
-"""From the planes of one detection to those of the next without a gain of energy.
+"""Energy continuity of contact planes between two detections.
 
-A detection changes points and normals although nothing moved, and so what the springs store.  The
-new planes of a pair (a body, and what it faces) are therefore moved along their normals, so that
-its samples are f times as deep as the true surface says: with A and B the energy of the first and
-the second term of the springs under the true planes, f^2 A + f^4 B = E_old, and the pair stores
-what it stored.  f differs from 1 by the few percent of such a jump, and is computed anew at each
-detection from the true depths.  An `EnergyBudget` returns f to 1 in time: it bounds the power by
-which, and the energy that is given in all.
+A detection changes points and normals without any motion, and so the energy of the springs. The new
+planes of a pair (a body and its partner) are therefore shifted along their normals, so that the
+depth of its samples is f times the true one: with A and B the energy of the first and second term
+of the springs at the true depths, f^2 A + f^4 B = E_old conserves the energy of the pair. f differs
+from 1 by a few percent, and is computed at each detection from the true depths. An `EnergyBudget`,
+which bounds the power and the total energy added, lets f approach 1.
 
-The springs of friction stay with a sample as long as it faces the same body or obstacle: they turn
-into the new plane, with their length.  Those of a sample that faces something else are released.
+Friction springs are kept while a sample has the same partner: they are rotated into the new plane
+with their length. Otherwise they are released.
 """
 
 from __future__ import annotations
@@ -22,8 +21,8 @@ from gf_usd.core.arrays import Floats, Ints, nonzero_rows, row_dots
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 
-EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
-# A pair of which a detection leaves hardly a sample inside does not pass all it holds to that one.
+EASE = 0.1  # [spacings] largest increase of a sample's depth by a detection
+# Bound of f, for a pair with hardly a sample left inside after a detection.
 MOST = 2.0
 # Of m g r: power in T, and energy in all, by which detections may bring pairs to their true depths.
 # This lifts what rests on them, and takes a few T.  Without a bound of the whole, a sample between
@@ -61,11 +60,11 @@ class EnergyBudget:
 
 @dataclass(frozen=True, kw_only=True)
 class Stored:
-    """What n samples hold under the planes of one detection."""
+    """The depths and stiffnesses of n samples under the planes of one detection."""
 
     planes: ContactPlanes
     depth: Floats  # (n,) [m]
-    stiffness: Floats  # (n,) [N/m] of a spring that is hardly pressed
+    stiffness: Floats  # (n,) [N/m] of a spring at small depth
     hardening: float  # [1/m^2] 1 / a^2: see `kernels.pair_contact`
     pair: Ints  # (n,) number of the pair of bodies, or of body and obstacle; below 0: none
 
@@ -85,10 +84,10 @@ class Stored:
 def continued(
     old: Stored, true: Stored, *, ease: float, budget: EnergyBudget, elapsed: float
 ) -> Stored:
-    """The true planes moved along their normals so that each pair stores what it stored.
+    """The true planes, shifted along their normals so that each pair conserves its energy.
 
-    ease : [m] that a sample may become deeper at once; budget : by which the energies of pairs come
-    nearer to the true ones; elapsed : [s] since the last detection.
+    ease : [m] largest increase of a depth; budget : by which the energies of pairs may approach the
+    true ones; elapsed : [s] since the last detection.
     """
     eased = replace(true, depth=np.minimum(true.depth, old.depth + ease))
     pairs = 1 + int(max(old.pair.max(initial=-1), true.pair.max(initial=-1)))
@@ -111,7 +110,7 @@ def continued(
 
 
 def _kept(old: Stored, new: Stored) -> Floats:
-    """(n, 3) [m] springs of friction with their energy, along the new planes."""
+    """(n, 3) [m] friction springs in the new planes, with their energy."""
     xi = old.planes.spring
     kept = nonzero_rows(xi)
     kept = kept[(old.pair[kept] == new.pair[kept]) & (new.pair[kept] >= 0)]

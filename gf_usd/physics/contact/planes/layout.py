@@ -1,4 +1,4 @@
-"""Where the numbers of contact planes stand in the arrays of the kernels."""
+"""Layout of contact planes in the arrays of the kernels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes
 
-# A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
+# To limit the number of arrays, all reals of a sample are in one row of `pair`, ...
 ROW = 45
 REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
 POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from sum w x), n, v_q of an obstacle
@@ -17,14 +17,14 @@ STIFFNESS, DAMPING, FRICTION = 24, 25, 26
 DEPTH, WORK = 27, 28  # deepest [m] and work of an obstacle [J] since they were cleared
 SPRING, WEIGHT, REACTION = 29, 32, 35  # xi; w_k and f_k of the three carriers
 HARDENING = 44  # [1/m^2] of the spring: f = k d (1 + HARDENING d^2)
-# ... and its whole numbers in one of `links`: the carriers; where its list starts; three entries of
-# all lists.
+# ... and its integers in one of `links`: the carriers; the start of its list; three entries of all
+# lists.
 LINKS = 7
 PARTNER, START, PAIR_FACING = 0, 3, 4
 
 
 def pack_arrays(n: int) -> dict[str, Floats]:
-    """The arrays of contact between n samples in the kernels' pack; n = 0: none."""
+    """The arrays of contact between n samples for the kernels; n = 0: none."""
     return {
         "pair": np.zeros(ROW * max(1, n)),
         "links": np.full(LINKS * (n + 1), NOBODY),
@@ -32,7 +32,7 @@ def pack_arrays(n: int) -> dict[str, Floats]:
 
 
 def links(planes: ContactPlanes) -> Ints:
-    """(n + 1, LINKS) the whole numbers of n samples: see above."""
+    """(n + 1, LINKS) the integers of n samples: see above."""
     start, order = planes.lists()
     out = np.full((len(start), LINKS), NOBODY)
     out[:-1, :START], out[:, START] = planes.carriers, start
@@ -46,9 +46,9 @@ def links(planes: ContactPlanes) -> Ints:
 def write_planes(
     pair: Floats, planes: ContactPlanes, values: Mapping[str, Floats], hardening: float
 ) -> None:
-    """Write planes into the rows of `pair` (n, ROW); what kernels sum of them is cleared.
+    """Write planes to the rows of `pair` (n, ROW), and reset the results of the kernels.
 
-    values : of `narrow_phase.pair_values`; hardening : [1/m^2].  REST and DRIFT are not written.
+    values : of `narrow_phase.pair_values`; hardening : [1/m^2]. REST and DRIFT are not written.
     """
     pair[:, PLACE:RATE] = 0.0
     pair[:, FORCE:POINT] = 0.0
@@ -66,7 +66,8 @@ def write_planes(
 
 
 def write_rest(pair: Floats, X: Floats, drift: Floats | None) -> None:
-    """Write where samples are without displacements, X (n, 3) [m], and the rate (n, 3) [m/s] at
-    which pins move that; None: no pin moves."""
+    """Write the positions of samples without displacements, X (n, 3) [m], and their rate (n, 3)
+    [m/s] by pins; None: no pin moves.
+    """
     pair[:, REST:DRIFT] = X
     pair[:, DRIFT:PLACE] = 0.0 if drift is None else drift
