@@ -196,11 +196,11 @@ def reason_not_free_fall(plan: Plan) -> str:
 
 def flying(plan: Plan) -> int:
     """Number of frames at the start in free flight, which need no substeps."""
-    from gf_usd.physics.total_lagrangian.shape_correction import acts
+    from gf_usd.physics.total_lagrangian.shape_correction import is_active
 
     s = plan.settings
     held = plan.pins or plan.goals or s.fields or any(map(callable, plan.velocity))
-    if held or not s.shortcuts or s.solver != "tl" or s.drag or acts(s):
+    if held or not s.shortcuts or s.solver != "tl" or s.drag or is_active(s):
         return 0
     if plan.contact_setup is not None and plan.contact_setup.colliders:
         return 0

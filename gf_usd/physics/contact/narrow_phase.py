@@ -15,7 +15,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import Skin
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.distance.tree import SurfaceTree
-from gf_usd.physics.contact.distance.winding import outside_where_unwound, shell
+from gf_usd.physics.contact.distance.winding import outside_by_winding, shell
 from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
 from gf_usd.physics.contact.planes.carriers import NEAR, Triples, chosen
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE, ContactPlanes, nothing
@@ -175,10 +175,10 @@ class BodySkin:
         doubtful = np.flatnonzero(seen.gap < known[seen.rows])
         if len(doubtful):
             if self._shell is None:
-                seen = outside_where_unwound(seen, doubtful, X, points, skin.triangles)
+                seen = outside_by_winding(seen, doubtful, X, points, skin.triangles)
             else:
                 kept, faces = self._shell
-                seen = outside_where_unwound(seen, doubtful, X, points[kept], faces, shell=True)
+                seen = outside_by_winding(seen, doubtful, X, points[kept], faces, shell=True)
         rest = skin.points[skin.triangles[seen.triangle]]
         return seen, np.einsum("nk,nka->na", seen.weights, rest)
 

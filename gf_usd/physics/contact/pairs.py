@@ -273,7 +273,7 @@ class BodyContact:
         x, v = self.motion(now)
         old = self._stored(x, time)
         search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
-        if not old.planes.any_facing and not search.planes.any_facing:
+        if not old.planes.any_planes and not search.planes.any_planes:
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
             return chunk, int(np.ceil(chunk * shorter))
@@ -521,7 +521,7 @@ class BodyContact:
 
         Returns False if positions or velocities are not finite.
         """
-        if not self.planes.any_facing:
+        if not self.planes.any_planes:
             return True
         x, v = self.motion(state.view())
         if not (np.isfinite(x).all() and np.isfinite(v).all()):

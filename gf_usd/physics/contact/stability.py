@@ -96,7 +96,7 @@ class PairSprings:
         speed = f.interpolated(v) + f.velocity - v[faces]
         depth, closing = row_dots(away, f.normal), row_dots(speed, f.normal)
         fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed))) + fall
-        coming = coming_depth(
+        coming = largest_depth(
             depth, fastest, span, self.k[faces], self.values["mass"][faces], self.hardening
         )
         # Detection precedes a closer approach; a larger estimate indicates a failing frame.
@@ -161,7 +161,7 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
     return out
 
 
-def coming_depth(
+def largest_depth(
     depth: Floats, speed: Floats, span: float, k: Floats, mass: Floats, hardening: float
 ) -> Floats:
     """(m,) [m] bound of the depth of samples within a span [s].

@@ -107,12 +107,12 @@ def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
     """
     u, v = rows.nodes(u), rows.nodes(v)
     if isinstance(rows, SplineRows) and rows.many:
-        return _in_one_pass(rows, u, v, offset)
+        return _pose_by_kernel(rows, u, v, offset)
     x, v = placed(rows, u, v)
     return Pose(x=rows.X + offset + x, v=v, F=_gradient(rows, u))
 
 
-def _in_one_pass(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
+def _pose_by_kernel(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
     """`pose` by a kernel, equal to rounding, in a third of the time."""
     ensure_running()
     from gf_usd.physics.grid.row_kernels import LANES, embed

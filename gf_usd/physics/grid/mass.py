@@ -150,7 +150,7 @@ def _iterated(
     """Residual r, direction d and solution z (n, ...) after steps of the Chebyshev iteration."""
     many = len(fields[0]) >= MANY and fields[0].shape[1:] == (3,)
     if many and S.indices.dtype == np.int32 and not resident_blocks():
-        return _in_one_call(S, shrink, grow, fields)
+        return _iterated_by_kernel(S, shrink, grow, fields)
     r, d, z = fields
     for a, b in zip(shrink, grow):
         r -= S @ d
@@ -160,7 +160,7 @@ def _iterated(
     return r, d, z
 
 
-def _in_one_call(
+def _iterated_by_kernel(
     S: sparse.csr_matrix, shrink: Floats, grow: Floats, fields: Sequence[Floats]
 ) -> tuple[Floats, ...]:
     """`_iterated` by a kernel, bit-identical, in a third of the time."""

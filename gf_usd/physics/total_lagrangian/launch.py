@@ -74,20 +74,22 @@ class Launches:
         numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))
         done = 0
         while done < substeps:
-            many = self._fitting(substeps - done)
+            many = self._substeps_per_launch(substeps - done)
             ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
             when = (every, (state.done + done) % every if every else 0)
             if self.thread_count:
                 tail = (many, ends, *when, *numbers)
-                self.thread_count.launch(partial(self._draw, counts, tail), many)
+                self.thread_count.launch(partial(self._launch_queued, counts, tail), many)
             else:
-                self._stay(state, (*counts, self._blocks(counts)), (many, ends, *when, *numbers))
+                self._launch_resident(
+                    state, (*counts, self._blocks(counts)), (many, ends, *when, *numbers)
+                )
             done += many
             if on_launch:
                 on_launch()
         state.done += substeps
 
-    def _fitting(self, substeps: int) -> int:
+    def _substeps_per_launch(self, substeps: int) -> int:
         """The number of the remaining substeps that the next launch runs."""
         if self.thread_count:
             return self.thread_count.fitting(substeps)
@@ -99,7 +101,9 @@ class Launches:
         most = max(LANES * groups, free + followers, active)
         return min(self._body.kernels.held, -(-most // BLOCK))
 
-    def _stay(self, state: State, counts: tuple[int, ...], tail: tuple[Any, ...]) -> None:
+    def _launch_resident(
+        self, state: State, counts: tuple[int, ...], tail: tuple[Any, ...]
+    ) -> None:
         """Launch the resident kernel. Raises GfUsdError where a block did not start."""
         began = time.perf_counter()
         self._kernel(*counts, *tail)
@@ -110,7 +114,7 @@ class Launches:
             )
         self._pace = (time.perf_counter() - began) / tail[0]
 
-    def _draw(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
+    def _launch_queued(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
         self._kernel(*counts, threads, *tail)
 
 

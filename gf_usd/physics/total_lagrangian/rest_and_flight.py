@@ -35,7 +35,7 @@ from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.time_step import per_cell, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.setup import Body
-from gf_usd.physics.total_lagrangian.shape_correction import acts
+from gf_usd.physics.total_lagrangian.shape_correction import is_active
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 FLIGHT = 1e-5  # strain, and speed relative to the wave speed: invisible, but above rounding
@@ -54,7 +54,7 @@ class Shortcuts:
         s = body.settings
         bodies = bodies_of(body.particles, body.per["density"])
         held = body.in_place
-        asked = s.shortcuts and not acts(s) and body.regions is None and not s.fields
+        asked = s.shortcuts and not is_active(s) and body.regions is None and not s.fields
         asked = asked and body.particles.keys is None
         self._body = body
         self._g = np.asarray(s.gravity, float)
@@ -110,7 +110,7 @@ class Shortcuts:
         if pairs and pairs.imminent(state.view(), state.time, sleeping):
             return None
         time = self._body.settings.frame_time
-        state.fly(flying, self._g, time)
+        state.advance_in_flight(flying, self._g, time)
         state.time += time
         state.done += substeps
         if pairs:

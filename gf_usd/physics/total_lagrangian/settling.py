@@ -81,8 +81,8 @@ class Settling:
         restitution = body.per["density"] * body.particles.V0 * body.per["restitution"]
         e = np.bincount(bodies.of, restitution, bodies.count) / bodies.mass
         self._bounce_rate = 0.75 * (1.0 - e**2) / self._scale  # [1/s]
-        self.calm = Still(bodies.count)
-        self.low = Still(bodies.count)
+        self.calm = RestTimer(bodies.count)
+        self.low = RestTimer(bodies.count)
         self.touching = np.zeros(bodies.count, bool)  # in contact at the end of the last frame
         self.bounced = np.zeros(bodies.count, bool)  # since its energy fell below LOW
 
@@ -123,7 +123,7 @@ class Settling:
         centers = node_sums(m[:, None] * x, body, count) / mass[:, None]
         rolling = self._on_floor(state) if self._rolls else np.zeros(count, bool)
         supports = self._supports(state) if self._rolls_on_obstacles else {}
-        calm = self._calmed(before, centers) if self._calms else np.zeros(count, bool)
+        calm = self._nearly_at_rest(before, centers) if self._calms else np.zeros(count, bool)
         low = self._bounces(state, before, centers) if self._calms else np.zeros(count, bool)
         if not (rolling.any() or supports or calm.any() or low.any()):
             return 0.0
@@ -197,7 +197,7 @@ class Settling:
         out[0 if of is None else of[pushed]] = pushed.any()
         return out
 
-    def _calmed(self, kinetic: Floats, centers: Floats) -> Ints:
+    def _nearly_at_rest(self, kinetic: Floats, centers: Floats) -> Ints:
         """(B,) which bodies have been nearly at rest for T."""
         step = self._body.settings.frame_time
         self.calm.note(kinetic <= CALM * self._energy, centers, AMPLITUDE * self._radius, step)
@@ -228,7 +228,7 @@ class Support:
     point: Floats  # (3,) [m] P, its point of application
 
 
-class Still:
+class RestTimer:
     """For how long each body has been slow and near one place, by its center of mass."""
 
     def __init__(self, count: int) -> None:

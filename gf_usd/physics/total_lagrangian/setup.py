@@ -167,7 +167,7 @@ def build_body(
     per = per_particle(
         particles, materials, pin_constraint.particles.pin if pin_constraint else None
     )
-    stiffest = at_stiffest(per, particles.keys, settings)
+    stiffest = at_largest_moduli(per, particles.keys, settings)
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     copies = _copies(particles, h)
@@ -303,7 +303,7 @@ def per_particle(
     return {**per, "V0": particles.V0 * free}
 
 
-def at_stiffest(
+def at_largest_moduli(
     per: dict[str, Floats], keys: ValueKeys | None, settings: Settings
 ) -> dict[str, Floats]:
     """Material values per particle, with the largest moduli and damping of all frames.

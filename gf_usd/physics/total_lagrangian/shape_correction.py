@@ -57,14 +57,14 @@ def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
     """
     from gf_usd.physics.per_particle import strains
 
-    near = to_be_clipped(*strains(F), low, high)
+    near = may_need_clipping(*strains(F), low, high)
     out, changed = np.array(F), np.zeros(len(F), bool)
     if near.any():
         out[near], changed[near] = _clipped(F[near], low, high)
     return out, changed
 
 
-def to_be_clipped(s: Floats, J: Floats, low: float, high: float) -> Floats:
+def may_need_clipping(s: Floats, J: Floats, low: float, high: float) -> Floats:
     """(N,) bool: which strains may lie outside of [low, high], so that an SVD is needed."""
     slack = CLOSE * s[:, 2]  # above the error of the closed form
     return (s[:, 0] < low + slack) | (s[:, 2] > high - slack) | (J < 0.0)
@@ -106,7 +106,7 @@ class ShapeCorrection:
         A state that is not finite is left unchanged: `Guard` reports it.
         """
         clipped = np.zeros(len(self._body.particles), bool)
-        if not acts(self._body.settings) or (first := state.view()).not_finite()[1]:
+        if not is_active(self._body.settings) or (first := state.view()).not_finite()[1]:
             return clipped, 0.0
         F = first.gradients(index)
         if self._alpha > 0.0:
@@ -143,13 +143,13 @@ class ShapeCorrection:
         state.put_F0(F - strained)
         of_first = now.strains_beside(index, first)
         clipped = np.zeros(len(F), bool)
-        # The rounding error of F0 is far below the margin of `to_be_clipped`.
-        if self._clamp and to_be_clipped(*now.strains(index), *self._clamp).any():
+        # The rounding error of F0 is far below the margin of `may_need_clipping`.
+        if self._clamp and may_need_clipping(*now.strains(index), *self._clamp).any():
             F, clipped = clip_stretches(F, *self._clamp)
             state.put_F0(F - strained)
         return clipped, of_first
 
 
-def acts(settings: Settings) -> bool:
+def is_active(settings: Settings) -> bool:
     """Whether the settings ask for an operation between frames."""
     return settings.procrustes > 0.0 or settings.wls

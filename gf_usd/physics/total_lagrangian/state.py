@@ -122,7 +122,7 @@ class State(DeviceState):
         self.put("acceleration", b)
         self.acceleration, self._view, self._weight = b, None, None
 
-    def _weigh(self) -> Floats:
+    def _body_forces(self) -> Floats:
         """(free, 3) [N] M~ (g + b), the forces of gravity and of the body force."""
         if self._weight is None:
             g = np.asarray(self._body.settings.gravity, float)
@@ -184,7 +184,7 @@ class State(DeviceState):
                 anchor[of, :PIN_RATE] -= mean
             self.put("anchor", anchor)
 
-    def fly(self, flying: Ints, g: Floats, time: float) -> None:
+    def advance_in_flight(self, flying: Ints, g: Floats, time: float) -> None:
         """Advance bodies (B,) by free flight of `time` [s] under g (3,) [m/s^2]; the others do not
         move.
 
@@ -211,7 +211,7 @@ class State(DeviceState):
         seen = (*(look(self.arrays[name]) for name in names), self.offset)
         if self._view is None or not self._view.is_of(seen):
             given = tuple(a.copy() for a in seen)
-            self._view = StateView(self._body, self.rest, self._weigh, given)
+            self._view = StateView(self._body, self.rest, self._body_forces, given)
         return self._view
 
     def drop_view(self) -> None:
@@ -228,7 +228,7 @@ class StateView:
     def __init__(
         self, body: Body, rest: RestGradients | None, weigh: Callable[[], Floats], given: Given
     ) -> None:
-        self._body, self._rest, self._given, self._weigh = body, rest, given, weigh
+        self._body, self._rest, self._given, self._body_forces = body, rest, given, weigh
         self._strains: tuple[int, Floats | None, tuple[Floats, Floats]] | None = None
         free = body.stencil.free_count
         self.u, self.v = (a.astype(float).reshape(-1, 3)[:free] for a in given[:2])
@@ -385,7 +385,7 @@ class StateView:
     @cached_property
     def potential(self) -> float:
         """Potential energy -sum_i x_i . (M~ (g + b))_i [J], heights measured from the floor."""
-        s, weight = self._body.settings, self._weigh()
+        s, weight = self._body.settings, self._body_forces()
         datum = s.floor if s.floor is not None else 0.0
         height = self.x - datum * np.asarray(s.up)
         free = -float((height * weight).sum())

@@ -17,7 +17,7 @@ from gf_usd.physics.contact.stability import (
     ACCURACY,
     COLUMN,
     PairSprings,
-    coming_depth,
+    largest_depth,
     levers,
     stiffest,
     stretches,
@@ -158,12 +158,12 @@ def test_no_springs_no_vibration() -> None:
 def test_a_sample_stops_where_its_spring_has_taken_its_energy() -> None:
     k, mass = np.full(4, 3.0), np.full(4, 0.01)
     speed, span = np.array([-1.0, 0.1, 0.5, 2.0]), 1e3
-    d = coming_depth(np.zeros(4), speed, span, k, mass, HARDENING)
+    d = largest_depth(np.zeros(4), speed, span, k, mass, HARDENING)
     stored = 0.5 * k * d**2 * (1.0 + 0.5 * HARDENING * d**2)
     assert stored == pytest.approx(0.5 * COLUMN * mass * np.maximum(speed, 0.0) ** 2, abs=1e-15)
 
 
 def test_in_a_short_span_it_comes_no_farther_than_it_moves() -> None:
     depth = np.array([-0.2, -0.01, 0.3])
-    d = coming_depth(depth, np.full(3, 2.0), 0.01, np.ones(3), np.ones(3), HARDENING)
+    d = largest_depth(depth, np.full(3, 2.0), 0.01, np.ones(3), np.ones(3), HARDENING)
     assert d == pytest.approx(depth + 0.02)

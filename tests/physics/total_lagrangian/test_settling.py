@@ -10,8 +10,8 @@ from gf_usd.physics.total_lagrangian.settling import (
     AMPLITUDE,
     CALM,
     PATIENCE,
+    RestTimer,
     Settling,
-    Still,
     resistance,
 )
 
@@ -121,7 +121,7 @@ def test_each_body_feels_its_own() -> None:
 
 
 class _Calm(Settling):
-    """Without a solver: what `_calmed` needs."""
+    """Without a solver: what `_nearly_at_rest` needs."""
 
     def __init__(self, frame_time: float) -> None:
         from types import SimpleNamespace
@@ -129,10 +129,10 @@ class _Calm(Settling):
         self._body = SimpleNamespace(settings=SimpleNamespace(frame_time=frame_time))
         self._radius, self._scale = np.array([R]), np.array([time_scale(R)])
         self._energy = np.array([2.0 * G0 * R])
-        self.calm = Still(1)
+        self.calm = RestTimer(1)
 
     def after(self, kinetic: float, at: float) -> bool:
-        return bool(self._calmed(np.array([kinetic]), np.array([[0.0, at, 0.0]]))[0])
+        return bool(self._nearly_at_rest(np.array([kinetic]), np.array([[0.0, at, 0.0]]))[0])
 
 
 def test_calm_is_little_energy_in_one_place_for_a_time_T() -> None:
@@ -167,7 +167,7 @@ class _Low(Settling):
         self._body = SimpleNamespace(settings=SimpleNamespace(frame_time=frame_time))
         self._radius, self._scale = np.array([R]), np.array([time_scale(R)])
         self._energy, self._touchable = np.array([2.0 * G0 * R]), True
-        self.low, self.touching, self.bounced = Still(1), np.zeros(1, bool), np.zeros(1, bool)
+        self.low, self.touching, self.bounced = RestTimer(1), np.zeros(1, bool), np.zeros(1, bool)
         self.touches = False
 
     def _touching(self, state: object) -> np.ndarray:

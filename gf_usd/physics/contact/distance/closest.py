@@ -41,13 +41,13 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
     least, most = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     close = np.flatnonzero(((most >= low) & (least <= high)).all(1))
     if len(close) == 0:
-        return none_seen()
+        return no_points()
     used, local = np.unique(triangles[close], return_inverse=True)
     center = X.mean(0)
     first, last = least[close].min(0) - reach, most[close].max(0) + reach
     asked = np.flatnonzero(((first <= X) & (last >= X)).all(1))
     if len(asked) == 0:
-        return none_seen()
+        return no_points()
     S, at, C, N = igl.signed_distance(
         np.ascontiguousarray(X[asked] - center, dtype=float),
         np.ascontiguousarray(points[used] - center, dtype=float),
@@ -105,7 +105,7 @@ def barycentric(P: Floats, corners: Floats) -> Floats:
     return np.stack([1.0 - s - t, s, t], 1)
 
 
-def none_seen() -> Closest:
+def no_points() -> Closest:
     """A result without points."""
     whole, three = np.zeros(0, np.int64), np.zeros((0, 3))
     return Closest(

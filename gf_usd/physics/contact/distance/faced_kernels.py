@@ -48,7 +48,7 @@ def cell_at(p, low, edge, size, a):
 
 
 @ti.func
-def faced_seeds(
+def opposite_seeds(
     x: ti.template(),
     found: ti.template(),
     near: ti.template(),
@@ -120,7 +120,7 @@ def faced_seeds(
 
 
 @ti.func
-def admitted(
+def is_candidate(
     triangles: ti.template(), faces: ti.template(), near: ti.template(), seeds, m, i, t, n, aside
 ):
     """Whether triangle t, at seed m of sample i with the normal n, is a candidate: none of its
@@ -167,7 +167,7 @@ def find_faced(
     cells : (c + 1 + 2 n,) and faces : (T, 6) are temporary, of a grid of `size` cells of an edge
     [m] from a corner [m] on, and of normals and angles.
     found, which : (n, 10), (n, 3) results, see the columns; -1: none.
-    radius : [m] search radius; turn, widest : of `faced_seeds`; reach : [m] largest distance,
+    radius : [m] search radius; turn, widest : of `opposite_seeds`; reach : [m] largest distance,
     relative to the first seed; tie : [m] tolerance of distances; vertex : barycentric weight of a
     corner.
     """
@@ -236,7 +236,7 @@ def find_faced(
         which[i, SEED] = which[i, TRIANGLE] = -1
         if flags[i, WANTED] == 1:
             items = size[0] * size[1] * size[2] + 1
-            seeds = faced_seeds(x, found, near, cells, items, i, low, edge, size, turn, widest)
+            seeds = opposite_seeds(x, found, near, cells, items, i, low, edge, size, turn, widest)
             which[i, SEED] = seeds[0]
             p, n = vector(x, i), vector(found, i)
             far = reach
@@ -253,7 +253,7 @@ def find_faced(
                     t = -1
                     if seed >= 0:
                         t = around[seed, e % around.shape[1]]
-                    if t >= 0 and admitted(triangles, faces, near, seeds, m, i, t, n, aside):
+                    if t >= 0 and is_candidate(triangles, faces, near, seeds, m, i, t, n, aside):
                         a, b = vector(x, triangles[t, 0]), vector(x, triangles[t, 1])
                         c = vector(x, triangles[t, 2])
                         weights = closest_on_triangle(p, a, b, c)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.distance.closest import ON_SURFACE, Closest, none_seen
+from gf_usd.physics.contact.distance.closest import ON_SURFACE, Closest, no_points
 
 LEAF = 8  # largest number of triangles in a leaf
 
@@ -37,7 +37,7 @@ class SurfaceTree:
         from gf_usd.physics.contact.distance import kernels
 
         if len(X) == 0 or len(self._order) == 0:
-            return none_seen()
+            return no_points()
         X, points = (np.ascontiguousarray(a, np.float64) for a in (X, points))
         found, which = np.zeros((len(X), 6)), np.empty(len(X), np.int32)
         kernels.closest_points(

@@ -17,7 +17,7 @@ from gf_usd.physics.contact.distance.closest import Closest
 WOUND = 0.5  # threshold between the winding numbers 0 outside and 1 inside
 
 
-def outside_where_unwound(
+def outside_by_winding(
     seen: Closest, inside: Ints, X: Floats, points: Floats, triangles: Ints, *, shell: bool = False
 ) -> Closest:
     """`seen`, with its rows `inside` set to outside where the winding number is not positive.

@@ -44,7 +44,7 @@ class ContactPlanes:
         return np.flatnonzero(found)
 
     @property
-    def any_facing(self) -> bool:
+    def any_planes(self) -> bool:
         """Whether a sample has a plane."""
         return bool((self.partner != NOBODY).any())
 

@@ -23,7 +23,7 @@ from gf_usd.physics.laws.simd3x3 import (
     unrolled,
     von_mises,
 )
-from gf_usd.physics.total_lagrangian.kernels.scalar import clip_matrix, cut_matrix, listed, matrix
+from gf_usd.physics.total_lagrangian.kernels.scalar import cap_matrix, clip_matrix, listed, matrix
 from gf_usd.physics.total_lagrangian.kernels.simd import (
     add_pressure,
     add_viscous,
@@ -171,7 +171,7 @@ def stress_cell(
             pressure, cof = stress.shock(F, D, 0.5 * ih, viscosity[1], dt)
             add_pressure(P, pressure, cof)
         if ti.static(options.capped):
-            assign(P, listed(cut_matrix(body, LANES * b + lane, matrix(P))))
+            assign(P, listed(cap_matrix(body, LANES * b + lane, matrix(P))))
         if ti.static(laws.flows):
             assign(P, product(P, transposed(Pi)))
         k = (0.0 - 0.5 * ih) * ti.Vector([body.V0[b][lane]])
@@ -230,5 +230,5 @@ def cell_von_mises(
         elastic_cell(body, b, lane, F, q, laws, 0.0 * ih, converged, options, False)
         P = stress.piola(laws, law_of(body, b, lane, laws), F, q, converged)
         if ti.static(options.capped):
-            assign(P, listed(cut_matrix(body, LANES * b + lane, matrix(P))))
+            assign(P, listed(cap_matrix(body, LANES * b + lane, matrix(P))))
         out[b * LANES + lane] = von_mises(P, F)[0]

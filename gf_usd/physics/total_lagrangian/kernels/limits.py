@@ -14,7 +14,7 @@ from gf_usd.physics.total_lagrangian.limits import (
 
 
 @ti.func
-def touch(body: ti.template(), lane, how):
+def flag_particle(body: ti.template(), lane, how):
     """Set a bit in `touched` of a particle that was clipped or capped; see
     `limits.limited_particles`.
     """
@@ -60,7 +60,7 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
     B, outside = clipped_matrix(A, low, high)
     if outside > 0:
         if ti.static(counted):
-            touch(body, b * LANES + lane, CLAMPED)
+            flag_particle(body, b * LANES + lane, CLAMPED)
         for a in ti.static(range(3)):
             for c in ti.static(range(3)):
                 body.clip_buffer[CLIP_BUFFER * b + 3 * a + c][lane] = B[a, c]
@@ -89,7 +89,7 @@ def clipped_matrix(A, low, high):
 
 
 @ti.func
-def cut(body: ti.template(), b, P: ti.template(), counted: ti.template()):
+def cap_stress(body: ti.template(), b, P: ti.template(), counted: ti.template()):
     """Scale P of batch b down to |P| <= numbers[CAP], in place (stress cap)."""
     cap = body.numbers[CAP]
     size = ti.sqrt(double_dot(P, P))
@@ -99,4 +99,4 @@ def cut(body: ti.template(), b, P: ti.template(), counted: ti.template()):
     if ti.static(counted):
         for lane in ti.static(range(LANES)):
             if size[lane] > cap:
-                touch(body, b * LANES + lane, STRESS_CAPPED)
+                flag_particle(body, b * LANES + lane, STRESS_CAPPED)

@@ -104,7 +104,7 @@ def follower_share(
     f = block_sum(body, free + follower, options)
     impulse = dt
     if filtering > 0:
-        f = less_momentum(body, free + follower, f)
+        f = momentum_change(body, free + follower, f)
         impulse = alpha
     o = ANCHOR * follower
     work = body.anchor[o + PIN_WORK]
@@ -132,19 +132,19 @@ def node_sum(body: ti.template(), node, filtering, options: ti.template()):
     """
     f = block_sum(body, node, options)
     if filtering > 0:
-        f = less_momentum(body, node, f)
-    return f + leader_sum(body, node, options)
+        f = momentum_change(body, node, f)
+    return f + sum_of_followers(body, node, options)
 
 
 @ti.func
-def less_momentum(body: ti.template(), node, p):
+def momentum_change(body: ti.template(), node, p):
     """(B v - m v)_i from p = (B v)_i: the change by a transfer to particles and back."""
     v = ti.Vector([body.v[3 * node], body.v[3 * node + 1], body.v[3 * node + 2]])
     return p - body.node_mass[MASS * node] * v
 
 
 @ti.func
-def leader_sum(body: ti.template(), node, options: ti.template()):
+def sum_of_followers(body: ti.template(), node, options: ti.template()):
     """sum_l e_li of the stored contributions of the followers."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     first, behind = body.leader_start[node], body.leader_start[node + 1]
@@ -273,17 +273,17 @@ def limit_pull(body: ti.template(), node):
     y = u - row(body.goal, o)
     way = y.norm()
     out = 0.0 * y
-    pull = pull_of(way, body.goal[o + AWAY], body.goal[o + HARD])
+    pull = limit_acceleration(way, body.goal[o + AWAY], body.goal[o + HARD])
     if pull > 0.0:
         out = (0.0 - pull / way) * y
     n = row(body.goal, o + NORMAL).normalized()
     inward = n.dot(row(body.goal, o + CARRIED) - u)
-    out += pull_of(inward, body.goal[o + TOWARD], body.goal[o + HARD]) * n
+    out += limit_acceleration(inward, body.goal[o + TOWARD], body.goal[o + HARD]) * n
     return out
 
 
 @ti.func
-def pull_of(way, slack, hardest):
+def limit_acceleration(way, slack, hardest):
     """A s^2 / (1 - s) of s = (way - slack) / slack, continued linearly from where its slope reaches
     `hardest`; 0 where there is no slack.
     """
@@ -318,7 +318,7 @@ def goal_work(body: ti.template(), node, before, dt, goals: ti.template()):
 
 
 @ti.func
-def keep_raw(body: ti.template(), node, f, share):
+def store_acceleration(body: ti.template(), node, f, share):
     """Store share f / m of a node, for itself and its neighbors: see `inverse`."""
     for d in ti.static(range(3)):
         body.share[3 * node + d] = share * f[d] * body.node_mass[MASS * node + INVERSE]
@@ -331,7 +331,7 @@ def inverse(body: ti.template(), node, share, options: ti.template()):
     In terms of differences, so that the force in a spring is exactly equal and opposite at its
     ends.
 
-    share : of 1 / m, as in `keep_raw`. Where pins slide, springs have a strength per axis.
+    share : of 1 / m, as in `store_acceleration`. Sliding pins: springs have a strength per axis.
     """
     o = node * 3
     r = row(body.share, o)

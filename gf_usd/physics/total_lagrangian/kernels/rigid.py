@@ -7,7 +7,7 @@ import taichi as ti
 
 from gf_usd.physics.contact.kernels import contact_force, row
 from gf_usd.physics.grid.rigid import ARM, NODE, RHO, ROW, D, J, L, M, Q, V
-from gf_usd.physics.total_lagrangian.kernels.nodes import ANCHOR, block_sum, less_momentum
+from gf_usd.physics.total_lagrangian.kernels.nodes import ANCHOR, block_sum, momentum_change
 
 
 @ti.func
@@ -114,7 +114,7 @@ def filter_region(body: ti.template(), k, free, alpha, options: ti.template()):
     first, behind = nodes_of(body, k)
     for e in range(first, behind):
         node = free + body.rigid_nodes[options.rigid + 1 + e]
-        p = less_momentum(body, node, block_sum(body, node, options))
+        p = momentum_change(body, node, block_sum(body, node, options))
         F += p
         T += turned(q, row(body.rigid, ROW * options.rigid + NODE * e + RHO)).cross(p)
     for a in ti.static(range(3)):

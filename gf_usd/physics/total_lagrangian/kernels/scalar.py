@@ -17,7 +17,7 @@ import taichi as ti
 from gf_usd.physics.laws import stress
 from gf_usd.physics.laws.registry import GRADIENT
 from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES, von_mises
-from gf_usd.physics.total_lagrangian.kernels.limits import clipped_matrix, touch
+from gf_usd.physics.total_lagrangian.kernels.limits import clipped_matrix, flag_particle
 from gf_usd.physics.total_lagrangian.limits import CAP, CLAMPED, HIGH, LOW, STRESS_CAPPED
 
 
@@ -124,7 +124,7 @@ def clip_matrix(body: ti.template(), p, F):
     """F with its singular values clipped."""
     clipped, outside = clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
     if outside > 0:
-        touch(body, p, CLAMPED)
+        flag_particle(body, p, CLAMPED)
     return clipped
 
 
@@ -170,12 +170,12 @@ def particle_pk1(body: ti.template(), p, F, laws: ti.template(), converged):
 
 
 @ti.func
-def cut_matrix(body: ti.template(), p, P):
+def cap_matrix(body: ti.template(), p, P):
     """P scaled down to |P| <= numbers[CAP]."""
     size = ti.sqrt((P * P).sum())
     cap = body.numbers[CAP]
     if size > cap:
-        touch(body, p, STRESS_CAPPED)
+        flag_particle(body, p, STRESS_CAPPED)
     return ti.min(cap / ti.max(size, 1e-30), 1.0) * P
 
 
@@ -201,7 +201,7 @@ def particle_stress(
         pressure, cof = stress.shock(listed(F), listed(D), 1.0, k, dt)
         P += pressure[0] * matrix(cof)
     if ti.static(options.capped):
-        P = cut_matrix(body, p, P)
+        P = cap_matrix(body, p, P)
     if ti.static(laws.flows):
         P = P @ Pi.transpose()
     V0 = number(body.V0, 0, 1, p, 0)
@@ -289,5 +289,5 @@ def particle_von_mises(
     F, _ = elastic(body, p, trial, laws, 0.0 * ih, converged, options, False)
     P = particle_pk1(body, p, F, laws, converged)
     if ti.static(options.capped):
-        P = cut_matrix(body, p, P)
+        P = cap_matrix(body, p, P)
     return von_mises(listed(P), listed(F))[0]

@@ -31,7 +31,7 @@ from gf_usd.physics.laws.simd3x3 import (
     unrolled,
     von_mises,
 )
-from gf_usd.physics.total_lagrangian.kernels.limits import clip, cut
+from gf_usd.physics.total_lagrangian.kernels.limits import cap_stress, clip
 
 
 @ti.func
@@ -125,7 +125,7 @@ def stress_group(
             pressure, cof = stress.shock(F, D, 0.5 * ih, body.viscosity[2 * b + 1], dt)
             add_pressure(P, pressure, cof)
         if ti.static(options.capped):
-            cut(body, b, P, True)
+            cap_stress(body, b, P, True)
         if ti.static(laws.flows):
             assign(P, product(P, transposed(Pi)))
         k = (0.0 - 0.5 * ih) * body.V0[b]
@@ -255,7 +255,7 @@ def group_von_mises(
         which = body.constants[laws.constants * b + laws.which]
         P = stress.piola(laws, which, F, q, converged)
         if ti.static(options.capped):
-            cut(body, b, P, False)
+            cap_stress(body, b, P, False)
         value = von_mises(P, F)
         for lane in ti.static(range(LANES)):
             out[b * LANES + lane] = value[lane]

@@ -35,8 +35,8 @@ from gf_usd.physics.total_lagrangian.kernels.nodes import (
     follower_share,
     force,
     goal_share,
-    keep_raw,
     move_node,
+    store_acceleration,
 )
 from gf_usd.physics.total_lagrangian.kernels.rigid import (
     filter_region,
@@ -228,7 +228,7 @@ def build(
             move_node(body, n, active, g, dt, drift, keep, alpha, filtering, options)
         elif ti.static(part.work == "move lumped"):
             f = force(body, n, active, dt, filtering, options)
-            keep_raw(body, n, f, goal_share(body, n, dt, filtering, options.goals))
+            store_acceleration(body, n, f, goal_share(body, n, dt, filtering, options.goals))
         elif ti.static(part.name == "open rigid"):
             open_region(body, n, 0.5 * dt, options.rigid)
         elif ti.static(part.name == "filter rigid"):

@@ -49,7 +49,7 @@ from gf_usd.physics.updated_lagrangian.kernels.transfer import (
     scatter_cell,
     trial,
 )
-from gf_usd.physics.updated_lagrangian.kernels.walls import add_given, move_walled_node
+from gf_usd.physics.updated_lagrangian.kernels.walls import move_walled_node, sum_wall_impulses
 from gf_usd.system.taichi_runtime import without_common_subexpressions
 
 STRIDE = 32  # a CPU thread of Taichi has at least 512 iterations: use every 32nd
@@ -144,7 +144,7 @@ def build(
                 else:
                     move_node(body, node, g, dt, keep)
             if ti.static(walled):
-                add_given(body)
+                sum_wall_impulses(body)
             for cell in range(body.grid[CELLS]):
                 if body.cell_count[cell] > 0:
                     gather_cell(body, cell, laws, drift, ih, phase)
@@ -197,7 +197,7 @@ def build(
         ti.loop_config(serialize=True)
         for _ in range(1):
             if ti.static(walled):
-                add_given(body)
+                sum_wall_impulses(body)
         for z in range(body.grid[CELLS] * STRIDE):
             if z % STRIDE == 0:
                 gather_cell(body, z // STRIDE, laws, drift, ih, phase)

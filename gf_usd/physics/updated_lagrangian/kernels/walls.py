@@ -84,7 +84,7 @@ def move_walled_node(
 
 
 @ti.func
-def add_given(body: ti.template()):
+def sum_wall_impulses(body: ti.template()):
     """Sum the impulses of the planes in a substep, in the order of the nodes. Runs on one
     thread.
     """

@@ -8,7 +8,7 @@ import pytest
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.distance.closest import closest
-from gf_usd.physics.contact.distance.winding import crossings, outside_where_unwound, shell
+from gf_usd.physics.contact.distance.winding import crossings, outside_by_winding, shell
 
 
 def sphere() -> tuple[Floats, Ints]:
@@ -32,7 +32,7 @@ def test_a_lobe_that_is_inside_out_is_met_from_outside() -> None:
     X = np.array([[0.0, 0.0, z] for z in (-2.1, -2.3)])  # under it
     seen = closest(X, points, triangles, 0.5)
     assert (seen.gap < 0.0).all()  # what the nearest triangle alone says
-    healed = outside_where_unwound(seen, np.flatnonzero(seen.gap < 0.0), X, points, triangles)
+    healed = outside_by_winding(seen, np.flatnonzero(seen.gap < 0.0), X, points, triangles)
     away = X[seen.rows] - healed.point
     distance = np.linalg.norm(away, axis=1)
     assert healed.gap == pytest.approx(distance, rel=1e-12)
@@ -43,7 +43,7 @@ def test_a_whole_surface_keeps_its_signs() -> None:
     points, triangles = sphere()
     X = np.random.default_rng(0).uniform(-1.2, 1.2, (300, 3))
     seen = closest(X, points, triangles, 0.5)
-    healed = outside_where_unwound(seen, np.flatnonzero(seen.gap < 0.0), X, points, triangles)
+    healed = outside_by_winding(seen, np.flatnonzero(seen.gap < 0.0), X, points, triangles)
     assert (seen.gap < 0.0).sum() > 50
     assert np.array_equal(healed.gap, seen.gap)
     assert np.array_equal(healed.normal, seen.normal)
