@@ -215,7 +215,7 @@ def _said(seen: Inspection) -> list[str]:
             for n, what in (
                 (mesh.collapsed, "collapsed triangles"),
                 (mesh.slivers, "triangles without area"),
-                (mesh.crowded_edges, "edges shared by more than two triangles"),
+                (mesh.non_manifold_edges, "edges shared by more than two triangles"),
                 (mesh.loose_edges, "boundary edges outside closed loops"),
             )
             if n

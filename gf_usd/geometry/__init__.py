@@ -1,1 +1,1 @@
-"""Makes a solid, particles, contact samples and skins from surfaces."""
+"""Geometry processing: meshes to solids, particles, contact samples and skinning weights."""

@@ -1,11 +1,10 @@
-"""Diagnosis of a mesh as the boundary of a solid.
+"""Diagnosis of a mesh as the boundary of a solid: holes, winding, duplicate and degenerate faces.
 
-Faces are counted as authored; everything else is measured on the welded triangles that the fill
-uses.  Lengths are in meters.
+Faces are counted as authored; everything else is measured on the welded triangles from which the
+solid is built. Lengths are in meters.
 
-Faces that are there more than once: duplicates, walls back to back, surfaces with two sides.
-
-Faces without area, and which of them hold nothing together.
+This module also classifies duplicate triangles (`classify_duplicates`) and zero-area triangles
+(`slivers`, `removable_slivers`), which repair removes.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from gf_usd.core.neighbors import components
 from gf_usd.geometry import winding
 from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
 
-HOLE_LIMIT = 0.05  # a hole is small, and repair closes it, up to this share of its shell's area
+HOLE_LIMIT = 0.05  # share of the area of its shell up to which repair closes a hole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +31,9 @@ class Hole:
     """A loop of boundary edges."""
 
     edges: int
-    size: float  # [m] diagonal of its box
+    size: float  # [m] diagonal of its bounding box
     center: Floats  # (3,) [m]
-    share: float  # of the area of its shell with all holes closed by flat fans
+    share: float  # of the area of its shell with all holes closed by triangle fans
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,21 +45,21 @@ class Shell:
     low: Floats  # (3,) [m]
     high: Floats  # (3,) [m]
     area: float  # [m^2]
-    volume: float  # [m^3] enclosed, were all its triangles to agree; holes closed by the winding
+    volume: float  # [m^3] enclosed, after its triangles are given a consistent winding
     winding: str  # outward | inside out | cavity | mixed | one-sided | open | flat
-    against: int  # triangles that face against their neighbors
+    against: int  # triangles wound opposite to the majority
     holes: tuple[Hole, ...]
-    inner: bool = False  # lies in the flesh of another shell: it bounds nothing
+    inner: bool = False  # lies inside the solid of another shell, so that it bounds no volume
 
     @property
     def size(self) -> Floats:
-        """(3,) [m] of its box."""
+        """(3,) [m] extent of its bounding box."""
         return self.high - self.low
 
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """The measured properties of one surface."""
+    """What is measured on one surface."""
 
     path: str
     type_name: str
@@ -72,10 +71,10 @@ class Diagnosis:
     shells: tuple[Shell, ...]
     boundary_edges: int
     loose_edges: int  # boundary edges that lie in no closed loop
-    collapsed: int  # triangles with two corners in one place
-    slivers: int  # triangles without area
-    duplicates: int  # triangles that are there twice, or cancel back to back
-    crowded_edges: int  # edges that more than two triangles share
+    collapsed: int  # triangles with two coincident corners
+    slivers: int  # triangles of zero area
+    duplicates: int  # coincident triangles of equal or opposite orientation
+    non_manifold_edges: int  # edges that more than two triangles share
 
     @property
     def holes(self) -> tuple[Hole, ...]:
@@ -84,7 +83,7 @@ class Diagnosis:
 
     @property
     def hole_share(self) -> float:
-        """Flat area of all holes over the area of the closed surface."""
+        """Area of the triangle fans over all holes, divided by the area of the closed surface."""
         closed = sum(s.area / (1.0 - sum(h.share for h in s.holes)) for s in self.shells)
         return 1.0 - self.area / closed if closed > 0.0 else 0.0
 
@@ -94,12 +93,12 @@ class Diagnosis:
 
     @property
     def volume(self) -> float:
-        """[m^3] of the shells, cavities taken off, inner shells left out; overlaps count twice."""
-        flesh = [s for s in self.shells if not s.inner]
-        return sum(-s.volume if s.winding == "cavity" else s.volume for s in flesh)
+        """[m^3] of the shells minus cavities, without inner shells; overlaps count twice."""
+        outer = [s for s in self.shells if not s.inner]
+        return sum(-s.volume if s.winding == "cavity" else s.volume for s in outer)
 
     def with_winding(self, *kinds: str) -> int:
-        """How many shells are wound in any of these ways."""
+        """Number of shells whose winding is any of these kinds."""
         return sum(s.winding in kinds for s in self.shells)
 
 
@@ -129,31 +128,31 @@ def diagnose(surface: Surface) -> Diagnosis:
         collapsed=int((~sound).sum()),
         slivers=int(slivers(surface.points, triangles).sum()),
         duplicates=_duplicates(triangles, authored_faces(surface)[sound]),
-        crowded_edges=edges.crowded,
+        non_manifold_edges=edges.non_manifold,
     )
 
 
 def _duplicates(triangles: Ints, face: Ints) -> int:
-    return int((doubled(triangles, face) != SINGLE).sum())
+    return int((classify_duplicates(triangles, face) != SINGLE).sum())
 
 
 def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell, ...], int]:
-    """Shells, and the boundary edges that lie in no closed loop."""
+    """The shells, and the number of boundary edges that lie in no closed loop."""
     label = shells(triangles)
     patch = winding.patches(points, triangles, edges)
-    agreed = winding.turned(triangles, patch.against)
+    agreed = winding.flipped(triangles, patch.against)
     area = np.bincount(label, areas(points, triangles))
     low, high = winding.boxes(points, triangles, label)
     volume = np.abs(winding.volumes(points, agreed, label))
-    facing = winding.facing(points, agreed, label)
+    orientation = winding.orientations(points, agreed, label)
     against = np.bincount(label, patch.against)
     one_sided = np.bincount(label, patch.one_sided) > 0
-    # Boundary edges chain only where their triangles agree.
+    # Boundary edges form loops only where the winding of their triangles is consistent.
     loops: list[Ints] = []
     loose, faced = 0, agreed
     if len(edges.boundary):
-        apart = winding.facing(points, agreed, patch.label)
-        faced = winding.turned(agreed, apart.wrong[patch.label])
+        of_patches = winding.orientations(points, agreed, patch.label)
+        faced = winding.flipped(agreed, of_patches.wrong[patch.label])
         loops, loose = boundary_loops(Edges.of(faced))
     holes: dict[int, list[Ints]] = {}
     for loop in loops:
@@ -164,11 +163,11 @@ def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell,
             return "one-sided"
         if against[k]:
             return "mixed"
-        if facing.now[k] == 0:
+        if orientation.current[k] == 0:
             return "open" if holes.get(k) else "flat"
-        if facing.goal[k] == -1:
+        if orientation.target[k] == -1:
             return "cavity"
-        return "outward" if facing.now[k] > 0 else "inside out"
+        return "outward" if orientation.current[k] > 0 else "inside out"
 
     made = tuple(
         Shell(
@@ -180,7 +179,7 @@ def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell,
             volume=float(volume[k]),
             winding=kind(k),
             against=int(against[k]),
-            inner=bool(facing.inner[k]),
+            inner=bool(orientation.inner[k]),
             holes=_holes([points[ring] for ring in holes.get(k, ())], float(area[k])),
         )
         for k, count in enumerate(np.bincount(label).tolist())
@@ -189,7 +188,7 @@ def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell,
 
 
 def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
-    """Holes of one shell of an area [m^2], the largest first."""
+    """The holes of one shell, the largest first; rings : (n, 3) [m] of each; area : [m^2]."""
     fans = [fan_area(ring) for ring in rings]
     closed = area + sum(fans)
     made = [
@@ -205,7 +204,7 @@ def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
 
 
 def faults(seen: Diagnosis) -> list[str]:
-    """The defects of a mesh as a boundary, as text."""
+    """Phrases for the faults of a mesh as the boundary of a solid."""
     said = []
     if seen.holes:
         share = f"{100 * seen.hole_share:.2g} % of the closed area"
@@ -222,10 +221,10 @@ def faults(seen: Diagnosis) -> list[str]:
 
 
 def tolerated_defects(seen: Diagnosis) -> str:
-    """Defects of a mesh that the fill tolerates, as text; "" where there are none.
+    """A note on the faults with which a mesh is filled nevertheless; "" where it has none.
 
-    The winding number gives the expected inside for meshes with holes, duplicate faces or a few
-    reversed faces; whole parts that face inward inside others are treated as cavities.
+    The generalized winding number is robust to holes, duplicate faces and single faces of reversed
+    winding. A whole part that faces inward inside another one is taken as a cavity.
     """
     said = faults(seen)
     if not said:
@@ -235,16 +234,16 @@ def tolerated_defects(seen: Diagnosis) -> str:
     return f"<{seen.path}> is filled despite {', '.join(said)}{hint}"
 
 
-KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
+FILLED_SHARE = 0.9  # of the enclosed volume, overlaps counted twice: a warning if less is filled
 
 
 def lost_volume_warning(seen: Sequence[Diagnosis], volume: float) -> str:
-    """A warning where defects of meshes remove much of the enclosed volume; else "".
+    """A warning where much of the volume that faulty meshes enclose is not filled; else "".
 
-    volume : [m^3] of them that was filled.
+    volume : [m^3] that was filled.
     """
     whole = sum(one.volume for one in seen)
-    if volume >= KEPT * whole or not any(faults(one) for one in seen):
+    if volume >= FILLED_SHARE * whole or not any(faults(one) for one in seen):
         return ""
     return (
         f"only {volume:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"
@@ -262,32 +261,35 @@ SINGLE, DUPLICATE, WALL, OTHER_SIDE = range(4)
 
 
 def authored_faces(surface: Surface) -> Ints:
-    """(T,) the authored face that each of `Surface.triangles` was cut from."""
+    """(T,) the authored face of each of `Surface.triangles`."""
     ends = np.cumsum(surface.face_counts)
     return np.searchsorted(ends, surface.triangle_corners[:, 0], side="right")
 
 
-def doubled(triangles: Ints, face: Ints) -> Ints:
-    """(T,) what makes a triangle superfluous as the fill sees it; SINGLE where nothing does.
+def classify_duplicates(triangles: Ints, face: Ints) -> Ints:
+    """(T,) why a triangle is redundant for the winding number; SINGLE where it is not.
 
-    DUPLICATE : one that faces the same way, or more of them, is there too.
-    WALL : as many face one way as the other, so that they cancel: both go.
-    OTHER_SIDE : so too, but without them the rest would be open or gone (a surface that was
-    modeled with both its sides): one side stays.
+    DUPLICATE : a coincident triangle of the same orientation is kept.
+    WALL : coincident triangles of opposite orientation, whose winding numbers cancel; all are
+    removed.
+    OTHER_SIDE : likewise, but without them the rest would be open or empty (a double-sided
+    surface): one side is kept, as SINGLE.
 
-    Whole faces (T,) are compared by their outlines, since a quad and its reverse may be cut along
-    different diagonals; then what is left, triangle by triangle.
+    face : (T,) the face that each triangle is part of. Whole faces are compared first, by their
+    outlines, since a quad and its reverse may be triangulated along different diagonals; the
+    remaining triangles are then compared one by one.
     """
     kind = np.full(len(triangles), SINGLE)
     for one in (face, np.arange(len(triangles))):
         left = np.flatnonzero(kind == SINGLE)
         if len(left):
-            kind[left] = _doubled(triangles[left], np.unique(one[left], return_inverse=True)[1])
+            of = np.unique(one[left], return_inverse=True)[1]
+            kind[left] = _classify_faces(triangles[left], of)
     return kind
 
 
-def _doubled(triangles: Ints, face: Ints) -> Ints:
-    """As `doubled`, for faces numbered from 0."""
+def _classify_faces(triangles: Ints, face: Ints) -> Ints:
+    """As `classify_duplicates`, for whole faces, numbered from 0."""
     edges = Edges.of(triangles)
     group, odd = _outlines(edges, face)
     ahead, back = np.bincount(group, ~odd), np.bincount(group, odd)
@@ -301,16 +303,16 @@ def _doubled(triangles: Ints, face: Ints) -> Ints:
     first[mine[np.unique(group[mine], return_index=True)[1]]] = True
     kind[~first] = DUPLICATE
     kind[balanced] = WALL
-    two_sided = balanced & _needed(edges, face, balanced)
+    two_sided = balanced & _double_sided(edges, face, balanced)
     kind[two_sided] = OTHER_SIDE
     kind[two_sided & first] = SINGLE
     return kind[face]
 
 
 def _outlines(edges: Edges, face: Ints) -> tuple[Ints, Flags]:
-    """(F,) a number for each outline, and whether it is run through the other way.
+    """(F,) the number of the outline of each face, and whether the face traverses it in reverse.
 
-    An outline is the set of edges that one triangle of the face has alone.
+    The outline of a face is the set of edges that only one of its triangles has.
     """
     of = np.repeat(face, 3)
     _, at, uses = np.unique(
@@ -320,7 +322,7 @@ def _outlines(edges: Edges, face: Ints) -> tuple[Ints, Flags]:
     rim = rim[np.lexsort((edges.id[rim], of[rim]))]
     count = np.bincount(of[rim], minlength=int(face.max()) + 1)
     start = np.cumsum(count) - count
-    group = np.arange(len(count))  # a face without an outline is like no other
+    group = np.arange(len(count))  # a face without an outline has no duplicates
     odd = np.zeros(len(count), bool)
     for n in np.unique(count[count > 0]):
         rows = np.flatnonzero(count == n)
@@ -332,12 +334,13 @@ def _outlines(edges: Edges, face: Ints) -> tuple[Ints, Flags]:
     return group, odd
 
 
-def _needed(edges: Edges, face: Ints, balanced: Flags) -> Flags:
-    """(F,) balanced faces of which one side must stay.
+def _double_sided(edges: Edges, face: Ints, balanced: Flags) -> Flags:
+    """(F,) balanced faces (as many of one orientation as of the other) of which one side is kept.
 
-    Of a connected set of them the rim decides.  Edges that the rest uses an odd number of times
-    would be left open without it; where the rest uses them an even number of times it hangs on
-    a surface that is whole.  A set without either is all there is of its shell.
+    Decided for each connected set of balanced faces, by the edges that it shares with other faces.
+    An edge that the other faces use an odd number of times would become a boundary edge without the
+    set; one that they use an even number of times belongs to a closed surface without it. One side
+    is kept where edges of the first kind are the majority, or where the set shares no edges.
     """
     double = balanced[face]
     slot = np.repeat(double, 3)
@@ -360,9 +363,9 @@ def _needed(edges: Edges, face: Ints, balanced: Flags) -> Flags:
 
 
 def slivers(points: Floats, triangles: Ints) -> Flags:
-    """(T,) True where three different vertices lie in one line, within the welding tolerance.
+    """(T,) True where three distinct vertices are collinear within the welding tolerance.
 
-    The height over the longest edge, 2 A / L, is what is measured.
+    Measured is the height over the longest edge, 2 A / L.
     """
     corners = points[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
@@ -372,9 +375,9 @@ def slivers(points: Floats, triangles: Ints) -> Flags:
 
 
 def removable_slivers(sliver: Flags, edges: Edges) -> Flags:
-    """(T,) slivers whose removal opens no seam.
+    """(T,) slivers whose removal creates no boundary edges.
 
-    A sliver between two triangles and one (a T-junction) closes a surface.
+    A sliver at a T-junction, between one triangle and two, is kept: it closes the surface.
     """
     uses = edges.uses[edges.id].reshape(-1, 3)
     return sliver & ((uses == 2).sum(1) <= (uses == 1).sum(1))

@@ -1,8 +1,8 @@
-"""Pins: which points of a body a region holds, and where its boundary is.
+"""Regions of pins: which points a region constrains, and the distance to its boundary.
 
-A volume (a box, the inside of meshes) holds what lies in it.  A patch of a surface holds nothing
-inside the body: the body is held at the patch itself, so a point is held if the patch is the part
-of the surface nearest to it and it does not lie within the body.
+A volume (a box, the inside of meshes) constrains the points in it. A patch of a surface constrains
+the body at the patch only: a point is constrained if it is not inside the body and the patch is
+the part of the surface nearest to it.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from gf_usd.core.mesh import areas, boundary_edges, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.solid import INSIDE, Solid
-from gf_usd.geometry.thin.thicken import measure_shells
+from gf_usd.geometry.thin.thicken import shells_of
 
 BOX = "box:"
-ON_SURFACE = 1e-6  # of the body's size: nearer than this a point lies on the patch
-# Corners are numbered x + 2 y + 4 z; triangles look outward.
+ON_SURFACE = 1e-6  # of the body's diagonal: a point nearer to the patch counts as on it
+# Corners are numbered x + 2 y + 4 z; triangles are counter-clockwise seen from outside.
 BOX_CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
 BOX_TRIANGLES = np.array(
     [
@@ -37,7 +37,7 @@ BOX_TRIANGLES = np.array(
 def parse_box(text: str, unit: float, option: str = "--pin") -> tuple[Floats, Floats]:
     """Low and high corner [m] of "box:x0,y0,z0,x1,y1,z1" in stage units of `unit` [m].
 
-    option : that names it, for messages.  Raises UsageError for anything else.
+    option : the command-line option, for messages. Raises UsageError for any other text.
     """
     words = text.removeprefix(BOX).split(",")
     try:
@@ -61,8 +61,10 @@ def parse_box(text: str, unit: float, option: str = "--pin") -> tuple[Floats, Fl
 def box_region(
     text: str, unit: float, surfaces: Floats, path: Floats, option: str = "--pin"
 ) -> Region:
-    """The region of a box; the points (V, 3) of the body move along path (F, V, 3), and it with
-    those that lie in it (or, where none does, with the nearest ones).
+    """The region of a box.
+
+    surfaces : (V, 3) [m] points of the body at rest; path : (F, V, 3) [m] at each frame. A box
+    moves with at least three points in it, or with all points where it holds fewer.
     """
     low, high = parse_box(text, unit, option)
     corners = low + (high - low) * BOX_CORNERS
@@ -85,9 +87,9 @@ def box_region(
 def make_pin(
     region: Region, solid: Solid, drawn: Sequence[Surface] = (), option: str = "--pin"
 ) -> Pin:
-    """The pin of a region.  Raises InputError for a patch of something that is not filled.
+    """The pin of a region.  Raises InputError for a patch of a surface that is not filled.
 
-    drawn : the surfaces as they are drawn, where the solid has sheets that were given thickness.
+    drawn : the authored surfaces, where the solid has sheets that were thickened.
     """
     used = np.unique(region.triangles)
     anchors, path = region.points, region.path
@@ -98,8 +100,8 @@ def make_pin(
         shape = Shape(region.points, region.triangles)
         holds, nearest = shape.encloses, shape.nearest
     else:
-        at = _filled_by(region, solid, option)
-        part = _sheet_part(region, solid, at, drawn) or _Patch(region, solid, at)
+        at = _surface_of_patch(region, solid, option)
+        part = _sheet_patch(region, solid, at, drawn) or _SolidPatch(region, solid, at)
         holds, nearest = part.holds, part.nearest
     return Pin(
         name=region.name, inside=holds, nearest=nearest, anchors=anchors, path=path,
@@ -108,15 +110,15 @@ def make_pin(
 
 
 def make_rigid(region: Region, solid: Solid, drawn: Sequence[Surface] = ()) -> Pin:
-    """A rigid region: what a volume encloses, or all that is nearest to a patch of the surface.
+    """A rigid region: the points that a volume encloses, or those nearest to a surface patch.
 
-    drawn : as of `make_pin`.  Raises InputError for a patch of something that is not filled.
+    drawn : as in `make_pin`.  Raises InputError for a patch of a surface that is not filled.
     """
     pin = make_pin(region, solid, drawn, "--rigid")
     inside = pin.inside
     if region.kind == "patch":
-        at = _filled_by(region, solid, "--rigid")
-        sheet = _sheet_part(region, solid, at, drawn)
+        at = _surface_of_patch(region, solid, "--rigid")
+        sheet = _sheet_patch(region, solid, at, drawn)
         inside = sheet.holds if sheet else _nearest_to(region, solid, at)
     still = region.points[None]
     return replace(
@@ -124,8 +126,8 @@ def make_rigid(region: Region, solid: Solid, drawn: Sequence[Surface] = ()) -> P
     )
 
 
-def _filled_by(region: Region, solid: Solid, option: str) -> int:
-    """The surface of the solid that a patch is part of; raises InputError where there is none."""
+def _surface_of_patch(region: Region, solid: Solid, option: str) -> int:
+    """Index of the solid's surface that a patch is part of; raises InputError without one."""
     paths = [s.path for s in solid.surfaces]
     if region.body not in paths:
         raise InputError(
@@ -136,20 +138,20 @@ def _filled_by(region: Region, solid: Solid, option: str) -> int:
 
 
 def _nearest_to(region: Region, solid: Solid, at: int) -> Callable[[Floats], Floats]:
-    """Whether points X (n, 3) [m] are nearer to a patch than to the rest of its surface."""
+    """A test of points X (n, 3) [m]: (n,) whether the patch is the nearest part of its surface."""
     patch = Shape(region.points, region.triangles)
     whole = Shape(solid.surfaces[at].points, solid.triangles[at])
-    slack = _slack(solid)
+    slack = _tolerance(solid)
     return lambda X: np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
 
 
-def _slack(solid: Solid) -> float:
-    """[m] at which a point lies on a surface."""
+def _tolerance(solid: Solid) -> float:
+    """[m] distance up to which a point counts as on a surface."""
     return ON_SURFACE * float(np.linalg.norm(solid.high - solid.low))
 
 
 class Shape:
-    """Triangles to ask for distances; centered, so that far from the origin no digits are lost."""
+    """Distance and inside queries of triangles, centered to keep precision far from the origin."""
 
     def __init__(self, points: Floats, triangles: Ints) -> None:
         self.center = points.mean(0)
@@ -178,29 +180,29 @@ class Shape:
         return np.asarray(nearest) + self.center, normal / np.where(length > 0.0, length, 1.0)
 
     def nearest(self, X: Floats) -> Floats:
-        """(n, 3) [m] on the triangles."""
+        """(n, 3) [m] closest points on the triangles."""
         return self.closest(X)[1]
 
     def encloses(self, X: Floats) -> Floats:
-        """(n,) inside, by the winding number."""
+        """(n,) True inside, by the generalized winding number."""
         if len(X) == 0:
             return np.zeros(0, bool)
         w = igl.fast_winding_number(self._points, self._triangles, X - self.center)
         return np.abs(np.asarray(w).reshape(-1)) > INSIDE
 
 
-class _Patch:
-    """What a part of the surface of a solid holds."""
+class _SolidPatch:
+    """The points that a patch of the surface of a solid constrains."""
 
     def __init__(self, region: Region, solid: Solid, at: int) -> None:
         self._patch = Shape(region.points, region.triangles)
         self._solid = solid
         self._own = _OwnSurface(solid, at)
-        self._slack = _slack(solid)
+        self._slack = _tolerance(solid)
         self.nearest = self._patch.nearest
 
     def holds(self, X: Floats) -> Floats:
-        """(n,) on the patch, or outside the solid with the patch nearest."""
+        """(n,) True on the patch, and outside the solid where the patch is nearest."""
         away = self._patch.closest(X)[0]
         out = away <= self._slack
         rest = np.flatnonzero(~out)
@@ -211,21 +213,21 @@ class _Patch:
 
 
 class _OwnSurface:
-    """One surface of a solid among the others."""
+    """Distance queries to the surface that a patch is part of, and to the solid's others."""
 
     def __init__(self, solid: Solid, at: int) -> None:
         self._shape = Shape(solid.surfaces[at].points, solid.triangles[at])
         self.encloses = self._shape.encloses
         others = [k for k in range(len(solid.surfaces)) if k != at]
         self._others = [Shape(solid.surfaces[k].points, solid.triangles[k]) for k in others]
-        self._slack = _slack(solid)
+        self._slack = _tolerance(solid)
 
     def distance(self, X: Floats) -> Floats:
         """(n,) [m]."""
         return self._shape.closest(X)[0]
 
     def nearest(self, X: Floats) -> Floats:
-        """(n,) whether none of the others is nearer: a body next to this one is not held by it."""
+        """(n,) whether no other surface is nearer, so that adjacent bodies are not constrained."""
         out = np.ones(len(X), bool)
         own = self.distance(X) if self._others else 0.0
         for other in self._others:
@@ -233,46 +235,46 @@ class _OwnSurface:
         return out
 
 
-ALONG = 0.1  # thicknesses: sides of a plate may slope so much
-ACROSS = 1.5  # thicknesses: from one side of a plate to the other, where it is not even
+ALONG = 0.1  # [thicknesses] tangential tolerance, where the sides of a plate are not parallel
+ACROSS = 1.5  # [thicknesses] normal tolerance, where the thickness of a plate varies
 
 
-def _sheet_part(
+def _sheet_patch(
     region: Region, solid: Solid, at: int, drawn: Sequence[Surface]
-) -> _SheetPart | None:
-    """What a patch holds if most of it lies within a sheet that was given thickness, else None."""
+) -> _SheetPatch | None:
+    """The patch as part of a thickened sheet, if most of its area is; else None."""
     sheet = next((s for s in drawn if s.path == region.body), None)
     if sheet is None:
         return None
     corners = region.points[region.triangles]
-    off = _OwnSurface(solid, at).distance(corners.mean(1)) > _slack(solid)
+    off = _OwnSurface(solid, at).distance(corners.mean(1)) > _tolerance(solid)
     area = areas(region.points, region.triangles)
-    return _SheetPart(region, solid, at, sheet) if area[off].sum() > 0.5 * area.sum() else None
+    return _SheetPatch(region, solid, at, sheet) if area[off].sum() > 0.5 * area.sum() else None
 
 
-class _SheetPart:
-    """What a part of a sheet holds: all of the flesh that the sheet was given there."""
+class _SheetPatch:
+    """The points that a patch of a thickened sheet constrains: all of the layer at the patch."""
 
     def __init__(self, region: Region, solid: Solid, at: int, sheet: Surface) -> None:
         self._patch = Shape(region.points, region.triangles)
         self._sheet = Shape(sheet.points, sheet.triangles)
         self._solid = solid
         self._own = _OwnSurface(solid, at)
-        self._slack = _slack(solid)
+        self._slack = _tolerance(solid)
         self._thickness = _thickness_at(region, sheet)
         self._far = float(np.linalg.norm(solid.high - solid.low))
         edges = _inner_boundary(region, sheet, self._thickness, self._slack)
-        # an edge is a triangle with two corners in one place
+        # edges as triangles with two equal corners
         self._edges = Shape(region.points, edges[:, [0, 1, 1]]) if len(edges) else None
 
     def holds(self, X: Floats) -> Floats:
-        """(n,) the nearest point of the sheet lies in the patch, or on the back of a plate there,
-        and no other surface is in between."""
+        """(n,) True where the nearest point of the sheet lies in the patch, or opposite to it on
+        the other side of a plate, and no other surface is nearer."""
         at, normal = self._sheet.closest_with_normal(X)
         away = self._patch.nearest(at) - at
         across = np.abs(np.einsum("ni,ni->n", away, normal))
         along = np.sqrt(np.maximum(np.einsum("ni,ni->n", away, away) - across**2, 0.0))
-        # squares of the nearest points lose half of the digits
+        # the difference of squares has half of the digits
         out = along <= self._slack + ALONG * self._thickness
         out &= across <= self._slack + ACROSS * self._thickness
         rest = np.flatnonzero(out)
@@ -281,40 +283,41 @@ class _SheetPart:
         return out
 
     def nearest(self, X: Floats) -> Floats:
-        """(n, 3) [m] where the rest of the sheet begins, as far from it along its normal as X.
+        """(n, 3) [m] nearest points on the border between the patch and the rest of the sheet.
 
-        Far away where the patch is all of the sheet.  Points of other surfaces have no part in it.
+        They are shifted along the sheet's normal to the offset of X, so that distances are measured
+        along the sheet. Where the patch is the whole sheet they are one body diagonal away.
         """
         if self._edges is None:
             return X + self._far
         at, normal = self._sheet.closest_with_normal(X)
         edge = self._edges.nearest(at)
         along = edge - at
-        if self._thickness > 0.0:  # seen from the back of a plate too
+        if self._thickness > 0.0:  # the border may be on the other side of a plate
             along -= np.einsum("ni,ni->n", along, normal)[:, None] * normal
         beside = at + along + np.einsum("ni,ni->n", X - at, normal)[:, None] * normal
         return np.where(self._own.nearest(X)[:, None], beside, self._edges.nearest(X))
 
 
 def _thickness_at(region: Region, sheet: Surface) -> float:
-    """[m] that a sheet has of itself where a patch is: 0, or that of a thin plate."""
-    seen = measure_shells(sheet)
+    """[m] authored thickness of a sheet at a patch: 0, or that of a thin plate."""
+    seen = shells_of(sheet)
     shape = kd_tree(sheet.points[sheet.triangles[seen.source]].mean(1))
     label = seen.label[shape.query(region.points[region.triangles].mean(1))[1]]
     return float(seen.thickness[label].max())
 
 
 def _inner_boundary(region: Region, sheet: Surface, thickness: float, slack: float) -> Ints:
-    """Edges (n, 2) of a patch, points of the region, at which the sheet goes on."""
+    """(n, 2) edges, in points of the region, between a patch and the rest of its sheet."""
     welded, _ = weld(region.points)
-    # faces of the front and the back of a sheet that is modeled with both are one
+    # the two coincident faces of a double-sided sheet count once
     faces = np.unique(np.sort(welded[region.triangles], axis=1), axis=0)
     halves = faces[:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2)
     edges, first, uses = np.unique(halves, axis=0, return_index=True, return_counts=True)
     edges, opposite = edges[uses == 1], faces[:, [2, 0, 1]].reshape(-1)[first[uses == 1]]
     start, end = region.points[edges[:, 0]], region.points[edges[:, 1]]
     if thickness > 0.0:
-        # the sides of a plate are its rim: a step out of the patch does not end on the plate
+        # at the rim of the plate, a step of one thickness out of the patch leaves the plate
         along = end - start
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), slack)
         out = start - region.points[opposite]

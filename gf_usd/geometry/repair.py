@@ -1,8 +1,8 @@
-"""Repairs the triangles that bound a solid; the authored mesh is unchanged.
+"""Mesh repair of the triangles from which the solid is built; the authored mesh is not changed.
 
-Only the triangles for the fill change: faces that enclose nothing are removed, small holes get caps
-without new points, and orientations are made consistent.  Points, faces, UVs and normals of the
-asset are unchanged, and all repairs are counted.
+Degenerate and duplicate triangles are removed, the winding is made consistent and outward, and
+small holes are closed with triangles between existing points. Points, faces, UVs and normals of the
+asset stay as they are. Every change is counted (`Repairs`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gf_usd.geometry.diagnosis import (
     SINGLE,
     WALL,
     authored_faces,
-    doubled,
+    classify_duplicates,
     removable_slivers,
     slivers,
 )
@@ -33,28 +33,28 @@ from gf_usd.geometry.winding import Edges, boundary_loops, fan_area, overlapping
 
 @dataclass(frozen=True, kw_only=True)
 class Repairs:
-    """The repairs of one surface, as numbers of triangles unless stated otherwise."""
+    """The changes to one surface, in numbers of triangles unless stated otherwise."""
 
     path: str
-    collapsed: int = 0  # dropped: two corners in one place
-    slivers: int = 0  # dropped: without area
-    duplicates: int = 0  # dropped: another one faces the same way
-    walls: int = 0  # dropped: back to back inside others or on them, bounding nothing
-    other_sides: int = 0  # dropped: the second side of a surface that was modeled with both
-    turned: int = 0  # faced against their neighbors
-    turned_parts: int = 0  # whole parts that faced the wrong way
-    cavities: int = 0  # parts inside others that face inward, kept so
-    inner: int = 0  # parts dropped: inside others, where there is flesh anyway
-    overlapping: int = 0  # parts that reach into others, kept: what they share is filled once
+    collapsed: int = 0  # removed: two corners coincide
+    slivers: int = 0  # removed: zero area
+    duplicates: int = 0  # removed: coincident with one of the same orientation
+    walls: int = 0  # removed: coincident pairs of opposite orientation that bound no volume
+    other_sides: int = 0  # removed: one side of a double-sided surface
+    turned: int = 0  # winding reversed, to agree with the neighbors
+    turned_parts: int = 0  # parts whose winding was reversed as a whole
+    cavities: int = 0  # parts inside others that face inward, kept
+    inner: int = 0  # parts removed: inside the solid of others, so that they bound no volume
+    overlapping: int = 0  # parts that overlap others, kept: the common volume is filled once
     holes_closed: int = 0  # holes
-    caps: int = 0  # added to close them
+    caps: int = 0  # triangles added to close holes
     largest_closed: float = 0.0  # share of the closed area
     holes_left: int = 0  # holes above the limit
     largest_left: float = 0.0  # share of the closed area
     loose_edges: int = 0  # boundary edges in no closed loop, left open
-    thickened: int = 0  # thin parts that were given one spacing of flesh
-    thickness: float = 0.0  # [m] of theirs
-    thin_left: int = 0  # sheets left as they are: too small, or without two sides
+    thickened: int = 0  # thin parts that were made one spacing thick
+    thickness: float = 0.0  # [m] of the thickened parts
+    thin_left: int = 0  # sheets left unchanged: too small, or non-orientable
 
     @property
     def changed(self) -> bool:
@@ -65,7 +65,7 @@ class Repairs:
         )  # fmt: skip
 
     def messages(self) -> tuple[str, ...]:
-        """A sentence each; empty where nothing was wrong."""
+        """One phrase for each kind of change; empty where there is none."""
         dropped = [
             f"{n} {what}"
             for n, what in (
@@ -124,7 +124,7 @@ class Repairs:
         return tuple(said)
 
     def as_dict(self) -> dict[str, object]:
-        """Every count by name."""
+        """The fields by name."""
         return asdict(self)
 
 
@@ -148,7 +148,7 @@ def consistently_oriented_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
     In each connected part, where two adjacent triangles have opposite orientations, the group of
     smaller area is reversed.
     """
-    made = [_consistently_oriented(surface) for surface in asset.surfaces]
+    made = [_with_consistent_winding(surface) for surface in asset.surfaces]
     said = tuple(
         f"<{surface.path}>: {_count(turned, 'triangle')} facing the other way"
         f" {'is' if turned == 1 else 'are'} turned for the fill; the mesh itself does not change"
@@ -158,8 +158,8 @@ def consistently_oriented_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
     return (replace(asset, surfaces=tuple(one for one, _ in made)), said) if said else (asset, ())
 
 
-def _consistently_oriented(surface: Surface) -> tuple[Surface, int]:
-    """The same for one surface, and the number of reversed triangles."""
+def _with_consistent_winding(surface: Surface) -> tuple[Surface, int]:
+    """As above for one surface, with the number of triangles whose winding was reversed."""
     welded = weld(surface.points)[0][surface.triangles]
     sound = np.flatnonzero(proper(welded))
     triangles = welded[sound]
@@ -170,46 +170,41 @@ def _consistently_oriented(surface: Surface) -> tuple[Surface, int]:
     against = np.zeros(len(welded), bool)
     against[sound] = winding.patches(surface.points, triangles, edges).against
     corners = np.arange(3 * len(welded)).reshape(-1, 3)
-    return _with_slots(surface, winding.turned(corners, against)), int(against.sum())
+    return _with_corners(surface, winding.flipped(corners, against)), int(against.sum())
 
 
 def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
-    """A surface whose triangles bound a solid as well as they can, and what was done.
+    """The surface with repaired triangles, and the changes.
 
-    In this order: drop collapsed triangles, those without area that hold no seam together,
-    duplicates, walls back to back and second sides; make neighbors agree; face every part outward,
-    cavities aside; drop parts inside others, which bound nothing; close holes up to `HOLE_LIMIT`.
-    Nothing but the triangles and what hangs on their corners changes.
+    In this order: remove collapsed triangles, removable slivers and duplicates
+    (`classify_duplicates`); make the winding of neighbors consistent; orient every part outward,
+    except cavities; remove parts inside others that bound no volume; close holes up to
+    `HOLE_LIMIT`. Only the triangles and their per-corner attributes change.
     """
     points = surface.points
     vertex = weld(points)[0][surface.triangles].reshape(-1)
-    material_parts = np.arange(len(vertex)).reshape(
-        -1, 3
-    )  # corners of Surface.triangles, counted through
-
-    sound = proper(vertex[material_parts])
-    material_parts = material_parts[sound]
-    flat = removable_slivers(
-        slivers(points, vertex[material_parts]), Edges.of(vertex[material_parts])
-    )
-    material_parts = material_parts[~flat]
-    double = doubled(vertex[material_parts], authored_faces(surface)[material_parts[:, 0] // 3])
-    material_parts = material_parts[double == SINGLE]
-    if len(material_parts) == 0:
+    corners = np.arange(len(vertex)).reshape(-1, 3)  # flat indices into Surface.triangles
+    sound = proper(vertex[corners])
+    corners = corners[sound]
+    triangles = vertex[corners]
+    flat = removable_slivers(slivers(points, triangles), Edges.of(triangles))
+    corners = corners[~flat]
+    face = authored_faces(surface)[corners[:, 0] // 3]
+    double = classify_duplicates(vertex[corners], face)
+    corners = corners[double == SINGLE]
+    if len(corners) == 0:
         return surface, Repairs(path=surface.path)
 
-    patch = winding.patches(points, vertex[material_parts], Edges.of(vertex[material_parts]))
-    material_parts = winding.turned(material_parts, patch.against)
-    facing = winding.facing(points, vertex[material_parts], patch.label)
-    material_parts = winding.turned(material_parts, facing.wrong[patch.label])
-    kept = ~facing.inner[patch.label]
-    material_parts, label = (
-        material_parts[kept],
-        np.unique(patch.label[kept], return_inverse=True)[1],
-    )
-    shared = overlapping(points, vertex[material_parts], label)
-    caps, closing = _close(points, vertex, material_parts)
-    material_parts = np.concatenate([material_parts, caps])
+    patch = winding.patches(points, vertex[corners], Edges.of(vertex[corners]))
+    corners = winding.flipped(corners, patch.against)
+    orientation = winding.orientations(points, vertex[corners], patch.label)
+    corners = winding.flipped(corners, orientation.wrong[patch.label])
+    kept = ~orientation.inner[patch.label]
+    corners = corners[kept]
+    label = np.unique(patch.label[kept], return_inverse=True)[1]
+    shared = overlapping(points, vertex[corners], label)
+    caps, closing = _close(points, vertex, corners)
+    corners = np.concatenate([corners, caps])
 
     done = Repairs(
         path=surface.path,
@@ -219,19 +214,19 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
         walls=int((double == WALL).sum()),
         other_sides=int((double == OTHER_SIDE).sum()),
         turned=int(patch.against.sum()),
-        turned_parts=int((facing.wrong & ~facing.inner).sum()),
-        inner=int(facing.inner.sum()),
-        cavities=int((facing.goal == -1).sum()),
+        turned_parts=int((orientation.wrong & ~orientation.inner).sum()),
+        inner=int(orientation.inner.sum()),
+        cavities=int((orientation.target == -1).sum()),
         overlapping=int(shared.sum()),
         caps=len(caps),
         **closing,
     )
-    return (_with_slots(surface, material_parts) if done.changed else surface), done
+    return (_with_corners(surface, corners) if done.changed else surface), done
 
 
-def _close(points: Floats, vertex: Ints, material_parts: Ints) -> tuple[Ints, dict[str, Any]]:
-    """Caps (C, 3) of slots over the small holes, and what was counted."""
-    triangles = vertex[material_parts]
+def _close(points: Floats, vertex: Ints, corners: Ints) -> tuple[Ints, dict[str, Any]]:
+    """(C, 3) corners of the triangles that close the small holes, and fields of `Repairs`."""
+    triangles = vertex[corners]
     label = shells(triangles)
     area = np.bincount(label, areas(points, triangles))
     loops, loose = boundary_loops(Edges.of(triangles))
@@ -246,9 +241,10 @@ def _close(points: Floats, vertex: Ints, material_parts: Ints) -> tuple[Ints, di
             large.append(share)
             continue
         small.append(share)
-        ring = material_parts.reshape(-1)[loop[::-1]]  # a cap runs along each edge the other way
-        _, corners, _ = triangulate(points, np.array([len(ring)]), vertex[ring])
-        caps.append(ring[corners])
+        # reversed: adjacent triangles traverse their common edge in opposite directions
+        ring = corners.reshape(-1)[loop[::-1]]
+        _, of_ring, _ = triangulate(points, np.array([len(ring)]), vertex[ring])
+        caps.append(ring[of_ring])
     return np.concatenate(caps), {
         "holes_closed": len(small) - 1,
         "largest_closed": float(max(small)),
@@ -258,21 +254,22 @@ def _close(points: Floats, vertex: Ints, material_parts: Ints) -> tuple[Ints, di
     }
 
 
-def _with_slots(surface: Surface, material_parts: Ints) -> Surface:
-    """The surface with triangles made of these corners of its own triangles, (T', 3).
+def _with_corners(surface: Surface, corners: Ints) -> Surface:
+    """The surface with new triangles, whose corners (T', 3) are corners of its own triangles.
 
-    A cap takes color and UV at each corner, and its material, from the triangle next to it.
+    A triangle over a hole takes the color and UV at each corner, and its material, from the
+    triangle next to it.
     """
     colors, uvs, materials = (
         surface.triangle_colors, surface.triangle_uvs, surface.triangle_materials,
     )  # fmt: skip
     return replace(
         surface,
-        triangles=np.ascontiguousarray(surface.triangles.reshape(-1)[material_parts]),
-        triangle_corners=np.ascontiguousarray(surface.triangle_corners.reshape(-1)[material_parts]),
-        triangle_colors=None if colors is None else colors.reshape(-1, 3)[material_parts],
-        triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[material_parts],
-        triangle_materials=None if materials is None else materials[material_parts[:, 0] // 3],
+        triangles=np.ascontiguousarray(surface.triangles.reshape(-1)[corners]),
+        triangle_corners=np.ascontiguousarray(surface.triangle_corners.reshape(-1)[corners]),
+        triangle_colors=None if colors is None else colors.reshape(-1, 3)[corners],
+        triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[corners],
+        triangle_materials=None if materials is None else materials[corners[:, 0] // 3],
     )
 
 

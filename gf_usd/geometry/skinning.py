@@ -1,17 +1,17 @@
-"""Skins that follow the particles by inverse-distance weights.
+"""Skinning of vertices to the particles, by inverse-distance weights.
 
-Vertex v at rest X_v hangs on the particles k with weights w_vk >= 0, sum_k w_vk = 1, that fall
-with distance, w ~ |X_v - X_k|^-p, and keeps the rest offset from their mean
+Vertex v at rest X_v has weights w_vk >= 0, sum_k w_vk = 1, on the particles k, which decrease with
+distance, w ~ |X_v - X_k|^-p, and keeps its rest offset from their weighted mean
 (GaussianFlesh section 3.4, eq. 6):
 
     delta_v = X_v - sum_k w_vk X_k          x_v = sum_k w_vk x_k + T_v delta_v
 
-An offset is a material vector, and T_v = sum_k w_vk F_k turns and stretches it as one: exact for
-every affine map.  The paper's T_v = sum_k w_vk U_k, F = R U, stretches it and leaves it where it
-pointed at rest: exact for a pure stretch, wrong by |(R - I) delta| where the body turns.
+An offset is a material vector, and T_v = sum_k w_vk F_k rotates and stretches it as one: exact for
+every affine map.  The paper's T_v = sum_k w_vk U_k, F = R U, stretches it without rotating it:
+exact for a pure stretch, with an error of |(R - I) delta| where the body rotates.
 
-Velocities take dT/dt from dF/dt = dv/dX at the particles, the gradient of their velocities; see
-`rest_gradient`.  Nothing is kept from frame to frame.
+Velocities need dT/dt, from dF/dt = dv/dX at the particles, the gradient of their velocities with
+respect to rest positions (`rest_gradient`).  A pose does not depend on the frames before it.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from gf_usd.core.frames import Pose
 from gf_usd.core.matrices import stretch
 from gf_usd.core.neighbors import nearest, operator, slopes, squared_distances
 
-NEIGHBORS = 32  # particles that carry a vertex of the idw skin
+NEIGHBORS = 32  # particles per vertex of the idw skin
 IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins
 PAPER_POWER = 2.0  # not published; fitted to the tables of the paper
-GRADIENT_NEIGHBORS = 20  # enough for a rank of 3 at a corner, few enough to stay local
-# Of dense weights held at once: they stay in a core's cache, and BLAS does not share such a product
-# out among threads, which takes several times as long where cores are busy (measured).
+GRADIENT_NEIGHBORS = 20  # enough for a rank of 3 at a corner, few enough for a local gradient
+# Dense weights per chunk: they fit in a core's cache, and BLAS does not split so small a product
+# among threads, which takes several times as long where cores are busy (measured).
 CHUNK_BYTES = 200_000
 KEPT_BYTES = 32_000_000  # of weights that are kept from frame to frame
 SKIN_NOTES = {
@@ -45,12 +45,12 @@ SKIN_NOTES = {
 
 
 class Skin(Protocol):
-    """Points that follow a cloud of particles."""
+    """Points skinned to a set of particles."""
 
     def pose(self, particles: Pose, turn: Floats | None = None) -> Pose:
         """x (n, 3) [m], v (n, 3) [m/s] and blended F (n, 3, 3) of the points.
 
-        turn : (N, 3, 3) R of the particles' F, where it is known.
+        turn : (N, 3, 3) rotations R of the particles' F = R U; None: they are computed if needed.
         """
         ...
 
@@ -72,13 +72,13 @@ class InverseDistance:
         """x = sum w x_k + F delta,  v = sum w v_k + dF/dt delta,  F = sum w F_k."""
         rate = slopes(self.gradient, particles.v)
         x, v, F, dF = blend(self.W.__matmul__, particles.x, particles.v, particles.F, rate)
-        return Pose(x=x + turned(F, self.offset), v=v + turned(dF, self.offset), F=F)
+        return Pose(x=x + transformed(F, self.offset), v=v + transformed(dF, self.offset), F=F)
 
 
 class PaperSkin:
-    """The paper's eq. 6: weights on the full cloud, offsets transformed by the blended stretch U.
+    """The paper's eq. 6: weights on all particles, offsets transformed by the blended stretch U.
 
-    The weights (n x N) are kept where they are few, else computed afresh whenever they are used.
+    The weights (n x N) are stored where they fit in `KEPT_BYTES`, else recomputed at every use.
     X : (n, 3) [m] rest positions of the points; particles : (N, 3) [m] of the particles.
     """
 
@@ -100,16 +100,16 @@ class PaperSkin:
         x, v, F, U, dU = blend(
             self.weights.__matmul__, particles.x, particles.v, particles.F, U, dU
         )
-        return Pose(x=x + turned(U, self.offset), v=v + turned(dU, self.offset), F=F)
+        return Pose(x=x + transformed(U, self.offset), v=v + transformed(dU, self.offset), F=F)
 
 
 SKINS: dict[str, Callable[[Floats, Floats], Skin]] = {"idw": InverseDistance, "paper": PaperSkin}
 
 
 def make_skin(name: str, X: Floats, particles: Floats) -> Skin:
-    """A row of SKINS for points X (n, 3) [m] on particles (N, 3) [m], both at rest.
+    """The skin of SKINS for points X (n, 3) [m] on particles (N, 3) [m], both at rest.
 
-    Raises UsageError for a name that is none of them.
+    Raises UsageError for a name that is not in SKINS.
     """
     if name not in SKINS:
         raise UsageError(f"unknown skin {name!r} on particles", f"choose one of {', '.join(SKINS)}")
@@ -141,10 +141,10 @@ class MeshSkin:
 def inverse_distance(squared: Floats, power: float) -> Floats:
     """w = d^-p / sum d^-p along the last axis, from squared distances (..., k).
 
-    A point on a particle follows that one alone; on several, their mean.
+    A point that coincides with particles follows their mean alone.
     """
     least = squared.min(-1, keepdims=True)
-    # Relative to the nearest: no power of a distance over- or underflows, whatever the units.
+    # Relative to the nearest, so that no power of a distance over- or underflows in any unit.
     if least.all():
         w = least / squared
         if power != 2.0:
@@ -169,8 +169,8 @@ def nearest_weights(X: Floats, particles: Floats, k: int, power: float) -> spars
 class CloudWeights:
     """Inverse-distance weights (n, N) on every particle, a chunk of rows at a time.
 
-    chunk_bytes bounds a chunk; one row (8 N bytes) is the least.  Chunks are kept where all of them
-    take at most `kept_bytes`, which changes no digit.
+    chunk_bytes is the size of a chunk, at least one row (8 N bytes).  Chunks are stored where all
+    of them take at most `kept_bytes`; the results are bit-identical either way.
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class CloudWeights:
             self.kept = [self._weights(chunk) for chunk in self.chunks]
 
     def __matmul__(self, values: Floats) -> Floats:
-        """(n, c) of values (N, c)."""
+        """(n, c) weighted sums of values (N, c)."""
         out = np.empty((len(self.X), values.shape[1]))
         for k, chunk in enumerate(self.chunks):
             weights = self.kept[k] if self.kept else self._weights(chunk)
@@ -213,14 +213,14 @@ def blend(apply: Callable[[Floats], Floats], *fields: Floats) -> tuple[Floats, .
     return tuple(out)
 
 
-def turned(T: Floats, offset: Floats) -> Floats:
+def transformed(T: Floats, offset: Floats) -> Floats:
     """T_v delta_v, (n, 3)."""
     return np.einsum("vab,vb->va", T, offset)
 
 
 def rest_gradient(particles: Floats, k: int = GRADIENT_NEIGHBORS) -> sparse.csr_matrix:
-    """The operator of `slopes` over the k nearest particles, weights 1 / |dX|^2."""
+    """Least-squares gradient operator (`slopes`) over the k nearest particles, weights 1/|dX|^2."""
     distance, near = nearest(particles, particles, min(k + 1, len(particles)))
-    apart = distance > 0.0  # the particle itself, and any that lies on it, tells nothing
+    apart = distance > 0.0  # the particle itself, and any coincident one, has no weight
     w = np.where(apart, 1.0 / np.where(apart, distance, 1.0) ** 2, 0.0)
     return operator(near, particles[near] - particles[:, None, :], w)

@@ -1,8 +1,8 @@
 """A solid: the surfaces that bound it, and the test for points inside.
 
-A point is inside where the generalized winding number of a closed surface exceeds one half
-(Jacobson, Kavan and Sorkine-Hornung 2013), taken surface by surface and regardless of sign: shells
-that overlap, that are inside out or that miss a few faces are judged right.
+A point is inside where the absolute value of the generalized winding number of a surface exceeds
+one half (Jacobson, Kavan and Sorkine-Hornung 2013). It is evaluated for each surface separately,
+which is robust to overlapping shells, reversed winding and small holes.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume, weld
 from gf_usd.core.neighbors import components
 
-OPEN_FRACTION = 0.25  # holes above this share of the closed area leave no inside worth the name
+OPEN_FRACTION = 0.25  # share of holes in the closed area above which a surface has no inside
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat
-PROBES = 200_000  # points that measure volumes which have no closed form
-LEAST_PROBES = 2_000  # of them in each group of surfaces whose boxes meet
+PROBES = 200_000  # sample points for volumes without a closed form
+LEAST_PROBES = 2_000  # of them in each group of surfaces whose boxes overlap
 RECURRENCE = 1.2207440846057596
 INSIDE = 0.5
 
@@ -46,7 +46,7 @@ class Solid:
         """(n,) True for points (n, 3) [m] inside any of the surfaces."""
         out = np.zeros(len(X), bool)
         for surface, triangles in zip(self.surfaces, self.triangles):
-            # Centered, so that an asset far from the origin loses no digits.
+            # Centered, to keep precision far from the origin.
             center = surface.points.mean(0)
             near = ~out & self._in_box(X, surface.points)
             if near.any():
@@ -171,10 +171,10 @@ def _welded(surface: Surface) -> tuple[Ints, Ints, str]:
 
 
 def spread_evenly(count: int) -> NDArray[np.float64]:
-    """(count, 3) points of the unit cube: the additive recurrence of three dimensions.
+    """(count, 3) quasirandom points of the unit cube: the R3 sequence (Roberts 2018).
 
-    x_k = 1/2 + k (1/g, 1/g^2, 1/g^3) mod 1 with g^4 = g + 1 (Roberts 2018).  A lattice would miss
-    or take whole layers of what has faces along its planes.
+    x_k = 1/2 + k (1/g, 1/g^2, 1/g^3) mod 1 with g^4 = g + 1.  A regular lattice would miss or count
+    whole layers of solids with axis-aligned faces.
     """
     return (0.5 + np.arange(count)[:, None] / RECURRENCE ** np.arange(1, 4)) % 1.0
 
@@ -182,8 +182,8 @@ def spread_evenly(count: int) -> NDArray[np.float64]:
 def _volume(solid: Solid, asset: Asset, repaired: bool) -> float:
     """Volume of the union [m^3].
 
-    That of a closed shell whose box meets no other surface's is exact, by the divergence theorem;
-    the others are counted by probes, each group whose boxes meet in its own box.
+    The volume of a single closed shell whose box overlaps no other is exact, by the divergence
+    theorem. The others are grouped by overlapping boxes, and each group is sampled in its box.
     """
     total, counted = 0.0, []
     for members in np.split(*_by_box(solid)):
@@ -212,9 +212,9 @@ def _one_shell(triangles: Ints) -> bool:
 
 
 def _by_box(solid: Solid) -> tuple[Ints, Ints]:
-    """Surfaces (S,), those whose boxes meet, also by way of others, next to each other.
+    """(S,) surfaces in order of groups of transitively overlapping boxes.
 
-    Second: where each group after the first begins.
+    Second: the start of each group but the first.
     """
     low = np.array([s.face_points.min(0) for s in solid.surfaces])
     high = np.array([s.face_points.max(0) for s in solid.surfaces])

@@ -1,16 +1,17 @@
-"""A closed surface around captured Gaussians, which is filled in their place.
+"""Surface reconstruction from captured Gaussians: a closed mesh, which is filled in their place.
 
-Gaussians that say nothing of the body are set aside: faint ones, giants, strays far from all
-others and small islands.  They still move with the body.
+Outliers are excluded from the reconstruction: Gaussians of low opacity, very large ones, isolated
+ones and small clusters.  They are still animated with the body.
 
-The density of Gaussians on a grid, and the closed region that it shows.
+The others give a density on a grid with cells of edge h,
 
     rho(x) = sum_p o_p exp(-(x - p)^T (Sigma_p + (h/2)^2 I)^-1 (x - p) / 2)
 
-on cells of edge h: half a cell is added to every axis, so that a disc between two cells is still
-seen by both.  Captures are hollow: their Gaussians lie on the surface.  So the cells where rho is
-above a level are dilated until they close, what cannot be reached from outside is filled, and the
-surface is taken back to where the Gaussians are.
+with opacity o_p, center p and covariance Sigma_p; the added variance (h/2)^2 makes a disc between
+two cell centers visible at both.  The Gaussians of a capture lie on the surface of the object, so
+the cells with rho above a threshold form a hollow wall.  The wall is dilated until it is closed,
+its interior is filled (cells not connected to the outside), and the surface is the level set of the
+signed distance on which most Gaussians lie.
 """
 
 from __future__ import annotations
@@ -30,20 +31,20 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import proper, signed_volume, weld
 from gf_usd.core.radiance import srgb_to_linear
 
-FAINT = 0.1  # opacity below which a Gaussian is haze
-GIANT = 0.25  # of the body's size: a longer standard deviation is background
+FAINT = 0.1  # opacity below which a Gaussian is excluded
+GIANT = 0.25  # of the body's diagonal: standard deviation above which it is excluded
 NEIGHBORS = 8
-STRAY = 10.0  # mean distance of the neighbors over the median of all
-ISLAND = 0.02  # share of the Gaussians below which what hangs together is no body
-LEAST = 50  # Gaussians that can bound a body
-FAR = 2.0  # [cells] beyond the surface: what lies farther hangs on it
+STRAY = 10.0  # mean distance of the neighbors over the median, above which it is excluded
+ISLAND = 0.02  # share of the Gaussians below which a connected component is excluded
+LEAST = 50  # Gaussians needed for a reconstruction
+FAR = 2.0  # [cells] from the surface: Gaussians outside beyond it are attached to its nearest point
 TYPE = "ParticleField3DGaussianSplat"
 
 
 def with_hulls(asset: Asset) -> Asset:
-    """The asset with a surface for each set of Gaussians; notes say what was done.
+    """The asset with a reconstructed surface for each set of Gaussians, and notes.
 
-    Raises InputError for a set that bounds no body.
+    Raises InputError, as `hull`, with the asset's file.
     """
     if not asset.splats:
         return asset
@@ -60,9 +61,10 @@ def with_hulls(asset: Asset) -> Asset:
 
 
 def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
-    """The surface around a set of Gaussians, and what was set aside, in words.
+    """The surface around a set of Gaussians, and notes on what was excluded.
 
-    Raises InputError where too few are left, or where they bound nothing.
+    up : index of the up axis.  Raises InputError where fewer than `LEAST` Gaussians are left, or
+    where the surface is empty.
     """
     kept, spacing, notes = _of_the_body(splats)
     kept, grid, rho = _without_islands(splats, kept, spacing, notes)
@@ -100,9 +102,7 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
 
 
 def _of_the_body(splats: Splats) -> tuple[Ints, float, list[str]]:
-    """Rows of the Gaussians that may bound the body, their mean distance [m] from neighbors, and
-    how many of the others there are.
-    """
+    """Rows of the Gaussians without outliers, their median distance [m] to neighbors, and notes."""
     rows = np.arange(len(splats))
     notes: list[str] = []
 
@@ -131,13 +131,13 @@ def _of_the_body(splats: Splats) -> tuple[Ints, float, list[str]]:
 def _without_islands(
     splats: Splats, rows: Ints, spacing: float, notes: list[str]
 ) -> tuple[Ints, Grid, Floats]:
-    """What is left without the small islands, and its field."""
+    """Rows without small connected components, and the grid and density of what is left."""
     grid, rho = _field(splats, rows, spacing)
     cell = np.rint(grid.cells(splats.points[rows])).astype(int)
     labels = islands(rho, tuple(cell.T))
     label = labels[tuple(cell.T)]
     count = np.bincount(label, minlength=labels.max() + 1)
-    # 0 are cells that even their own Gaussian hardly fills
+    # label 0: cells below the threshold in spite of their own Gaussian
     small = (count < ISLAND * len(rows))[label] | (label == 0)
     if not small.any():
         return rows, grid, rho
@@ -165,7 +165,10 @@ def _require(splats: Splats, rows: Ints) -> None:
 
 
 def _anchors(X: Floats, points: Floats, triangles: Ints, far: float) -> NDArray[np.float64]:
-    """(n, 3) [m] X itself inside the surface and near it; elsewhere the nearest point of it."""
+    """(n, 3) [m] where Gaussians at X (n, 3) are attached.
+
+    X itself inside the surface and within `far` [m] of it; elsewhere its nearest point.
+    """
     center = points.mean(0)
     local = points - center
     found: Any = igl.point_mesh_squared_distance(X - center, local, triangles)
@@ -180,16 +183,16 @@ def _anchors(X: Floats, points: Floats, triangles: Ints, far: float) -> NDArray[
 
 
 def _contour(region: Region) -> tuple[NDArray[np.float64], Ints]:
-    """Points (V, 3) [m] and triangles (T, 3) of distance 0, by marching cubes."""
+    """Points (V, 3) [m] and triangles (T, 3) of the zero level set, by marching cubes."""
     n = region.grid.shape
-    # igl wants x to run fastest
+    # igl expects x to vary fastest
     z, y, x = np.meshgrid(*(np.arange(n[d]) for d in (2, 1, 0)), indexing="ij")
     where = np.stack([x.ravel(), y.ravel(), z.ravel()], -1).astype(float)
     values = np.ascontiguousarray(region.distance.transpose(2, 1, 0)).ravel()
-    march: Any = igl.marching_cubes  # its stub knows no unpacked sizes
+    march: Any = igl.marching_cubes  # its stub rejects unpacked sizes
     made = march(values, region.grid.low + region.grid.h * where, *map(int, n), 0.0)
     points = np.asarray(made[0])
-    # where the surface goes through a corner of the grid, triangles have no size
+    # triangles are degenerate where the surface passes through a grid point
     one, _ = weld(points)
     triangles = one[np.asarray(made[1], np.int64)]
     triangles = triangles[proper(triangles)]
@@ -198,18 +201,18 @@ def _contour(region: Region) -> tuple[NDArray[np.float64], Ints]:
 
 
 RESOLUTION = 96  # cells along the longest side
-MARGIN = 12  # cells around: the widest dilation and the blur stay inside
-REACH = 2.2  # [standard deviations] a Gaussian is cut off at exp(-2.4) = 0.09
-LEVEL = 0.2  # rho of a solid cell: one opaque Gaussian at the corner of its cell has 0.22
-PAIRS = 150_000_000  # Gaussians times cells looked at: about ten seconds
-CHUNK = 4_000_000  # of them at once: bounds memory
+MARGIN = 12  # cells around the box, for the widest dilation and the blur
+REACH = 2.2  # [standard deviations] a Gaussian is truncated at exp(-2.4) = 0.09
+LEVEL = 0.2  # threshold of rho: one opaque Gaussian at the corner of its cell has 0.22
+PAIRS = 150_000_000  # pairs of a Gaussian and a cell that are evaluated: about ten seconds
+CHUNK = 4_000_000  # pairs at a time: bounds memory
 PER_SPACING = 4.0  # cells between neighbors, at most
-BRIDGES = (1.5, 3.0, 5.0, 8.0)  # [cells]
-CLOSINGS = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)  # [cells]
-PATCHED = 2.0  # [cells] where none of them closes it: a side is missing, and that is closed flat
-LEAK = 0.05  # share of the solid that may lie open and yet be blocked on all six sides
-BLUR = 1.0  # [cells] takes the steps off
-OUTER = 0.1  # share of the centers that end up outside
+BRIDGES = (1.5, 3.0, 5.0, 8.0)  # [cells] dilations tried to connect components
+CLOSINGS = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)  # [cells] dilations tried to close the wall
+PATCHED = 2.0  # [cells] dilation where none of these closes it: one side is missing
+LEAK = 0.05  # share of cells outside, yet blocked on all six sides, up to which the wall is closed
+BLUR = 1.0  # [cells] standard deviation that smooths the steps between cells
+OUTER = 0.1  # quantile of the signed distance at the centers, which is the level of the surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,27 +224,27 @@ class Grid:
     shape: tuple[int, int, int]
 
     def cells(self, X: Floats) -> NDArray[np.float64]:
-        """(n, 3) places of points (n, 3) [m] in cells."""
+        """(n, 3) cell coordinates of points (n, 3) [m]."""
         return (np.asarray(X, float) - self.low) / self.h
 
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """A closed region as a signed distance on a grid."""
+    """A closed region, as a signed distance field on a grid."""
 
     grid: Grid
     distance: NDArray[np.float64]  # [cells] positive inside, 0 on the surface
-    closing: float  # [m] gaps up to twice this were closed
-    capped: bool  # it was open below and was closed flat
-    flat: bool  # a side was missing, and it was closed flat there
+    closing: float  # [m] dilation: gaps up to twice as wide were closed
+    capped: bool  # an open bottom was closed by a plane
+    flat: bool  # a missing side was closed by a plane
 
 
 def field(
     points: Floats, axes: Floats, opacities: Floats, spacing: float
 ) -> tuple[Grid, NDArray[np.float64]]:
-    """rho of Gaussians at points (n, 3) [m] with axes (n, 3, 3) [m] on a grid around them.
+    """A grid around Gaussians at points (n, 3) [m] with axes (n, 3, 3) [m], and rho on it.
 
-    spacing : [m] between neighbors; finer cells would see nothing but gaps.
+    spacing : [m] median distance of neighbors, which bounds the cell size from below.
     """
     low, high = points.min(0), points.max(0)
     h = max(float((high - low).max()) / RESOLUTION, spacing / PER_SPACING)
@@ -258,7 +261,7 @@ def field(
     grid = Grid(low=low - margin * h, h=h, shape=(int(n[0]), int(n[1]), int(n[2])))
     inverse = np.linalg.inv(covariance / h**2 + 0.25 * np.eye(3))
     place = grid.cells(points)
-    # In steps of a byte, as most files have them: a capture has one surface in every format.
+    # Quantized to 8 bits as in most files, so that every format gives the same surface.
     weight = np.rint(255.0 * np.asarray(opacities, float)) / 255.0
     rho = np.zeros(n.prod())
     for r in np.unique(radius):
@@ -280,7 +283,7 @@ def field(
 
 
 def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
-    """The region that Gaussians around points (n, 3) [m] bound; up is the index of the up axis."""
+    """The region that Gaussians at points (n, 3) [m] enclose; up : index of the up axis."""
     away = _distance(rho < LEVEL)
     flat = False
     for closing in CLOSINGS:
@@ -300,7 +303,7 @@ def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
     signed = _distance(filled) - _distance(~filled)
     smooth = ndimage.gaussian_filter(signed, BLUR)
     at = ndimage.map_coordinates(smooth, grid.cells(points).T, order=1)
-    # a surface that ate the whole body would be none: stay below the deepest cell
+    # at most half of the greatest depth, so that the level set is not empty
     level = min(float(np.quantile(at, OUTER)), 0.5 * float(smooth.max()))
     return Region(
         grid=grid, distance=smooth - level, closing=closing * grid.h, capped=capped, flat=flat
@@ -308,9 +311,9 @@ def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
 
 
 def islands(rho: Floats, cells: tuple[Ints, ...]) -> NDArray[np.int64]:
-    """Labels from 1 of the solid cells that hang together; 0 outside.
+    """Labels from 1 of the connected components of the cells with rho >= LEVEL; 0 elsewhere.
 
-    cells : of each Gaussian.  Gaps are bridged until one of them has half of the Gaussians.
+    cells : of each Gaussian.  Cells are dilated until one component has half of the Gaussians.
     """
     away = _distance(rho < LEVEL)
     for bridge in BRIDGES:
@@ -321,24 +324,24 @@ def islands(rho: Floats, cells: tuple[Ints, ...]) -> NDArray[np.int64]:
 
 
 def _labels(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Labels from 1 of the cells that hang together by faces; 0 outside the mask."""
-    label: Any = ndimage.label  # its stub knows no pair
+    """Labels from 1 of the face-connected components of a mask; 0 outside it."""
+    label: Any = ndimage.label  # its stub returns no pair
     return label(mask)[0]
 
 
 def _filled(wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The wall and what cannot be reached from a corner of the grid, which lies outside."""
+    """The wall and its interior: all cells not connected to a corner of the grid."""
     outside = _labels(~wall)
     return outside != outside[0, 0, 0]
 
 
 def _distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """[cells] from each cell of the mask to the nearest outside it."""
+    """[cells] Euclidean distance of each cell of the mask to the nearest cell outside it."""
     return np.asarray(ndimage.distance_transform_edt(mask), float)
 
 
 def _sides(wall: NDArray[np.bool_]) -> NDArray[np.int8]:
-    """Along how many of the six sides each cell sees the wall."""
+    """In how many of the six axis directions a ray from each cell hits the wall."""
     out = np.zeros(wall.shape, np.int8)
     for side in range(6):
         out += _blocked(wall, side)
@@ -346,7 +349,7 @@ def _sides(wall: NDArray[np.bool_]) -> NDArray[np.int8]:
 
 
 def _blocked(wall: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
-    """Cells that see the wall along a side: -x, +x, -y, +y, -z, +z (0 to 5)."""
+    """Cells whose ray hits the wall in one direction: -x, +x, -y, +y, -z, +z (0 to 5)."""
     axis, ahead = divmod(side, 2)
     seen = np.flip(wall, axis) if ahead else wall
     seen = np.logical_or.accumulate(seen, axis=axis)

@@ -1,4 +1,4 @@
-"""The nearest point of a set of surfaces, with its normal and color."""
+"""Closest-point queries on the surfaces of a solid, with normals and colors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
     n = np.cross(b - a, c - a)
     length = np.linalg.norm(n, axis=1, keepdims=True)
     n = n / np.where(length > 0.0, length, 1.0)
-    # A surface that is inside out as a whole still has an outside.
+    # The normals of a surface that is inside out as a whole are negated.
     sign = np.array([solid.orientation(k) for k in range(len(solid.surfaces))])
     return Nearest(
         surface=owner[at],
@@ -54,7 +54,7 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
 
 
 def barycentric(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """(n, 3) weights of p in triangles abc; a corner where a triangle has no area."""
+    """(n, 3) barycentric coordinates of p in triangles abc; a corner for degenerate triangles."""
     u, v, w = b - a, c - a, p - a
     uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
     wu, wv = (w * u).sum(1), (w * v).sum(1)
@@ -70,7 +70,8 @@ def barycentric(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
 def colors(solid: Solid, at: Nearest) -> NDArray[np.float64]:
     """(n, 3) linear colors at nearest points.
 
-    A bound material's texture comes first, then its constant, then displayColor, then gray.
+    In this order of precedence: texture of the bound material, its constant color, displayColor,
+    mid gray.
     """
     out = np.tile(NO_COLOR, (len(at.triangle), 1))
     for index, surface in enumerate(solid.surfaces):

@@ -1,8 +1,10 @@
-"""Orientation of triangles: consistent patches, and which shell lies inside which.
+"""Winding of triangle meshes: consistent orientation, containment, half-edges, boundary loops.
 
-The edges of a triangle mesh, and the loops that its boundary makes.
-
-Parts of one surface that reach into each other.
+patches          manifold parts, and their triangles of inconsistent winding
+orientations     which parts face outward, which are cavities, which bound no volume
+Edges            half-edges and edges
+boundary_loops   closed loops of boundary edges
+overlapping      parts whose solids overlap
 """
 
 from __future__ import annotations
@@ -21,26 +23,27 @@ from gf_usd.core.neighbors import components
 
 Flags = NDArray[np.bool_]
 
-FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): no inside, so no outside either
-OPEN_FRACTION = 0.25  # a wider mouth: neither
-PROBES = 16  # vertices of a part that must lie inside another for the part to do
-SIDES = 1024  # parts whose boxes are compared together: bounds memory
+FLAT_FRACTION = 1e-4  # share of (area)^(3/2) below which a volume counts as 0: no inside
+OPEN_FRACTION = 0.25  # of `open_fractions`, above which a part has no inside
+PROBES = 16  # vertices of a part that are tested to lie inside another
+BATCH = 1024  # parts whose boxes are compared at a time: bounds memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class Patches:
-    """Triangles joined across edges that exactly two of them share."""
+    """Parts connected across manifold edges, which exactly two triangles share."""
 
-    label: Ints  # (T,) 0, 1, ...
-    against: Flags  # (T,) faces against the greater part, by area, of its patch
-    one_sided: Flags  # (T,) of a patch that no choice of directions makes agree (a Moebius strip)
+    label: Ints  # (T,) of the patch: 0, 1, ...
+    against: Flags  # (T,) wound opposite to the majority, by area, of its patch
+    one_sided: Flags  # (T,) of a non-orientable patch, such as a Moebius strip
 
 
 def patches(points: Floats, triangles: Ints, edges: Edges) -> Patches:
-    """Patches of welded triangles (T, 3), and which triangles face against their own.
+    """Patches of welded triangles (T, 3), and their triangles of inconsistent winding.
 
-    Two copies of every triangle, as it is and turned, are joined wherever two neighbors agree: a
-    patch that can be made to agree falls into two sheets, each the other turned inside out.
+    By the orientation double cover: every triangle is in it twice, as it is and reversed, and
+    copies of neighbors are connected where their windings are consistent.  An orientable patch has
+    two connected components, which are each other's reverse; a non-orientable one has one.
     """
     n = len(triangles)
     one, two = edges.pairs.T
@@ -61,13 +64,13 @@ def patches(points: Floats, triangles: Ints, edges: Edges) -> Patches:
     return Patches(label=label, against=against & ~one_sided, one_sided=one_sided)
 
 
-def turned(triangles: Ints, which: Flags) -> Ints:
-    """Triangles (T, 3) with the winding of some of them reversed."""
+def flipped(triangles: Ints, which: Flags) -> Ints:
+    """Triangles (T, 3) with the winding reversed where `which` (T,) is True."""
     return np.where(which[:, None], triangles[:, ::-1], triangles)
 
 
 def volumes(points: Floats, triangles: Ints, label: Ints) -> Floats:
-    """(K,) [m^3] signed volume of each part, about its own center; positive faces outward."""
+    """(K,) [m^3] signed volume of each part about its own center; positive: it faces outward."""
     corners = points[triangles]
     count = np.bincount(label)
     mean = corners.mean(1)
@@ -76,10 +79,10 @@ def volumes(points: Floats, triangles: Ints, label: Ints) -> Floats:
     return np.bincount(label, np.einsum("ti,ti->t", a, np.cross(b, c)) / 6.0)
 
 
-def mouths(points: Floats, triangles: Ints, label: Ints) -> Floats:
-    """(K,) |S| / (A + |S|), S = sum of the area vectors of a part and A its area.
+def open_fractions(points: Floats, triangles: Ints, label: Ints) -> Floats:
+    """(K,) |S| / (A + |S|) with the area A of a part and the sum S of its area vectors.
 
-    S is zero for a closed part; |S| is the least area that closes one hole.
+    S is zero for a closed part; |S| is a lower bound of the area that closes its holes.
     """
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     vector = 0.5 * np.cross(b - a, c - a)
@@ -91,7 +94,7 @@ def mouths(points: Floats, triangles: Ints, label: Ints) -> Floats:
 
 
 def boxes(points: Floats, triangles: Ints, label: Ints) -> tuple[Floats, Floats]:
-    """(K, 3), (K, 3) [m] lowest and highest corner of each part."""
+    """(K, 3), (K, 3) [m] lowest and highest corner of the bounding box of each part."""
     order = np.argsort(label, kind="stable")
     corners = points[triangles[order]]
     first = np.flatnonzero(np.diff(label[order], prepend=-1))
@@ -102,19 +105,19 @@ def boxes(points: Floats, triangles: Ints, label: Ints) -> tuple[Floats, Floats]
 
 
 def rows_of(label: Ints) -> list[Ints]:
-    """Triangles of each part."""
+    """The rows of the triangles of each part."""
     order = np.argsort(label, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def containers(points: Floats, triangles: Ints, label: Ints) -> Ints:
-    """(K,) the smallest part that each part lies inside; -1 where it lies inside none."""
+def enclosing_parts(points: Floats, triangles: Ints, label: Ints) -> Ints:
+    """(K,) the part of least volume that contains each part; -1: none does."""
     low, high = boxes(points, triangles, label)
     volume = np.abs(volumes(points, triangles, label))
     parts = rows_of(label)
     parent = np.full(len(parts), -1)
-    for start in range(0, len(parts), SIDES):
-        mine = np.arange(start, min(start + SIDES, len(parts)))
+    for start in range(0, len(parts), BATCH):
+        mine = np.arange(start, min(start + BATCH, len(parts)))
         around = (low[None] < low[mine, None]).all(2) & (high[None] > high[mine, None]).all(2)
         for i, j in np.argwhere(around):
             i = mine[i]
@@ -137,57 +140,57 @@ def winding_inside(points: Floats, triangles: Ints, X: Floats) -> Flags:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Facing:
-    """How parts face: +1 outward, -1 inward, 0 where there is no inside to speak of."""
+class Orientations:
+    """Orientation of parts: +1 outward, -1 inward, 0 for a part without an inside."""
 
-    now: Ints  # (K,)
-    goal: Ints  # (K,) -1 for cavities
-    inner: Flags  # (K,) lie in the flesh of another part and enclose nothing that is not so too
+    current: Ints  # (K,) as modeled
+    target: Ints  # (K,) as it should be: -1 for cavities
+    inner: Flags  # (K,) inside the solid of another part, with no cavity in it: bounds no volume
 
     @property
     def wrong(self) -> Flags:
-        """(K,) parts that face the other way than they should."""
-        return (self.now != 0) & (self.now == -self.goal)
+        """(K,) parts whose orientation is to be reversed."""
+        return (self.current != 0) & (self.current == -self.target)
 
 
-def facing(points: Floats, triangles: Ints, label: Ints) -> Facing:
-    """How each part faces, and how it should.
+def orientations(points: Floats, triangles: Ints, label: Ints) -> Orientations:
+    """Current and target orientation of each part.
 
-    Parts face outward, if they have an inside: some volume, and no mouth wider than
-    `OPEN_FRACTION`.  One that lies inside another and faces the other way bounds a cavity: that
-    is how hollow things are modeled, and it stays opposite to what it lies in.
+    A part has an inside if its volume is not flat (`FLAT_FRACTION`) and its `open_fractions` is at
+    most `OPEN_FRACTION`; its target is then outward.  A part inside another one of opposite
+    orientation is a cavity, whose target is inward.
     """
     volume = volumes(points, triangles, label)
     area = np.bincount(label, areas(points, triangles))
     inside = np.abs(volume) > FLAT_FRACTION * area**1.5
-    inside &= mouths(points, triangles, label) <= OPEN_FRACTION
-    now = np.where(inside, np.sign(volume), 0).astype(int)
-    goal = np.abs(now)
-    parent = containers(points, triangles, label)
-    # From the outside in: what a part lies in is larger and decided before it.
+    inside &= open_fractions(points, triangles, label) <= OPEN_FRACTION
+    current = np.where(inside, np.sign(volume), 0).astype(int)
+    target = np.abs(current)
+    parent = enclosing_parts(points, triangles, label)
+    # By descending volume: the enclosing part is larger and decided before.
     for i in np.argsort(-np.abs(volume), kind="stable"):
         j = parent[i]
-        if j >= 0 and goal[j] == 1 and now[i] * now[j] == -1:
-            goal[i] = -1
-    inner = np.zeros(len(goal), bool)
-    # From the inside out: a part that holds a cavity bounds flesh, wherever it lies.
+        if j >= 0 and target[j] == 1 and current[i] * current[j] == -1:
+            target[i] = -1
+    inner = np.zeros(len(target), bool)
+    # By ascending volume: a part with a cavity in it bounds a volume even inside another one.
     for i in np.argsort(np.abs(volume), kind="stable"):
-        within = goal[i] == 1 and parent[i] >= 0 and goal[parent[i]] == 1
+        within = target[i] == 1 and parent[i] >= 0 and target[parent[i]] == 1
         inner[i] = within and inner[parent == i].all()
-    return Facing(now=now, goal=goal, inner=inner)
+    return Orientations(current=current, target=target, inner=inner)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Edges:
-    """Half-edges of welded triangles (T, 3): number 3 t + k leaves corner k of triangle t."""
+    """Half-edges of welded triangles (T, 3): number 3 t + k starts at corner k of triangle t."""
 
-    directed: Ints  # (3T, 2) the vertices a half-edge leaves and reaches
-    id: Ints  # (3T,) of the edge, whatever its direction
-    uses: Ints  # (E,) half-edges of each edge: 1 at a boundary, 2 inside, more where not manifold
+    directed: Ints  # (3T, 2) start and end vertex of each half-edge
+    id: Ints  # (3T,) of the undirected edge
+    uses: Ints  # (E,) half-edges of each edge: 1 boundary, 2 manifold, more: non-manifold
 
     @staticmethod
     def of(triangles: Ints) -> Edges:
-        """Edges of triangles with three different vertices."""
+        """Edges of triangles, each of three distinct vertices."""
         directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
         low, high = directed.min(1), directed.max(1)
         span = int(high.max(initial=0)) + 1
@@ -196,23 +199,23 @@ class Edges:
 
     @cached_property
     def boundary(self) -> Ints:
-        """(B,) half-edges without a partner."""
+        """(B,) half-edges of boundary edges."""
         return np.flatnonzero(self.uses[self.id] == 1)
 
     @cached_property
     def pairs(self) -> Ints:
-        """(K, 2) half-edges of each edge that exactly two triangles share."""
+        """(K, 2) the two half-edges of each manifold edge."""
         shared = np.flatnonzero(self.uses[self.id] == 2)
         return shared[np.argsort(self.id[shared], kind="stable")].reshape(-1, 2)
 
     @property
-    def crowded(self) -> int:
-        """Number of edges that more than two triangles share (not manifold)."""
+    def non_manifold(self) -> int:
+        """Number of edges that more than two triangles share."""
         return int((self.uses > 2).sum())
 
     @cached_property
     def surplus(self) -> Ints:
-        """(S,) half-edges of crowded edges that run one way more often than the other."""
+        """(S,) half-edges of non-manifold edges that have no half-edge of opposite direction."""
         many = np.flatnonzero(self.uses[self.id] > 2)
         way = np.where(self.directed[many, 0] < self.directed[many, 1], 1, -1)
         net = np.bincount(self.id[many], way, minlength=len(self.uses)).astype(int)
@@ -224,11 +227,11 @@ class Edges:
 
 
 def boundary_loops(edges: Edges) -> tuple[list[Ints], int]:
-    """Closed walks along the boundary, and how many boundary edges lie in none.
+    """Closed loops of boundary half-edges, and the number of boundary edges that lie in none.
 
-    Each loop holds half-edges in the order of their triangles.  It passes no vertex twice: a
-    boundary that touches itself is several loops.  Where more than two triangles meet, a boundary
-    may run along their surplus; a loop of nothing else (the rim of an inner wall) is no boundary.
+    Each loop follows the direction of its half-edges and passes no vertex twice: a boundary that
+    touches itself is split into several loops.  A loop may include `Edges.surplus` of non-manifold
+    edges; a loop of these alone (the rim of an inner wall) is left out.
     """
     leaving: dict[int, list[int]] = {}
     for half in [*edges.surplus.tolist(), *edges.boundary.tolist()]:
@@ -244,7 +247,7 @@ def boundary_loops(edges: Edges) -> tuple[list[Ints], int]:
 
 
 def _walk(edges: Edges, leaving: dict[int, list[int]], first: int) -> list[Ints]:
-    """Loops met on one walk from a vertex to where it can go no further; takes what it passes."""
+    """The loops of one walk from a vertex until no half-edge is left; removes those it passes."""
     loops: list[Ints] = []
     walk: list[int] = []
     place = {first: 0}
@@ -264,22 +267,21 @@ def _walk(edges: Edges, leaving: dict[int, list[int]], first: int) -> list[Ints]
 
 
 def fan_area(ring: Floats) -> float:
-    """[m^2] of the triangles between a closed ring (n, 3) and its centroid."""
+    """[m^2] area of the triangle fan between a closed ring (n, 3) [m] and its centroid."""
     spokes = ring - ring.mean(0)
     return float(0.5 * np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, 0)), axis=1).sum())
 
 
-OVERLAP_PROBES = 50_000  # places looked at: bounds time
-FINEST = 12  # places along an edge, where triangles are few
-DEPTH = 1e-4  # [sizes of a part] below its surface: parts that only touch share nothing there
-SHARED = 1.5  # winding number of flesh that two parts claim: 2
+OVERLAP_PROBES = 50_000  # sample points: bounds time
+FINEST = 12  # sample points along an edge, where there are few triangles
+DEPTH = 1e-4  # [diagonals of a part] of sample points below its surface: contact is no overlap
+OVERLAP_WINDING = 1.5  # the winding number is 1 in one part, 2 where two overlap
 
 
 def overlapping(points: Floats, triangles: Ints, label: Ints) -> NDArray[np.bool_]:
-    """(K,) parts of outward triangles (T, 3) that lie in the flesh of others in some places.
+    """(K,) parts of outward-facing triangles (T, 3) that overlap others.
 
-    Just below the surface of a part alone the winding number is 1; where another part has the
-    place too, it is 2.
+    Just below the surface of a part the winding number is 1, and 2 where another part overlaps it.
     """
     count = int(label.max(initial=-1)) + 1
     if count < 2:
@@ -287,7 +289,7 @@ def overlapping(points: Floats, triangles: Ints, label: Ints) -> NDArray[np.bool
     rows = np.arange(0, len(triangles), -(-len(triangles) // OVERLAP_PROBES))
     n = int(np.clip(np.sqrt(2.0 * OVERLAP_PROBES / len(rows)), 1, FINEST))
     i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    # the middles of the n^2 / 2 upright triangles that a triangle is cut into
+    # centroids of the n (n + 1) / 2 upright triangles of a subdivided triangle
     u, v = ((np.stack([i, j])[:, i + j < n] + 1.0 / 3.0) / n)[:, None, :, None]
     a, b, c = (corner[:, None, :] for corner in np.moveaxis(points[triangles[rows]], 1, 0))
     normal = np.cross(b - a, c - a)
@@ -299,5 +301,5 @@ def overlapping(points: Floats, triangles: Ints, label: Ints) -> NDArray[np.bool
     center = points[triangles].mean((0, 1))
     faces = np.ascontiguousarray(triangles, np.int64)
     w = np.asarray(igl.fast_winding_number(points - center, faces, X - center))
-    shared = (w.reshape(len(rows), -1) > SHARED).any(1)
+    shared = (w.reshape(len(rows), -1) > OVERLAP_WINDING).any(1)
     return np.bincount(label[rows], shared, count) > 0

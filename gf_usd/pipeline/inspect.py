@@ -133,7 +133,7 @@ class Inspection:
             "collapsed": seen.collapsed,
             "slivers": seen.slivers,
             "duplicates": seen.duplicates,
-            "non_manifold_edges": seen.crowded_edges,
+            "non_manifold_edges": seen.non_manifold_edges,
             "repairs": repairs,
             "shells": [
                 {

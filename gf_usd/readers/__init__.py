@@ -1,4 +1,4 @@
-"""Readers of asset files: a file becomes an Asset, or a layer that is read as one."""
+"""Readers of asset files: USD is read as an `Asset`; mesh files are first converted to USD."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ def read_asset(
     time_code: float | None = None,
     bind_pose: bool = False,
 ) -> Asset:
-    """The surfaces and facts of an asset file, in meters, posed at one time.
+    """The surfaces and stage metadata of an asset file, in meters, posed at one time.
 
     Parameters
     ----------
     path : the file as the user named it.
-    prims : prim paths; each with its descendants.  None: the default prim, or every root prim.
-    meters_per_unit : [m] size of the file's unit, instead of what the file says or omits.
-    up_axis : "Y" or "Z", instead of what the file says or omits.
-    time_code : where the pose is read; None: the file's startTimeCode, or 1.
-    bind_pose : meshes that a skeleton poses are read in its bind pose.
+    prims : prim paths, each with its descendants; (): the default prim, or all root prims.
+    meters_per_unit : [m] size of the file's unit; None: as in the file, or assumed.
+    up_axis : "Y" or "Z"; None: as in the file, or assumed.
+    time_code : of the pose; None: the file's startTimeCode, or 1.
+    bind_pose : skinned meshes are read in the bind pose of their skeleton.
 
     Raises
     ------
-    InputError : no such file, a folder, an empty or damaged file, a suffix without a reader, or
-        nothing in it that has a surface.
+    InputError : no such file, a folder, an empty or damaged file, an unsupported suffix, or no prim
+        with a surface.
     """
     path = Path(path)
     row = _format(path)
@@ -65,11 +65,10 @@ def convert(
     rigged: bool = False,
     fps: float | None = None,
 ) -> MeshSource | None:
-    """A mesh file made into USD, not yet written anywhere; None for a file that is USD already.
+    """A mesh file converted to a USD layer in memory; None for a file that is USD.
 
-    Arguments and errors are those of `read_asset` and `convert_mesh`.  The result's `asset` stands
-    in for `read_asset`, so that the file is parsed once; its `write` puts the layer where results
-    lie.
+    Arguments and errors are those of `read_asset` and `convert_mesh`.  The `asset` of the result
+    is what `read_asset` returns, without parsing the file again; its `write` saves the layer.
     """
     path = Path(path)
     if _format(path).kind == USD:
@@ -82,7 +81,7 @@ def convert(
 
 
 def _format(path: Path) -> Format:
-    """The row of a file's suffix; raises InputError where there is none, or no file."""
+    """The format of a file, by its suffix; raises InputError if unknown, or if there is no file."""
     _require_file(path)
     row = format_of(path)
     if row is None:
@@ -96,7 +95,7 @@ def _what_can_be_read() -> str:
 
 
 def _require_file(path: Path) -> None:
-    """Raise InputError where `path` is not a file with something in it that may be read."""
+    """Raise InputError where `path` is not a regular, non-empty, readable file."""
     try:
         if path.is_dir():
             raise InputError(f"{path} is a folder, not an asset file", _of_folder(path))
@@ -116,7 +115,7 @@ def _require_file(path: Path) -> None:
 
 
 def _of_folder(folder: Path) -> str:
-    """The asset file of a folder: that of its name, as asset libraries have it, or the only one."""
+    """A hint at the asset file of a folder: the one with the folder's name, or the only one."""
     names = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
     own = [name for name in names if Path(name).stem == folder.resolve().name]
     if len(found := own or names) == 1:
@@ -128,7 +127,7 @@ def _of_folder(folder: Path) -> str:
 
 
 def _near(path: Path) -> str:
-    """Words for the files next to a missing one that have almost its name."""
+    """A hint at files with names similar to that of a missing one."""
     if not path.parent.is_dir():
         return f"the folder {path.parent} does not exist either; "
     names = [p.name for p in path.parent.iterdir() if p.suffix.lower() in SUFFIXES]

@@ -1,12 +1,12 @@
-"""Mesh files: each is parsed, becomes a USD layer and is read as USD.
+"""Conversion of mesh files to USD layers, which are then read like any USD file.
 
-obj, ply, off   Y up is assumed; own readers: polygons and seams stay
-stl             Z up is assumed, as printers have it; trimesh
-                all four have no unit: meters are assumed, else centimeters or millimeters where
-                these make a body of a plausible size
-glb, gltf       meters, Y up by their standard; own reader
-fbx             what the file says; the program usd-convert-asset
-spz, splat, ply with Gaussians: usd_splat_source
+obj, ply, off   Y up is assumed; own readers, which preserve polygons and UV seams
+stl             Z up is assumed, as usual in 3D printing; by trimesh
+                these four have no unit: meters are assumed, or centimeters or millimeters where
+                they make the body a plausible size
+glb, gltf       meters and Y up, by the standard; own reader
+fbx             unit and axis of the file; by the program usd-convert-asset
+spz, splat, ply with Gaussians: `readers.splats`
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ def convert_mesh(
     rigged: bool = False,
     fps: float | None = None,
 ) -> MeshSource:
-    """A mesh file as USD, not yet written anywhere.
+    """A mesh file converted to a USD layer in memory.
 
     Parameters
     ----------
-    meters_per_unit : [m] size of the file's unit; None: what the file says, or
-        one that makes a body of a plausible size.
-    up_axis : "Y" or "Z"; None: what the file says, or what is usual for its format.
-    rigged : with its skeletons and their animation, meshes in the bind pose.
-    fps : frames per second of the animation; None: those that its keys lie on.
+    meters_per_unit : [m] size of the file's unit; None: as in the file, or one that makes the body
+        a plausible size.
+    up_axis : "Y" or "Z"; None: as in the file, or as usual for its format.
+    rigged : include skeletons and their animation, with the meshes in the bind pose.
+    fps : frames per second of the animation; None: the rate of its keyframes.
 
     Raises
     ------
-    InputError : the file is damaged or empty, the unit or the axis makes no sense, or no skeletons
-        are read of such a file.
+    InputError : the file is damaged or empty, the unit or the axis is invalid, or skeletons of such
+        files are not supported.
     """
     from gf_usd.readers.mesh.to_usd import MeshSource
     from gf_usd.readers.splats.convert import convert_splats, is_splat_file
@@ -101,7 +101,7 @@ def convert_mesh(
 
 
 def _width(file: MeshFile) -> float:
-    """The longest edge of the box around all meshes, in units of the file."""
+    """The longest edge of the bounding box of all meshes, in units of the file."""
     points = [m.points for node in file.nodes for m in node.meshes() if len(m.points)]
     low = np.min([p.min(0) for p in points], axis=0)
     high = np.max([p.max(0) for p in points], axis=0)

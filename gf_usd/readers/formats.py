@@ -1,4 +1,4 @@
-"""The formats that can be read: one row each, which makes a suffix known everywhere."""
+"""Registry of the input formats: one row of FORMATS each."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ USD, MESH, SPLATS, PROGRAM = "USD", "mesh", "splats", "program"
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """A format.
+    """An input format.
 
-    read : "module:function", imported when a file needs it.  By kind, it takes and returns
+    read : "module:function" of the reader, imported on demand.  By kind, its signature is
 
         USD      the arguments of `read_asset` -> Asset
         mesh     path -> MeshFile
         splats   path -> Splats
-        program  path, meters_per_unit, up_axis -> MeshSource; another program reads the file
+        program  path, meters_per_unit, up_axis -> MeshSource; an external program reads the file
     """
 
-    name: str  # as a person calls it
+    name: str  # for messages
     suffixes: tuple[str, ...]
     kind: str
     read: str
-    says_axis: bool = True  # splats: the up axis is part of the format
-    # mesh: "module:function" that takes a path and frames per second, and returns a MeshFile with
-    # skeletons; "": the format has none that are read
+    says_axis: bool = True  # splats: whether the format defines the up axis
+    # mesh: "module:function" with the signature path, frames per second -> MeshFile with skeletons;
+    # "": skeletons of this format are not supported
     rigged: str = ""
 
     @property
     def function(self) -> Callable[..., Any]:
-        """What reads it."""
+        """The reader."""
         return _imported(self.read)
 
     @property
     def rigged_function(self) -> Callable[..., Any]:
-        """What reads it with its skeletons."""
+        """The reader of files with skeletons."""
         return _imported(self.rigged)
 
 
@@ -48,7 +48,7 @@ def _imported(where: str) -> Callable[..., Any]:
     return getattr(import_module(module), name)
 
 
-# A suffix may stand in a row of meshes and in one of splats: the file tells.
+# A suffix may be in a row of meshes and one of splats (.ply): the contents of the file decide.
 FORMATS = (
     Format(
         name="USD", suffixes=(".usd", ".usda", ".usdc", ".usdz"), kind=USD,
@@ -79,6 +79,6 @@ SUFFIXES = tuple(sorted({suffix for row in FORMATS for suffix in row.suffixes}))
 
 
 def format_of(path: Path, *kinds: str) -> Format | None:
-    """The row of a file's suffix among some kinds, all where none is given; None without one."""
+    """The format of a file by its suffix, among some kinds or all; None where it is unknown."""
     rows = (row for row in FORMATS if path.suffix.lower() in row.suffixes)
     return next((row for row in rows if not kinds or row.kind in kinds), None)

@@ -1,7 +1,4 @@
-"""Every file that an asset is made of: layers, buffers, textures, and what of it is missing.
-
-The files that a USD asset is composed of.
-"""
+"""Dependencies of an asset: all layers, buffers and textures, with hashes, and missing files."""
 
 from __future__ import annotations
 
@@ -20,18 +17,18 @@ from gf_usd.system.atomic_files import relative, require_utf8
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What reading an asset depends on."""
+    """The files that an asset depends on."""
 
     asset: Path
     files: tuple[tuple[str, str], ...]  # (path relative to the asset's folder, sha256), sorted
-    missing: tuple[str, ...] = ()  # referred to, and not there; relative as well
+    missing: tuple[str, ...] = ()  # referenced files that do not exist; relative as well
 
 
 def read_inputs(path: Path) -> Inputs:
-    """The files that an asset reads, with their content.
+    """The files that an asset depends on, with their hashes.
 
-    For USD they are all layers of every variant, clip and payload, and all textures, as USD
-    resolves them; for a mesh file those that its reader opens.
+    For USD these are all layers of all variants, clips and payloads, and all textures, as USD
+    resolves them; for a mesh file, those that its reader opens.
 
     Raises InputError where the file cannot be read.
     """
@@ -44,7 +41,7 @@ def read_inputs(path: Path) -> Inputs:
     return Inputs(
         asset=path,
         files=tuple(sorted(rows.items())),
-        # what is searched for has no folder
+        # search paths are not relative to the asset
         missing=tuple(
             sorted({relative(Path(n), folder) if Path(n).is_absolute() else n for n in missing})
         ),
@@ -78,18 +75,18 @@ def _files(path: Path) -> tuple[Sequence[Path], Sequence[str]]:
     row = format_of(path, MESH)
     if row and not is_splat_file(path):
         read = row.function(path)
-        # pictures that are only named become references of the layer made of the file
-        material_parts = (slot for material in read.materials for slot in material.material_parts)
-        pictures = (slot.picture.path for slot in material_parts if slot.picture.path)
+        # image files are not opened by the reader, but referenced by the converted layer
+        slots = (slot for material in read.materials for slot in material.texture_slots)
+        pictures = (slot.picture.path for slot in slots if slot.picture.path)
         return [*read.inputs, *pictures], ()
     return [path], ()
 
 
 def usd_inputs(path: Path) -> tuple[list[Path], list[str]]:
-    """(files, missing): every layer and asset that a file leads to, and what does not resolve.
+    """(files, missing): all layers and assets that a file depends on, and unresolved paths.
 
-    All variants, payloads, value clips and UDIM tiles count, whether selected or not.  What lies in
-    a package is the package.  Raises InputError for a file that is damaged, or leads to one.
+    All variants, payloads, value clips and UDIM tiles are included, selected or not.  For files in
+    a usdz package, the package is listed.  Raises InputError for a damaged file or dependency.
     """
     with reading(path):
         layers, assets, missing = UsdUtils.ComputeAllDependencies(str(path))

@@ -1,4 +1,4 @@
-"""Read an asset in a child process, so that a file that crashes a library harms nothing."""
+"""Reading of an asset in a child process, so that a library crash does not end the main process."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ TASK = "gf_usd.readers.isolated:send"
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """All that a bake reads of a file before it fills it."""
+    """The data of an input file for a bake."""
 
     asset: Asset
-    spec: StageSpec | None  # what its stage says; None: a mesh file, or not asked for yet
-    converted: MeshSource | None = None  # of a mesh file, or of one whose faces were divided
+    spec: StageSpec | None  # settings and physics of the stage; None: a mesh file, or not yet read
+    converted: MeshSource | None = None  # of a mesh file, or of one whose faces were subdivided
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sent:
-    """A `Source` as a child sends it."""
+    """A `Source` as the child process returns it."""
 
     asset: Asset
     spec: StageSpec | None
-    folder: Path | None  # with the USD form of a mesh file
+    folder: Path | None  # of the layer converted from a mesh file
     record: dict[str, str]
     notes: tuple[str, ...]
-    sources: dict[str, str]  # where its unit and axis come from
+    sources: dict[str, str]  # origin of its unit and axis, as in `notes.source_of`
 
 
 class Reading:
@@ -47,7 +47,7 @@ class Reading:
         self._isolated = Isolated(path, TASK, limits, path, options)
 
     def result(self) -> Source:
-        """What was read.  Raises InputError as `read_untrusted` does, or as `Isolated.result`."""
+        """The data read.  Raises InputError as `read_untrusted` and `Isolated.result`."""
         if not self._isolated.in_child:
             return read_untrusted(self._path, **self._options)
         sent: Sent = self._isolated.result()
@@ -67,7 +67,7 @@ class Reading:
 
 
 def send(path: Path, options: dict[str, Any]) -> Sent:
-    """In the child: read a file and leave the USD form of a mesh file where it is."""
+    """In the child process: read a file, and keep the folder of a converted layer."""
     read = read_untrusted(path, **options)
     made = read.converted
     return Sent(
@@ -93,11 +93,15 @@ def read_untrusted(
     max_edge_length: float | None = None,
     edges_for: int | None = None,
 ) -> Source:
-    """All that a bake reads of a file before it fills it.
+    """Read the data of a file for a bake, in this process.
 
-    The options are those of `read_asset`, `convert` and `read_stage_spec`; max_edge_length : [stage
-    units] from which on faces are divided; edges_for : particles, of two spacings of which that is.
-    Raises InputError as these and `divided` do.
+    The options are those of `read_asset`, `convert` and `read_stage_spec`.
+
+    max_edge_length : [stage units] faces with longer edges are subdivided.
+    edges_for : number of particles; faces with edges longer than two of their spacings are
+        subdivided.
+
+    Raises InputError as these functions and `divided` do.
     """
     from gf_usd.readers import convert, read_asset
 
@@ -111,7 +115,7 @@ def read_untrusted(
             asset = converted.asset(prims=tuple(prims), time_code=time_code, bind_pose=bind_pose)
             asset = _noted(asset, notes)
         return Source(asset=asset, spec=None, converted=converted)
-    # registers itself before any stage opens
+    # the import registers the schema before a stage is opened
     from gf_usd.readers.usd_bake.spec import read_stage_spec
     from gf_usd.system import usd_schema  # noqa: F401
 
@@ -134,9 +138,9 @@ def read_untrusted(
             time_code=time_code, bind_pose=bind_pose, named=path,
         )  # fmt: skip
         asset = _noted(asset, notes)
-    if asset.splats:  # they get surfaces first, of which the stage is then asked
+    if asset.splats:  # the stage is read later, for the surfaces reconstructed from them
         return Source(asset=asset, spec=None, converted=converted)
-    # no animation leads up to the bind pose: it starts at rest
+    # no animation precedes the bind pose, so that initial velocities are 0
     rest = None if bind_pose else time_code
     asset, spec = read_stage_spec(asset, file, prims, rest=rest, elastic=elastic)
     return Source(asset=asset, spec=spec, converted=converted)
@@ -146,7 +150,7 @@ def _divided(
     path: Path, asset: Asset, longest: float | None, particles: int | None,
     of: MeshSource | None = None,
 ) -> tuple[MeshSource, tuple[str, ...]]:  # fmt: skip
-    """See `divided`; and what is said of the meshes."""
+    """The subdivided asset, see `divided`, and notes."""
     from gf_usd.readers.mesh.divide.layer import divided, fine_edge
     from gf_usd.readers.notes import Notes
 

@@ -1,4 +1,4 @@
-"""Notes of a reader: assumptions, repairs and omissions, each once."""
+"""Notes of a reader on assumptions, repairs and omissions, without repetition."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ ANIMATED = "is animated: the simulation starts from its pose at the first frame"
 
 
 class Notes:
-    """Remarks in the order of their first appearance; the same words at many places are one."""
+    """Notes in order of first appearance; equal texts for several prims are merged."""
 
     def __init__(self) -> None:
         self._places: dict[str, list[str]] = {}
 
     def add(self, text: str, where: str = "") -> None:
-        """Record `text`, true at the prim path `where` (empty: of the whole file)."""
+        """Add a note on the prim path `where`; empty: on the whole file."""
         places = self._places.setdefault(text, [])
         if where and where not in places:
             places.append(where)
 
     def lines(self, without: Collection[str] = ()) -> tuple[str, ...]:
-        """One sentence a remark: ``PATH: text`` or ``PATH and 3 more: text``.
+        """One line per note: ``PATH: text`` or ``PATH and 3 more: text``.
 
-        without : texts that are left out.
+        without : texts that are omitted.
         """
         return tuple(
             f"{_some(places)}: {text}" if places else text
@@ -34,7 +34,7 @@ class Notes:
 
 
 def source_of(asked: object | None, known: bool) -> str:
-    """Where a unit or an axis comes from: the option that asks for it, the file, or neither."""
+    """Origin of a unit or an axis: OPTION if `asked` for, FILE if `known` from it, or ASSUMED."""
     if asked is not None:
         return OPTION
     return FILE if known else ASSUMED
@@ -49,10 +49,12 @@ def unit_and_axis(
     hint: str = "",
     width: float = 0.0,
 ) -> list[str]:
-    """Notes on the unit [m] and the up axis of a kind of file, unless the file itself gives them.
+    """Notes on the unit [m] and the up axis of a file, unless they are from the file.
 
-    unit_from, axis_from : of `source_of`; hint : more to try where the axis is assumed; width : of
-    the body, in units of the file, where an assumed unit was chosen by it.
+    kind : name of the format.
+    unit_from, axis_from : of `source_of`.
+    hint : appended to the option in the note on an assumed axis.
+    width : of the body in units of the file, where the assumed unit was chosen by it; else 0.
     """
     chosen = ""
     if width and unit != 1.0:

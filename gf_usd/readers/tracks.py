@@ -1,11 +1,11 @@
-"""Points that were tracked in a film, out of a USD file.
+"""Reader of tracked points (such as motion tracking of footage) in a USD file.
 
-Two forms are read, both in the units and the place of their prims:
+Two representations are supported, in the units and local space of their prims:
 
-- BasisCurves: each curve is the way of one point, and its vertices are the places at successive
-  time codes, from the stage's startTimeCode on.  A primvar `timeCode` with one number for each
-  vertex says others.
-- Points with time samples: each point is one track, whose number does not change.
+- BasisCurves: each curve is the trajectory of one point, and its vertices are the positions at
+  successive time codes from the stage's startTimeCode.  A vertex primvar `timeCode` overrides the
+  time codes.
+- Points with time samples: each point is one track; the number of points is constant.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pxr import Usd, UsdGeom
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd.stage import LeftAlone, Placement, open_stage, reading, stage_facts
+from gf_usd.readers.usd.stage import Placement, SkippedPrim, open_stage, reading, stage_facts
 
 SAME = 1e-6  # time codes
 
@@ -30,14 +30,14 @@ class Tracks:
 
     time_codes: Floats  # (T,) ascending
     time_codes_per_second: float
-    x: Floats  # (T, P, 3) [m]; not a number where a point was not seen
+    x: Floats  # (T, P, 3) [m]; NaN where a point is not tracked
     up: tuple[float, float, float]
 
 
 def read_tracks(path: Path) -> Tracks | None:
-    """The tracks of a file; None where it has neither curves nor moving points.
+    """The tracks of a file; None where it has neither curves nor animated points.
 
-    Raises InputError where it cannot be read, or numbers do not fit together.
+    Raises InputError for a file that cannot be read, and for arrays of inconsistent lengths.
     """
     if not path.is_file():
         raise InputError(f"{path} does not exist", "check the spelling of --target")
@@ -71,7 +71,7 @@ def read_tracks(path: Path) -> Tracks | None:
     )  # fmt: skip
 
 
-Rows = list[tuple[Floats, Floats]]  # (k,) time codes and (k, 3) places [stage units] of each track
+Rows = list[tuple[Floats, Floats]]  # (k,) time codes, (k, 3) positions [stage units] of each track
 
 
 def _of_curves(prim: Usd.Prim, path: Path) -> Rows:
@@ -124,7 +124,7 @@ def _of_points(prim: Usd.Prim, path: Path) -> Rows:
 def _placed(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> Placement:
     try:
         return Placement.of(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim))
-    except LeftAlone as reason:
+    except SkippedPrim as reason:
         raise InputError(
             f"{path}: <{prim.GetPath()}>: {reason}", "export the tracks with another transform"
         ) from reason

@@ -99,7 +99,7 @@ def test_an_edge_of_four_triangles_is_not_manifold():
     points = np.concatenate([CUBE_POINTS, CUBE_POINTS + [1.0, 1.0, 0.0]])
     seen = diagnose(surface(points, np.concatenate([CUBE_TRIANGLES, second])))
     # Two boxes that touch along one edge: one shell, closed.
-    assert (seen.crowded_edges, len(seen.shells), seen.watertight) == (1, 1, True)
+    assert (seen.non_manifold_edges, len(seen.shells), seen.watertight) == (1, 1, True)
     assert seen.volume == pytest.approx(2.0)
 
 

@@ -1,1 +1,1 @@
-"""Connected parts of a solid: bodies among its surfaces, limbs in the cells of the grid."""
+"""Connectivity of a solid: bodies among its surfaces, and connected parts in the grid cells."""

@@ -1,10 +1,10 @@
-"""Bodies: surfaces that overlap or touch at rest belong to one.
+"""Bodies: groups of surfaces that overlap or touch at rest, or that a physics body of USD contains.
 
-What is modeled of parts, a duck with its beak, falls as one, and so does what a physics body of the
-stage holds together.  What lies apart, and different physics bodies even if they touch, are bodies
-of their own, that meet only by contact.
+Bodies interact by contact only.  Surfaces of two physics bodies are never in the same body, even
+where they touch.
 
-How far points of a body lie on either side of the border between parts of its surface.
+`part_weights` gives weights of the parts of a surface (such as its material subsets) at points of
+the body, which blend across the border between parts.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.geometry.solid import INSIDE, Solid
 
-FINEST = 64  # parts of an edge: the walls of a hall need no more
+FINEST = 64  # subdivisions of an edge at most: bounds the samples of very large triangles
 TOUCHING = 0.25  # [spacings] nearer than this, surfaces count as touching
 
 
@@ -29,9 +29,11 @@ def find_bodies(
 ) -> Ints:  # fmt: skip
     """The body of each surface (S,), numbered from 0 in the order of the surfaces.
 
-    spacing : [m] of the particles; owners : owner of each surface, "" for none: surfaces with the
-        same owner are one body, surfaces with different owners never are; combine : a single body;
-        kinds : (S,) surfaces of different kinds are never one body, None: all are of one kind.
+    spacing : [m] of the particles.
+    owners : (S,) physics body of each surface, "": none.  Surfaces of the same owner are one body,
+        and surfaces of different owners never are.
+    combine : one body of all surfaces.
+    kinds : (S,) surfaces of different kinds are never one body; None: one kind.
     """
     count = len(solid.surfaces)
     if combine or count == 1:
@@ -49,7 +51,7 @@ def find_bodies(
     )
     for a, b in pairs:
         one, two = label[a], label[b]
-        # two physics bodies are never one, not even by what lies between them
+        # two physics bodies are never merged, not even by a surface that touches both
         if one == two or (held[one] and held[two]):
             continue
         if _meets(points[a], solid, b, reach) or _meets(points[b], solid, a, reach):
@@ -62,7 +64,7 @@ def find_bodies(
 def overlapping(
     solid: Solid, spacing: float, of: Ints, owners: Sequence[str]
 ) -> list[tuple[int, int]]:
-    """Pairs of surfaces of different owners and bodies (S,) that overlap by more than contact."""
+    """Pairs of surfaces of different owners and bodies that overlap by more than `TOUCHING`."""
     rivals = [k for k, owner in enumerate(owners) if owner]
     if len({owners[k] for k in rivals}) < 2:
         return []
@@ -80,7 +82,7 @@ def overlapping(
 
 
 def _skins(solid: Solid, spacing: float) -> list[Floats]:
-    """Points (n, 3) [m] all over each surface."""
+    """Sample points (n, 3) [m] on each surface."""
     return [
         np.concatenate([s.points[np.unique(t)], spread(s.points, t, spacing)])
         for s, t in zip(solid.surfaces, solid.triangles)
@@ -88,14 +90,14 @@ def _skins(solid: Solid, spacing: float) -> list[Floats]:
 
 
 def _close(points: Sequence[Floats], reach: float) -> NDArray[np.bool_]:
-    """(S, S) whether boxes, each enlarged by reach [m], meet."""
+    """(S, S) whether bounding boxes, each enlarged by reach [m], overlap."""
     low = np.array([p.min(0) for p in points]) - reach
     high = np.array([p.max(0) for p in points]) + reach
     return np.asarray(((low[:, None] <= high) & (low <= high[:, None])).all(2))
 
 
 def _owned(owners: Sequence[str], kinds: Ints) -> tuple[Ints, list[str]]:
-    """Label (S,) of each surface, one for each kind of an owner, and the owner of each label."""
+    """(S,) label of each surface by owner and kind, and the owner of each label."""
     first: dict[tuple[str, int], int] = {}
     label = [
         first.setdefault((owner, int(kind)), k) if owner else k
@@ -105,7 +107,7 @@ def _owned(owners: Sequence[str], kinds: Ints) -> tuple[Ints, list[str]]:
 
 
 def spread(points: Floats, triangles: Ints, spacing: float) -> Floats:
-    """Points (n, 3) [m] on triangles, no farther than about a spacing [m] from each other."""
+    """Points (n, 3) [m] on triangles, at most about one spacing [m] apart."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], axis=0)
     parts = np.minimum(np.ceil(longest / spacing), FINEST).astype(int)
@@ -164,7 +166,7 @@ def part_weights(
     """
     closest = _closest(X, parts)
     squared = ((closest - X[:, None]) ** 2).sum(2)
-    # What is as near to two faces takes the same of both for all parts: from a hair nearer to one.
+    # A slight shift breaks ties between two faces at equal distance, in the same way for all parts.
     best = closest[np.arange(len(X)), squared.argmin(1)]
     closest = _closest(X + NEARER * (best - X), parts)
     squared = ((closest - X[:, None]) ** 2).sum(2)
@@ -189,6 +191,6 @@ def _closest(X: Floats, parts: Sequence[tuple[Floats, Ints]]) -> NDArray[np.floa
 
 
 def smoothstep(t: Floats) -> NDArray[np.float64]:
-    """t^2 (3 - 2 t), with t kept within 0..1."""
+    """t^2 (3 - 2 t), with t clamped to 0..1."""
     t = np.clip(t, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

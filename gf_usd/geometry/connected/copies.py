@@ -1,16 +1,18 @@
-"""Cells copied for each connected part of the solid in them, so that near limbs share no nodes.
+"""Duplication of grid cells for each connected part of the solid in them.
 
-The parts of the solid in a cell are found from patches of its surface (`patches`): a cell that one
-patch cuts, or none, has one part.  Elsewhere patches belong to one part where a segment from one,
-or from a particle, hits the other first.  Parts of two cells with a common face are connected
+Without it, adjacent limbs that share grid nodes would stick together (as in the virtual node
+algorithm of Molino, Bao and Fedkiw 2004).  The parts in a cell are found from the patches of its
+surface (`patches`): a cell with at most one patch has one part.  In other cells two patches bound
+the same part where a segment from one of them, or from a particle, hits the other first.  Parts of
+two cells with a common face are connected
 
 - where a triangle that passes through the face has a patch of both, or
-- where no triangle does and the face lies in the solid,
+- where no triangle does and the face lies in the solid.
 
-which is all there is: what of the solid is in a face is bounded by such triangles, or is the whole.
+These are all cases: the solid in a face is bounded by such triangles, or is the whole face.
 
-What is not connected anywhere, as a button that floats before a shirt, stays with what it shares
-nodes with: it moves with its body.  So do shells that touch.
+Separate shells that share nodes with a body, as a button before a shirt, are not separated from
+it, nor are shells that touch.
 """
 
 from __future__ import annotations
@@ -30,26 +32,26 @@ from gf_usd.geometry.connected.patches import Patches, Skins, find_patches, foun
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.winding import winding_inside
 
-CELL = 2.0  # edge of a cell over the lattice's
-MOST_PATCHES = 24  # of a cell: more are the surface of no limbs, and are taken as one
+CELL = 2.0  # edge of a cell over the particle spacing
+MOST_PATCHES = 24  # of a cell: a cell with more is treated as one part
 WHOLE = 8  # particles of a full cell
-MOST_SHELLS = 256  # pairs that meet in cells: beyond it all count as touching
+MOST_SHELLS = 256  # pairs of shells in one cell: with more, all count as touching
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limbs:
-    """The copies of the cells of a solid, and which copy a point of it is in."""
+    """The copies of the cells of a solid, and the lookup of the copy of a point."""
 
     copies: CellCopies
-    nodes: int  # copies of nodes beyond the first of each
-    crowded: int  # cells of so many patches that they were taken as one
+    nodes: int  # additional copies of nodes
+    crowded: int  # cells with more than MOST_PATCHES, treated as one part
     _patches: Patches
-    _piece: Ints  # (P,) copy of each row of the patches; -1: of none that holds particles
+    _piece: Ints  # (P,) copy of each row of the patches; -1: a part without particles
     _X: Floats  # (N, 3) [m] particles
     _corners: Floats  # (bodies, 3) [m]
 
     def of_points(self, X: Floats, body: Ints | None = None) -> Ints:
-        """(n,) the copies that points X (n, 3) [m] are in: those behind their nearest triangles.
+        """(n,) copy of points X (n, 3) [m]: the one behind the nearest triangle.
 
         body : (n,) the body of each; None: the first.
         """
@@ -84,19 +86,19 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     count = len(parts.key)
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count,) * 2)
     whole = components(graph)[1]
-    held = np.isin(whole, whole[parts.of])  # what no particle hangs on moves by the others
+    held = np.isin(whole, whole[parts.of])  # connected components that have particles
     number = np.where(held, np.cumsum(held) - 1, -1)
     links = number[links[held[links[:, 0]]]]
     of, key, whole = number[parts.of], parts.key[held], whole[held]
     ijk, body = rows.keys.ijk(key), rows.keys.body(key)
-    # Bodies share no nodes: they are set apart on the grid.
+    # Bodies are offset from each other on the grid, so that they share no nodes.
     apart = ijk + np.outer(body * (rows.keys.dims[0] + 3), [1, 0, 0])
     node, _ = node_copies(apart, links, whole)
     full = np.unique(of)
     place = apart[full][:, None, :] + np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), -1)
     place -= place.min((0, 1))
     key = np.ravel_multi_index(tuple(np.moveaxis(place, 2, 0)), tuple(place.max((0, 1)) + 1))
-    extra = len(np.unique(node[full])) - len(np.unique(key))  # a node is in one place
+    extra = len(np.unique(node[full])) - len(np.unique(key))  # nodes minus grid positions
     if not extra:
         return None
     return Limbs(
@@ -129,7 +131,7 @@ class _Parts:
         several = (many > 1) & ~crowd
         by_cell = np.argsort(in_cell, kind="stable")
         start = np.cumsum(many) - many
-        # Particles that a rule put outside see nothing, and go with what is nearest.
+        # Particles outside the solid hit no patch, and are assigned to the nearest one.
         _, of_cell, held = np.unique(cell, return_inverse=True, return_counts=True)
         doubtful = np.flatnonzero(np.where(cut >= 0, several[cut], held[of_cell.ravel()] < WHOLE))
         body = rows.keys.body(cell)
@@ -137,8 +139,8 @@ class _Parts:
         within = np.ones(len(X), bool)
         within[outside] = False
         full, at_full = np.unique(cell[(cut < 0) & within], return_inverse=True)
-        # One part a cell, but where several patches cut it: there one a patch, joined by what is
-        # seen.  Numbers: patches, full cells, particles among several patches.
+        # One part per cell, except cells with several patches: there one per patch, merged by
+        # segment casts.  Numbering: patches, full cells, particles in cells of several patches.
         among = np.flatnonzero((cut >= 0) & several[cut] & within)
         base = patches + len(full)
         ends = [self._same_cell(by_cell, in_cell, crowd)]
@@ -170,7 +172,7 @@ class _Parts:
 
     @staticmethod
     def _same_cell(by_cell: Ints, in_cell: Ints, which: Ints) -> Ints:
-        """Pairs of patches, one after the other, of some cells."""
+        """(k, 2) consecutive patches of some cells."""
         cell = in_cell[by_cell]
         same = np.flatnonzero((cell[1:] == cell[:-1]) & which[cell[1:]])
         return np.stack([by_cell[same], by_cell[same + 1]], 1)
@@ -179,7 +181,7 @@ class _Parts:
     def _visible_patches(
         rows: Patches, X: Floats, cell: Ints, by_cell: Ints, start: Ints, many: Ints
     ) -> Ints:
-        """(k, 2) particle and patch that it sees, looking at every patch of its cell."""
+        """(k, 2) particles and the patches that segments from them to their cell's patches hit."""
         looks = many[cell]
         who = np.repeat(np.arange(len(X)), looks)
         turn = np.arange(len(who)) - np.repeat(np.cumsum(looks) - looks, looks)
@@ -191,7 +193,7 @@ class _Parts:
     def _mutually_visible(
         rows: Patches, first: Ints, by_cell: Ints, start: Ints, many: Ints, several: Ints
     ) -> Ints:
-        """(k, 2) patches of which one sees the other through the solid."""
+        """(k, 2) pairs of patches with a segment between them that lies in the solid."""
         cells = np.flatnonzero(several)
         n = many[cells]
         cell = np.repeat(cells, n * n)
@@ -211,12 +213,12 @@ class _Parts:
 
 
 def _touching(rows: Patches, first: Ints, in_cell: Ints, several: Ints, reach: float) -> Ints:
-    """(k, 2) patches of one cell whose shells overlap, or are within reach [cells] somewhere."""
+    """(k, 2) patches of one cell whose shells overlap or come within reach [cells]."""
     skins = rows.skins
     shell = skins.shell[rows.triangle[first]]
     patch = np.flatnonzero(several[in_cell])
     groups = np.unique(np.stack([in_cell[patch], shell[patch], patch], 1), axis=0)
-    # One patch of each shell in a cell, with one of each other.
+    # One patch of each shell per cell, in all pairs.
     one = groups[np.unique(groups[:, :2], axis=0, return_index=True)[1]]
     cells, count = np.unique(one[:, 0], return_counts=True)
     ends: list[tuple[int, int]] = []
@@ -253,7 +255,7 @@ def _meet(skins: Skins, one: int, other: int, reach: float) -> bool:
 
 
 def _through_triangles(rows: Patches, parts: _Parts) -> Ints:
-    """(k, 2) parts that a triangle bounds on both sides of a common face."""
+    """(k, 2) parts of neighboring cells that a triangle through their common face bounds."""
     out = []
     for stride in rows.keys.strides:
         beyond = rows.row(rows.triangle, rows.key + stride)
@@ -264,7 +266,7 @@ def _through_triangles(rows: Patches, parts: _Parts) -> Ints:
 
 
 def _through_open_faces(rows: Patches, parts: _Parts) -> Ints:
-    """(k, 2) parts of cells whose common face no triangle passes and lies in the solid."""
+    """(k, 2) parts of neighboring cells whose common face lies in the solid, without triangles."""
     known = np.unique(parts.key)
     of_cell = np.argsort(parts.key, kind="stable")
     start = np.searchsorted(parts.key[of_cell], known)

@@ -1,11 +1,11 @@
-"""Patches: the connected parts of a surface in each cell of a grid, and segments that hit them.
+"""Patches: the connected parts of a surface in each grid cell, and segment casts against them.
 
-The solid right behind a patch is connected, since the patch is: a connected part of the solid in a
-cell is a full cell, or bounded by patches.  Which patches bound the same part, and which part a
-point lies in, is seen along segments: from a point of the solid to the first patch that a segment
-hits there is nothing but solid, and a cell is convex.
+A connected part of the solid in a cell is the full cell, or is bounded by patches.  Segment casts
+find which patches bound the same part, and which part a point lies in: a segment from a point of
+the solid to the first patch that it hits lies in the solid, and in the cell, since cells are
+convex.
 
-Lengths are in cells: the planes of the grid are at the integers.
+Lengths are in cells: the grid planes are at integers.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import barycentric
 from gf_usd.geometry.winding import Edges, winding_inside
 
-# [cells] surfaces are moved inward: one that lies in a plane of the grid is in the cell it bounds.
+# [cells] surfaces are offset inward, so that one in a grid plane is in the cell that it bounds.
 INSET = 1e-5
-ASIDE = 1e-6 * np.array([0.532, 0.311, 0.788])  # [cells] likewise, so that no edge lies in a plane
-ON = 1e-9  # of a triangle, of a segment: what misses one by less hits it
-TESTS = 1 << 20  # segments with triangles at once: bounds memory
+ASIDE = 1e-6 * np.array([0.532, 0.311, 0.788])  # [cells] shift, so that no edge is in a grid plane
+ON = 1e-9  # relative tolerance of the intersection of a segment with a triangle
+TESTS = 1 << 20  # pairs of a segment and a triangle at a time: bounds memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class Skins:
-    """The surfaces of a solid, one under the other, in cells."""
+    """The concatenated surfaces of a solid, in cell coordinates."""
 
-    points: Floats  # (V, 3) [cells] moved inward by a hair
-    triangles: Ints  # (T, 3) seen from outside
+    points: Floats  # (V, 3) [cells] offset inward by INSET
+    triangles: Ints  # (T, 3) counter-clockwise seen from outside
     surface: Ints  # (T,) in the order of `Solid.surfaces`
     body: Ints  # (T,)
     shell: Ints  # (T,)
@@ -81,7 +81,7 @@ class Skins:
 
 
 def vertex_normals(points: Floats, triangles: Ints) -> Floats:
-    """(V, 3) unit, mean of the faces around each by area; 0 where there are none."""
+    """(V, 3) unit vertex normals, area-weighted; 0 where a vertex has no faces."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     cross = np.cross(b - a, c - a)
     out = np.stack(
@@ -94,38 +94,38 @@ def vertex_normals(points: Floats, triangles: Ints) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Keys:
-    """One number for each cell of each body."""
+    """Integer keys of the cells of each body."""
 
     low: Ints  # (3,)
     dims: Ints  # (3,)
     bodies: int
 
     def of(self, ijk: Ints, body: Ints) -> Ints:
-        """Of cells (n, 3); -1 outside."""
+        """(n,) keys of cells (n, 3) of bodies (n,); -1 outside the grid."""
         at = ijk - self.low
         known = ((at >= 0) & (at < self.dims)).all(1)
         linear = (at[:, 0] * self.dims[1] + at[:, 1]) * self.dims[2] + at[:, 2]
         return np.where(known, linear * self.bodies + body, -1)
 
     def ijk(self, key: Ints) -> Ints:
-        """(n, 3) the cell of each key."""
+        """(n, 3) cell of each key."""
         return np.stack(np.unravel_index(key // self.bodies, tuple(self.dims)), -1) + self.low
 
     def body(self, key: Ints) -> Ints:
-        """(n,) the body of each key."""
+        """(n,) body of each key."""
         return key % self.bodies
 
     @property
     def strides(self) -> Ints:
-        """(3,) from a key to that of the next cell along each axis."""
+        """(3,) difference of the keys of neighboring cells along each axis."""
         return self.bodies * np.array([self.dims[1] * self.dims[2], self.dims[2], 1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Patches:
-    """Triangles in cells, in the order of triangles and then of cells, and the patches they make.
+    """The pairs of a triangle and a cell that it intersects, and their patches.
 
-    Rows are (triangle, cell): a triangle in three cells has three.
+    One row per pair, sorted by triangle and then by cell.
     """
 
     skins: Skins
@@ -141,18 +141,18 @@ class Patches:
 
     @cached_property
     def largest(self) -> Ints:
-        """(patches,) a row of each, of the triangle that is the largest."""
+        """(patches,) the row of the largest triangle of each patch."""
         a, b, c = np.moveaxis(self.skins.points[self.skins.triangles], 1, 0)
         area = lengths(np.cross(b - a, c - a))
         order = np.lexsort([-area[self.triangle], self.patch])
         return order[np.unique(self.patch[order], return_index=True)[1]]
 
     def row(self, triangle: Ints, key: Ints) -> Ints:
-        """The row of a triangle in a cell; -1 where there is none."""
+        """Row of each pair of a triangle and a cell; -1 where there is none."""
         return found(self.codes, triangle * self._span + key, key >= 0)
 
     def behind(self, X: Floats, body: Ints) -> Ints:
-        """(n,) row of the nearest triangle to points X (n, 3) [cells] of bodies; -1: none."""
+        """(n,) row of the triangle nearest to points X (n, 3) [cells] of bodies (n,); -1: none."""
         skins, out = self.skins, np.full(len(X), -1)
         for k in np.unique(body):
             mine = np.flatnonzero(body == k)
@@ -168,7 +168,7 @@ class Patches:
             place = np.einsum("kna,nk->na", corners, barycentric(closest, *corners))
             cell = np.floor(place).astype(np.int64)
             row = self.row(triangle, self.keys.of(cell, skins.body[triangle]))
-            for i in np.flatnonzero(row < 0):  # rounding at the edge of a cell
+            for i in np.flatnonzero(row < 0):  # by rounding at a cell face
                 low, high = np.searchsorted(self.triangle, [triangle[i], triangle[i] + 1])
                 if high > low:
                     apart = np.linalg.norm(self.center[low:high] - place[i], axis=1)
@@ -181,9 +181,9 @@ class Patches:
         return int(self.keys.dims.prod()) * self.keys.bodies
 
     def first_hit(self, start: Floats, end: Ints, besides: Ints | None = None) -> Ints:
-        """Row of the first triangle on the way from points (n, 3) to the centers of rows `end`.
+        """(n,) row of the first triangle hit from points (n, 3) to the centers of rows `end`.
 
-        besides : (n,) rows that do not count, as those that a segment starts on.
+        besides : (n,) rows that are ignored, on whose triangles the segments start.
         """
         out = np.array(end)
         cell = np.searchsorted(self.cells, self.key[end])
@@ -224,7 +224,7 @@ class Patches:
 
 
 def found(ascending: Ints, wanted: Ints, known: NDArray[np.bool_]) -> Ints:
-    """Where each of `wanted` stands in an ascending array; -1 where it is not, or not known."""
+    """Index of each of `wanted` in an ascending array; -1 where it is absent, or not `known`."""
     if not len(ascending):
         return np.full(len(wanted), -1)
     at = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
@@ -232,7 +232,7 @@ def found(ascending: Ints, wanted: Ints, known: NDArray[np.bool_]) -> Ints:
 
 
 def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
-    """The patches of surfaces; inside : (n, 3) other cells that keys have to cover."""
+    """The patches of surfaces; inside : (n, 3) additional cells in the range of the keys."""
     corners = skins.points[skins.triangles]
     made = cut(corners)
     middle = made.corners.mean(1)
@@ -245,7 +245,7 @@ def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
     area = lengths(made.area_vectors)
     order = np.lexsort([-area, made.source * span + key])
     codes, first = np.unique((made.source * span + key)[order], return_index=True)
-    rows = order[first]  # of a triangle's pieces in a cell the largest
+    rows = order[first]  # the largest piece of each triangle in each cell
     triangle, key = made.source[rows], key[rows]
     in_cell = np.argsort(key, kind="stable")
     cells, start = np.unique(key[in_cell], return_index=True)
@@ -258,7 +258,7 @@ def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
 
 
 def _patch(rows: Patches) -> Ints:
-    """The patch of each row: triangles hang together in the cells that a common edge crosses."""
+    """Patch of each row: triangles are connected in the cells that their common edge crosses."""
     skins, keys = rows.skins, rows.keys
     edges = Edges.of(skins.triangles)
     _, half = np.unique(edges.id, return_index=True)
@@ -280,7 +280,7 @@ def _patch(rows: Patches) -> Ints:
 
 
 def crossed(segments: Floats) -> tuple[Ints, Ints]:
-    """The segments (m,) and cells (m, 3) that segments (n, 2, 3) pass through, in their order."""
+    """Segments (m,) and cells (m, 3) of the cells that segments (n, 2, 3) pass through, sorted."""
     source = np.arange(len(segments))
     for axis in range(3):
         done: list[tuple[Floats, Ints]] = []

@@ -1,1 +1,1 @@
-"""The flesh of a character: cores that bones prescribe, and goals of springs."""
+"""Skeleton-driven simulation: bone cores (kinematic), springs to the skinned pose, and limits."""

@@ -1,7 +1,7 @@
-"""Meshes attached to a single joint, such as shoes, which can be made rigid.
+"""Meshes bound to a single joint, such as shoes, which can be made rigid.
 
-Nodes in such a mesh, and up to `WIDER` cells around it, move with the joint as those of its core
-do, and the points of the mesh follow the joint exactly.
+Grid nodes in such a mesh, and up to `WIDER` cells around it, are constrained to the joint's motion
+like those of a bone core, and the points of the mesh follow the joint exactly.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from gf_usd.geometry.solid import Solid
 
 
 def carried_meshes(skeleton: Skeleton) -> dict[str, int]:
-    """The bone of each mesh all of whose points have one joint, by prim path.
+    """The bone of each mesh all of whose points are bound to one joint, by prim path.
 
-    Empty where every mesh is such: what has no other is a body of parts, and none is attached.
+    Empty where every mesh is bound to a single joint, as in a character of rigid parts: none of
+    them is then an accessory of a deformable mesh.
     """
     found = {}
     for path, weights in skeleton.weights.items():
@@ -34,7 +35,7 @@ def carried_meshes(skeleton: Skeleton) -> dict[str, int]:
 def named_carried_meshes(
     names: Sequence[str], carried: Mapping[str, int], paths: Sequence[str]
 ) -> list[str]:
-    """Those of some names that are of carried meshes, or of a prim that has no other meshes below.
+    """The names that are prim paths of carried meshes, or of prims with carried meshes only.
 
     paths : of all meshes.
     """
@@ -45,7 +46,7 @@ def named_carried_meshes(
 def carried_pins(
     names: Sequence[str], carried: Mapping[str, int], skeleton: Skeleton, solid: Solid, cell: float
 ) -> tuple[Pin, ...]:
-    """A pin for each carried mesh that is one of the names or below; cell : [m] edge of a cell."""
+    """A pin for each carried mesh at or below one of the names; cell : [m] edge of a cell."""
     mine = [p for p in carried if any(p == n or p.startswith(f"{n}/") for n in names)]
     filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
     return tuple(
@@ -67,5 +68,5 @@ def _around(shape: Shape, width: float) -> Callable[[Floats], Floats]:
 
 
 def _nothing(X: Floats) -> Floats:
-    """Of an open mesh, which holds no nodes."""
+    """The inside test of an open mesh, which contains no nodes."""
     return np.zeros(len(X), bool)

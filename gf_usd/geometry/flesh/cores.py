@@ -1,9 +1,8 @@
-"""Bone cores: the part of a body around the bones of its skeleton, which moves with their joints.
+"""Bone cores: regions around the bones of a skeleton whose motion the joints prescribe.
 
-Around each segment of a bone lies a core whose radius is a share of the distance to the skin, point
-by point.  Its axis ends before the joint, by `CLEAR` radii, so that the flesh between two bones can
-bend.  A point within reach of several bones belongs to the one whose core it is in the
-deepest.
+The core of a bone segment is a union of balls along its axis, whose radii are a share of the
+distance to the surface.  The axis ends `CLEAR` radii before the joint, so that the flesh between
+two bones can bend.  A point in several cores belongs to the one in which it is deepest.
 """
 
 from __future__ import annotations
@@ -19,37 +18,37 @@ from gf_usd.core.stage import Bone, Pin
 from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
-POINTS = 25  # along a segment
+POINTS = 25  # ball centers along a segment
 CLEAR = 1.0  # [radii] between the joint and the end of the axis
 # [cells] The last node in a core lies half a cell inside of it on average, and flesh begins 0.21
-# cells before the last node (see the case `driven` of gf-usd verify).  So wide a core holds nodes
-# wherever it lies, too: it is half the diagonal of a cell's face.
+# cells before the last node (see the case `driven` of gf-usd verify).  It is also half the diagonal
+# of a cell's face, so that a core contains nodes at any position in the grid.
 WIDER = 0.71
-MOST_CLEAR = 1.0 / 3.0  # of a segment: short bones keep a third of it
+MOST_CLEAR = 1.0 / 3.0  # of a segment at each end: short bones keep a third of it
 
 
 @dataclass(frozen=True, kw_only=True)
 class Core:
-    """One segment's core: a row of balls, and what is between them."""
+    """The core of one segment: balls along the axis, with linearly interpolated radii."""
 
     bone: int
     points: Floats  # (k, 3) [m] evenly along the segment, k >= 1
-    radius: Floats  # (k,) [m]; 0 outside the body
+    radius: Floats  # (k,) [m]; 0 where the center is outside the body
 
     def depth(self, X: Floats) -> NDArray[np.float64]:
-        """(n,) [m] by which points (n, 3) [m] lie inside; below 0: outside."""
+        """(n,) [m] depth of points (n, 3) [m] in the core; negative outside."""
         t = self._along(X)
         r = np.interp(t, np.linspace(0.0, 1.0, len(self.points)), self.radius)
         distance = np.linalg.norm(self.away(X), axis=1)
         return np.asarray(np.where(r > 0.0, r - distance, -np.inf))
 
     def away(self, X: Floats) -> NDArray[np.float64]:
-        """(n, 3) [m] to points (n, 3) [m] from the nearest of the axis."""
+        """(n, 3) [m] vectors to points (n, 3) [m] from the nearest points of the axis."""
         way = self.points[-1] - self.points[0]
         return np.asarray(X - self.points[0] - self._along(X)[:, None] * way)
 
     def _along(self, X: Floats) -> NDArray[np.float64]:
-        """(n,) where on the axis, 0 to 1, the nearest is."""
+        """(n,) parameter 0..1 of the nearest points of the axis."""
         way = self.points[-1] - self.points[0]
         length2 = float(way @ way)
         if length2 == 0.0:
@@ -59,12 +58,12 @@ class Core:
 
 @dataclass(frozen=True, kw_only=True)
 class Cores:
-    """All cores of a body."""
+    """The cores of a body."""
 
     cores: tuple[Core, ...]
 
     def owner(self, X: Floats) -> Ints:
-        """(n,) bone whose core each point (n, 3) [m] is in; -1: none."""
+        """(n,) the bone whose core contains each point (n, 3) [m]; -1: none."""
         best, out = np.zeros(len(X)), np.full(len(X), -1)
         for core in self.cores:
             depth = core.depth(X)
@@ -76,10 +75,10 @@ class Cores:
 def bone_cores(
     bones: Sequence[Bone], solid: Solid, share: float, cell: float
 ) -> tuple[Cores, tuple[str, ...]]:
-    """The cores of bones in a solid, for a grid whose nodes are held in them, and notes.
+    """The cores of bones in a solid, in which grid nodes are constrained, and notes.
 
-    share : radius of a core over the distance from the bone to the skin.
-    cell : [m] edge of a cell.  Radii are `WIDER` cells larger than asked for.
+    share : radius of a core over the distance from the bone to the surface.
+    cell : [m] edge of a cell; `WIDER` cells are added to the radii.
     """
     skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
 
@@ -90,7 +89,7 @@ def bone_cores(
     cores, outside, thin = [], [], []
     for number, bone in enumerate(bones):
         mine = []
-        if not bone.free:  # other bones hold all of its flesh
+        if not bone.free:  # the flesh of this bone belongs to other bones
             continue
         for (start, end), free in zip(bone.segments, bone.free, strict=True):
             whole = radii(_along(start, end))
@@ -125,7 +124,7 @@ def bone_cores(
 
 
 def bone_pins(bones: Sequence[Bone], cores: Cores) -> tuple[Pin, ...]:
-    """One pin for each bone that has a core."""
+    """One kinematic pin for each bone with a core."""
     there = sorted({core.bone for core in cores.cores if (core.radius > 0.0).any()})
     return tuple(_pin(bones[k], cores, k) for k in there)
 

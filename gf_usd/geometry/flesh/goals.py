@@ -1,14 +1,14 @@
-"""Goals of flesh: where the skeleton's skinning has it, and how strongly it is drawn there.
+"""Goal springs: positions of flesh in the skinned pose, and the stiffness of springs to them.
 
-The skinned pose of a point with weights w_j of the bones is (linear blend skinning)
+The skinned pose of a point with bone weights w_j is (linear blend skinning)
 
     x(X, t) = sum_j w_j (A_j(t) X + b_j(t))
 
-Weights are known on the skin.  A point inside the body takes those of the samples of the skin
-nearest to it, by w ~ 1 / (d^2 + e^2)^2 with e a part of their spacing.
+Weights are authored on the surface.  A point inside the body takes those of the nearest surface
+samples, averaged with w ~ 1 / (d^2 + e^2)^2, where e is a share of the sample spacing.
 
-A goal g in 0..1 stands for springs of the frequency f sqrt(g / (1 - g)): none at 0, f at 1/2, and
-no end at 1.
+A goal weight g in 0..1 gives springs of the frequency f sqrt(g / (1 - g)): 0 at g = 0, f at
+g = 1/2, infinite at g = 1.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import FleshLimits, Goals, Skeleton
 from gf_usd.geometry.solid import Solid
 
-NEAR = 16  # samples of the skin that a point inside takes its weights of
-SMOOTH = 0.5  # of their spacing: within it, distances count alike
-UNPAINTED = 0.5  # goal of a mesh on which nothing is painted: the frequency asked for
+NEAR = 16  # surface samples that are averaged for a point inside
+SMOOTH = 0.5  # of the sample spacing: e
+UNPAINTED = 0.5  # goal weight of a mesh without painted goals: frequency f
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
-    """Samples of the skin."""
+class SkinSamples:
+    """Samples of the surface, with their bone weights and goal weights."""
 
     X: Floats  # (n, 3) [m] at rest
-    weights: sparse.csr_matrix  # (n, bones) each row 1 in all, or nothing
+    weights: sparse.csr_matrix  # (n, bones) rows sum to 1, or are empty
     goal: Floats  # (n,) 0..1
-    spacing: float  # [m] between them
+    spacing: float  # [m] of the samples
 
     def around(self, X: Floats) -> sparse.csr_matrix:
-        """(m, n) averages over the samples near points X (m, 3)."""
+        """(m, n) averaging weights of the samples near points X (m, 3) [m]."""
         k = min(NEAR, len(self.X))
         distance, near = nearest(self.X, X, k)
         w = 1.0 / (distance**2 + (SMOOTH * self.spacing) ** 2) ** 2
@@ -64,15 +64,18 @@ def flesh_goals(
     keys: Sequence[Mapping[str, Floats]] = (),
     key_of_frame: Sequence[int] = (),
 ) -> Goals:
-    """Springs to the skinned pose.
+    """Springs to the skinned pose.  A surface without bone weights has no springs.
 
-    painted : (C,) goals at the corners of the faces, by prim path, NaN: nothing is said; frequency
-    : [Hz] where the goal is 1/2, 0: no springs; damping : ratio; spacing : [m] of the samples;
-    limits : besides.  keys : what is painted over time, as `painted`, and which of them counts at
-    each frame; none: it stays.  A surface that no bone poses has no springs.
+    painted : (C,) goal weights at face corners, by prim path; NaN: not authored.
+    frequency : [Hz] at a goal weight of 1/2; 0: no springs.
+    damping : damping ratio.
+    spacing : [m] of the samples.
+    limits : constraints that are passed on.
+    keys, key_of_frame : goal weights over time, as `painted`, and the index of those in effect at
+        each frame; empty: they are constant.
     """
     skin = on_skin(solid, samples.X)
-    drawn = _drawn(solid, samples, skeleton, painted, spacing, skin)
+    drawn = _skin_samples(solid, samples, skeleton, painted, spacing, skin)
     linear, offset = affine(skeleton)
     moving = bool((linear != np.eye(3)).any() or offset.any())
 
@@ -125,7 +128,7 @@ def flesh_goals(
 
 
 def affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A (F, bones, 3, 3) and b (F, bones, 3) [m] of the bones at each frame."""
+    """A (F, bones, 3, 3) and b (F, bones, 3) [m] of the affine bone transforms at each frame."""
     rest = np.stack([bone.anchors for bone in skeleton.bones])  # (B, 4, 3)
     path = np.stack([bone.path for bone in skeleton.bones], 1)  # (F, B, 4, 3)
     edges = np.linalg.inv(rest[:, 1:] - rest[:, :1])
@@ -134,15 +137,15 @@ def affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return linear, offset
 
 
-def _drawn(
+def _skin_samples(
     solid: Solid,
     samples: SurfaceSamples,
     skeleton: Skeleton,
     painted: Mapping[str, Floats],
     spacing: float,
     skin: Sequence[OnSkin],
-) -> Drawn:
-    """The samples, each with what the skin has at the point nearest to it."""
+) -> SkinSamples:
+    """The samples, with the weights at the nearest surface points."""
     bones, count = len(skeleton.bones), len(samples.X)
     total = sparse.csr_matrix((count, bones))
     goal = _painted_goal(solid, skin, painted, count)
@@ -152,13 +155,13 @@ def _drawn(
             total += near.to_points(len(surface.points)) @ known
     if skeleton.samples is not None:
         total = skeleton.samples.weights
-    return Drawn(X=samples.X, weights=sparse.csr_matrix(total), goal=goal, spacing=spacing)
+    return SkinSamples(X=samples.X, weights=sparse.csr_matrix(total), goal=goal, spacing=spacing)
 
 
 def _painted_goal(
     solid: Solid, skin: Sequence[OnSkin], painted: Mapping[str, Floats], count: int
 ) -> NDArray[np.float64]:
-    """(count,) goals of the samples, of what is painted at the corners of the faces."""
+    """(count,) goal weights of the samples, from those painted at the face corners."""
     goal = np.full(count, UNPAINTED)
     for surface, near in zip(solid.surfaces, skin):
         if (values := painted.get(surface.path)) is not None:
@@ -170,23 +173,23 @@ def _painted_goal(
 
 @dataclass(frozen=True, kw_only=True)
 class OnSkin:
-    """Those of some points that are nearest to one surface, and where on it they are."""
+    """Closest points on one surface, for the query points that are nearest to it."""
 
-    rows: Ints  # (k,) of the points
-    count: int  # of all points
-    corners: Ints  # (k, 3) points of the triangle
-    share: Floats  # (k, 3) of its corners
-    source: Ints  # (k,) row of it in Surface.triangles
+    rows: Ints  # (k,) indices of the query points
+    count: int  # of all query points
+    corners: Ints  # (k, 3) vertices of the closest triangle
+    share: Floats  # (k, 3) barycentric coordinates
+    source: Ints  # (k,) row of the triangle in Surface.triangles
 
     def to_points(self, points: int) -> sparse.csr_matrix:
-        """(count, points) shares of the points of the surface; empty rows for other points."""
+        """(count, points) interpolation from the surface's points; empty rows for other queries."""
         rows = np.repeat(self.rows, 3)
         values = (self.share.ravel(), (rows, self.corners.ravel()))
         return sparse.csr_matrix(values, shape=(self.count, points))
 
 
 def on_skin(solid: Solid, X: Floats) -> list[OnSkin]:
-    """Where on the nearest of the surfaces points X (n, 3) [m] are; a part for each surface."""
+    """Closest points of X (n, 3) [m] on the surfaces, grouped by surface."""
     best, of = np.full(len(X), np.inf), np.zeros(len(X), np.int64)
     found = []
     for s, (surface, triangles) in enumerate(zip(solid.surfaces, solid.triangles)):
@@ -212,7 +215,7 @@ def on_skin(solid: Solid, X: Floats) -> list[OnSkin]:
 
 
 def _barycentric(at: Floats, corners: Floats) -> NDArray[np.float64]:
-    """(n, 3) shares of the corners (n, 3, 3) in points (n, 3) of their triangles."""
+    """(n, 3) barycentric coordinates of points (n, 3) in triangles of corners (n, 3, 3)."""
     a, b, c = np.moveaxis(corners, 1, 0)
     normal = np.cross(b - a, c - a)
     double = np.maximum((normal * normal).sum(1), np.finfo(float).tiny)

@@ -1,13 +1,13 @@
-"""Limits of flesh: how near to its bone it may come, and how far it may go from its skinned pose.
+"""Inequality constraints of flesh: distance to the bone, and to the skinned pose.
 
-The bone of a point X is the one whose axis is nearest to it, at P.  As the bone moves,
-x = A X + b, it would carry the point to B = A X + b, in the direction n = A (X - P) / |A (X - P)|
-from its axis.  With r = |X - P| at rest, and a cell's edge where that is more,
+The bone of a point X is the one whose axis is nearest, with nearest axis point P.  The bone's
+rigid or affine motion takes X to B = A X + b, in the direction n = A (X - P) / |A (X - P)| from
+its axis.  With r = max(|X - P|, edge of a cell) at rest,
 
-    squish q    n . (x - B) >= -(1 - q) r      so that flesh keeps q r to its bone
+    squish q    n . (x - B) >= -(1 - q) r      the distance to the axis is at least q r
     stretch s   |x - G| <= s r                 G the skinned pose
 
-Both are shares of r, so that one value does for a finger and for a belly.
+q and s are relative to r, so that one value suits thin and thick limbs.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ def flesh_limits(
     stretch: float | None,
     cell: float,
 ) -> FleshLimits:
-    """The limits of flesh around bones.
+    """The constraints of flesh around bones.
 
-    squish, stretch : q and s; None: no such limit.  cell : [m] edge of a cell.
+    squish, stretch : q and s; None: no such constraint.  cell : [m] edge of a cell.
     """
     linear, offset = affine(skeleton)
 
     def carried(X: Floats) -> Callable[[float], tuple[Floats, Floats]]:
         bone, way = nearest_bone(cores, X)
-        # a point on the axis is in a core, and never free
+        # no division by 0: a point on the axis is in a core, whose motion is prescribed
         way = np.where((way != 0.0).any(1, keepdims=True), way, np.eye(3)[0])
 
         def at(frame: float) -> tuple[Floats, Floats]:
@@ -64,7 +64,7 @@ def flesh_limits(
 
 
 def nearest_bone(cores: Cores, X: Floats) -> tuple[Ints, Floats]:
-    """(n,) the bone whose axis is nearest to each point (n, 3) [m], and X - P (n, 3) [m]."""
+    """(n,) the bone with the axis nearest to each point X (n, 3) [m], and X - P (n, 3) [m]."""
     best = np.full(len(X), np.inf)
     bone, way = np.zeros(len(X), np.int64), np.zeros((len(X), 3))
     for core in cores.cores:

@@ -1,16 +1,17 @@
-"""Bones of a body that has none: its medial part in pieces, each of which follows the skin.
+"""Bones from the medial axis, for an animated mesh without a skeleton.
 
-Let d be the distance to the skin.  A point of the body is medial where d grows nowhere near as fast
-as away from the skin, and which does not lie on the way from there into an edge:
+Let d be the distance to the surface.  A lattice point Y of the body is medial where d does not grow
+at its maximal slope of 1 in any direction, and where no deeper medial point is near, so that the
+branches of the medial axis into edges are left out:
 
     (d(Z) - d(Y)) / |Z - Y| < STEEP      for all neighbors Z of Y
     d(Y) >= SHALLOW d(Z)                 for all medial Z with |Z - Y| < d(Z)
 
-Medial points, deepest first, begin pieces that are as far apart as they are deep.  A sample of the
-skin follows the pieces by weights w ~ sum over their points Y of (u + e)^-4 with u = |x - Y| - d(Y)
-the distance to the ball that fits around Y, and e that between samples.  A piece moves as the rigid
-motion that fits its samples best (Kabsch).  What the skin does besides is an offset of its samples,
-so that the skinned pose is the cache.
+Medial points are grouped into pieces, deepest first, whose distances are about their depths.  A
+surface sample x has weights w ~ sum over the points Y of a piece of (u + e)^-4, with u = |x - Y| -
+d(Y) the distance to the inscribed ball at Y and e the sample spacing.  A piece has the rigid motion
+that fits its samples best (Kabsch 1976).  The residuals are stored as offsets of the samples, so
+that the skinned pose reproduces the animated points.
 """
 
 from __future__ import annotations
@@ -34,13 +35,13 @@ from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
 STEEP, SHALLOW = 0.8, 0.75
-NEIGHBORS = 27  # of a lattice point, with itself
-MOST = 8000  # points of the body that are looked at
-PIECES = 48
+NEIGHBORS = 27  # of a lattice point, including itself
+MOST = 8000  # lattice points at most
+PIECES = 48  # at most
 BALLS = 6  # of a piece's core
-BETWEEN = 0.4  # share of the way to the next piece at which a core ends: the rest bends
-FEW = 24  # samples that a motion is fitted to at least
-LEAST = 1e-3  # weight that counts
+BETWEEN = 0.4  # of the distance to the next piece, at which a core ends, so that the rest can bend
+FEW = 24  # least number of samples that a rigid motion is fitted to
+LEAST = 1e-3  # weights below it are ignored
 
 
 def medial_skeleton(
@@ -54,13 +55,15 @@ def medial_skeleton(
     spacing: float,
     where: str,
 ) -> tuple[Skeleton, Cores]:
-    """The bones of a body whose skin is animated, and their cores.
+    """The bones of a body whose surface is animated, and their cores.
 
-    X : (n, 3) [m] points of the body on a lattice; frames : points (V, 3) [m] of the surfaces at
-    each frame, by prim path; share : radius of a core over the distance to the skin; cell : [m]
-    edge of a cell, see `bone_cores`; spacing : [m] of the samples; where : the file, for messages.
+    X : (n, 3) [m] lattice points of the body.
+    frames : points (V, 3) [m] of the surfaces at each frame, by prim path.
+    share, cell : as in `bone_cores`.
+    spacing : [m] of the samples.
+    where : the file, for messages.
 
-    Raises InputError where the points are not those of the surfaces.
+    Raises InputError where the numbers of points differ from those of the surfaces.
     """
     points, depth = medial_points(solid, X[:: max(1, len(X) // MOST)])
     piece, count = _pieces(points, depth, cell)
@@ -81,9 +84,9 @@ def medial_skeleton(
 
 
 def medial_points(solid: Solid, X: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(m, 3) [m] the medial ones of points X (n, 3) of a lattice, and their depth (m,) [m].
+    """(m, 3) [m] the medial points among lattice points X (n, 3), and their depths (m,) [m].
 
-    The deepest come first.
+    Sorted by descending depth.
     """
     skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
     depth = np.min([skin.closest(X)[0] for skin in skins], axis=0)
@@ -104,7 +107,7 @@ def medial_points(solid: Solid, X: Floats) -> tuple[NDArray[np.float64], NDArray
 
 
 def _pieces(points: Floats, depth: Floats, cell: float) -> tuple[Ints, int]:
-    """(m,) the piece of each medial point, deepest first, and how many there are."""
+    """(m,) the piece of each medial point, and the number of pieces."""
     centers: list[int] = []
     apart = 1.5 * cell
     while True:
@@ -120,7 +123,7 @@ def _pieces(points: Floats, depth: Floats, cell: float) -> tuple[Ints, int]:
 def _weights(
     x: Floats, points: Floats, depth: Floats, piece: Ints, count: int, spacing: float
 ) -> sparse.csr_matrix:
-    """(n, pieces) by which samples x (n, 3) follow the pieces."""
+    """(n, pieces) weights of samples x (n, 3) [m]."""
     member = sparse.csr_matrix((np.ones(len(piece)), (np.arange(len(piece)), piece)),
                                shape=(len(piece), count))  # fmt: skip
     rows = []
@@ -136,7 +139,7 @@ def _weights(
 def _paths(
     solid: Solid, x: Floats, frames: Iterable[Mapping[str, Floats]], where: str
 ) -> NDArray[np.float64]:
-    """(F, n, 3) [m] of samples x (n, 3) of the skin at each frame."""
+    """(F, n, 3) [m] positions of surface samples x (n, 3) at each frame."""
     parts = [
         (surface, near.to_points(len(surface.points)))
         for surface, near in zip(solid.surfaces, on_skin(solid, x))
@@ -159,7 +162,7 @@ def _paths(
 
 
 def _bone(number: int, at: Floats, weight: Floats, x: Floats, path: Floats) -> Bone:
-    """The piece of medial points at (k, 3), by the weights (n,) of samples x (n, 3)."""
+    """The bone of the piece with medial points `at` (k, 3), from weighted samples x (n, 3)."""
     near = nearest(x, at.mean(0, keepdims=True), min(FEW, len(x)))[1].ravel()
     w = weight**2
     if (weight > 0.5).sum() < FEW:
@@ -182,7 +185,7 @@ def _bone(number: int, at: Floats, weight: Floats, x: Floats, path: Floats) -> B
 def _cores(
     points: Floats, depth: Floats, piece: Ints, count: int, share: float, cell: float
 ) -> Cores:
-    """Balls around medial points of each piece, away from the next piece."""
+    """Balls around the medial points of each piece, up to `BETWEEN` of the way to the next."""
     centers = np.stack([points[piece == k][0] for k in range(count)])
     way = np.sort(cdist(points, centers), axis=1)
     inner = np.ones(len(points), bool)

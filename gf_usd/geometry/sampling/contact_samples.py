@@ -1,7 +1,6 @@
-"""Contact samples, spread over the surface of each body about a spacing apart.
+"""Contact samples: points on the surface of each body, about one spacing apart (Poisson disks).
 
-Without random numbers, and alike on both sides of the planes that a body is symmetric about
-(`mirror`): a body that is its own mirror image has samples that are theirs.
+Sampling is deterministic, and symmetric across the mirror planes of a body (`mirror`).
 """
 
 from __future__ import annotations
@@ -20,22 +19,22 @@ from gf_usd.geometry.sampling.particles import TURNS
 from gf_usd.geometry.sampling.pieces import cut_along
 from gf_usd.geometry.solid import Solid
 
-EXCLUDED = 0.7  # [spacings] no two samples are as near to each other but across a gap
-OPPOSED = 0.5  # cosine from where two places that look at each other are the walls of a gap
-FEW = 16  # samples in a ball of EXCLUDED around a place of a wall, at most
-DENSITY = 12.0  # candidates in a square of a spacing
+EXCLUDED = 0.7  # [spacings] least distance of two samples that are not on opposite walls of a gap
+OPPOSED = 0.5  # least negated cosine of the normals of two opposite walls
+FEW = 16  # nearest samples that are searched for one on the same wall
+DENSITY = 12.0  # candidates per square of a spacing
 LEAST_DRAWS = 64  # candidates on a surface
-ALIKE = 0.1  # [spacings] by which mirror images may differ where polygons are cut otherwise
-PLASTIC = 1.3247179572447460  # x^3 = x + 1: fills the square evenly (Roberts 2018)
+ALIKE = 0.1  # [spacings] tolerance of mirror symmetry, for differently triangulated polygons
+PLASTIC = 1.3247179572447460  # plastic number, x^3 = x + 1, of the R2 sequence (Roberts 2018)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Candidates:
-    """Points of a surface, those that come first preferred."""
+    """Candidate points on a surface, in order of preference."""
 
     X: Floats  # (n, 3) [m]
     normal: Floats  # (n, 3) of any length
-    area: Floats  # (n,) [m^2] that each stands for before any is chosen
+    area: Floats  # (n,) [m^2] of the surface that each represents
 
 
 def sample_surface(
@@ -43,10 +42,10 @@ def sample_surface(
 ) -> SurfaceSamples:
     """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
-    Candidates are the vertices, then points by area; kept are some that are no nearer to each other
-    than 0.7 spacings and leave no other candidate farther than that.  Both walls of a narrow gap
-    have samples of their own.  The area a sample stands for is that of the candidates nearest to
-    it.
+    Candidates are the vertices, then points distributed by area.  The samples are a maximal subset
+    of them with distances of at least 0.7 spacings.  The two walls of a narrow gap are sampled
+    independently.  The area of a sample is the sum over the candidates nearest to it.
+
     bodies : (S,) the body of each surface, each sampled by itself; None: all are one.
     """
     body = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
@@ -65,11 +64,11 @@ def sample_surface(
 def _sample_body(
     surfaces: Sequence[tuple[Floats, Ints]], spacing: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Places (n, 3) [m], areas (n,) [m^2] and normals (n, 3) on (points, triangles) of a body.
+    """Positions (n, 3) [m], areas (n,) [m^2] and normals (n, 3) of the samples of a body.
 
-    Of a symmetric body one side is sampled, with its rim: points on the plane itself.  One that is
-    so near to the plane that it would exclude its own image comes last: it is needed where the
-    body is as thin as that.
+    surfaces : points and triangles of each.  Of a symmetric body one half is sampled, with points
+    on the mirror plane itself.  Candidates so near to the plane that they would exclude their own
+    mirror images come last: they are needed where the body is that thin.
     """
     low = np.min([p[np.unique(t)].min(0) for p, t in surfaces], axis=0)
     high = np.max([p[np.unique(t)].max(0) for p, t in surfaces], axis=0)
@@ -117,8 +116,8 @@ def _sample_body(
 
 
 def _one_side(corners: Floats, mirrored: Ints, size: float) -> NDArray[np.float64]:
-    """Triangles (n, 3, 3) cut at the planes through 0, and those on the upper side of them."""
-    # Cut at whole numbers: none but 0 is within the body.
+    """Triangles (n, 3, 3) clipped to the upper side of the mirror planes through 0."""
+    # `cut_along` clips at integers: scaled so that only 0 is within the body.
     corners, rows = corners / (2.0 * size), np.arange(len(corners))
     for axis in mirrored:
         corners, rows = cut_along(corners, rows, int(axis))
@@ -128,7 +127,7 @@ def _one_side(corners: Floats, mirrored: Ints, size: float) -> NDArray[np.float6
 
 
 def _cross(corners: Floats) -> Floats:
-    """(n, 3) normals of triangles, as long as twice their area."""
+    """(n, 3) normals of triangles, of length twice the area."""
     a, b, c = np.moveaxis(corners, 1, 0)
     return np.cross(b - a, c - a)
 
@@ -139,7 +138,7 @@ def _areas(corners: Floats) -> Floats:
 
 
 def _vertices(points: Floats, triangles: Ints) -> _Candidates:
-    """Vertices, with the mean normal of the triangles around."""
+    """Vertices, with area-weighted vertex normals."""
     cross, around = _cross(points[triangles]), np.zeros_like(points)
     for k in range(3):
         np.add.at(around, triangles[:, k], cross)
@@ -148,12 +147,12 @@ def _vertices(points: Floats, triangles: Ints) -> _Candidates:
 
 
 def _draws(corners: Floats, spacing: float) -> _Candidates:
-    """Points spread evenly over triangles (n, 3, 3), each for the same area."""
+    """Points distributed over triangles (n, 3, 3), each for the same area."""
     area = _areas(corners)
     if area.sum() <= 0.0:
         return _Candidates(X=np.zeros((0, 3)), normal=np.zeros((0, 3)), area=np.zeros(0))
     count = max(LEAST_DRAWS, int(np.ceil(DENSITY * area.sum() / spacing**2)))
-    # Along the cumulated area: every stretch of surface gets its share.
+    # Stratified along the cumulative area.
     at = (np.arange(count) + 0.5) / count * area.sum()
     face = np.minimum(np.searchsorted(np.cumsum(area), at), len(area) - 1)
     r = (0.5 + np.arange(count)[:, None] / PLASTIC ** np.arange(1, 3)) % 1.0
@@ -166,7 +165,7 @@ def _draws(corners: Floats, spacing: float) -> _Candidates:
 
 
 def _rim(corners: Floats, axis: int, spacing: float) -> _Candidates:
-    """Points along the edges that triangles (n, 3, 3) have in the plane through 0."""
+    """Points on the edges of triangles (n, 3, 3) in the mirror plane through 0."""
     normal = _cross(corners)
     X, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for k in range(3):
@@ -183,10 +182,10 @@ def _rim(corners: Floats, axis: int, spacing: float) -> _Candidates:
 
 
 def thin(points: Floats, radius: float, normal: Floats | None = None) -> Ints:
-    """Indices of a subset, no two within radius [m] of each other and no point farther from it.
+    """Indices of a maximal subset of points with distances of at least radius [m].
 
-    Of points that exclude each other the first one tends to stay.
-    normal : (n, 3) unit or 0; given, points on the two walls of a gap do not exclude each other.
+    Points earlier in the order are preferred.
+    normal : (n, 3) unit or 0; points on opposite walls of a gap do not exclude each other.
     """
     kept = np.zeros(0, np.int64)
     left = np.arange(len(points))
@@ -202,11 +201,11 @@ def thin(points: Floats, radius: float, normal: Floats | None = None) -> Ints:
 
 
 def _nearest(X: Floats, normal: Floats, rows: Ints, of: Ints) -> tuple[Floats, Ints]:
-    """How far [m] points `rows` (k,) are from the nearest of points `of` (m,) that is not on the
-    other wall of a gap, and its number among these.
+    """(k,) [m] distances of points `rows` (k,) to the nearest of points `of` (m,) that is not on
+    the opposite wall of a gap, and (k,) its index in `of`.
 
-    Of FEW that are nearest; where all of these are, it is inf, and the number is that of the
-    nearest.
+    Only the FEW nearest are searched; where all of them are on the opposite wall, the distance is
+    inf and the index that of the nearest.
     """
     tree = kd_tree(X[of])
     distance, at = tree.query(X[rows])
@@ -222,15 +221,15 @@ def _nearest(X: Floats, normal: Floats, rows: Ints, of: Ints) -> tuple[Floats, I
 
 
 def _across(X: Floats, normal: Floats, a: Ints, b: Ints) -> NDArray[np.bool_]:
-    """Whether points a and b are on the two walls of a gap: opposite, each ahead of the other."""
+    """Whether points a and b are on opposite walls of a gap: normals opposed, and each in front."""
     away = X[b] - X[a]
     opposed = (normal[a] * normal[b]).sum(-1) < -OPPOSED
     return opposed & ((away * normal[a]).sum(-1) > 0.0) & ((away * normal[b]).sum(-1) < 0.0)
 
 
 def _thin_once(points: Floats, radius: float) -> Ints:
-    """Indices, in order, no two within radius; may leave out points that would still fit."""
-    # Points in one cell of edge radius/sqrt(3) exclude each other: drop those first, then search.
+    """Ascending indices, no two within radius; the subset need not be maximal."""
+    # Points in one cell of edge radius/sqrt(3) exclude each other, and are dropped first.
     cell = np.floor((points - points.min(0)) / (radius / np.sqrt(3.0))).astype(np.int64)
     _, first = np.unique(cell, axis=0, return_index=True)
     first.sort()

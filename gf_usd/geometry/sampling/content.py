@@ -1,7 +1,6 @@
-"""How much of each cell of a grid a solid fills, where, and how it is spread: exact moments.
+"""Exact moments, up to second order, of the part of each grid cell that a solid fills.
 
-Over the part of a cell that the solid fills, of volume f and in coordinates about the middle of the
-cell, all in cells,
+In coordinates about the center of the cell, in units of its edge, over the part that is filled,
 
     M = integral of (1, x, y, z, x^2, y^2, z^2, xy, xz, yz) dV
 
@@ -10,11 +9,11 @@ integral of the winding number w times f over the column under z_k is
 
     sum over the pieces of surface under z_k of  integral of (F(z) - F(z_k)) n_z dA
 
-so that only pieces of surface enter, each in one cell (`pieces`), and polynomials over triangles
-are integrated exactly.  That is the moment of the solid where w is 0 or 1.  In a cell that one
-shell cuts w has two values that differ by 1, and the solid is where |w| > 1/2 (`Solid.inside`):
-this follows from the moments of w.  Where several shells overlap in a cell, or where a surface is
-open, probes inside are counted.
+so that only pieces of triangles in one cell (`pieces`) are needed, over which polynomials are
+integrated exactly.  Where the winding number w is 0 or 1, these are the moments of the solid.  In a
+cell that one shell cuts, w has two values that differ by 1, and the moments of the solid,
+|w| > 1/2 (`Solid.inside`), follow from those of w.  Where several shells overlap in a cell, or a
+surface is open, the moments are estimated from sample points.
 """
 
 from __future__ import annotations
@@ -40,20 +39,20 @@ POWERS = np.array(
         (1, 1, 0), (1, 0, 1), (0, 1, 1),
     ]
 )  # fmt: skip
-PLANE = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)]  # of x, y, where z is left out
+PLANE = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)]  # powers of x, y
 FULL = np.where((POWERS == 2).any(1), 1.0 / 12.0, 0.0)  # moments of a full cell
 FULL[0] = 1.0
-ROUNDING = 1e-9  # [cells] of volume: sums of pieces are no more exact
-NOTHING = 1e-12  # [cells] of volume: no content
-PROBES = (64, 512)  # points in a cell, where the inside is counted: least and most
-MOST_PROBES = 200_000  # in all cells
-MOST_CELLS = 50_000_000  # as many as particles: more are a mistake in the size
-BATCH = 1 << 18  # probes at once
+ROUNDING = 1e-9  # [cells] rounding error of volumes
+NOTHING = 1e-12  # [cells] volume below which a cell counts as empty
+PROBES = (64, 512)  # least and greatest number of sample points per cell
+MOST_PROBES = 200_000  # sample points in all cells
+MOST_CELLS = 50_000_000  # as the limit on particles: with more, the spacing is a mistake
+BATCH = 1 << 18  # sample points at a time: bounds memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Cells laid over a solid, in a frame whose axes are those of the world, permuted."""
+    """A grid of cells, in a frame whose axes are the world's, permuted and possibly reversed."""
 
     corner: Floats  # (3,) [m] lowest corner, in the frame
     h: float  # [m] edge of a cell
@@ -61,30 +60,30 @@ class Grid:
     turn: Floats  # (3, 3) world to frame: a signed permutation
 
     def to_cells(self, X: Floats) -> Floats:
-        """World positions (..., 3) [m] in cells from the corner."""
+        """World positions (..., 3) [m] to cell coordinates."""
         return (X @ self.turn.T - self.corner) / self.h
 
     def to_world(self, cells: Floats) -> Floats:
-        """The reverse of `to_cells`."""
+        """The inverse of `to_cells`."""
         return (self.corner + self.h * cells) @ self.turn
 
     def key(self, ijk: Ints) -> Ints:
-        """One number for each cell (..., 3)."""
+        """Flat index of each cell (..., 3)."""
         return (ijk[..., 0] * self.count[1] + ijk[..., 1]) * self.count[2] + ijk[..., 2]
 
     def ijk(self, key: Ints) -> NDArray[np.int64]:
-        """The reverse of `key`."""
+        """The inverse of `key`."""
         return np.stack(np.unravel_index(key, tuple(self.count)), -1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """The cells that hold some of a solid."""
+    """The cells that intersect a solid, and the moments of the intersections."""
 
     ijk: Ints  # (n, 3)
-    moments: Floats  # (n, 10) in cells, about the middle of the cell
+    moments: Floats  # (n, 10) in units of cells, about the center of the cell
     faces: Floats  # (n, 2, 3) [cells^2] area of the solid in the lower and upper face of each axis
-    counted: int = 0  # cells whose moments are a count of probes
+    counted: int = 0  # cells whose moments are estimated from sample points
 
 
 def find_content(solid: Solid, grid: Grid) -> Content:
@@ -117,21 +116,21 @@ def find_content(solid: Solid, grid: Grid) -> Content:
 
 @dataclass(frozen=True, kw_only=True)
 class _SurfaceContent:
-    """What one surface encloses."""
+    """The content of the cells that one surface encloses or cuts."""
 
     full: Ints  # keys of the cells it encloses
-    part: Ints  # (n,) keys of those it cuts
+    part: Ints  # (n,) keys of the cells it cuts
     moments: Floats  # (n, 10)
     faces: Floats  # (n, 2, 3)
-    doubtful: NDArray[np.bool_]  # (n,) moments are those of a winding number that is not 0 or 1
+    doubtful: NDArray[np.bool_]  # (n,) the winding number is not 0 or 1: moments are not exact
 
 
 def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
-    """Cells of one surface: those it cuts, and from these the ones between them."""
+    """The cells that a surface cuts, and the enclosed ones, which follow from these."""
     points, triangles = solid.outward(index)
     pieces = cut(grid.to_cells(points)[triangles])
     at = np.floor(pieces.corners.mean(1)).astype(np.int64)
-    at = np.clip(at, 0, grid.count - 1)  # what rounding puts beyond counts to the last cell
+    at = np.clip(at, 0, grid.count - 1)  # rounding may put a piece outside the grid
     vector = pieces.area_vectors
     integrals = _integrals(pieces.corners - (at + 0.5)[:, None, :], vector[:, 2])
     key, first, place = np.unique(grid.key(at), return_index=True, return_inverse=True)
@@ -140,7 +139,7 @@ def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
     faces = _face_areas(grid.ijk(key), -_summed(place, vector, len(key)))
     closed = _is_closed(triangles)
     shell = shells(triangles)
-    of = shell[pieces.source]  # connected part of the surface that each piece belongs to
+    of = shell[pieces.source]  # shell of each piece
     lowest = np.full(len(key), len(pieces.source))
     np.minimum.at(lowest, place, of)
     highest = np.zeros(len(key), np.int64)
@@ -161,12 +160,12 @@ def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
 
 
 def _summed(place: Ints, values: Floats, count: int) -> Floats:
-    """(count, k) sums of values (n, k) that share a place (n,)."""
+    """(count, k) sums of values (n, k) by index `place` (n,)."""
     return np.stack([np.bincount(place, v, minlength=count) for v in values.T], 1)
 
 
 def _below(line: Ints, values: Floats) -> Floats:
-    """(n, k) of rows sorted along lines: the sum of the values (n, k) before each in its line."""
+    """(n, k) exclusive prefix sums of values (n, k) within each line; rows are sorted by line."""
     total = np.cumsum(values, axis=0)
     first = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
     before = np.repeat(total[first] - values[first], np.diff(first, append=len(line)), axis=0)
@@ -175,24 +174,24 @@ def _below(line: Ints, values: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class _Gaps:
-    """Cells of columns between two that the surface cuts."""
+    """Runs of cells in columns, each between two cells that the surface cuts."""
 
-    start: Ints  # (n,) key of the cut cell under each
+    start: Ints  # (n,) key of the cut cell below each run
     length: Ints  # (n,) cells
     w: Floats  # (n,) winding number
 
 
 def _along_columns(grid: Grid, key: Ints, own: Floats) -> tuple[Floats, _Gaps]:
-    """Moments (n, 10) of the winding number in cut cells, and the cells between them.
+    """Moments (n, 10) of the winding number in cut cells, and the runs of cells between them.
 
-    key : (n,) of the cells, ascending, so that those of a column follow each other upward;
+    key : (n,) of the cells, ascending, so that each column is contiguous and sorted upward.
     own : (n, 16) sums of `_integrals`.
     """
     column = key // grid.count[2]
     below = _below(column, own[:, 10:])
     w = own[:, :10].copy()
     for k, (a, b, c) in enumerate(POWERS):
-        if c != 1:  # an odd function of z over a whole cell: nothing
+        if c != 1:  # the integral of an odd power of z over a cell is 0
             w[:, k] += below[:, PLANE.index((a, b))] * (1.0 if c == 0 else 1.0 / 12.0)
     length = np.where(np.diff(column) == 0, np.diff(key) - 1, 0)
     rows = np.flatnonzero(length > 0)
@@ -200,9 +199,9 @@ def _along_columns(grid: Grid, key: Ints, own: Floats) -> tuple[Floats, _Gaps]:
 
 
 def _between(gaps: _Gaps, grid: Grid) -> Ints:
-    """Keys of the cells between the cut ones that a closed surface encloses.
+    """Keys of the cells between cut ones that a closed surface encloses.
 
-    Raises InputError where they are more than particles can be.
+    Raises InputError where there are more than `MOST_CELLS`.
     """
     rows = np.flatnonzero(np.round(gaps.w) != 0.0)
     length = gaps.length[rows]
@@ -212,11 +211,11 @@ def _between(gaps: _Gaps, grid: Grid) -> Ints:
 
 
 def _reached(solid: Solid, index: int, grid: Grid, key: Ints) -> Ints:
-    """Keys of the cells whose middle an open surface encloses, and that it does not cut.
+    """Keys of the cells that an open surface does not cut and whose centers it encloses.
 
-    The winding number is harmonic off the surface, so each region where it exceeds a bound reaches
-    the surface (the maximum principle): the search starts at the cut cells (n,) and goes on from
-    the cells inside, so that the cells tested are those of the body and the ones around it.
+    By flood fill from the cut cells (n,): the winding number is harmonic away from the surface, so
+    that by the maximum principle each region where it exceeds a bound reaches the surface.  Only
+    cells inside and their neighbors are tested.
     """
     known, front, found = key, key, [np.zeros(0, np.int64)]
     steps = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
@@ -243,7 +242,7 @@ def _refuse_too_many(cells: int, h: float) -> None:
 def _face_areas(ijk: Ints, own: Floats) -> Floats:
     """(n, 2, 3) [cells^2] area of the solid in the lower and upper face of cut cells, by axis.
 
-    ijk : (n, 3); own : (n, 3) by how much the area grows from the lower face to the upper one.
+    ijk : (n, 3); own : (n, 3) upper minus lower area, by the divergence theorem.
     """
     faces = np.empty((len(ijk), 2, 3))
     for axis in range(3):
@@ -257,9 +256,9 @@ def _face_areas(ijk: Ints, own: Floats) -> Floats:
 
 
 def _where_nonzero(w: Floats, facing: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Moments of where w != 0 from the moments of w, for cells that one shell cuts.
+    """Moments of the region w != 0 from the moments of w, for cells that one shell cuts.
 
-    w is n outside of the shell and n + facing inside it.  Second: where that cannot be.
+    w is n outside the shell and n + facing inside it.  Second: where the moments contradict this.
     """
     sign = np.where(facing < 0.0, -1.0, 1.0)[:, None]
     outer = np.floor(sign[:, 0] * w[:, 0] + ROUNDING)[:, None] * sign
@@ -271,9 +270,9 @@ def _where_nonzero(w: Floats, facing: Floats) -> tuple[Floats, NDArray[np.bool_]
 
 
 def _integrals(local: Floats, nz: Floats) -> Floats:
-    """(n, 16) of each piece: of F(z) - F(1/2) for the ten moments, and of x^a y^b, times -n_z dA.
+    """(n, 16) integrals over each piece of F(z) - F(1/2), ten moments, and x^a y^b, times -n_z dA.
 
-    local : (n, 3, 3) corners about the middle of the cell; nz : (n,) z of the area vector.
+    local : (n, 3, 3) corners about the center of the cell; nz : (n,) z of the area vector.
     """
     out = np.zeros((len(local), 16))
     for point, weight in zip(POINTS, WEIGHTS):
@@ -288,7 +287,10 @@ def _integrals(local: Floats, nz: Floats) -> Floats:
 
 
 def _is_closed(triangles: Ints) -> bool:
-    """Whether every edge is run through as often one way as the other: w is a whole number."""
+    """Whether every edge has as many half-edges in one direction as in the other.
+
+    The winding number is then an integer.
+    """
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     low, high = edges.min(1), edges.max(1)
     _, which = np.unique(low * (int(high.max()) + 1) + high, return_inverse=True)
@@ -311,10 +313,10 @@ def _winding(solid: Solid, index: int, X: Floats) -> Floats:
 
 
 def _count(solid: Solid, grid: Grid, key: Ints, exact: Floats) -> tuple[Floats, int]:
-    """(n, 10) moments of cells from probes inside, and in how many they are that.
+    """(n, 10) moments of cells from sample points, and the number of cells where they are used.
 
-    Where all surfaces are closed and no probe lies in two of them, `exact` is right: the moments of
-    the sum of the winding numbers.
+    `exact`, the moments of the sum of the winding numbers, is used where all surfaces are closed
+    and no sample point lies in two of them.
     """
     probe = spread_evenly(int(np.clip(MOST_PROBES // len(key), *PROBES))) - 0.5
     values = np.prod(probe[:, None, :] ** POWERS[None], 2)
@@ -335,7 +337,7 @@ def _count(solid: Solid, grid: Grid, key: Ints, exact: Floats) -> tuple[Floats, 
 
 
 def _winding_near(solid: Solid, index: int, X: Floats) -> Floats:
-    """(n,) |w| of a surface at X (n, 3) [m]; 0 out of its box."""
+    """(n,) |w| of a surface at X (n, 3) [m]; 0 outside its bounding box."""
     points = solid.surfaces[index].points
     near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
     out = np.zeros(len(X))

@@ -1,7 +1,8 @@
-"""Particles of a solid on a grid: those of its cells, slivers merged, and mirror images alike.
+"""Particles of a solid as quadrature points of grid cells, with merged slivers and mirror symmetry.
 
-A cell is thin if there is no full cell within two of it: what it holds of a leg or a sheet has no
-particles behind it to lean on.  So it has points of its own, and twice as many.
+Cells with little content (slivers) are merged into a neighbor.  A cell is thin if there is no full
+cell within two of it, as in a thin limb or a sheet: thin cells are not merged and have eight
+points, since the particles of a full neighbor do not support them.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from gf_usd.geometry.solid import Solid
 
 Flags = NDArray[np.bool_]
 
-LATTICE = 8  # probes along each axis of a cell whose content is taken apart
-LEAST_SHARE = 0.05  # of a content: a smaller part goes to the others
-SLIVER = 0.24  # [cells] of volume: what holds less goes to a neighbor
-# The same of thin cells.  With .24, square rods of 1.5 particles across and fewer had motions
-# without any strain at the particles, and folded like cloth (`gf-usd verify --case thin`).
+LATTICE = 8  # sample points along each axis of a cell whose content is split
+LEAST_SHARE = 0.05  # of a content: a smaller part is merged into the others
+SLIVER = 0.24  # [cells] volume below which a cell is merged into a neighbor
+# The same for thin cells.  With 0.24, square rods of at most 1.5 particles across had zero-energy
+# modes (motions without strain at the particles) and folded (`gf-usd verify --case thin`).
 THIN_SLIVER = 0.005
-FULL_SHARE = 0.99  # [cells] of volume that count as full
-SAME_SURFACE = 0.05  # [cells] by which mirror images may differ where polygons are cut otherwise
+FULL_SHARE = 0.99  # [cells] volume of a cell that counts as full
+SAME_SURFACE = 0.05  # [cells] tolerance of mirror symmetry, for differently triangulated polygons
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +38,12 @@ class Filling:
 
     X: Floats  # (N, 3) [m] world
     V0: Floats  # (N,) [m^3]
-    outside: int  # particles outside of the solid: no rule keeps all of their cell's in it
-    counted: int  # cells whose moments are a count, where surfaces overlap or are open
+    outside: int  # particles outside the solid, in cells for which no rule avoids it
+    counted: int  # cells with moments from sample points, where surfaces overlap or are open
 
 
 def fill_cells(solid: Solid, grid: Grid) -> Filling:
-    """Particles whose volume, center and second moments are those of the solid, cell by cell."""
+    """Particles with the volume, mean and second moments of the solid in each cell."""
     content = find_content(solid, grid)
     parts = [(grid.to_cells(s.points), t) for s, t in zip(solid.surfaces, solid.triangles)]
     mirrored = mirror_axes(parts, SAME_SURFACE)
@@ -59,7 +60,7 @@ def fill_cells(solid: Solid, grid: Grid) -> Filling:
     points = split_where_outside(
         moment_points(moments, reach, own_image, inside, thin), moments, reach, own_image, inside
     )
-    # From the middle of the grid, so that mirror images differ by their sign alone.
+    # Coordinates from the center of the grid, so that mirror images differ only in sign.
     place = middle[points.cell] - 0.5 * grid.count + points.place
     volume, image = points.volume, own_image[points.cell]
     for axis in np.flatnonzero(mirrored):
@@ -80,13 +81,13 @@ def fill_cells(solid: Solid, grid: Grid) -> Filling:
 
 
 def thin_cells(content: Content, some: Content, grid: Grid) -> Flags:
-    """(n,) which of some cells have no full one of all among the 5 x 5 x 5 around them.
+    """(n,) which cells of `some` have no full cell of `content` in their 5 x 5 x 5 neighborhood.
 
-    Among the 3 x 3 x 3 edges of thick bodies have none either, and are better merged: the slanted
-    bar of `gf-usd verify` is off by 1.8 % with 2000 particles so, and by 1.4 % as it is.
+    A 3 x 3 x 3 neighborhood would include the edges of thick bodies, which are better merged: the
+    error of the slanted bar of `gf-usd verify` with 2000 particles is 1.8 % with it, and 1.4 % now.
     """
     full = np.sort(grid.key(content.ijk[content.moments[:, 0] > FULL_SHARE]))
-    left = np.flatnonzero(some.moments[:, 0] <= FULL_SHARE)  # of which none is found yet
+    left = np.flatnonzero(some.moments[:, 0] <= FULL_SHARE)  # cells without a full neighbor so far
     for step in np.ndindex(5, 5, 5):
         if not len(full):
             break
@@ -107,10 +108,10 @@ def split_where_outside(
     own_image: Flags,
     inside: Callable[[Ints, Floats], Flags],
 ) -> CellPoints:
-    """The points, those of cells with some in the void made anew from two or more parts of them.
+    """The points, recomputed from two or more parts of a cell where some were outside the solid.
 
-    A cell that holds some of two limbs has a mean between them; so has one that is bent.
-    Parameters are those of `moment_points`.
+    The mean of a content of two limbs, or of a bent one, may lie outside the solid.  Parameters are
+    those of `moment_points`.
     """
     rows, parts, lows, highs = [], [], [], []
     for row in np.flatnonzero((points.outside > 0) & ~own_image.any(1)):
@@ -147,10 +148,11 @@ def split_where_outside(
 def _parts(
     moments: Floats, low: Floats, high: Floats, inside: Callable[[Floats], Flags]
 ) -> list[tuple[Floats, tuple[Floats, Floats]]]:
-    """Moments (10,) of parts of a content that add up to it, with the span of each; may be none.
+    """Moments (10,) of parts that sum to a content, with the bounds of each; may be empty.
 
-    Parts are connected, by probes on a lattice; what is connected is cut at its mean, across the
-    direction in which it is longest.  What the probes miss is shared out by volume.
+    Parts are connected components on a lattice of sample points; a single component is split at its
+    mean, normal to its principal axis.  The difference of the sums from the exact moments is
+    distributed by volume.
     """
     step = (high - low) / LATTICE
     at = np.stack(np.meshgrid(*[np.arange(LATTICE)] * 3, indexing="ij"), -1).reshape(-1, 3)
@@ -158,7 +160,7 @@ def _parts(
     held = inside(P)
     if not held.any():
         return []
-    from scipy import ndimage  # loads scipy.special, and few contents are taken apart
+    from scipy import ndimage  # loads scipy.special, and few contents are split
 
     labeled: Any = ndimage.label(held.reshape((LATTICE,) * 3))
     label = labeled[0].ravel()
@@ -172,7 +174,7 @@ def _parts(
     values[:, 4:7] += np.prod(step) * step**2 / 12.0
     found = np.array([values[label == k].sum(0) for k in kept])
     found += (found[:, :1] / found[:, 0].sum()) * (moments - found.sum(0))
-    # A correction that leaves no spread in some direction would lose what it is to keep.
+    # A correction must not make a variance negative.
     if len(kept) < 2 or (found[:, 0] <= 0.0).any() or (spreads(found) < 0.0).any():
         return []
     half = 0.5 * step
@@ -220,10 +222,10 @@ def fold(content: Content, count: Ints, mirrored: Flags) -> Content:
 def merge_slivers(
     content: Content, grid: Grid, mirrored: Flags, own_image: Flags, thin: Flags
 ) -> tuple[Ints, Floats, tuple[Floats, Floats]]:
-    """Rows that keep particles, their moments, and the lowest and highest place of their content.
+    """Rows of the cells that remain, their moments, and the bounds of their content.
 
-    What holds less than `SLIVER`, or `THIN_SLIVER` where thin (n,), goes to the neighbor it shares
-    the largest face with.  A sliver that has none stays.
+    A cell with a volume below `SLIVER`, or `THIN_SLIVER` where thin (n,), is merged into the
+    neighbor with which it shares the largest filled face area.  A sliver without neighbors remains.
     """
     n = len(content.ijk)
     moments = content.moments.copy()
@@ -249,7 +251,7 @@ def merge_slivers(
         low[target] = np.minimum(low[target], low[row] + by)
         high[target] = np.maximum(high[target], high[row] + by)
         for axis in np.flatnonzero(own_image[target] & ~own_image[row]):
-            # The image of the sliver goes to the same cell.
+            # The mirror image of the sliver is merged into the same cell.
             added = added + flipped(added, int(axis))
             both = max(-low[target, axis], high[target, axis])
             low[target, axis], high[target, axis] = -both, both
@@ -260,7 +262,7 @@ def merge_slivers(
 
 
 def _neighbors(ijk: Ints, rows: Ints, grid: Grid, mirrored: Flags) -> NDArray[np.int64]:
-    """(m, 6) row of the cell, or of its image in this half, below and above each axis; -1: none."""
+    """(m, 6) row of the lower and upper neighbor along each axis, or of its image; -1: none."""
     axes = np.eye(3, dtype=np.int64)
     near = ijk[rows][:, None, :] + np.concatenate([-axes, axes])
     near = np.where(mirrored & (near < grid.count // 2), grid.count - 1 - near, near)

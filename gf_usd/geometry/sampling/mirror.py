@@ -1,4 +1,4 @@
-"""Mirror planes of a body, across the axes, through the middle of its box."""
+"""Detection of a body's axis-aligned mirror planes through the center of its bounding box."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 
-SAME = 1e-6  # of the diagonal: what float32 points and a change of units round to
+SAME = 1e-6  # of the diagonal: rounding of float32 points and unit conversion
 
 
 def mirror_axes(parts: Sequence[tuple[Floats, Ints]], tolerance: float) -> NDArray[np.bool_]:
-    """(3,) whether the body is its own mirror image across each axis.
+    """(3,) whether the body is symmetric across the mirror plane normal to each axis.
 
-    Its vertices have to be to rounding, and its triangles to within a tolerance [m]: polygons that
-    are mirror images may be cut along different diagonals.
+    Vertices are compared up to rounding, triangles up to a tolerance [m], since mirrored polygons
+    may be triangulated along different diagonals.
     parts : points (V, 3) [m] and triangles (T, 3) of each surface.
     """
     used = [np.unique(triangles) for _, triangles in parts]
@@ -38,7 +38,7 @@ def mirror_axes(parts: Sequence[tuple[Floats, Ints]], tolerance: float) -> NDArr
 def _same_surface(
     parts: Sequence[tuple[Floats, Ints]], middle: Floats, flip: Floats, tolerance: float
 ) -> bool:
-    """Whether the mirrored middles of triangles lie on the surface."""
+    """Whether the mirrored centroids of the triangles lie on the surface."""
     points = np.concatenate([p for p, _ in parts]) - middle
     first = np.cumsum([0, *(len(p) for p, _ in parts)])
     faces = np.concatenate([t + o for (_, t), o in zip(parts, first)])

@@ -1,11 +1,11 @@
-"""Filling a solid with particles.
+"""Sampling of a solid with particles.
 
-Particles are quadrature points: those of a cell of the solver's grid integrate the part of it that
-the solid fills exactly up to second moments (`filling`; docs/physics.md).  A full cell has the
-eight points of Gauss's rule, each of volume a^3, and a cell that the surface cuts four or eight.
-Each body has a grid of its own, centered on it.
+Particles are quadrature points.  Those of a cell of the solver's grid integrate the filled part of
+the cell exactly up to second moments (`filling`; docs/physics.md).  A full cell has the eight
+points of the 2 x 2 x 2 Gauss rule, each of volume a^3; a cell that the surface cuts has four or
+eight.  Each body has its own grid, centered on it.
 
-The grid lies in a frame whose Y is up, so that an asset has the same particles whichever axis is.
+The grid frame is Y-up, so that the particles do not depend on the up axis of the asset.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from gf_usd.geometry.surface import colors, nearest
 
 SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbors
 SIGMA_R = 0.25  # along the normal
-LEAST_PARTICLES = 16  # fewer do not hold a grid
-LEAST_EXPECTED = 0.1  # by volume: with fewer, cells are so large that no surface is seen in them
+LEAST_PARTICLES = 16  # of a bake
+LEAST_EXPECTED = 0.1  # volume / spacing^3 below which the grid cannot resolve the solid
 MOST_PARTICLES = 50_000_000
-# World to the frame of the grid: signed permutations, which lose no digit.
+# World to grid frame: signed permutations, which are exact.
 TURNS = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
-CELL_PER_LATTICE = 2  # edges of a cell and of the cubes of its eight particles
-MOST_KEYS = 2.0**60  # cells of a box, also of the nodes around, that 64 bits can number
-ALIGNED = 1e-6  # [cells] by which a solid may reach out of its cells
+CELL_PER_LATTICE = 2  # edge of a cell over the particle spacing
+MOST_KEYS = 2.0**60  # cells of a box whose keys fit in 64 bits
+ALIGNED = 1e-6  # [cells] by which a solid may extend beyond its cells
 
 
 def sample_solid(
@@ -49,13 +49,13 @@ def sample_solid(
 ) -> Particles:
     """Particles at a spacing [m], or about `particles` of them.
 
-    uniform : drawn one by one anywhere in the solid, as the paper does, instead of quadrature
-    points; seed : of these draws.
+    uniform : uniformly random positions in the solid, as in the paper, instead of quadrature
+        points; seed : of the random numbers.
     bodies : (S,) the body of each surface; None: all are one.
-    scattered : (S,) surfaces below which particles are at random places; None: nowhere.
-    later : (S,) those below which they are moved to such places once they are converted.
+    scattered : (S,) surfaces whose particles are randomly displaced (`_random_moves`); None: none.
+    later : (S,) surfaces whose particles are so displaced when they change to another solver.
 
-    Raises InputError where the solid holds too few or too many at that spacing.
+    Raises InputError where there are too few or too many particles at that spacing.
     """
     a = spacing if spacing else float(np.cbrt(solid.volume / (particles or 1)))
     expected = solid.volume / a**3
@@ -77,7 +77,7 @@ def sample_solid(
     if n < LEAST_PARTICLES:
         raise _too_few(n, a, solid)
     surface, normal, color, depth = _look(solid, X, filled.body, bodies)
-    inner = depth > a  # half the diagonal of a cube is shorter than its edge: none leaves the solid
+    inner = depth > a  # half the diagonal of a cube is less than its edge: it is all in the solid
     scatter = None
     if scattered is not None and scattered.any():
         rows = np.flatnonzero(scattered[surface] & inner)
@@ -90,7 +90,7 @@ def sample_solid(
     volume = float(V0.sum())
     s = float(np.cbrt(volume / n))
     if not uniform:
-        s = max(s, a)  # thin parts have more particles, on the same grid
+        s = max(s, a)  # on the same grid, thin parts have more particles per volume
     return Particles(
         X=X,
         V0=V0,
@@ -112,13 +112,13 @@ def sample_solid(
 
 
 def count_particles(solid: Solid, spacing: float, up: str = "Y") -> int:
-    """How many particles a solid has at a spacing [m], where all of it is one body."""
+    """The number of particles of a solid at a spacing [m], as one body."""
     return len(_quadrature(solid, spacing, TURNS[up], None).X)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Filled:
-    """What fills a solid."""
+    """The particles of a solid, without attributes."""
 
     X: Floats  # (n, 3) [m]
     V0: Floats  # (n,) [m^3]
@@ -138,8 +138,8 @@ def _too_few(n: int, a: float, solid: Solid) -> InputError:
 def _look(
     solid: Solid, X: Floats, body: Ints | None, bodies: Ints | None
 ) -> tuple[Ints, Floats, Floats, Floats]:
-    """Nearest surface (n,), its normal and its color (n, 3), each of the particle's own body, and
-    how far it is (n,) [m]."""
+    """Nearest surface (n,) of the particle's own body, its normal and color (n, 3), and the
+    distance (n,) [m]."""
     surface = np.zeros(len(X), np.int64)
     normal, color, away = np.empty((len(X), 3)), np.empty((len(X), 3)), np.empty(len(X))
     body = np.zeros(len(X), np.int64) if body is None else body
@@ -154,7 +154,7 @@ def _look(
 
 
 def _box(solid: Solid, turn: Floats) -> tuple[Floats, Floats]:
-    """Lowest and highest corner in the frame of the grid."""
+    """Lowest and highest corner of the bounding box in the grid frame."""
     ends = np.stack([solid.low, solid.high]) @ turn.T
     return ends.min(0), ends.max(0)
 
@@ -195,7 +195,7 @@ def _of_body(solid: Solid, a: float, turn: Floats) -> tuple[Filling, Floats]:
 
 
 def _uniform(solid: Solid, n: int, rng: np.random.Generator, turn: Floats) -> _Filled:
-    """Exactly n points by rejection, that share the volume; the corner of the bounding box."""
+    """n uniformly random points, by rejection sampling, each of the same volume."""
     low, high = _box(solid, turn)
     kept: list[Floats] = []
     while (have := sum(len(k) for k in kept)) < n:
@@ -206,18 +206,19 @@ def _uniform(solid: Solid, n: int, rng: np.random.Generator, turn: Floats) -> _F
 
 
 def _random_moves(n: int, a: float, seed: int, turn: Floats) -> Floats:
-    """(n, 3) [m] by up to half a lattice edge along each axis of the grid.
+    """(n, 3) [m] random displacements of up to half a spacing along each axis of the grid.
 
-    Rows of a lattice stay rows in a flow that stretches it, with trenches between them.  So what
-    flows is sampled at random in each cube of its lattice, as is usual for the material point
-    method, but for the outermost layer, whose surface would become rough.
+    A flow that stretches a regular lattice opens gaps between its rows.  Flowing materials are
+    therefore sampled with a random point in each cube of the lattice (stratified or jittered
+    sampling), as is usual for the material point method.  The outermost layer is not, since its
+    surface would become rough.
     """
     return a * (np.random.default_rng(seed).random((n, 3)) - 0.5) @ turn
 
 
 def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:
-    """(k, 4) the shortest rotation (w, x, y, z) that takes axis 0 to n (k, 3), unit."""
+    """(k, 4) the shortest rotation (w, x, y, z) from the x axis to unit vectors n (k, 3)."""
     w = 1.0 + n[:, 0]
     q = np.stack([w, np.zeros(len(n)), -n[:, 2], n[:, 1]], 1)
-    q[w < 1e-9] = (0.0, 0.0, 1.0, 0.0)  # half a turn: any axis across will do
+    q[w < 1e-9] = (0.0, 0.0, 1.0, 0.0)  # by 180 degrees, about any normal axis
     return q / np.linalg.norm(q, axis=1, keepdims=True)

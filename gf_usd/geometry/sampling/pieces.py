@@ -1,6 +1,6 @@
-"""Triangles cut by the planes of a grid into pieces that lie in one cell each, and integrals.
+"""Clipping of triangles at the planes of a grid into pieces within one cell, with quadrature.
 
-Lengths are in cells: the planes are at the integers.
+Lengths are in cells: the grid planes are at integers.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 
-FLAT = 1e-15  # [cells^2] pieces of less area are left out: no integral notices them
+FLAT = 1e-15  # [cells^2] pieces of less area are dropped, below the rounding error of integrals
 # Six points and weights that integrate polynomials of degree 4 over a triangle (Dunavant 1985).
 NEAR, FAR = 0.445948490915965, 0.091576213509771
 WEIGHT_NEAR, WEIGHT_FAR = 0.223381589678011, 0.109951743655322
@@ -30,7 +30,7 @@ POINTS, WEIGHTS = _dunavant()
 
 @dataclass(frozen=True, kw_only=True)
 class Pieces:
-    """Parts of triangles, none across a plane of the grid."""
+    """Pieces of triangles, none of which crosses a grid plane."""
 
     corners: Floats  # (n, 3, 3) [cells]
     source: Ints  # (n,) row of the triangle each is part of
@@ -43,7 +43,7 @@ class Pieces:
 
 
 def cut(corners: Floats) -> Pieces:
-    """Triangles (n, 3, 3) [cells] cut by all planes of the grid; flat pieces are left out."""
+    """Triangles (n, 3, 3) [cells] clipped at all grid planes, without degenerate pieces."""
     source = np.arange(len(corners))
     for axis in range(3):
         corners, source = cut_along(corners, source, axis)
@@ -53,7 +53,7 @@ def cut(corners: Floats) -> Pieces:
 
 
 def cut_along(corners: Floats, source: Ints, axis: int) -> tuple[Floats, Ints]:
-    """Cut at every integer of one axis, into three pieces at most for each slab in between."""
+    """Clip at every integer of one axis, into at most three pieces for each slab."""
     z = corners[:, :, axis]
     first = np.floor(z.min(1))
     slabs = np.ceil(z.max(1)) - first
@@ -69,10 +69,10 @@ def cut_along(corners: Floats, source: Ints, axis: int) -> tuple[Floats, Ints]:
 
 
 def _in_slab(corners: Floats, slab: Floats, axis: int) -> tuple[Floats, Floats, Floats]:
-    """What lies of each triangle between the planes slab and slab + 1, as three; some may be flat.
+    """Three triangles, some degenerate, of each triangle's part between planes slab and slab + 1.
 
-    The lowest and the highest corner are the ends of one edge and of the chain of the other two,
-    whose corner in the middle may lie in the slab: a polygon of five corners.
+    The lowest and the highest corner are connected by one edge, and by a chain of the other two
+    edges.  The middle corner of the chain may be in the slab: the part is then a pentagon.
     """
     order = np.argsort(corners[:, :, axis], axis=1, kind="stable")
     rows = np.arange(len(corners))[:, None]
@@ -93,11 +93,11 @@ def _in_slab(corners: Floats, slab: Floats, axis: int) -> tuple[Floats, Floats, 
 
     a, b = on_edge(low, high, bottom), on_chain(bottom)
     c, d = on_chain(top), on_edge(low, high, top)
-    # Where it lies in another slab, the corner in the middle is put on the chain.
+    # A middle corner in another slab is replaced by a point of the chain in this one.
     m = np.where((middle[:, axis] < bottom)[:, None], b, middle)
     m = np.where((middle[:, axis] > top)[:, None], c, m)
     pieces = np.stack([np.stack([a, b, m], 1), np.stack([a, m, c], 1), np.stack([a, c, d], 1)])
-    # In the order low, middle, high the corners run the other way round where it is an odd one.
+    # Sorting the corners by height reverses the winding where it is an odd permutation.
     odd = (order[:, 1] - order[:, 0]) % 3 != 1
     pieces[:, odd] = pieces[:, odd, ::-1]
     return pieces[0], pieces[1], pieces[2]

@@ -1,6 +1,6 @@
-"""Particles of a cell: points of equal weight that integrate its content up to second moments.
+"""Quadrature rules of cells: points of equal weight, exact up to second moments of the content.
 
-With the volume f, the mean c and the covariance C of what a solid fills of a cell, and k vectors v
+For the part of a cell that is filled, of volume f, mean c and covariance C, and for k vectors v
 with sum v = 0 and sum v v^T = k I, the points
 
     x = c + C^(1/2) v,      each of weight f / k
@@ -8,9 +8,9 @@ with sum v = 0 and sum v v^T = k I, the points
 have the same volume, mean and covariance, so that they integrate all polynomials of degree two
 exactly over the content, whatever its shape.  The corners of a cube are such vectors, of length
 sqrt 3, and give a full cell its 2 x 2 x 2 Gauss points; so are the corners of a regular
-tetrahedron, the least number that can do it (Stroud 1971, Approximate Calculation of Multiple
-Integrals, degree two).  Any rotation of them does as well, which leaves the freedom to keep all
-points in the solid and in the cell.
+tetrahedron, the least possible number (Stroud 1971, Approximate Calculation of Multiple Integrals,
+degree two).  Any rotation of them is a rule, too: rotations are tried until all points are in the
+solid and in the cell.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from gf_usd.core.arrays import Floats, Ints
 
 Flags = NDArray[np.bool_]
 
-MANY = 0.76  # of a full cell: with more content it has the eight points of a full one, else four
-TURNS = 48  # rotations that are tried in turn
-VOID = 10  # points out of their cell that are as bad as one out of the solid
+MANY = 0.76  # of a full cell: content above which a cell has eight points, else four
+TURNS = 48  # rotations that are tried
+VOID = 10  # penalty of a point outside the solid; that of one outside its cell is 1
 WORST = np.iinfo(np.int64).max
-EDGE = 1e-9  # [cells] points this near to the cell's faces are in it
+EDGE = 1e-9  # [cells] tolerance of the test for points in their cell
 
 CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 TETRAHEDRON = CUBE[[0, 3, 5, 6]]
 OCTAHEDRON = np.sqrt(3.0) * np.concatenate([np.eye(3), -np.eye(3)])
-# A tetrahedron with two edges across the z axis, its own image across x and across y.
+# A tetrahedron with two edges normal to the z axis, symmetric across x and across y.
 _UPRIGHT = np.sqrt(2.0) * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)], float)
 _UPRIGHT[:, 2] = (1.0, 1.0, -1.0, -1.0)
 
 
 def _rotations(count: int) -> NDArray[np.float64]:
-    """(count, 3, 3) spread evenly: super-Fibonacci spirals (Alexa 2022)."""
+    """(count, 3, 3) evenly distributed rotations: super-Fibonacci spirals (Alexa 2022)."""
     psi = 1.533751168755204288118041  # the real solution of psi^4 = psi + 4
     s = np.arange(count) + 0.5
     r, q = np.sqrt(s / count), np.sqrt(1.0 - s / count)
@@ -55,7 +55,7 @@ def _rotations(count: int) -> NDArray[np.float64]:
 
 
 def _rules() -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
-    """Those of four points, then six and eight, and those of eight, then six and four."""
+    """Two lists of rules: of four points, then six and eight; and of eight, then six and four."""
     upright = [s * np.roll(_UPRIGHT, k, axis=1) for k in range(3) for s in (1.0, -1.0)]
     turned = _rotations(TURNS)
     four = [TETRAHEDRON, -TETRAHEDRON, *upright, *(TETRAHEDRON @ R for R in turned)]
@@ -68,12 +68,12 @@ FEW_FIRST, MANY_FIRST = _rules()
 
 @dataclass(frozen=True, kw_only=True)
 class CellPoints:
-    """Points of cells."""
+    """The quadrature points of cells."""
 
-    cell: Ints  # (N,) row of the cell of each
-    place: Floats  # (N, 3) from the middle of the cell, in cells
+    cell: Ints  # (N,) row of the cell of each point
+    place: Floats  # (N, 3) from the center of the cell, in cells
     volume: Floats  # (N,) in cells
-    outside: Ints  # (n,) points of each cell outside of the solid: no rule keeps all of them in
+    outside: Ints  # (n,) points of each cell outside the solid with the best of the rules
 
 
 def moment_points(
@@ -83,12 +83,13 @@ def moment_points(
     inside: Callable[[Ints, Floats], Flags],
     thin: Flags | None = None,
 ) -> CellPoints:
-    """The points of cells.
+    """The quadrature points of cells, by the rule with the least penalty (`VOID`).
 
-    moments : (n, 10) of `content`; reach : (n, 3), (n, 3) lowest and highest place of what each
-    holds, about the middle; own_image : (n, 3) axes across which a cell is its own mirror image,
-    as its points are to be; inside : of cells (m,) and places in them (m, 3), (m,) which lie in
-    the solid; thin : (n,) cells that have eight points however little they hold.
+    moments : (n, 10) of `content`.
+    reach : (n, 3), (n, 3) lower and upper bound of the content of each, about the cell's center.
+    own_image : (n, 3) axes across which a cell is its own mirror image; its points are then, too.
+    inside : (m,) cells and (m, 3) positions in them -> (m,) whether these are in the solid.
+    thin : (n,) cells that have eight points regardless of their content.
     """
     mean, root = mean_and_root(moments)
     full = (moments[:, 0] > 1.0 - EDGE) & (np.abs(mean) < EDGE).all(1)
@@ -99,14 +100,14 @@ def moment_points(
         many = many | thin
     groups = ((many, MANY_FIRST, MANY_IMAGES), (~many, FEW_FIRST, FEW_IMAGES))
     tried = 1
-    # Twice as many rules at a time: the test of points has a cost of its own each time.
+    # The number of rules per pass is doubled, since each inside test has a fixed cost.
     first = 0
     while first < len(FEW_FIRST) and (best > 0).any():
         trials = []
         for group, rules, images in groups:
             left = group & (best > 0)
             for number in range(first, min(first + tried, len(rules))):
-                # A cell that is its own image across some axes has points that are so too.
+                # Only rules that have the mirror symmetries of the cell.
                 keeps = ~(own_image & ~images[number]).any(1)
                 trials.append((number, rules[number], np.flatnonzero(left & keeps)))
         places = [mean[r, None] + np.einsum("nab,kb->nka", root[r], v) for _, v, r in trials]
@@ -117,7 +118,7 @@ def moment_points(
             low, high = reach[0][rows, None] - EDGE, reach[1][rows, None] + EDGE
             out_of_cell = ~((place >= low) & (place <= high)).all(2)
             out_of_solid = ~mine.reshape(len(rows), len(rule))
-            # A point in the void is worse than all in the solid of a neighbor.
+            # One point outside the solid is worse than all points in neighboring cells.
             wrong = VOID * out_of_solid.sum(1) + out_of_cell.sum(1)
             better = wrong < best[rows]
             best[rows[better]] = wrong[better]
@@ -142,7 +143,7 @@ def moment_points(
 
 
 def covariance(moments: Floats) -> tuple[Floats, Floats]:
-    """Mean (n, 3) and covariance (n, 3, 3) of contents, in cells."""
+    """Mean (n, 3) and covariance (n, 3, 3) of the contents, in cells."""
     mean = moments[:, 1:4] / moments[:, :1]
     second = moments[:, 4:] / moments[:, :1]
     C = second[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]] - mean[:, :, None] * mean[:, None, :]
@@ -150,20 +151,20 @@ def covariance(moments: Floats) -> tuple[Floats, Floats]:
 
 
 def spreads(moments: Floats) -> NDArray[np.float64]:
-    """(n, 3) variances of contents in their principal directions, ascending."""
+    """(n, 3) principal variances of the contents, ascending."""
     return np.linalg.eigvalsh(covariance(moments)[1])
 
 
 def mean_and_root(moments: Floats) -> tuple[Floats, Floats]:
-    """Mean (n, 3) and symmetric root (n, 3, 3) of the covariance of contents, in cells."""
+    """Mean (n, 3) and symmetric square root (n, 3, 3) of the covariance of contents, in cells."""
     mean, C = covariance(moments)
     values, vectors = np.linalg.eigh(C)
-    root = np.sqrt(np.maximum(values, 0.0))  # rounding of a content that is next to flat
+    root = np.sqrt(np.maximum(values, 0.0))  # rounding makes eigenvalues of flat contents negative
     return mean, np.einsum("nab,nb,ncb->nac", vectors, root, vectors)
 
 
 def _images(rule: Floats) -> Flags:
-    """(3,) axes across which a rule is its own mirror image."""
+    """(3,) axes across which a rule is mirror-symmetric."""
     out = np.zeros(3, bool)
     for axis in range(3):
         mirrored = rule * np.where(np.arange(3) == axis, -1.0, 1.0)

@@ -1,11 +1,11 @@
-"""Tetrahedra of the cells that a body fills, for solvers that want a volume mesh.
+"""Tetrahedral lattice of the cells that a body fills, for solvers that need a volume mesh.
 
-Cells are those that the particles were made for, of edge h.  Each is cut into the six tetrahedra
-around its diagonal from (0, 0, 0) to (1, 1, 1) (Kuhn 1960): the same in all cells, so that the
-faces of neighbors agree, each of volume h^3 / 6.  The skin of the body lies within the cells and is
-embedded in them; the cells reach beyond it by less than one.
+Each cell of the particles, of edge h, is split into six tetrahedra around its diagonal from
+(0, 0, 0) to (1, 1, 1) (Kuhn 1960), each of volume h^3 / 6.  The same split in all cells makes the
+mesh conforming.  The surface of the body is embedded in the cells, which extend beyond it by less
+than one cell.
 
-Cells that would hang together by an edge or a corner alone get a cell between them.
+Cells that share only an edge or a corner are connected by an additional cell.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples, TetLattice
 from gf_usd.core.neighbors import components
 
-CELL = 2.0  # edge of a cell over the lattice's
-BELOW = 0.05  # [cells] below the surface where a sample's cell is looked for
+CELL = 2.0  # edge of a cell over the particle spacing
+BELOW = 0.05  # [cells] depth below a surface sample at which its cell is looked up
 CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
@@ -41,7 +41,7 @@ KUHN = _kuhn()
 
 
 def tet_lattices(particles: Particles, samples: SurfaceSamples) -> tuple[TetLattice, ...]:
-    """The tetrahedra of each body that has particles."""
+    """The tetrahedral lattice of each body that has particles."""
     h = CELL * particles.lattice
     body = particles.body_of
     corners = particles.corner if particles.corners is None else particles.corners
@@ -67,7 +67,10 @@ def tet_lattices(particles: Particles, samples: SurfaceSamples) -> tuple[TetLatt
 def _lattice(
     body: int, corner: Floats, h: float, cells: Ints, node: Ints, of: Ints | None
 ) -> TetLattice:
-    """node : (K, 8) number of each corner of each cell; of : (K,) copy of each cell, or None."""
+    """The lattice of one body.
+
+    node : (K, 8) node of each corner of each cell; of : (K,) copy of each cell, or None.
+    """
     count = int(node.max()) + 1
     X, copy = np.empty((count, 3)), np.zeros(count, np.int64)
     X[node] = corner + h * (cells[:, None, :] + CORNERS)
@@ -78,7 +81,7 @@ def _lattice(
 
 
 def _below(samples: SurfaceSamples, body: int, h: float) -> Floats:
-    """Places (n, 3) [m] just below the surface of a body."""
+    """Points (n, 3) [m] just below the surface samples of a body."""
     if samples.normal is None:
         return np.zeros((0, 3))
     mine = slice(None) if samples.body is None else samples.body == body
@@ -86,13 +89,13 @@ def _below(samples: SurfaceSamples, body: int, h: float) -> Floats:
 
 
 def _nodes(cells: Ints) -> NDArray[np.int64]:
-    """(K, 8) a number for each place of a corner of cells (K, 3)."""
+    """(K, 8) node of each corner of cells (K, 3), one per grid position."""
     at = (cells[:, None, :] + CORNERS).reshape(-1, 3)
     return np.unique(at, axis=0, return_inverse=True)[1].reshape(-1, 8)
 
 
 def _copied_nodes(copies: CellCopies, mine: Ints) -> NDArray[np.int64]:
-    """(K, 8) as `_nodes`; corners of two cells are one where faces lead from cell to cell."""
+    """(K, 8) as `_nodes`, but cells share nodes only where they are connected by faces."""
     from scipy.sparse import coo_matrix
 
     row = np.full(len(copies.cell), -1)
@@ -114,11 +117,11 @@ def _copied_nodes(copies: CellCopies, mine: Ints) -> NDArray[np.int64]:
 
 
 def without_hinges(cells: Ints) -> NDArray[np.int64]:
-    """Cells (K, 3) and those between any two that meet in an edge or a corner alone."""
+    """Cells (K, 3), with additional ones between any two that share only an edge or a corner."""
     there = {tuple(cell) for cell in cells.tolist()}
     steps = (*_diagonals(2), *_diagonals(3))
     known = 0
-    while len(there) > known:  # a new cell may meet others in an edge
+    while len(there) > known:  # a new cell may itself share only an edge with others
         known = len(there)
         for cell in sorted(there):
             for step in steps:
@@ -129,18 +132,18 @@ def without_hinges(cells: Ints) -> NDArray[np.int64]:
 
 
 def _diagonals(axes: int) -> Sequence[tuple[int, ...]]:
-    """Half of the steps along so many axes at once, one of each pair that are opposite."""
+    """The diagonal steps along a number of axes, one of each pair of opposite ones."""
     every = (tuple(s - 1 for s in index) for index in np.ndindex(3, 3, 3))
     return [step for step in every if np.count_nonzero(step) == axes and step > (0, 0, 0)]
 
 
 def _joined(cell: tuple[int, ...], step: tuple[int, ...], there: set[tuple[int, ...]]) -> bool:
-    """Whether faces lead from a cell to the one a step away, within the block of both."""
+    """Whether a cell and the one a step away are face-connected within their common block."""
     return any(all(on in there for on in way) for way in _ways(cell, step))
 
 
 def _ways(cell: tuple[int, ...], step: tuple[int, ...]) -> list[list[tuple[int, ...]]]:
-    """The cells of each shortest way between, axis by axis, without its ends."""
+    """The cells of each shortest face-connected path of a step, without its ends."""
     axes = [axis for axis in range(3) if step[axis]]
     ways = []
     for order in permutations(axes):

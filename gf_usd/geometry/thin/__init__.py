@@ -1,1 +1,1 @@
-"""Thin parts of a solid: measured, found where particles do not reach, thickened."""
+"""Thin parts of a solid: thickness measurement, detection of unfilled parts, thickening."""

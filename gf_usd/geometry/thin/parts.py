@@ -1,8 +1,8 @@
-"""Parts of an asset that the particles do not reach, by name.
+"""Detection of parts with too few particles, for advice on the resolution.
 
-A part without particles of its own follows its surroundings stiffly.  Found are whole shells with
-too few particles or too thin for one layer, and bare or thin regions of shells that are otherwise
-filled: an antenna, the brim of a hat.
+A part without particles inside moves with the nearest ones and does not deform by itself.  Detected
+are whole shells that have too few particles or are too thin for one layer, and regions of other
+shells that are far from any particle or too thin: an antenna, the brim of a hat.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] three quarters of a cell: a thinner wall may have no cell of its own that is more
 # than half full, and bends by one layer of cells whichever way it lies
 WHOLE_LAYER = 1.5
-THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
+THIN = 0.75  # [spacings] a thinner wall has no particles in more than a quarter of its area
 # Surface points lie within 1.5 spacings of a particle wherever a body is filled (measured on balls,
 # boxes, the samples and a car kit, 300 to 30000 particles); a region is bare beyond that, if part
 # of it is clearly so.
 BARE, CLEARLY_BARE = 1.5, 2.0  # [spacings]
-PLATE = 4.0  # [spacings] area over length of a region that is no mere edge: both sides of a strip
-STEPS = 4  # inward
-OFF_EDGE = 0.01  # of the way to the middle of a triangle
-VOLUME_POINTS = 20_000  # a region that holds a hundredth of its box is measured to 7 %
-SENSIBLE = 2_000_000  # particles: more is no advice
+PLATE = 4.0  # [spacings] area over length from which a region is a strip, not just an edge
+STEPS = 4  # inward sample points
+OFF_EDGE = 0.01  # of the way to the centroid of a triangle
+VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
+SENSIBLE = 2_000_000  # particles: the greatest number that is suggested
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """A part that gets no or few particles."""
+    """A part with no or few particles."""
 
     path: str  # prim path
     shell: int  # as in topology.shells
@@ -48,8 +48,8 @@ class Part:
     high: Floats  # (3,) [m]
     area: float  # [m^2] of its surface
     particles: int  # inside it; of a region, those nearest to its surface
-    thickness: float  # [m] 2 V / A: that of a plate, the radius of a rod
-    suggested: int | None  # total of particles that would fill it; None: more than is sensible
+    thickness: float  # [m] 2 V / A: the thickness of a plate, the radius of a rod
+    suggested: int | None  # particles of the bake that would fill it; None: above `SENSIBLE`
 
     @property
     def size(self) -> float:
@@ -63,13 +63,13 @@ class Part:
 
 
 def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> tuple[Part, ...]:
-    """Poorly filled parts, the largest first.
+    """The parts with too few particles, the largest first.
 
-    samples : points about a spacing apart on the solid's surfaces (`sample_surface`).
+    samples : points about one spacing apart on the solid's surfaces (`sample_surface`).
     """
     labels = [shells(triangles) for triangles in solid.triangles]
     parts: list[Part] = []
-    settled: set[tuple[int, int]] = set()  # shells whose regions need no check
+    settled: set[tuple[int, int]] = set()  # shells whose regions are not checked
     for number, label in enumerate(labels):
         found, hollow = _poor_shells(solid, number, label, particles)
         parts += found
@@ -80,20 +80,20 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
 
 
 def suggestion(parts: tuple[Part, ...]) -> int | None:
-    """Particles that fill every part that a sensible number fills; None where there is none."""
+    """The greatest number of particles that is suggested for a part; None where there is none."""
     return max((part.suggested for part in parts if part.suggested), default=None)
 
 
 def _poor_shells(
     solid: Solid, number: int, label: Ints, particles: Particles
 ) -> tuple[list[Part], list[int]]:
-    """Shells of one surface with few particles, and those that are cavities."""
+    """The shells of one surface with few particles, and its cavities."""
     points, triangles = solid.surfaces[number].points, solid.triangles[number]
     area = np.bincount(label, areas(points, triangles))
     volume = np.abs(winding.volumes(points, triangles, label))
     low, high = winding.boxes(points, triangles, label)
     reach = 0.5 * np.linalg.norm(high - low, axis=1)
-    cavity = winding.facing(points, triangles, label).goal == -1
+    cavity = winding.orientations(points, triangles, label).target == -1
     tree = kd_tree(particles.X)
     found = []
     for k, rows in enumerate(winding.rows_of(label)):
@@ -130,7 +130,7 @@ def _poor_regions(
     particles: Particles,
     samples: SurfaceSamples,
 ) -> list[Part]:
-    """Connected stretches of surface far from any particle, or of a plate thinner than a layer."""
+    """Connected surface regions far from any particle, or thinner than a layer."""
     s = particles.spacing
     distance = kd_tree(particles.X).query(samples.X)[0]
     at = nearest(solid, samples.X)
@@ -139,7 +139,7 @@ def _poor_regions(
     if len(poor) == 0:
         return []
     X, area, owner = samples.X[poor], samples.area[poor], at.surface[poor]
-    # Rows of Surface.triangles name the shell through the welded triangles made of them.
+    # The shell of a row of Surface.triangles is that of its welded triangle.
     shell = np.full(len(poor), -1)
     for number, (label, source) in enumerate(zip(labels, solid.sources)):
         mine = np.flatnonzero(owner == number)
@@ -149,7 +149,7 @@ def _poor_regions(
     joined = shell[one] == shell[two]
     graph = coo_matrix((np.ones(joined.sum()), (one[joined], two[joined])), shape=(len(X),) * 2)
     region = components(graph)[1]
-    # A particle belongs to the region whose surface is the nearest one.
+    # A particle belongs to the region that its nearest surface point is in.
     home = np.full(len(samples.X), -1)
     home[poor] = region
     tree = kd_tree(samples.X)
@@ -182,9 +182,10 @@ def _poor_regions(
 
 
 def _off_edges(solid: Solid, X: Floats, at: Nearest) -> Floats:
-    """Surface points X (n, 3) a little toward the middle of their triangle.
+    """Surface points X (n, 3) moved slightly toward the centroid of their triangle.
 
-    Inward of a point on an edge lies in the plane of the other face: neither inside nor outside.
+    A point inward of an edge may lie in the plane of the adjacent face, where the inside test is
+    ambiguous.
     """
     moved = X.copy()
     for number, surface in enumerate(solid.surfaces):
@@ -195,9 +196,10 @@ def _off_edges(solid: Solid, X: Floats, at: Nearest) -> Floats:
 
 
 def _thin(solid: Solid, X: Floats, normal: Floats, spacing: float) -> winding.Flags:
-    """(n,) True for surface points X where the solid ends within `THIN` spacings inward.
+    """(n,) True for surface points X where the solid is thinner than `THIN` spacings.
 
-    Inward is the side of the normal where the solid goes deeper: faces may be turned.
+    Inward is the side of the normal on which the solid is deeper, since the winding may be
+    reversed.
     """
     depth = (np.arange(STEPS) + 0.5) / STEPS * THIN * spacing
     way = np.stack([depth, -depth])
@@ -209,7 +211,7 @@ def _thin(solid: Solid, X: Floats, normal: Floats, spacing: float) -> winding.Fl
 def _volume_where(
     solid: Solid, low: Floats, high: Floats, belongs: Callable[[Floats], winding.Flags]
 ) -> float:
-    """[m^3] of the solid in a box, of points (n, 3) -> (n,) that belong; by random points."""
+    """[m^3] of the part of a solid in a box where `belongs` (n, 3) -> (n,) is True, by sampling."""
     X = np.random.default_rng(0).uniform(low, high, (VOLUME_POINTS, 3))
     X = X[solid.inside(X)]
     hits = int(belongs(X).sum()) if len(X) else 0
@@ -217,7 +219,7 @@ def _volume_where(
 
 
 def _particles_for(solid: Solid, spacing: float) -> int | None:
-    """V / spacing^3, two digits, rounded up; None beyond what is sensible."""
+    """V / spacing^3, rounded up to two digits; None above `SENSIBLE`."""
     if spacing <= 0.0 or solid.volume / spacing**3 > SENSIBLE:
         return None
     count = solid.volume / spacing**3

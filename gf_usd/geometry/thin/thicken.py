@@ -1,6 +1,8 @@
-"""Sheets get one spacing of flesh, for the simulation; the asset is drawn as it was.
+"""Thickening: shells too thin for a layer of particles become one spacing thick in the simulation.
 
-Which parts of an asset are too thin to be filled, and at what spacing they are given flesh.
+The authored meshes, which are rendered, do not change.  Open sheets are offset to both sides,
+closed shells outward (`thicken_asset`).  `choose_shells` finds the shells to thicken, and the
+spacing where only the number of particles is given.
 """
 
 from __future__ import annotations
@@ -21,25 +23,25 @@ from gf_usd.geometry.solid import FLAT_FRACTION, OPEN_FRACTION, build_solid, hol
 from gf_usd.geometry.thin.parts import THIN
 from gf_usd.geometry.winding import Edges
 
-MITRE = 2.0  # offsets: how far a corner may go to move all its faces by 1
-SHARP = 0.1  # of the greatest eigenvalue: directions in which a corner has hardly any face
-LAYER = 0.97  # spacings: a flat sheet lies in one layer of strata, in spite of rounding
-POOR = 0.25  # of the volume asked for: less, and the sheet has no two sides to offset
+MITRE = 2.0  # length limit of the offset that moves all faces around a vertex by 1
+SHARP = 0.1  # of the greatest eigenvalue: pseudo-inverse cutoff in `offsets`
+LAYER = 0.97  # [spacings] thickness: a flat sheet stays within one layer in spite of rounding
+POOR = 0.25  # of the expected volume: below it the offset surface is rejected
 
 
-COUNTED = 20_000  # particles that are counted: of more the share is the same
-TRIES = 6  # of a spacing with as many particles as asked for
-NEAR_ENOUGH = 0.05  # of the number asked for
+COUNTED = 20_000  # particles up to which they are counted; beyond, the ratio is the same
+TRIES = 6  # iterations of the search for a spacing
+NEAR_ENOUGH = 0.05  # relative tolerance of the number of particles
 
 
 def thicken_to_count(
     asset: Asset, repairs: Sequence[Repairs], particles: int
 ) -> tuple[Asset, tuple[Repairs, ...], float | None]:
-    """`thicken_asset` at the spacing [m] at which what is filled has so many particles.
+    """`thicken_asset` at the spacing [m] that gives the requested number of particles.
 
-    Cells that a sheet crosses have as many particles as thicker ones, whatever they hold: a sheet
-    has two to four times volume / spacing^3, by how it lies.  None instead of a spacing where
-    nothing is thickened, or cannot be filled.
+    The spacing is searched for by counting: cells that a sheet crosses have as many particles as
+    full ones, so that a sheet has two to four times volume / spacing^3, depending on its position
+    in the grid.  The spacing is None where nothing is thickened or nothing can be filled.
     """
     wanted = min(particles, COUNTED)
     best: tuple[float, float] | None = None  # how far off, and what to ask for
@@ -78,19 +80,21 @@ def thicken_to_count(
 def thicken_asset(
     asset: Asset, repairs: Sequence[Repairs], *, spacing: float | None, particles: int
 ) -> tuple[Asset, tuple[Repairs, ...]]:
-    """The asset as it is filled, and its repairs with what was thickened.
+    """The asset to be filled, with thickened shells, and its repairs with their numbers.
 
-    Open or flat shells, and closed ones with less than `parts.THIN` of a spacing between their
-    sides, become one spacing thick (`LAYER`).  asset : repaired by `repair_asset`.
-    spacing : [m]; None: that at which so many particles fill all.
+    Open or flat shells, and closed ones thinner than `parts.THIN` spacings, become one spacing
+    thick (`LAYER`).
+
+    asset : repaired by `repair_asset`.
+    spacing : [m]; None: chosen so that about `particles` fill the asset.
     """
     mine = [k for k, s in enumerate(asset.surfaces) if s.splats is None and len(s.triangles)]
-    seen = [measure_shells(asset.surfaces[k]) for k in mine]
-    a, chosen = choose(seen, spacing, particles)
+    seen = [shells_of(asset.surfaces[k]) for k in mine]
+    a, chosen = choose_shells(seen, spacing, particles)
     surfaces, done = list(asset.surfaces), list(repairs)
     for k, one, which in zip(mine, seen, chosen):
         surfaces[k], thick = _thicken(surfaces[k], one, which, LAYER * a)
-        left = int((one.sheet * (1 - one.held)).sum()) - int(one.sheet @ thick)
+        left = int((one.sheet * (1 - one.enclosed)).sum()) - int(one.sheet @ thick)
         done[k] = replace(
             done[k],
             thickened=int(thick.sum()),
@@ -101,27 +105,27 @@ def thicken_asset(
 
 
 def _thicken(surface: Surface, seen: Shells, which: Ints, a: float) -> tuple[Surface, Ints]:
-    """The surface with some of its shells a [m] thick, and (K,) 1 for those that could be."""
+    """The surface with the shells `which` (K,) made a [m] thick; (K,) 1 for those that were."""
     done = np.zeros(len(which), int)
     if not which.any():
         return surface, done
-    points, triangles, material_parts = [surface.points], [], []
+    points, triangles, corners = [surface.points], [], []
     first = len(surface.points)
-    corner = 3 * seen.source[:, None] + np.arange(3)  # slots of Surface.triangles, counted through
+    corner = 3 * seen.source[:, None] + np.arange(3)  # flat indices into Surface.triangles
     patch = winding.patches(surface.points, seen.triangles, Edges.of(seen.triangles))
     rows_of = winding.rows_of(seen.label)
     for k in np.flatnonzero(which):
-        made = _shell(surface.points, seen, rows_of[k], patch, a)
+        made = _thick_shell(surface.points, seen, rows_of[k], patch, a)
         done[k] = len(made) > 0
         for X, faces, at in made:
             points.append(X)
             triangles.append(first + faces)
-            material_parts.append(corner.reshape(-1)[at])
+            corners.append(corner.reshape(-1)[at])
             first += len(X)
     kept = done[seen.label] == 0
     triangles.append(seen.triangles[kept])
-    material_parts.append(corner[kept])
-    slot = np.concatenate(material_parts)
+    corners.append(corner[kept])
+    slot = np.concatenate(corners)
     made_of = replace(
         surface, points=np.concatenate(points), triangles=np.concatenate(triangles),
         triangle_corners=surface.triangle_corners.reshape(-1)[slot],
@@ -137,30 +141,33 @@ def _thicken(surface: Surface, seen: Shells, which: Ints, a: float) -> tuple[Sur
     ), done
 
 
-def _shell(
+def _thick_shell(
     points: Floats, seen: Shells, rows: Ints, patch: winding.Patches, a: float
 ) -> list[tuple[Floats, Ints, Ints]]:
-    """Points, triangles and the slots (of `seen.triangles`) of a shell a [m] thick, in pieces.
+    """A shell made a [m] thick, in pieces: points, triangles, corners (in `seen.triangles`).
 
-    Empty where it has no two sides, or where offsets along its normals make no flesh of it.
+    Empty for a non-orientable shell, and where the offset surfaces enclose too little volume
+    (`POOR`).
     """
     k = int(seen.label[rows[0]])
     if seen.sheet[k] and seen.rim[k]:
         if patch.one_sided[rows].any():
             return []
-        # Where more than two triangles meet, each patch is a sheet of its own; they overlap.
+        # At non-manifold edges, each patch is thickened separately; the results overlap.
         label = patch.label[rows]
-        made = [_both_ways(points, seen, rows[label == p], a) for p in np.unique(label)]
+        made = [_offset_both_sides(points, seen, rows[label == p], a) for p in np.unique(label)]
     else:
         way = float(np.sign(seen.volume[k]))
         grow = 0.5 * way * (a - float(seen.thickness[k]))
-        made = [_outward(points, seen, rows, grow)]
+        made = [_offset_outward(points, seen, rows, grow)]
     volume = sum(abs(signed_volume(X, faces)) for X, faces, _ in made)
     return made if volume >= POOR * float(seen.extent[k]) * a else []
 
 
-def _both_ways(points: Floats, seen: Shells, rows: Ints, a: float) -> tuple[Floats, Ints, Ints]:
-    """A sheet between its two offsets by a / 2, closed along its rim."""
+def _offset_both_sides(
+    points: Floats, seen: Shells, rows: Ints, a: float
+) -> tuple[Floats, Ints, Ints]:
+    """The solid between the two offsets of a sheet by a / 2, closed along its boundary edges."""
     used, local = np.unique(seen.triangles[rows], return_inverse=True)
     local, n = local.reshape(-1, 3), len(used)
     offset = 0.5 * a * offsets(points[used], local)
@@ -191,8 +198,10 @@ def _both_ways(points: Floats, seen: Shells, rows: Ints, a: float) -> tuple[Floa
     )
 
 
-def _outward(points: Floats, seen: Shells, rows: Ints, grow: float) -> tuple[Floats, Ints, Ints]:
-    """A closed shell with its faces moved along their normals by about grow [m]."""
+def _offset_outward(
+    points: Floats, seen: Shells, rows: Ints, grow: float
+) -> tuple[Floats, Ints, Ints]:
+    """A closed shell offset along its normals by grow [m]."""
     used, local = np.unique(seen.triangles[rows], return_inverse=True)
     local = local.reshape(-1, 3)
     X = points[used] + grow * offsets(points[used], local)
@@ -200,10 +209,11 @@ def _outward(points: Floats, seen: Shells, rows: Ints, grow: float) -> tuple[Flo
 
 
 def offsets(points: Floats, triangles: Ints) -> Floats:
-    """(V, 3) o that moves every face about a vertex by 1 along its normal, as well as it can.
+    """(V, 3) vertex offsets o that move the faces around each vertex by 1 along their normals.
 
-    Least squares over the faces, n . o = 1, weighted by their areas: o = M^+ r with M = sum A n n^T
-    and r = sum A n, in the directions that faces look in (`SHARP`); no longer than `MITRE`.
+    The least-squares solution of n . o = 1 over the faces, weighted by their areas A: o = M^+ r
+    with M = sum A n n^T and r = sum A n, without eigenvalues of M below `SHARP` of the greatest.
+    Lengths are limited to `MITRE`.
     """
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     cross = np.cross(b - a, c - a)
@@ -221,45 +231,45 @@ def offsets(points: Floats, triangles: Ints) -> Floats:
     return o * np.minimum(1.0, MITRE / np.where(length > 0.0, length, 1.0))
 
 
-PROBES = 16  # vertices of a sheet that must lie in flesh for the sheet to do
-ROUNDS = 16  # of choosing sheets by a spacing that depends on them
+PROBES = 16  # vertices of a sheet that are tested to lie inside another shell
+ROUNDS = 16  # fixed-point iterations of `choose_shells`
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shells:
-    """The shells of one surface, as bounds of something solid."""
+    """Area, volume and boundary of the K shells of one surface."""
 
-    triangles: Ints  # (T, 3) welded, none collapsed
+    triangles: Ints  # (T, 3) welded, without collapsed triangles
     source: Ints  # (T,) row in Surface.triangles of each
     label: Ints  # (T,) shell of each
     area: Floats  # (K,) [m^2]
-    volume: Floats  # (K,) [m^3] signed: cavities in an outward body count below 0
-    sheet: Ints  # (K,) 1 where it encloses nothing: open, or flat
-    rim: Ints  # (K,) boundary edges
-    held: Ints  # (K,) 1 for a sheet in the flesh of another shell, and for a cavity
+    volume: Floats  # (K,) [m^3] signed: negative for a cavity
+    sheet: Ints  # (K,) 1 where it encloses no volume: open, or flat
+    rim: Ints  # (K,) number of boundary edges
+    enclosed: Ints  # (K,) 1 for a sheet inside the solid of another shell, and for a cavity
 
     @property
     def thickness(self) -> Floats:
-        """(K,) [m] 2 V / A; 0 for sheets with a rim."""
+        """(K,) [m] 2 V / A; 0 for sheets with boundary edges."""
         open_ = (self.sheet == 1) & (self.rim > 0)
         area = np.where(self.area > 0.0, self.area, 1.0)
         return np.where(open_, 0.0, 2.0 * np.abs(self.volume) / area)
 
     @property
     def extent(self) -> Floats:
-        """(K,) [m^2] of a sheet, of which a shell without a rim shows both sides."""
+        """(K,) [m^2] one-sided area: half of the area of a shell without boundary edges."""
         return np.where((self.sheet == 1) & (self.rim > 0), self.area, 0.5 * self.area)
 
     def thin(self, spacing: float) -> Ints:
-        """(K,) 1 for shells to thicken: too thin for a layer of particles, and wide enough to hold
-        a body's worth of them once they are one spacing [m] thick.
+        """(K,) 1 for shells to thicken: too thin for a layer of particles at a spacing [m], and
+        large enough for `LEAST_PARTICLES` once they are one spacing thick.
         """
-        few = (self.thickness < THIN * spacing) & (self.held == 0)
+        few = (self.thickness < THIN * spacing) & (self.enclosed == 0)
         return (few & (self.extent >= LEAST_PARTICLES * spacing**2)).astype(int)
 
 
-def measure_shells(surface: Surface) -> Shells:
-    """The shells of a surface whose triangles agree on which side is out."""
+def shells_of(surface: Surface) -> Shells:
+    """The shells of a surface of consistent winding."""
     points = surface.points
     welded = weld(points)[0][surface.triangles]
     source = np.flatnonzero(proper(welded))
@@ -275,28 +285,31 @@ def measure_shells(surface: Surface) -> Shells:
         used, local = np.unique(triangles[rows[k]], return_inverse=True)
         sheet[k] = hole_fraction(points[used], local.reshape(-1, 3)) > OPEN_FRACTION
     held = np.zeros(count, int)
-    flesh = triangles[sheet[label] == 0]
-    if len(flesh):
+    solid = triangles[sheet[label] == 0]
+    if len(solid):
         held[(sheet == 0) & (volume < 0.0)] = 1
         for k in np.flatnonzero(sheet):
             corners = np.unique(triangles[rows[k]])
             probes = points[corners[:: max(1, len(corners) // PROBES)]]
-            held[k] = winding.winding_inside(points, flesh, probes).all()
+            held[k] = winding.winding_inside(points, solid, probes).all()
     return Shells(
         triangles=triangles, source=source, label=label, area=area, volume=volume, sheet=sheet,
-        rim=rim, held=held,
+        rim=rim, enclosed=held,
     )  # fmt: skip
 
 
-def choose(seen: list[Shells], spacing: float | None, particles: int) -> tuple[float, list[Ints]]:
+def choose_shells(
+    seen: list[Shells], spacing: float | None, particles: int
+) -> tuple[float, list[Ints]]:
     """The spacing a [m], and (K,) 1 for the shells of each surface to thicken to it.
 
-    Without a spacing it is that at which so many particles fill all: V + S a = N a^3, V the volume
-    of what stays as it is and S the extent of what is thickened.  a 0: there is nothing to fill.
+    Without a spacing, a is the solution of V + S a = N a^3 for N particles, with V the volume of
+    the shells that are not thickened and S the extent of those that are; by fixed-point iteration,
+    since the choice of shells depends on a.  a = 0: there is nothing to fill.
     """
     if spacing is not None:
         return spacing, [one.thin(spacing) for one in seen]
-    chosen = [one.sheet * (1 - one.held) for one in seen]
+    chosen = [one.sheet * (1 - one.enclosed) for one in seen]
     a = 0.0
     for _ in range(ROUNDS):
         V = sum(float(one.volume[c == 0] @ (1 - one.sheet[c == 0])) for one, c in zip(seen, chosen))
@@ -310,7 +323,7 @@ def choose(seen: list[Shells], spacing: float | None, particles: int) -> tuple[f
 
 
 def _solve(V: float, S: float, N: int) -> float:
-    """The root a >= 0 of N a^3 = V + S a, by Newton from above: it comes down to it."""
+    """The root a >= 0 of N a^3 = V + S a, by Newton's method from an upper bound."""
     a = float(np.cbrt(V / N) + np.sqrt(S / N))
     for _ in range(60):
         slope = 3.0 * N * a * a - S

@@ -1,10 +1,10 @@
-"""How thick a solid is, from each point of its surface inward.
+"""Thickness of a solid, by ray casting from points on its surface.
 
-The thickness at a surface point is the length of the ray along the inward normal up to where the
-solid ends: that of a plate across it, the diameter of a rod, the depth of a body.  (The shape
-diameter function of Shapira, Shamir and Cohen-Or 2008 takes a cone of such rays, which makes the
-rims of a thick box thin.)  Rays pass from one surface into another that it overlaps: what ends is
-the union.  Points are spread evenly by area, so that shares of points are shares of the surface.
+The thickness at a surface point is the length of the ray along the inward normal to where it leaves
+the solid: the thickness of a plate, the diameter of a rod.  (The shape diameter function of
+Shapira, Shamir and Cohen-Or 2008 averages a cone of such rays, which underestimates the thickness
+near the edges of a box.)  A ray ends where it leaves the union of all surfaces.  Points are sampled
+uniformly by area, so that shares of points are shares of the surface.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.geometry.solid import Solid
 
-RAYS = 1000  # a share of 5 % is then 50 of them: known to .7 %
-THIN_SHARE = 0.05  # of the surface, which may be thinner than `Thickness.thin`
-CLEAR = 1e-4  # of the box's diagonal: what lies as far from a triangle is clearly on a side of it
+RAYS = 1000  # a share of 5 % is 50 of them, with a standard deviation of 0.7 %
+THIN_SHARE = 0.05  # of the surface area is thinner than `Thickness.thin`
+CLEAR = 1e-4  # of the box's diagonal: offset from a triangle for an unambiguous inside test
 
 
 @dataclass(frozen=True, kw_only=True)
 class Thickness:
-    """Of a solid, by area of its surface."""
+    """Quantiles of the thickness of a solid, by surface area."""
 
-    thin: float  # [m] that 95 % of the surface exceed
+    thin: float  # [m] 5 % quantile
     median: float  # [m]
 
     def across(self, spacing: float) -> float:
-        """Particles a spacing [m] apart across the thin parts."""
+        """Number of particles across the thin parts, at a spacing [m]."""
         return self.thin / spacing
 
 
 def thickness(solid: Solid, rays: int = RAYS) -> Thickness | None:
-    """The thickness of a solid; None where no ray ends in it."""
+    """The thickness of a solid; None where no ray leaves it through a surface."""
     length = ray_lengths(solid, rays)
     if not len(length):
         return None
@@ -43,9 +43,9 @@ def thickness(solid: Solid, rays: int = RAYS) -> Thickness | None:
 
 
 def ray_lengths(solid: Solid, rays: int) -> Floats:
-    """(n,) [m] lengths of inward rays from n <= `rays` points of the union's surface.
+    """(n,) [m] lengths of inward rays from n <= `rays` points on the surface of the union.
 
-    Left out are points inside another surface, and rays that leave through a hole.
+    Points inside another surface, and rays that leave through a hole, are left out.
     """
     center = 0.5 * (solid.low + solid.high)
     points = np.concatenate([s.points for s in solid.surfaces]) - center
@@ -78,7 +78,7 @@ def ray_lengths(solid: Solid, rays: int) -> Floats:
 
 
 def _spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
-    """(count, 3) points on triangles, an equal share of area each, and their unit normals."""
+    """(count, 3) points on triangles, sampled uniformly by area, and their unit normals."""
     a, b, c = np.moveaxis(points[faces], 1, 0)
     cross = np.cross(b - a, c - a)
     twice = np.linalg.norm(cross, axis=1)

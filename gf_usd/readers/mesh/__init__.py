@@ -1,1 +1,1 @@
-"""Mesh files become surfaces, and USD layers that hold them."""
+"""Readers of mesh files (OBJ, PLY, OFF, STL, glTF, FBX), and their conversion to USD layers."""

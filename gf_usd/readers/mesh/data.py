@@ -1,9 +1,9 @@
-"""Contents of a mesh file before it becomes USD: polygons, their nodes and their shading.
+"""Intermediate representation of a mesh file before its conversion to USD.
 
-Lengths are in the file's own unit, colors linear Rec. 709, texture coordinates with v = 0 at the
-bottom of the picture.  Matrices act on row vectors: x_parent = x M.
+Lengths are in the file's unit, colors are linear Rec. 709, and texture coordinates have v = 0 at
+the bottom of the image.  Matrices act on row vectors: x_parent = x M.
 
-trimesh as a parser: bytes in, named triangle meshes out, and its errors in our words.
+`load` parses files with trimesh, and converts its errors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LFS = b"version https://git-lfs.github.com/spec"
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A texture: a file that is there already, or the bytes of one."""
+    """An image: an existing file, or the bytes of an embedded one."""
 
     name: str  # file name it may have
     path: Path | None = None
@@ -36,7 +36,7 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
-    """A texture that feeds one input of UsdPreviewSurface: scale * texel + bias."""
+    """A texture connected to one input of UsdPreviewSurface: scale * texel + bias."""
 
     input: str  # diffuseColor, roughness, metallic, normal, emissiveColor, occlusion
     picture: Picture
@@ -51,18 +51,18 @@ class Slot:
 
 @dataclass(frozen=True, kw_only=True)
 class FileMaterial:
-    """A shading material; what is not said stays at UsdPreviewSurface's own value."""
+    """A shading material; missing values have UsdPreviewSurface's fallbacks."""
 
     name: str
     values: Mapping[str, float | tuple[float, float, float]] = field(default_factory=dict)
-    material_parts: tuple[Slot, ...] = ()
+    texture_slots: tuple[Slot, ...] = ()
     mesh_colors: bool = False  # diffuseColor is the mesh's own displayColor
     double_sided: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileSkeleton:
-    """A tree of joints, its bind pose and its motion; matrices act on row vectors."""
+    """A joint hierarchy with its bind pose and animation; matrices act on row vectors."""
 
     name: str
     joints: tuple[str, ...]  # names, parents first
@@ -70,7 +70,7 @@ class FileSkeleton:
     bind: Floats  # (J, 4, 4) in the skeleton's space
     rest: Floats  # (J, 4, 4) relative to the joints above, without animation
     matrix: Floats  # (4, 4) from the skeleton's space to the scene
-    # at each frame, relative to the joints above; None: no animation
+    # at each frame, relative to the parent joints; None: no animation
     translations: Floats | None = None  # (F, J, 3)
     rotations: Floats | None = None  # (F, J, 4) (w, x, y, z)
     scales: Floats | None = None  # (F, J, 3)
@@ -78,7 +78,7 @@ class FileSkeleton:
 
 @dataclass(frozen=True, kw_only=True)
 class FileSkin:
-    """How a mesh hangs on a skeleton: x(t) = sum_k w_k x G B_k^-1 J_k(t)."""
+    """Skinning of a mesh to a skeleton: x(t) = sum_k w_k x G B_k^-1 J_k(t)."""
 
     skeleton: int  # into MeshFile.skeletons
     joints: Ints  # (V, k) into its joints
@@ -115,7 +115,7 @@ class FileNode:
     children: tuple[FileNode, ...] = ()
 
     def meshes(self) -> Iterator[FileMesh]:
-        """Its mesh and those below."""
+        """The meshes of the node and its descendants."""
         if self.mesh is not None:
             yield self.mesh
         for child in self.children:
@@ -124,10 +124,10 @@ class FileNode:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshFile:
-    """A file as read."""
+    """The contents of a mesh file."""
 
     path: Path
-    format: str  # as a person calls it, e.g. "OBJ"
+    format: str  # name for messages, e.g. "OBJ"
     nodes: tuple[FileNode, ...]
     materials: tuple[FileMaterial, ...] = ()
     meters_per_unit: float | None = None  # None: the format has no unit
@@ -140,7 +140,7 @@ class MeshFile:
 
 
 def refuse_pointer(path: Path, data: bytes) -> None:
-    """Raise InputError where `data` is not the asset but git-lfs's stand-in for it."""
+    """Raise InputError where `data` is a git-lfs pointer file instead of the asset."""
     if data.startswith(LFS):
         raise InputError(
             f"{path} is a git-lfs pointer ({len(data)} bytes of text), not the file itself",
@@ -149,12 +149,11 @@ def refuse_pointer(path: Path, data: bytes) -> None:
 
 
 def require_sound(file: MeshFile) -> MeshFile:
-    """The file, where every mesh of it can be what was meant.
+    """The file, after validation of its meshes.
 
     Raises
     ------
-    InputError : no face at all, points that are not finite, indices outside the points, a body
-        without extent.
+    InputError : no faces, points that are not finite, indices out of range, or a body of zero size.
     """
     meshes = [mesh for node in file.nodes for mesh in node.meshes()]
     if not any(len(mesh.counts) for mesh in meshes):
@@ -184,13 +183,13 @@ def require_sound(file: MeshFile) -> MeshFile:
 
 
 def tidy(values: Floats, indices: Ints) -> tuple[Floats, Ints]:
-    """Only the rows of `values` that `indices` name, in their order, and indices into those."""
+    """The rows of `values` that `indices` use, in order, and the indices into these."""
     used, new = np.unique(indices, return_inverse=True)
     return values[used], new.reshape(-1)
 
 
-# What trimesh raises on files that are not what they should be.  ImportError: it asks for packages
-# that guess an encoding when the text is none.
+# Errors that trimesh raises for invalid files.  ImportError: for files that are not text, it asks
+# for packages that guess the encoding.
 UNREADABLE = (
     ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, NameError,
     NotImplementedError, ImportError, RecursionError, OSError, MemoryError,
@@ -200,9 +199,9 @@ UNREADABLE = (
 def load(path: Path, data: bytes, kind: str) -> list[tuple[str, Floats, Ints]]:
     """(name, points (V, 3), triangles (T, 3)) of each mesh in a file.
 
-    Raises InputError for a file that trimesh cannot read, or in which it finds no triangle.
+    Raises InputError for a file that trimesh cannot read, or without triangles.
     """
-    import trimesh  # most assets are USD and never need it
+    import trimesh  # not needed for USD assets
 
     try:
         with _quiet():
@@ -223,7 +222,7 @@ def load(path: Path, data: bytes, kind: str) -> list[tuple[str, Floats, Ints]]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without trimesh's log on the screen: what it warns of is checked and said here."""
+    """Context without trimesh's log output: its warnings are checked by the readers."""
     log, sink = logging.getLogger("trimesh"), logging.NullHandler()
     before = log.propagate
     log.addHandler(sink)

@@ -1,6 +1,6 @@
-"""FBX files, by the program usd-convert-asset where it is installed.
+"""Reader of FBX files by the external program usd-convert-asset, where it is installed.
 
-The program brings an OpenUSD of its own, so it never runs in this process.
+The program has its own OpenUSD, and runs in a separate process.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ HINT = (
 def convert_fbx(
     path: Path, *, meters_per_unit: float | None = None, up_axis: str | None = None
 ) -> MeshSource:
-    """The USD layer of an FBX file, flattened into one.
+    """The USD layer of an FBX file, flattened.
 
     Raises InputError where the program is missing, fails, takes longer than ten minutes or writes
-    what is no USD.
+    no valid USD.
     """
     with path.open("rb") as file:
         refuse_pointer(path, file.read(512))
@@ -40,7 +40,7 @@ def convert_fbx(
         raise InputError(f"{path}: reading FBX requires {PROGRAM}, which is not on PATH", HINT)
     folder = Folder()
     folder.pictures.mkdir()
-    # The program puts pictures somewhere below its result.
+    # The program writes images into a folder below its result.
     made = folder.pictures / "converted.usdc"
     command = [program, "-i", str(path.absolute()), "-o", str(made), "--preview-surface"]
     try:
@@ -72,7 +72,7 @@ def convert_fbx(
 def _flatten(
     path: Path, made: Path, target: Path, meters_per_unit: float | None, up_axis: str | None
 ) -> None:
-    """Write one layer of what the program wrote, and leave only pictures behind."""
+    """Flatten the program's result into one layer, and remove all other files but images."""
     try:
         flat = Usd.Stage.Open(str(made), Usd.Stage.LoadAll).Flatten()
     except Tf.ErrorException as error:

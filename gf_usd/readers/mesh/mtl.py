@@ -1,8 +1,8 @@
-"""MTL files: the materials of an OBJ file.
+"""Reader of MTL files, the materials of OBJ files.
 
-Kd is taken as linear; a texture in map_Kd replaces it, as most programs that write both mean it.
-Roughness and metal are read from Pr and Pm; highlights (Ks, Ns), transparency (d, Tr) and bump maps
-are not.
+Kd is linear; a texture map_Kd replaces it, as intended by most programs that write both.
+Roughness and metallic are read from Pr and Pm; specular (Ks, Ns), opacity (d, Tr) and bump maps are
+ignored.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ OPTIONS = dict.fromkeys(
     ("-blendu", "-blendv", "-boost", "-texres", "-clamp", "-bm", "-imfchan", "-type", "-cc"), 1
 ) | {"-mm": 2}
 NUMBERS = ("-o", "-s", "-t")
-CLEAR = {"d": 1.0, "Tr": 0.0}  # of what hides all behind it
+CLEAR = {"d": 1.0, "Tr": 0.0}  # values of an opaque material
 CONSTANTS = {"Kd": "diffuseColor", "Ke": "emissiveColor", "Pr": "roughness", "Pm": "metallic"}
 
 
@@ -28,7 +28,7 @@ def read_libraries(
 ) -> tuple[dict[str, FileMaterial], list[Path]]:
     """The wanted materials by name, of the MTL files next to an OBJ file, and the files read.
 
-    A missing file or material is a note.  Raises InputError for a line that cannot be read.
+    Notes are added for missing files and materials.  Raises InputError for an invalid line.
     """
     found: dict[str, FileMaterial] = {}
     read: list[Path] = []
@@ -54,7 +54,7 @@ def read_libraries(
 
 
 def _library_paths(obj: Path, text: str) -> list[Path]:
-    """One name, spaces and all, where such a file is there; else one name a token."""
+    """One name with spaces, where such a file exists; else one name per token."""
     whole = obj.parent / text.replace("\\", "/")
     if whole.is_file() or " " not in text:
         return [whole]
@@ -73,7 +73,7 @@ class _Library:
         self._slots: list[Slot] = []
 
     def materials(self) -> dict[str, FileMaterial]:
-        """Every material by name."""
+        """All materials by name."""
         data = self._path.read_bytes()
         refuse_pointer(self._path, data)
         text = data.decode("utf-8-sig", errors="replace")
@@ -87,7 +87,7 @@ class _Library:
     def _finish(self) -> None:
         if self._name is not None:
             self._done[self._name] = FileMaterial(
-                name=self._name, values=dict(self._values), material_parts=tuple(self._slots)
+                name=self._name, values=dict(self._values), texture_slots=tuple(self._slots)
             )
         self._values, self._slots = {}, []
 
@@ -162,7 +162,7 @@ class _Library:
         )
 
     def _picture(self, name: str) -> Picture | None:
-        """The file as named, or one of that name next to the MTL file."""
+        """The path as authored, or a file of that name next to the MTL file."""
         plain = name.replace("\\", "/")
         sibling = self._path.parent / plain.rsplit("/", 1)[-1]
         for path in (self._path.parent / plain, sibling):

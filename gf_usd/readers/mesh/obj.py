@@ -1,13 +1,11 @@
-"""OBJ files (Wavefront): the statements of the text as tables.
+"""Reader of Wavefront OBJ files.
 
-Read are v (with w, or with colors r g b), vt, vn, f with any number of corners and with indices
-that count from the end, o, g, usemtl, mtllib, and lines that go on after a backslash.  Polygons
-stay polygons and seams stay seams: texture coordinates and normals keep their own indices.
+Supported are v (with w, or with colors r g b), vt, vn, f with any number of corners and negative
+indices, o, g, usemtl, mtllib, and line continuation by a backslash.  Polygons and UV seams are
+preserved: texture coordinates and normals keep their own indices.
 
-The tables of an OBJ file as meshes, one for each object or group.
-
-Objects and groups that share points are one body to whoever drew them, and a body cut in pieces has
-no inside: they stay one mesh, and their names become sets of faces on it.
+There is one mesh for each object or group, but those that share points are one mesh, since their
+parts would be open surfaces; their names become face sets on it.
 """
 
 from __future__ import annotations
@@ -42,8 +40,8 @@ OTHER = {"l": "lines", "p": "points"}
 def read_obj(path: Path) -> MeshFile:
     """The polygons, groups and materials of an OBJ file.
 
-    Raises InputError for a line that cannot be read (with its number), an index outside its table,
-    numbers that are not finite, and a file without a face.
+    Raises InputError for an invalid line (with its number), an index out of range, numbers that are
+    not finite, and a file without faces.
     """
     with path.open("rb") as file:
         head = file.read(512)
@@ -71,7 +69,7 @@ def read_obj(path: Path) -> MeshFile:
 
 
 def _statements(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """(line number, tokens) of each line that holds some; a backslash at its end joins the next."""
+    """(line number, tokens) of each non-empty line; a final backslash continues it."""
     begun, first = "", 0
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
@@ -89,7 +87,7 @@ def _statements(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 class _Reader:
-    """Statements, one after the other, into tables."""
+    """Parser that collects statements into tables."""
 
     def __init__(self, path: Path) -> None:
         self.libraries: list[str] = []
@@ -165,7 +163,7 @@ class _Reader:
         self._face_materials.append(self._material)
 
     def _index(self, number: int, token: str, text: str, length: int) -> int:
-        """From 0; counted from the end of what is there so far where it is negative."""
+        """Zero-based index; a negative one counts from the end of the table so far."""
         try:
             value = int(text)
         except ValueError:
@@ -178,7 +176,7 @@ class _Reader:
         return length + value
 
     def tables(self, notes: Notes) -> Tables:
-        """All of it as arrays; raises InputError for what does not fit together."""
+        """The tables as arrays; raises InputError where they are inconsistent."""
         for what, count in self._left_out.items():
             notes.add(f"{count} {what} are left out")
         if not self._counts:
@@ -219,7 +217,7 @@ class _Reader:
         return rows
 
     def _colors(self) -> np.ndarray | None:
-        """(V, 3) sRGB as in the file: the last three of six or seven numbers of every v."""
+        """(V, 3) sRGB colors: the last three of the six or seven numbers of every v."""
         rows = self._rows["v"]
         if min(len(row) for row in rows) < 6:
             return None
@@ -245,7 +243,7 @@ NO_NAME = "mesh"
 
 @dataclass(frozen=True, kw_only=True)
 class Tables:
-    """An OBJ file as arrays; every index counts from 0 and is inside its table or NO_INDEX."""
+    """An OBJ file as arrays; indices are zero-based and valid, or NO_INDEX."""
 
     points: Floats  # (V, 3)
     colors: Floats | None  # (V, 3) sRGB
@@ -264,8 +262,8 @@ class Tables:
 def to_nodes(tables: Tables, defined: list[str], notes: Notes) -> tuple[FileNode, ...]:
     """A node with a mesh for each body; materials become indices into the names `defined`."""
     where = {name: i for i, name in enumerate(defined)}
-    material_parts = np.array([where.get(n, NO_INDEX) for n in tables.material_names] + [NO_INDEX])
-    materials = material_parts[tables.materials]
+    rows = np.array([where.get(n, NO_INDEX) for n in tables.material_names] + [NO_INDEX])
+    materials = rows[tables.materials]
     face_of = np.repeat(np.arange(len(tables.counts)), tables.counts)
     unused = len(tables.points) - len(np.unique(tables.corners))
     if unused:
@@ -278,7 +276,7 @@ def to_nodes(tables: Tables, defined: list[str], notes: Notes) -> tuple[FileNode
 
 
 def _bodies(tables: Tables, face_of: Ints) -> list[tuple[Ints, list[int]]]:
-    """(faces, parts) of each body: parts joined where they share a point, in the file's order."""
+    """(faces, parts) of each body: parts that share points are joined; in the file's order."""
     n = len(tables.part_names)
     if n == 1:
         return [(np.arange(len(tables.counts)), [0])]
@@ -338,7 +336,7 @@ def _mesh(
 
 
 def _points(tables: Tables, mine: Ints) -> tuple[Floats, Ints, Ints]:
-    """Points (V, 3) of the corners, indices into them, and their rows in the file's table."""
+    """Points (V, 3) of the corners, indices into these, and their rows in the file's table."""
     used, indices = np.unique(tables.corners[mine], return_inverse=True)
     return tables.points[used], indices.reshape(-1), used
 

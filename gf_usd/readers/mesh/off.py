@@ -1,6 +1,6 @@
-"""OFF files: a line of counts, a line for each vertex and a line for each polygon.
+"""Reader of OFF files: a line of counts, a line for each vertex and a line for each polygon.
 
-trimesh cuts the polygons into triangles and stumbles over comments; here they stay.
+trimesh triangulates the polygons and does not support comments; this reader preserves polygons.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Rows = list[tuple[int, list[str]]]  # (line number, tokens)
 def read_off(path: Path) -> MeshFile:
     """The polygons of an OFF or COFF file; colors are not read.
 
-    Raises InputError for counts that do not fit the lines, and for what is no number.
+    Raises InputError for counts that do not match the lines, and for invalid numbers.
     """
     data = path.read_bytes()
     refuse_pointer(path, data)
@@ -77,7 +77,7 @@ def _rows(path: Path, data: bytes) -> tuple[Rows, Rows]:
             f"{path} does not begin with {' or '.join(HEADS)}",
             "check the type of the file; other kinds of OFF are not supported",
         )
-    # The counts may stand on the first line, too.
+    # The counts may be on the first line, too.
     rows[0] = (rows[0][0], rows[0][1][1:])
     rows = rows if rows[0][1] else rows[1:]
     if not rows or len(rows[0][1]) < 2 or not all(token.isdigit() for token in rows[0][1][:2]):

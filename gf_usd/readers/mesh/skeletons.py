@@ -1,4 +1,4 @@
-"""Skeletons of a mesh file as UsdSkel: a Skeleton each, its SkelAnimation, and what it poses.
+"""Authoring of the skeletons of a mesh file as UsdSkel: Skeleton, SkelAnimation and bindings.
 
 /hero (SkelRoot)
     /hero/Skeleton (Skeleton)
@@ -27,9 +27,9 @@ def write_skeletons(
     fps: float | None,
     identifier: Callable[[str, set[str]], str],
 ) -> list[UsdSkel.Skeleton]:
-    """Define the skeletons under a SkelRoot, and the range of their frames.
+    """Define the skeletons under a SkelRoot, and set the time range of the stage.
 
-    identifier : makes a name for a prim of one of a file, and of those that are taken.
+    identifier : makes a unique prim name from a name of the file and the names in use.
     """
     made: list[UsdSkel.Skeleton] = []
     for one in skeletons:
@@ -58,7 +58,7 @@ def write_skeletons(
 
 
 def bind_to_skeleton(mesh: UsdGeom.Mesh, skin: FileSkin, skeleton: UsdSkel.Skeleton) -> None:
-    """Bind a mesh to the joints that pose it."""
+    """Author the SkelBindingAPI of a mesh."""
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
     binding.CreateGeomBindTransformAttr(_matrix(skin.matrix))
@@ -70,7 +70,7 @@ def bind_to_skeleton(mesh: UsdGeom.Mesh, skin: FileSkin, skeleton: UsdSkel.Skele
 
 
 def _tokens(one: FileSkeleton, identifier: Callable[[str, set[str]], str]) -> list[str]:
-    """The joints by the paths that UsdSkel calls them by."""
+    """The joint paths of UsdSkel."""
     out: list[str] = []
     below: dict[int, set[str]] = {}
     for name, parent in zip(one.joints, one.parents.tolist()):

@@ -1,4 +1,4 @@
-"""STL files, parsed by trimesh; what it would pass over in silence is looked at first."""
+"""Reader of STL files by trimesh, with additional validation."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ STL_HEADER, STL_FACET = 84, 50  # bytes
 
 
 def read_stl(path: Path) -> MeshFile:
-    """The triangles of an STL file, one mesh for each solid; corners in one place are one point.
+    """The triangles of an STL file, one mesh per solid, with coincident corners merged.
 
-    Raises InputError for a file that is neither text nor as long as its header says.
+    Raises InputError for a file that is neither text nor of the length that its header declares.
     """
     data = path.read_bytes()
     refuse_pointer(path, data)
@@ -52,7 +52,7 @@ def read_stl(path: Path) -> MeshFile:
 
 
 def _stl_body(path: Path, data: bytes, notes: Notes) -> bytes:
-    """The file, in the form that trimesh is sure to understand."""
+    """The file's bytes, normalized for trimesh's detection of text and binary files."""
     count = int.from_bytes(data[80:STL_HEADER], "little") if len(data) >= STL_HEADER else 0
     whole = STL_HEADER + STL_FACET * count
     text = data.lstrip()[:5].lower() == b"solid" and b"facet" in data.lower()

@@ -1,7 +1,6 @@
-"""A mesh file made into USD: read at once, written next to the results when they are.
+"""USD layer converted from a mesh file: written to a temporary folder, and saved with the results.
 
-The layer is first made in a temporary folder and read from there, so that a file which is refused,
-or a dry run, leaves nothing behind.
+The temporary layer is read as the asset, so that an invalid file or a dry run leaves no files.
 """
 
 from __future__ import annotations
@@ -25,38 +24,38 @@ RECORD = "convertedFrom"  # in customLayerData
 
 
 class Folder:
-    """A temporary folder, or one inside such a folder, that goes when nobody holds it any more."""
+    """A temporary folder, or a subfolder of one, which is deleted with its last reference."""
 
     def __init__(self, path: Path | None = None, inside: Scratch | None = None) -> None:
         self._held = inside or Scratch()
         self.path = path or self._held.path
 
     def release(self) -> Path:
-        """The folder, which stays from now on."""
+        """The folder, which is not deleted any more."""
         self._held.release()
         return self.path
 
     @property
     def layer(self) -> Path:
-        """The USD form of a file."""
+        """The converted layer."""
         return self.path / "source.usdc"
 
     @property
     def pictures(self) -> Path:
-        """What was inside the file, or came out of it."""
+        """The folder of embedded or converted images."""
         return self.path / "textures"
 
 
 class MeshSource:
-    """The USD layer of a file that is not USD, or over one whose faces were divided (`divide`).
+    """The USD layer converted from a mesh file, or over a USD file with divided faces (`divide`).
 
     Parameters
     ----------
-    path : the file as the user named it.
-    folder : holds its USD form and what is to be extracted next to that.
-    record : what the layer was made of, to be found again in it.
-    notes : what was assumed or left out on the way.
-    sources : `unit_from` and `axis_from` of the facts, where the layer does not tell them itself.
+    path : the file as given by the user.
+    folder : contains the layer and extracted images.
+    record : identifies the input of the conversion; stored in the layer.
+    notes : on assumptions and omissions.
+    sources : `unit_from` and `axis_from` of the facts, where they are not from the layer.
     """
 
     def __init__(
@@ -83,7 +82,7 @@ class MeshSource:
         notes: tuple[str, ...],
         sources: Mapping[str, str],
     ) -> MeshSource:
-        """Make the layer of a mesh file."""
+        """Convert a mesh file."""
         folder = Folder()
         write_layer(
             file, folder.layer, folder.pictures, meters_per_unit=meters_per_unit, up_axis=up_axis
@@ -95,7 +94,7 @@ class MeshSource:
 
     @property
     def layer(self) -> Path:
-        """The USD form, until the object goes."""
+        """The temporary layer, which exists as long as this object."""
         return self.folder.layer
 
     def asset(
@@ -105,7 +104,7 @@ class MeshSource:
         time_code: float | None = None,
         bind_pose: bool = False,
     ) -> Asset:
-        """The surfaces and facts; `facts.path` is the original.  See `readers.read_asset`."""
+        """The asset, see `readers.read_asset`; `facts.path` is the original file."""
         asset = read_usd(
             self.folder.layer, prims=prims, time_code=time_code, bind_pose=bind_pose,
             named=self.path,
@@ -114,7 +113,7 @@ class MeshSource:
         return replace(asset, facts=replace(asset.facts, notes=notes, **self.sources))
 
     def is_at(self, target: Path) -> bool:
-        """Whether `target` was made of the same bytes in the same way, and is whole."""
+        """Whether `target` is a complete conversion of the same bytes with the same options."""
         if not target.is_file():
             return False
         try:
@@ -126,13 +125,14 @@ class MeshSource:
         return all(picture.is_file() for picture in self.textures(target))
 
     def textures(self, target: Path) -> tuple[Path, ...]:
-        """Pictures that are written next to a layer of that name."""
+        """The image files that `write` saves next to a layer of that name."""
         return tuple(textures_folder(target) / name for name in self._names())
 
     def write(self, target: Path) -> Path:
-        """Write the layer as `target`, pictures first, each whole or not at all; returns target.
+        """Write the images and the layer `target`, each atomically; returns target.
 
-        Nothing is done where it `is_at` target already.  Raises BakeError where the disk refuses.
+        Does nothing where it `is_at` target already.  Raises BakeError where a file cannot be
+        written.
         """
         if self.is_at(target):
             return target
@@ -163,7 +163,7 @@ class MeshSource:
         return target
 
     def extract(self, target: Path) -> dict[Path, Path]:
-        """Write the pictures next to a layer of that name; returns from where to where."""
+        """Write the images next to a layer of that name; returns the new path of each."""
         folder = textures_folder(target)
         placed = {self.folder.pictures / name: folder / name for name in self._names()}
         for picture, place in placed.items():
@@ -171,7 +171,7 @@ class MeshSource:
         return placed
 
     def _names(self) -> list[str]:
-        """Pictures that came out of the file, as paths in their folder."""
+        """The images extracted from the file, as paths relative to their folder."""
         files = (p for p in self.folder.pictures.rglob("*") if p.is_file())
         return sorted(p.relative_to(self.folder.pictures).as_posix() for p in files)
 
@@ -179,7 +179,7 @@ class MeshSource:
 def record_of(
     path: Path, inputs: Sequence[Path], meters_per_unit: float | None, up_axis: str | None
 ) -> dict[str, str]:
-    """What a layer was made of: the same words mean the same layer."""
+    """The record that identifies a conversion: equal records mean equal layers."""
     content = hashlib.sha256()
     for file in inputs:
         content.update(file.read_bytes())

@@ -1,10 +1,10 @@
-"""The USD layer of a mesh file: a root with a node or mesh for each of its own.
+"""Authoring of the USD layer of a mesh file: a root prim with its nodes, meshes and materials.
 
     /duck (Xform, kind component, the default prim)
         /duck/body (Mesh)        /duck/arm (Xform) /duck/arm/hand (Mesh)
         /duck/Materials (Scope)
 
-Polygons are what a mesh file means, so subdivisionScheme is none, with normals or without.
+Mesh files contain polygons, so that subdivisionScheme is none, with and without normals.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Types = Sdf.ValueTypeNames
 def write_layer(
     file: MeshFile, path: Path, textures: Path, *, meters_per_unit: float, up_axis: str
 ) -> None:
-    """Write a mesh file as the USD layer `path`; embedded pictures go into the folder `textures`.
+    """Write a mesh file as the USD layer `path`; embedded images go into the folder `textures`.
 
-    Pictures are referred to by their absolute paths: where the layer ends up is not known yet.
+    Images are referenced by absolute paths, since the final location of the layer is not known.
     """
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
@@ -58,7 +58,7 @@ def write_layer(
 
 
 class _Pictures:
-    """Where each picture is; embedded ones are written when they are first asked for."""
+    """The path of each image; embedded ones are written on first use."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -79,7 +79,7 @@ class _Pictures:
     def _free(self, name: str) -> str:
         stem, dot, suffix = name.rpartition(".")
         wanted, count = name, 1
-        # Windows and macOS hold names that differ in case for one.
+        # File names are case-insensitive on Windows and macOS.
         while wanted.lower() in self._names:
             count += 1
             wanted = f"{stem}_{count}{dot}{suffix}"
@@ -175,7 +175,7 @@ def _write_uvs(prim: UsdGeom.Mesh, mesh: FileMesh) -> None:
 
 
 def _one_a_point(mesh: FileMesh, corner_values: Ints) -> Ints | None:
-    """(V,) the one value that each point has at all its corners; None where there is a seam."""
+    """(V,) value of each point, where all its corners have the same; None where there are seams."""
     first = np.full(len(mesh.points), -1)
     first[mesh.indices] = corner_values
     if (first < 0).any() or (first[mesh.indices] != corner_values).any():
@@ -192,7 +192,7 @@ def _identifier(name: str) -> str:
 
 
 def _name(prim: Usd.Prim, name: str) -> None:
-    """Keep a name that could not be a prim's."""
+    """Store a name that is not a valid prim name as displayName."""
     if name.strip() and prim.GetName() != name:
         prim.SetDisplayName(name)
 
@@ -212,7 +212,7 @@ ST = "st"  # primvar of the texture coordinates
 def write_material(
     stage: Usd.Stage, path: Sdf.Path, material: FileMaterial, place: Callable[[Picture], str]
 ) -> UsdShade.Material:
-    """Define one material; `place` gives the asset path of a picture."""
+    """Define one material; `place` returns the asset path of an image."""
     made = UsdShade.Material.Define(stage, path)
     surface = _shader(stage, path.AppendChild("surface"), "UsdPreviewSurface")
     made.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
@@ -224,11 +224,11 @@ def write_material(
         reader = _shader(stage, path.AppendChild("colors"), "UsdPrimvarReader_float3")
         reader.CreateInput("varname", Types.String).Set("displayColor")
         _connect(surface, "diffuseColor", reader, "result", Types.Float3)
-    if material.material_parts:
+    if material.texture_slots:
         reader = _shader(stage, path.AppendChild(ST), "UsdPrimvarReader_float2")
         reader.CreateInput("varname", Types.String).Set(ST)
         reader.CreateOutput("result", Types.Float2)
-        for slot in material.material_parts:
+        for slot in material.texture_slots:
             _texture(stage, path, surface, reader, slot, place(slot.picture))
     return made
 
@@ -285,9 +285,9 @@ def _connect(
 def bind(
     mesh: UsdGeom.Mesh, materials: list[UsdShade.Material], faces: list[tuple[int, list[int]]]
 ) -> None:
-    """Bind materials to a mesh, or to sets of its faces where there are several.
+    """Bind one material to a mesh, or several to face subsets.
 
-    `faces`: (number of the material, its faces); they cover every face where one set is all.
+    faces : (index of the material, its faces) of each.
     """
     api = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
     total = len(mesh.GetFaceVertexCountsAttr().Get())
@@ -304,12 +304,12 @@ def bind(
 
 
 def free_name(parent: Usd.Prim, name: str) -> str:
-    """`name`, or with a number where the prim has such a child."""
+    """`name`, with a number appended where the prim has such a child."""
     return _free(name, {child.GetName() for child in parent.GetAllChildren()})
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """A prim's name like `name` that is not taken."""
+    """A valid and unused prim name made from `name`."""
     wanted, count = _identifier(name), 1
     name = wanted
     while name in taken:

@@ -1,1 +1,1 @@
-"""A stage at a time becomes a Scene to draw, and a bake becomes a Recording."""
+"""Reading of stages for rendering: a `Scene` at one time, or a `Recording` of an animation."""

@@ -1,4 +1,4 @@
-"""A UsdGeomCamera of a stage as pictures see through it."""
+"""Reader of a UsdGeomCamera for rendering."""
 
 from __future__ import annotations
 

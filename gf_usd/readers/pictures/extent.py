@@ -1,4 +1,4 @@
-"""When a stage moves, and the box that holds all of it."""
+"""Time samples of the animation of a stage, and the bounding box over its time range."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gf_usd.core.scene import Bounds, to_frame
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.skeleton import Skins
-from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_running
+from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
 
 SAMPLED_TIMES = (
     48  # times at which a longer motion is looked at, evenly spread, first and last included
@@ -245,13 +245,13 @@ def _world_points(
         place = posed or Placement.of(xforms.GetLocalToWorldTransform(prim))
         if str(prim.GetTypeName()) in IMPLICIT:
             return place.points(np.asarray(tessellate(prim, time)[0], dtype=np.float64))
-    except LeftAlone:
+    except SkippedPrim:
         return np.zeros((0, 3))
     for name in POINTS:
         values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
         if values is not None and len(values):
             local = np.asarray(values, dtype=np.float64).reshape(-1, 3)
-            if str(prim.GetTypeName()) == SPLAT_TYPE and not is_running(prim):
+            if str(prim.GetTypeName()) == SPLAT_TYPE and not is_bake_particles(prim):
                 local = local[_of_the_object(prim, time, local)]
             reach = _reach(prim, time)
             return np.concatenate([place.points(local - reach), place.points(local + reach)])

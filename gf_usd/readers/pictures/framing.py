@@ -1,10 +1,10 @@
-"""What a picture is fitted to: the motion, without what falls out of the scene.
+"""Framing of images: the bounding box of the motion, without bodies that fall out of the scene.
 
-A body that misses or leaves the obstacles under it falls to the end of the bake, and a picture of
-all of its way shows the rest as a speck.  Fallen is what was above the bottom of all that stays, is
-below it to the end of the motion, and still sinks there: what lands on a floor is not, nor what
-hangs from a ceiling.  Of bodies that consist of many parts, Gaussians, points and surfaces of what
-flows, each point counts by itself.
+A body that misses the obstacles falls until the end of the bake, and an image that contains its
+whole path shows the others very small.  A body has fallen if it was above the bottom of the others,
+is below it until the end of the motion, and still descends then; not if it lands on a floor or
+hangs from a ceiling.  For Gaussians, points and surfaces of flowing bodies, this is decided for
+each point.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Gaussians and points of a stage at one time, as pictures show them.
-
-A Surface as a picture shows it: colors, textures, roughness and metal at each triangle.
-"""
+"""Prims of a stage for rendering at one time: Gaussians, points, and surfaces with shading."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.core.scene import Harmonics, RenderEllipsoids, RenderMesh, RenderSplats
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd.stage import LeftAlone, Placement, is_running
+from gf_usd.readers.usd.stage import Placement, SkippedPrim, is_bake_particles
 
 LEFT_OUT = "not drawn: "  # a note, with a type
 Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
@@ -26,7 +23,7 @@ Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
 def stands_for_meshes(prim: Usd.Prim) -> bool:
     """True for points of flowing bodies, which a bake shows in addition to meshes."""
     named = prim.HasRelationship("gaussianFlesh:sourceMeshes")
-    return prim.IsA(UsdGeom.Points) and named and not is_running(prim)
+    return prim.IsA(UsdGeom.Points) and named and not is_bake_particles(prim)
 
 
 def placed_prims(stage: Usd.Stage, notes: Notes) -> Iterator[Usd.Prim]:
@@ -68,12 +65,12 @@ def read_splats(
 ) -> RenderSplats:
     """The Gaussians of a ParticleField3DGaussianSplat, world, in meters; `measured` (N,) as well.
 
-    Raises LeftAlone where there are none, or where an array has another length than positions.
+    Raises SkippedPrim where there are none, or where an array has another length than positions.
     """
     where = str(prim.GetPath())
     positions = _either(prim, "positions", time, 3)
     if positions is None or len(positions) == 0:
-        raise LeftAlone("has no positions")
+        raise SkippedPrim("has no positions")
     count = len(positions)
     orientations = _either(prim, "orientations", time, 4)
     scales = _either(prim, "scales", time, 3)
@@ -81,7 +78,7 @@ def read_splats(
     for name, values in (("orientations", orientations), ("scales", scales)):
         if values is None or len(values) != count:
             have = 0 if values is None else len(values)
-            raise LeftAlone(f"has {count} positions but {have} {name}")
+            raise SkippedPrim(f"has {count} positions but {have} {name}")
     if opacities is None or len(opacities) != count:
         opacities = np.ones((count, 1))
     assert orientations is not None
@@ -105,7 +102,7 @@ def read_splats(
         axes=linear @ local[finite],
         colors=np.maximum(colors[finite], 0.0),
         opacities=np.clip(opacities[finite, 0], 0.0, 1.0),
-        lit=is_running(prim),
+        lit=is_bake_particles(prim),
         harmonics=None
         if coefficients.shape[1] == 1
         else Harmonics(coefficients=coefficients, frame=harmonics.frame, srgb=harmonics.srgb),
@@ -139,13 +136,13 @@ def read_points(
 ) -> RenderEllipsoids:
     """The Points of a prim as balls of their widths, world, in meters; `measured` (N,) as well.
 
-    Raises LeftAlone where there are none.
+    Raises SkippedPrim where there are none.
     """
     where, points = str(prim.GetPath()), UsdGeom.Points(prim)
     values = points.GetPointsAttr().Get(time)
     positions = np.asarray([] if values is None else values, dtype=np.float64).reshape(-1, 3)
     if len(positions) == 0:
-        raise LeftAlone("has no points")
+        raise SkippedPrim("has no points")
     count = len(positions)
     widths = points.GetWidthsAttr().Get(time)
     width = np.asarray([] if widths is None else widths, dtype=np.float64)
@@ -206,7 +203,7 @@ def _is_srgb(prim: Usd.Prim, notes: Notes) -> bool:
     """How radiance is encoded: as the color space says; bakes of ours are linear."""
     attribute = prim.GetAttribute("radiance:sphericalHarmonicsCoefficients")
     space = str(Usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, None) or "")
-    if not space and not is_running(prim):
+    if not space and not is_bake_particles(prim):
         notes.add(
             "no color space is authored: sRGB is assumed, as in captured Gaussians",
             str(prim.GetPath()),

@@ -1,6 +1,6 @@
-"""The motion of a bake, or of any moving stage, as plain arrays: one variant, frame by frame.
+"""The animation of a bake, or of any stage, as arrays: one variant, frame by frame.
 
-Which bake of a root layer is read: its variants, selected in the session only.
+Variants are selected in the session layer only.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
     FOR_BAKES,
     SPLAT_TYPE,
-    LeftAlone,
     Placement,
-    is_running,
+    SkippedPrim,
+    is_bake_particles,
     open_stage,
     reading,
     stage_facts,
@@ -121,7 +121,7 @@ class BakedMotion:
             try:
                 with reading(self._path):
                     frame = self._frame(code, whole=whole)
-            except LeftAlone as reason:
+            except SkippedPrim as reason:
                 raise InputError(
                     f"{self._path}: at time code {code:g} a prim cannot be shown: {reason}.",
                     "run gf-usd check for details, then bake the asset again",
@@ -170,7 +170,7 @@ class BakedMotion:
                 continue
             try:
                 surface = read_surface(prim, context)
-            except LeftAlone:  # nothing is there at this time, or not yet
+            except SkippedPrim:  # nothing is there at this time, or not yet
                 continue
             found.append(to_render_mesh(surface, self._stage, context.time))
         return tuple(found)
@@ -221,12 +221,12 @@ class BakedMotion:
         """Meshes, Gaussians and their times."""
         prims = list(placed_prims(self._stage, self._notes))
         clouds = [p for p in prims if str(p.GetTypeName()) == SPLAT_TYPE]
-        clouds.sort(key=lambda p: not is_running(p))
+        clouds.sort(key=lambda p: not is_bake_particles(p))
         if len(clouds) > 1:
             self._notes.add(ONE_SET, str(clouds[0].GetPath()))
         self._cloud = clouds[0] if clouds else Usd.Prim()
         candidates = [p for p in prims if has_surface(p)]
-        ours = clouds[:1] if clouds and is_running(clouds[0]) else []
+        ours = clouds[:1] if clouds and is_bake_particles(clouds[0]) else []
         self._times = sample_times(ours or [*candidates, *clouds])
         if len(self._times) < 2:
             raise InputError(
@@ -235,7 +235,7 @@ class BakedMotion:
             )
         self._stand_ins = [prim for prim in prims if stands_for_meshes(prim)]
         for prim in prims:
-            if prim.IsA(UsdGeom.Points) and not is_running(prim) and _moves(prim):
+            if prim.IsA(UsdGeom.Points) and not is_bake_particles(prim) and _moves(prim):
                 self._notes.add("its points move and are left out", str(prim.GetPath()))
         self._read_rest(candidates)
 
@@ -255,7 +255,7 @@ class BakedMotion:
                 continue
             try:
                 surface = read_surface(prim, context)
-            except LeftAlone as reason:
+            except SkippedPrim as reason:
                 self._notes.add(f"not shown: {reason}", str(prim.GetPath()))
                 continue
             self._meshes.append(prim)
@@ -270,7 +270,7 @@ class BakedMotion:
         try:
             place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
             first = read_splats(prim, context.time, place, units.length, self._notes)
-        except LeftAlone as reason:
+        except SkippedPrim as reason:
             self._notes.add(f"not shown: {reason}", str(prim.GetPath()))
             return None
         count = len(first.positions)

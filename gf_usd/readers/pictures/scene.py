@@ -1,4 +1,4 @@
-"""A stage as a picture shows it: what is visible at a time, and its extent over the motion."""
+"""A stage for rendering: its visible prims at a time, and its extent over the animation."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
     FOR_BAKES,
     SPLAT_TYPE,
-    LeftAlone,
     Placement,
-    is_running,
+    SkippedPrim,
+    is_bake_particles,
     open_stage,
     reading,
     stage_facts,
@@ -277,7 +277,7 @@ class PictureStage:
             read = read_points if kind in ("points", "grains") else read_splats
             unit = context.meters_per_unit
             return read(prim, context.time, place, unit, context.notes, values)
-        except LeftAlone as reason:
+        except SkippedPrim as reason:
             context.notes.add(f"not drawn: {reason}", str(prim.GetPath()))
             return None
 
@@ -309,7 +309,7 @@ class PictureStage:
             if has_surface(prim):
                 found.append(("mesh", prim))
             elif name == SPLAT_TYPE:
-                found.append(("gaussians" if is_running(prim) else "splats", prim))
+                found.append(("gaussians" if is_bake_particles(prim) else "splats", prim))
             elif stands_for_meshes(prim):
                 found.append(("grains", prim))
             elif prim.IsA(UsdGeom.Points):
@@ -341,7 +341,7 @@ class PictureStage:
             for kind, prim in self._all()
             if kind in kinds
             and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
-            and (sometimes_visible(prim, time) or is_running(prim))
+            and (sometimes_visible(prim, time) or is_bake_particles(prim))
         ]
 
     def _visible_kinds(self) -> set[str]:

@@ -1,4 +1,4 @@
-"""The Gaussians of a stage over its motion: those that were captured, and those of a bake."""
+"""The Gaussians of a stage over time: captured ones, and the particles of a bake."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from gf_usd.readers.pictures.prims import placed_prims, read_splats
 from gf_usd.readers.pictures.recording import PURPOSES, select_variant, variants_of
 from gf_usd.readers.usd.stage import (
     SPLAT_TYPE,
-    LeftAlone,
     Placement,
-    is_running,
+    SkippedPrim,
+    is_bake_particles,
     open_stage,
     reading,
     stage_facts,
@@ -67,7 +67,7 @@ class SplatMotion:
             self._prims = [
                 prim
                 for prim in prims
-                if (particles if is_running(prim) else captured and self._is_visible(prim))
+                if (particles if is_bake_particles(prim) else captured and self._is_visible(prim))
             ]
             self.time_codes = tuple(sample_times(self._prims))
 
@@ -107,7 +107,7 @@ class SplatMotion:
         try:
             place = Placement.of(xforms.GetLocalToWorldTransform(prim))
             return read_splats(prim, time, place, self._unit, self._notes)
-        except LeftAlone as reason:
+        except SkippedPrim as reason:
             raise InputError(
                 f"{self._path}: <{prim.GetPath()}> {reason} at time code {time.GetValue():g}.",
                 "run gf-usd check for details, then bake the asset again",

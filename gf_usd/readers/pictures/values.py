@@ -1,6 +1,7 @@
-"""Values that color a picture: strains or stress of particles, and of meshes from them.
+"""False colors: strain or stress of particles, and of meshes by interpolation from particles.
 
-How much particles are stretched: from deformation gradients, or from their motion alone.
+Strains are computed from deformation gradients, or from the motion of particles by a moving least
+squares fit.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from scipy.spatial import cKDTree
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import Quantity
-from gf_usd.readers.usd.stage import SPLAT_TYPE, is_running
+from gf_usd.readers.usd.stage import SPLAT_TYPE, is_bake_particles
 
 GRADIENTS = "gaussianFlesh:deformationGradients"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """What a picture may be colored by."""
+    """A quantity for false colors."""
 
     label: str
     unit: str = ""
@@ -85,7 +86,7 @@ class Values:
                 f"Unknown --color {what}.", f"choose one of: {', '.join((*MEASURES, 'none'))}"
             )
         walk = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
-        clouds = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_running(p)]
+        clouds = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_bake_particles(p)]
         self._carriers = [_carrier(prim) for prim in clouds]
         if not self._carriers:
             raise InputError(

@@ -1,1 +1,1 @@
-"""Files of captured Gaussians are read, converted and written."""
+"""Reading, conversion to USD, and writing of Gaussian splat files (PLY, SPZ, .splat)."""

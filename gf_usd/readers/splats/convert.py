@@ -1,4 +1,4 @@
-"""A splat file made into USD, as mesh files are."""
+"""Conversion of Gaussian splat files to USD layers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gf_usd.readers.notes import Notes, source_of, unit_and_axis
 from gf_usd.readers.splats.ply import holds_splats
 from gf_usd.readers.usd.splats import write_splat_layer
 
-# Captures often have y or z down, for that is how cameras see: a half turn about x corrects it.
+# Captures often have y or z down, as in camera space: a half turn about x corrects it.
 AXES = {"Y": ("Y", 0.0), "Z": ("Z", 0.0), "-Y": ("Y", 180.0), "-Z": ("Z", 180.0)}
 
 
@@ -32,9 +32,9 @@ def _format(path: Path) -> Format:
 
 
 def read_splat_file(path: Path, notes: Notes) -> Splats:
-    """The Gaussians of a file, those that can be what was meant.
+    """The valid Gaussians of a file.
 
-    Raises InputError for a damaged file and for one that holds none.
+    Raises InputError for a damaged file and for one without valid Gaussians.
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # `tidy` counts what comes of it
@@ -47,11 +47,11 @@ def read_splat_file(path: Path, notes: Notes) -> Splats:
 
 
 def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | None) -> MeshSource:
-    """A splat file as USD, not yet written anywhere.
+    """A splat file converted to a temporary USD layer.
 
     meters_per_unit : [m] size of the file's unit; None: 1.   up_axis : Y, Z, -Y or -Z; None: Y.
 
-    Raises InputError for a damaged file, and for an axis that is none of these.
+    Raises InputError for a damaged file, and for another axis.
     """
     axis = "Y" if up_axis is None else up_axis.upper()
     if axis not in AXES:

@@ -1,15 +1,13 @@
-"""3D Gaussian splats in PLY files, as 3DGS and its heirs write them.
+"""Reader of 3D Gaussian splats in PLY files: the layout of 3DGS, and the packed one of PlayCanvas.
 
-Per vertex: x y z; scale_0..2 (natural logarithm of the standard deviation); rot_0..3 (w, x, y, z,
-not normalized); opacity (a logit); f_dc_0..2 (coefficients of degree 0, one a color); f_rest_*
-(the higher degrees, all of red first, then green, then blue).  Any other column of whole numbers is
-a label.  The packed layout of PlayCanvas is
-read by `splat_packed`.
+Layout of 3DGS (Kerbl et al. 2023), per vertex: x y z; scale_0..2 (natural logarithm of the standard
+deviation); rot_0..3 (w, x, y, z, not normalized); opacity (a logit); f_dc_0..2 (spherical harmonics
+coefficients of degree 0, one per color); f_rest_* (higher degrees, all of red, then green, then
+blue).  Other integer columns are labels.
 
-The packed PLY layout of PlayCanvas and SuperSplat (``.compressed.ply``).
-
-Every 256 Gaussians share a row of the element chunk with the limits of their positions, logarithmic
-scales and colors (0..1 in older files); each has four 32-bit words of the vertex element:
+Packed layout of PlayCanvas and SuperSplat (``.compressed.ply``): every 256 Gaussians share a row of
+the element chunk with the bounds of their positions, logarithmic scales and colors (0..1 in older
+files); each has four 32-bit words of the vertex element:
 
     packed_position, packed_scale   x, y, z in 11, 10, 11 bits between the limits, x on top
     packed_rotation                 index of the largest of (w, x, y, z) in 2 bits, the others in
@@ -35,17 +33,17 @@ from gf_usd.core.radiance import Y_0
 from gf_usd.readers.mesh.data import REPAIR, refuse_pointer
 from gf_usd.readers.mesh.ply.tables import Element, Ragged, Table, header, read_body
 
-HEAD = 65536  # bytes in which the header of a splat file ends
-# What 3DGS and its heirs write next to labels.
+HEAD = 65536  # bytes that contain the header of a splat file
+# Columns of 3DGS and derived programs that are not labels.
 KNOWN = re.compile(r"[xyz]|n[xyz]|f_dc_\d|f_rest_\d+|opacity|scale_\d|rot_\d|packed_\w+")
-WHOLE = 2.0**31  # labels are as large as USD's int at most
+WHOLE = 2.0**31  # bound of labels, the range of USD's int
 
 
 REST = {0: 0, 9: 1, 24: 2, 45: 3}  # bytes of sh, and the degree
 
 
 def holds_splats(path: Path) -> bool:
-    """True for a PLY file of Gaussian splats: its header has their columns and no faces."""
+    """Whether the header of a PLY file has the columns of Gaussian splats, and no faces."""
     with path.open("rb") as file:
         head = file.read(HEAD).split(b"end_header")[0]
     words = [line.split() for line in head.splitlines()]

@@ -1,1 +1,1 @@
-"""A USD stage becomes an Asset, and what it says about its bake."""
+"""Reader of USD stages: geometry, shading and skeletons, as an `Asset`."""

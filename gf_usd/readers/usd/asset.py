@@ -1,4 +1,4 @@
-"""USD files (usda, usdc, usd, usdz) to an Asset."""
+"""Reading of a USD file (usda, usdc, usd, usdz) as an `Asset`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
 from gf_usd.readers.usd.stage import (
-    LeftAlone,
+    SkippedPrim,
     open_stage,
     reading,
     require_saved,
@@ -46,9 +46,12 @@ def read_usd(
 ) -> Asset:
     """The visible meshes, implicit shapes and Gaussian splats of a stage, posed at one time.
 
-    The arguments are those of `gf_usd.readers.read_asset`; `named` is the file that the user named
-    where `path` was made from it.  Raises InputError for a file that is not USD or damaged, for
-    broken meshes, and where there is nothing to make soft.
+    The arguments are those of `gf_usd.readers.read_asset`.
+
+    named : the user's file, for messages, where `path` was converted from it.
+
+    Raises InputError for a file that is not USD or damaged, for invalid meshes, and where there is
+    no prim that can be simulated.
     """
     with reading(path):
         stage = open_stage(path)
@@ -60,7 +63,7 @@ def read_usd(
         found = select(stage, path, prims, time)
         surfaces, splats, skipped = _surfaces(path, found, facts, time, notes, bind_pose)
         if not surfaces and not splats:
-            raise _nothing(stage, path, found, skipped, notes, by_name=bool(prims))
+            raise _no_geometry(stage, path, found, skipped, notes, by_name=bool(prims))
         return Asset(
             facts=replace(facts, notes=notes.lines()),
             surfaces=tuple(surfaces),
@@ -77,7 +80,7 @@ def _surfaces(
     notes: Notes,
     bind_pose: bool,
 ) -> tuple[list[Surface], list[Splats], dict[str, str]]:
-    """The surfaces and Gaussians of the selection, and (path, reason) of what is left alone."""
+    """The surfaces and Gaussians of the selection, and the reasons for skipped prims by path."""
     xforms = UsdGeom.XformCache(time)
     context = Reading(
         path=path,
@@ -99,7 +102,7 @@ def _surfaces(
                 splats.append(read_captured(prim, time, place, unit, notes))
             else:
                 surfaces.append(with_limit(prim, read_surface(prim, context)))
-        except LeftAlone as reason:
+        except SkippedPrim as reason:
             skipped[str(prim.GetPath())] = str(reason)
         else:
             for instance in instances_above(prim):
@@ -107,7 +110,7 @@ def _surfaces(
     return surfaces, splats, skipped
 
 
-def _nothing(
+def _no_geometry(
     stage: Usd.Stage,
     path: Path,
     found: Selection,
@@ -116,7 +119,7 @@ def _nothing(
     *,
     by_name: bool,
 ) -> InputError:
-    """The error for a selection without one surface, with what was there instead."""
+    """The error for a selection without surfaces, which lists the prims found instead."""
     under = ", ".join(str(root.GetPath()) for root in found.roots[:3]) or "its root"
     if missing := [line for line in notes.lines() if line.startswith("does not compose")]:
         return InputError(
@@ -139,7 +142,7 @@ def _nothing(
 
 
 def _remedy(stage: Usd.Stage, where: str, reason: str, by_name: bool) -> str:
-    """What would make the prim at a path soft, which was left out for a reason."""
+    """A hint at how the skipped prim at a path can be simulated."""
     if reason == INVISIBLE:
         return f"make {where} visible in the file: what is hidden is not baked"
     if reason.startswith(PURPOSE):
@@ -153,7 +156,7 @@ def _remedy(stage: Usd.Stage, where: str, reason: str, by_name: bool) -> str:
 
 
 def _own_file(stage: Usd.Stage, where: str) -> str:
-    """The file that a prototype, or the first of a PointInstancer, is in; "" for the asset's."""
+    """Name of the file of a prototype, or of a PointInstancer's first one; "": the asset's own."""
     prim = stage.GetPrimAtPath(where)
     if instancer := UsdGeom.PointInstancer(prim):
         prims = map(stage.GetPrimAtPath, instancer.GetPrototypesRel().GetForwardedTargets())

@@ -1,25 +1,25 @@
-"""The bones of a skeleton (UsdSkel): segments of the body in its bind pose, and their motion.
+"""Bones of a UsdSkel skeleton: line segments in the bind pose, and the motion of their joints.
 
-A joint's segments run from it to each of its children.  One from which flesh hangs that no segment
-comes near, such as the last joint of a limb, has a segment into that flesh.
+The segments of a joint run from it to each of its children.  A joint whose skinned points are far
+from all segments, such as the last joint of a limb, has a segment toward their mean.
 
-At a frame a point X of the bind pose that joint j carries is, in row vectors,
+At a frame, a point X of the bind pose that is bound to joint j is at (row vectors)
 
     x = X W0^-1 B_j^-1 J_j(t) W(t)
 
 with B_j the joint's bind transform, J_j its animated transform, both in the skeleton's space, and W
-the skeleton's local-to-world, W0 that of the first frame.  The bind pose as a whole is moved
-rigidly so that the topmost joint with flesh is where it is in the first frame.
+the skeleton's local-to-world transform, W0 that of the first frame.  The bind pose as a whole is
+aligned rigidly with the first frame at the topmost joint with skinned points.
 
 Points without joint weights, such as captured Gaussians, follow the nearest segments of the only
 skeleton of the stage, by weights w_j ~ (d_j + e)^-4 with d_j the distance to those of joint j and e
-a share of the skeleton's size.  A last joint's segment is as long as that of the joint above, and
-goes on in its direction.
+a share of the skeleton's size.  The segment of a leaf joint continues that of its parent, with the
+same length and direction.
 
-Times before the first frame lead from the bind pose into the animation.  Each joint's transform
-relative to the next joint above that carries flesh goes from the bind pose to where the animation
-would have been, by rotation, stretch and translation apart, with weights s = 3 r^2 - 2 r^3.
-Position and velocity agree with the animation at the first frame.
+Times before the first frame are a pre-roll from the bind pose into the animation.  The transform
+of each joint, relative to the next ancestor with skinned points, is interpolated from the bind pose
+to an extrapolation of the animation, separately in rotation, stretch and translation, with weights
+s = 3 r^2 - 2 r^3.  Position and velocity are continuous at the first frame.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ from gf_usd.readers.usd.stage import open_stage, reading
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-INTO_FLESH = 1.5  # times the way from a joint to the middle of its flesh: most of the way through
-AWAY = 0.5  # of a joint's longest segment: flesh that is farther from all of them needs its own
-MEMORY = 4.0  # [frames] that the pre-roll follows the animation back before its first frame
-SHORT = 1e-6  # of the skeleton's size: a segment below it is a point
+INTO_FLESH = 1.5  # length of a segment toward the mean of a joint's points, over their distance
+AWAY = 0.5  # of a joint's longest segment: a mean farther from all of them gets its own segment
+MEMORY = 4.0  # [frames] by which the pre-roll extrapolates the animation backward
+SHORT = 1e-6  # of the skeleton's size: a shorter segment is a point
 SOFT = 0.01  # of the skeleton's size: e of the weights of points without joint weights
-LEAST = 0.02  # smaller ones of these weights are left out
+LEAST = 0.02  # smaller ones of these weights are dropped
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """A skeleton and the flesh that hangs on it."""
+    """A skeleton and the points skinned to it."""
 
     path: str  # prim path of the Skeleton
     prim: Usd.Prim
@@ -72,10 +72,10 @@ class Rig:
 def animation_range(
     file: Path, paths: Sequence[str], facts: StageFacts, loose: Mapping[str, Floats] | None = None
 ) -> tuple[float, float]:
-    """First and last time code of the animation that poses some meshes; loose : of `read_skeleton`.
+    """First and last time code of the skeletal animation of some meshes.
 
-    Where the stage says both, they are its own, else those of the time samples.  Raises InputError
-    as `read_skeleton`.
+    The stage's own if it authors both, else those of the time samples.  loose : as in
+    `read_skeleton`, whose errors it raises.
     """
     with reading(file):
         stage = open_stage(file)
@@ -99,7 +99,7 @@ def animation_range(
 
 
 def has_skeleton(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
-    """Whether a skeleton poses any of some meshes."""
+    """Whether any of some meshes is bound to a skeleton."""
     with reading(file):
         stage, time = open_stage(file), Usd.TimeCode.EarliestTime()
         skins = Skins(time, UsdGeom.XformCache(time), Notes(), bind=True)
@@ -108,9 +108,9 @@ def has_skeleton(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
 
 
 def skeletons(file: Path, paths: Sequence[str], facts: StageFacts) -> dict[str, tuple[str, str]]:
-    """The Skeleton that poses each of some meshes, and the nearest SkelRoot above it, by prim path.
+    """By prim path, the Skeleton that each mesh is bound to, and the nearest SkelRoot above it.
 
-    Meshes that no skeleton poses are left out.
+    Meshes that are not bound to a skeleton are left out.
     """
     with reading(file):
         stage, time = open_stage(file), Usd.TimeCode.EarliestTime()
@@ -128,7 +128,7 @@ def skeletons(file: Path, paths: Sequence[str], facts: StageFacts) -> dict[str, 
 
 
 def lone_skeleton(file: Path) -> str:
-    """Prim path of the only skeleton of a stage under a SkelRoot; "" where there is no such."""
+    """Prim path of the only skeleton of a stage, if it is under a SkelRoot; else ""."""
     with reading(file):
         time = Usd.TimeCode.EarliestTime()
         found = Skins(time, UsdGeom.XformCache(time), Notes()).lone(open_stage(file))
@@ -144,15 +144,16 @@ def read_skeleton(
     times: Sequence[float],
     loose: Mapping[str, Floats] | None = None,
 ) -> Skeleton:
-    """The bones of the skeletons that pose some meshes, in the bind pose, and their motion.
+    """The bones of the skeletons that some meshes are bound to, in the bind pose, and their motion.
 
-    file : the USD file; facts.path is what messages call it.  paths : prim paths of the meshes.
-    first : time code of the first frame of the animation; times : time codes (F,), which begin with
-    the bind pose where they begin before it.
-    loose : world points (V, 3) [m] of prims that follow the nearest bones of the only skeleton,
-    where no skeleton poses any of them.
+    file : the USD file; facts.path is its name in messages.
+    paths : prim paths of the meshes.
+    first : time code of the first frame of the animation.
+    times : (F,) time codes; those before `first` are a pre-roll from the bind pose.
+    loose : (V, 3) [m] world points of prims without joint weights, which are skinned to the nearest
+        bones of the only skeleton.
 
-    Raises InputError where no skeleton poses any of the meshes, and for a broken skeleton.
+    Raises InputError where none of the meshes is bound to a skeleton, and for an invalid skeleton.
     """
     with reading(file):
         stage = open_stage(file)
@@ -168,7 +169,7 @@ def read_skeleton(
 
 
 def _placed(weights: Floats, before: int, count: int) -> csr_matrix:
-    """(V, count) of weights (V, k) of the bones from `before` on."""
+    """(V, count) matrix with weights (V, k) in the columns from `before`."""
     from scipy.sparse import csr_matrix
 
     out = np.zeros((len(weights), count))
@@ -247,7 +248,7 @@ def _rig(skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, facts: StageFacts) ->
 def _add_flesh(
     rig: Rig, prim: Usd.Prim, skin: UsdSkel.SkinningQuery, skins: Skins, facts: StageFacts
 ) -> None:
-    """Add the points of a mesh, each with the joint of its largest weight."""
+    """Add the points of a mesh, with their weights and the joint of the largest weight."""
     authored = UsdGeom.PointBased(prim).GetPointsAttr().Get(skins.time)
     points = np.asarray([] if authored is None else authored, np.float64).reshape(-1, 3)
     place = skins.placement(prim)
@@ -277,7 +278,7 @@ def _add_flesh(
 
 
 def _add_loose(rig: Rig, path: str, points: Floats, facts: StageFacts, first: float) -> None:
-    """Add points (V, 3) [m] in the world, each with the weights of the nearest bones."""
+    """Add world points (V, 3) [m], with weights of the nearest bones."""
     at = _through(rig.bind[:, 3, :3], _world(rig, first, facts)) * facts.units.length
     size = float(np.linalg.norm(np.ptp(np.concatenate([at, points]), axis=0)))
     away = np.empty((len(points), len(at)))
@@ -297,14 +298,14 @@ def _add_loose(rig: Rig, path: str, points: Floats, facts: StageFacts, first: fl
 
 
 def _to_segment(points: Floats, start: Floats, end: Floats) -> NDArray[np.float64]:
-    """(n,) [m] from points (n, 3) to a segment."""
+    """(n,) [m] distances of points (n, 3) from a segment."""
     way = end - start
     t = np.clip((points - start) @ way / (way @ way), 0.0, 1.0)
     return np.asarray(np.linalg.norm(points - start - t[:, None] * way, axis=1))
 
 
 def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int, Bone]:
-    """One bone for each joint with a weight; one that is the main joint of no flesh is empty."""
+    """One bone per joint with a weight, without segments where no point has its largest there."""
     unit = facts.units.length
     rest = _world(rig, first, facts)
     at = _through(rig.bind[:, 3, :3], rest) * unit
@@ -342,7 +343,7 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
 
 
 def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:
-    """[m] from a point to the nearest of the segments that begin at `start`."""
+    """[m] distance of a point from the nearest of the segments that begin at `start`."""
     return min((float(_to_segment(point[None], start, end)[0]) for end in ends), default=np.inf)
 
 
@@ -351,7 +352,7 @@ def _through(points: Floats, matrix: Floats) -> Floats:
 
 
 def _world(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
-    """(4, 4) local-to-world of the skeleton, stage units."""
+    """(4, 4) local-to-world transform of the skeleton at a time code, stage units."""
     matrix = UsdGeom.Xformable(rig.prim).ComputeLocalToWorldTransform(Usd.TimeCode(code))
     rows = np.array(matrix, dtype=np.float64)
     if not np.isfinite(rows).all() or abs(np.linalg.det(rows[:3, :3])) == 0.0:
@@ -364,7 +365,7 @@ def _world(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
 
 
 def _posed(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
-    """(J, 4, 4) transforms of the joints in the skeleton's space at a time."""
+    """(J, 4, 4) transforms of the joints in the skeleton's space at a time code."""
     found = rig.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
     rows = np.array(found if found is not None else [], dtype=np.float64).reshape(-1, 4, 4)
     bad = ~np.isfinite(rows).all((1, 2))
@@ -382,7 +383,7 @@ def _posed(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
 
 
 def _carriers(rig: Rig) -> Ints:
-    """(J,) the next joint above each that carries flesh; -1: none."""
+    """(J,) the nearest ancestor of each joint with skinned points; -1: none."""
     flesh = np.zeros(len(rig.joints), bool)
     flesh[np.unique(np.concatenate(rig.owner))] = True
     out = np.full(len(rig.joints), -1)
@@ -393,7 +394,7 @@ def _carriers(rig: Rig) -> Ints:
 
 
 def _relative(above: Ints, matrices: Floats) -> NDArray[np.float64]:
-    """(J, 4, 4) relative to the joints above of transforms in the skeleton's space."""
+    """(J, 4, 4) transforms relative to the joints `above`, from those in the skeleton's space."""
     base = np.where((above >= 0)[:, None, None], matrices[np.maximum(above, 0)], np.eye(4))
     return np.asarray(matrices @ np.linalg.inv(base))
 
@@ -437,10 +438,12 @@ def _worlds(rig: Rig, facts: StageFacts, first: float, times: Floats) -> NDArray
 
 
 def lead_in(before: Floats, first: float, step: float) -> list[tuple[float, float]]:
-    """(s, frames) of times before the first frame: the weight of the animation, and how far back of
-    its first frame it is followed, with slope 1 at the end.
+    """(s, frames) of each time before the first frame.
 
-    before : (B,) time codes; first : of the first frame; step : between frames.
+    s is the weight of the animation, and `frames` how far it is extrapolated backward, with slope
+    1 at the first frame.
+
+    before : (B,) time codes; first : of the first frame; step : of one frame, in time codes.
     """
     out = []
     for code in before:
@@ -452,7 +455,7 @@ def lead_in(before: Floats, first: float, step: float) -> list[tuple[float, floa
 
 @dataclass(frozen=True)
 class _Parts:
-    """Transforms x -> R S x + t of joints, apart."""
+    """Transforms x -> R S x + t of joints, decomposed."""
 
     rotation: Floats  # (J, 3, 3)
     stretch: Floats  # (J, 3, 3)
@@ -460,13 +463,13 @@ class _Parts:
 
     @classmethod
     def of(cls, matrices: Floats) -> _Parts:
-        """Of (J, 4, 4) for row vectors."""
+        """Polar decomposition of matrices (J, 4, 4) for row vectors."""
         A = np.swapaxes(matrices[:, :3, :3], 1, 2)
         R = signed_polar(A)
         return cls(R, np.swapaxes(R, 1, 2) @ A, matrices[:, 3, :3])
 
     def toward(self, other: _Parts, s: float) -> _Parts:
-        """The transforms at a fraction s of the way to others; below 0: before these."""
+        """Interpolation to other transforms by a fraction s; extrapolation for s < 0."""
         from scipy.spatial.transform import Rotation
 
         turn = Rotation.from_matrix(np.swapaxes(self.rotation, 1, 2) @ other.rotation).as_rotvec()

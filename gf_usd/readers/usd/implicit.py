@@ -1,7 +1,7 @@
-"""Implicit shapes as closed meshes: shared points, even faces, outward winding.
+"""Tessellation of implicit shapes (UsdGeomSphere, Cube, ...) into closed, outward-facing meshes.
 
-Round shapes are stacks of rings about Z.  Ring k from a pole has 6 k points, so that the faces
-near the pole are as even as those at the rim (a fixed number of segments would leave slivers).
+Round shapes are stacks of rings about Z.  Ring k from a pole has 6 k points, so that faces near the
+pole are as regular as those at the rim (a fixed number of segments would make slivers).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import AXES, Floats, Ints
-from gf_usd.readers.usd.stage import LeftAlone
+from gf_usd.readers.usd.stage import SkippedPrim
 
 Polygons = tuple[Floats, Ints, Ints]  # points (V, 3), counts (P,), indices (C,)
 Rings = list[tuple[int, float, float]]  # points on the ring, radius, height
@@ -25,7 +25,7 @@ CUBE_CELLS = 12  # along an edge
 def tessellate(prim: Usd.Prim, time: Usd.TimeCode) -> Polygons:
     """Points (V, 3) in the prim's own space and stage units, face counts (P,) and indices (C,).
 
-    Raises LeftAlone for a shape without volume, or about an axis that USD does not have.
+    Raises SkippedPrim for a shape without volume, and for an axis token that is not X, Y or Z.
     """
     return IMPLICIT[str(prim.GetTypeName())](prim, time)
 
@@ -33,21 +33,21 @@ def tessellate(prim: Usd.Prim, time: Usd.TimeCode) -> Polygons:
 def _size(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float:
     value = prim.GetAttribute(name).Get(time)
     if not isinstance(value, float | int):  # a file may author any type
-        raise LeftAlone(f"its {name} is not a number")
+        raise SkippedPrim(f"its {name} is not a number")
     if not np.isfinite(value) or value < 0.0:
-        raise LeftAlone(f"its {name} is {value:g}")
+        raise SkippedPrim(f"its {name} is {value:g}")
     return float(value)
 
 
 def _positive(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float:
     value = _size(prim, name, time)
     if value == 0.0:
-        raise LeftAlone(f"its {name} is 0")
+        raise SkippedPrim(f"its {name} is 0")
     return value
 
 
 def _cube(prim: Usd.Prim, time: Usd.TimeCode) -> Polygons:
-    """Each side a grid of quads; edges and corners are shared."""
+    """A grid of quads on each side, with shared points on edges and corners."""
     n, half = CUBE_CELLS, _positive(prim, "size", time) / 2.0
     grid = np.stack(np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     on_skin = np.any((grid == 0) | (grid == n), axis=1)
@@ -76,7 +76,7 @@ def _capsule(prim: Usd.Prim, time: Usd.TimeCode) -> Polygons:
     half = _size(prim, "height", time) / 2.0
     rings = _bowl(bottom, -half) + _wall(bottom, top, half)[1:-1]
     if half == 0.0 and bottom == top:
-        rings.pop()  # the two rims are one
+        rings.pop()  # the rims of the two half spheres coincide
     return _stack(rings + _flip(_bowl(top, -half)), _axis(prim, time))
 
 
@@ -115,7 +115,7 @@ def _two_radii(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
 def _axis(prim: Usd.Prim, time: Usd.TimeCode) -> str:
     axis = str(prim.GetAttribute(UsdGeom.Tokens.axis).Get(time))
     if axis not in AXES:
-        raise LeftAlone(f"its axis is {axis!r}, which is not X, Y or Z")
+        raise SkippedPrim(f"its axis is {axis!r}, which is not X, Y or Z")
     return axis
 
 
@@ -138,7 +138,7 @@ def _bowl(radius: float, height: float) -> Rings:
 
 
 def _wall(bottom: float, top: float, half: float) -> Rings:
-    """Rings of the rim's size from -half to half, about as far apart as their points."""
+    """Rings of the rim's size from -half to half, with about square faces between them."""
     across = 2.0 * np.pi * max(bottom, top) / _around(RINGS)
     rows = int(np.clip(round(2.0 * half / across), 1, MAX_ROWS))
     return [
@@ -148,12 +148,12 @@ def _wall(bottom: float, top: float, half: float) -> Rings:
 
 
 def _flip(rings: Rings) -> Rings:
-    """The same rings upside down, still from the bottom to the top."""
+    """The rings mirrored in height, ordered from bottom to top."""
     return [(count, radius, -height) for count, radius, height in reversed(rings)]
 
 
 def _stack(rings: Rings, axis: str) -> Polygons:
-    """Rings from bottom to top, joined by quads, or by triangles where the count changes."""
+    """Rings from bottom to top, connected by quads, or by triangles where the count changes."""
     points, faces, first = [], [], 0
     for i, (count, radius, height) in enumerate(rings):
         angle = 2.0 * np.pi * np.arange(count) / count
@@ -162,7 +162,7 @@ def _stack(rings: Rings, axis: str) -> Polygons:
         if i + 1 < len(rings):
             faces += _join(first, count, first + count, rings[i + 1][0])
         first += count
-    # Turning the axes in a cycle is a rotation: the winding stays.
+    # A cyclic permutation of the axes is a rotation, which preserves the winding.
     cloud = np.roll(np.concatenate(points), AXES[axis] + 1, axis=1)
     counts = np.concatenate([np.full(len(f), f.shape[1]) for f in faces])
     return cloud, counts, np.concatenate([f.reshape(-1) for f in faces])

@@ -1,6 +1,6 @@
-"""A mesh, an implicit shape, tetrahedra or points of a stage, posed at one time, as a Surface.
+"""Reading of a Mesh, an implicit shape, a TetMesh or Points prim at one time, as a `Surface`.
 
-Authored normals of a mesh, in the world, each with the point that carries it.
+Also its authored normals, in world space (`read_normals`).
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.solids.points import cover, widths
 from gf_usd.readers.usd.solids.poses import BrokenPose, bound_points
 from gf_usd.readers.usd.solids.tets import BrokenTets, Tets, surface_of
-from gf_usd.readers.usd.stage import CHANGES, LeftAlone, Placement
+from gf_usd.readers.usd.stage import CHANGES, Placement, SkippedPrim
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """What reading one prim needs of the whole stage."""
+    """The context of reading prims of one stage at one time."""
 
     path: Path  # the file, for messages
     time: Usd.TimeCode
@@ -43,27 +43,26 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class Polygons:
-    """A mesh as authored: stage units, in its own space."""
+    """A mesh as authored, in stage units and local space."""
 
     points: Floats  # (V, 3)
     counts: Ints  # (P,)
     indices: Ints  # (C,)
-    holes: Ints  # (H,) faces that are not there
+    holes: Ints  # (H,) faces that are holes (holeIndices)
     left_handed: bool
-    carriers: Ints | None = None  # (V,) the authored point of each that is not authored itself
+    carriers: Ints | None = None  # (V,) the authored point that each point follows; None: itself
 
 
 def has_surface(prim: Usd.Prim) -> bool:
-    """Whether the prim is made of faces, by itself or once it is tessellated."""
+    """Whether the prim has faces, authored or by tessellation."""
     meshes = prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh)
     return meshes or str(prim.GetTypeName()) in IMPLICIT
 
 
 def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
-    """The Surface of a Mesh, TetMesh, Points or implicit prim, in meters, world.
+    """The `Surface` of a Mesh, TetMesh, Points or implicit prim, in meters, world space.
 
-    Raises InputError for broken data (prim path and numbers in it) and LeftAlone for a prim
-    without a surface.
+    Raises InputError for invalid data, and SkippedPrim for a prim without a surface.
     """
     polygons = _polygons(prim, reading)
     if prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh):
@@ -76,7 +75,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
     kept = ~np.isin(faces, polygons.holes)
     triangles, corners, faces = triangles[kept], corners[kept], faces[kept]
     if len(triangles) == 0:
-        raise LeftAlone("has no face with at least three corners")
+        raise SkippedPrim("has no face with at least three corners")
     if polygons.left_handed != place.mirrored:
         triangles, corners = triangles[:, ::-1], corners[:, ::-1]
     carriers = polygons.carriers
@@ -114,7 +113,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
 
 
 def with_limit(prim: Usd.Prim, surface: Surface) -> Surface:
-    """The surface of a prim, with the limit surface of a cage that is far from it."""
+    """The surface of a prim, with the limit surface of a subdivision cage that is far from it."""
     if not prim.IsA(UsdGeom.Mesh):
         return surface
     points = surface.points
@@ -123,9 +122,9 @@ def with_limit(prim: Usd.Prim, surface: Surface) -> Surface:
 
 
 def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:
-    """Points (V, 3) [m] of a prim with a surface, world; errors as `read_surface`.
+    """World points (V, 3) [m] of a prim with a surface; errors as `read_surface`.
 
-    Of Points its own, without the surface around them.
+    For a Points prim these are its own points, without the surface around them.
     """
     if prim.IsA(UsdGeom.Points):
         local = _finite_points(UsdGeom.Points(prim), prim, reading)
@@ -173,7 +172,7 @@ def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
     indices = _ints(mesh.GetFaceVertexIndicesAttr(), prim, reading)
     points = _points(mesh.GetPointsAttr(), prim, reading)
     if len(points) == 0 or len(counts) == 0:
-        raise LeftAlone(f"has {len(points)} points and {len(counts)} faces")
+        raise SkippedPrim(f"has {len(points)} points and {len(counts)} faces")
     _require_sound(prim, reading, points, counts, indices)
     if mesh.GetPointsAttr().ValueMightBeTimeVarying():
         reading.notes.add(ANIMATED, str(prim.GetPath()))
@@ -189,11 +188,11 @@ def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
 
 
 def _tets(mesh: UsdGeom.TetMesh, prim: Usd.Prim, reading: Reading) -> Polygons:
-    """The surface of the tetrahedra; points inside stay, and move with the body."""
+    """The surface of the tetrahedra, with all points: interior ones move with the body."""
     points, where = _finite_points(mesh, prim, reading), str(prim.GetPath())
     tets = _rows(mesh.GetTetVertexIndicesAttr(), 4, prim, reading)
     if len(points) == 0 or len(tets) == 0:
-        raise LeftAlone(f"has {len(points)} points and {len(tets)} tetrahedra")
+        raise SkippedPrim(f"has {len(points)} points and {len(tets)} tetrahedra")
     body = Tets(
         points=points,
         tets=tets,
@@ -223,10 +222,10 @@ def _first(prim: Usd.Prim, names: tuple[str, ...]) -> Usd.Attribute:
 
 
 def _cloud(cloud: UsdGeom.Points, prim: Usd.Prim, reading: Reading) -> Polygons:
-    """The points, and after them those of a surface around their balls."""
+    """The points of a Points prim, followed by those of a surface around their balls."""
     points = _finite_points(cloud, prim, reading)
     if len(points) == 0:
-        raise LeftAlone("has no points")
+        raise SkippedPrim("has no points")
     wide = widths(prim, points, reading.time, reading.notes)
     around, triangles = cover(points, wide)
     reading.notes.add(
@@ -278,7 +277,7 @@ def _points(attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading) -> Float
 
 
 def _values(attribute: Usd.Attribute, reading: Reading) -> np.ndarray:
-    """Values as they are; a file may author another type than the schema's, known or not."""
+    """The values of an attribute, whose type may differ from the schema's."""
     values = attribute.Get(reading.time) if attribute else None
     return np.atleast_1d(np.asarray([] if values is None else values))
 
@@ -292,7 +291,7 @@ def _mistyped(
 def _require_sound(
     prim: Usd.Prim, reading: Reading, points: Floats, counts: Ints, indices: Ints
 ) -> None:
-    """Raise InputError where points or topology cannot be what was meant."""
+    """Raise InputError for invalid points or topology."""
     _require_finite(prim, reading, points)
     if counts.min() < 0:
         raise _broken(prim, reading, f"a face has {counts.min()} corners")
@@ -323,7 +322,7 @@ def _require_finite(prim: Usd.Prim, reading: Reading, points: Floats) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Normals:
-    """Unit normals (K, 3) with their points (K,), or nothing."""
+    """Unit normals (K, 3) and the points (K,) that they belong to, or none."""
 
     values: Floats | None = None
     interpolation: str = ""
@@ -340,10 +339,10 @@ def read_normals(
     time: Usd.TimeCode,
     notes: Notes,
 ) -> Normals:
-    """Authored normals; none (and a note) where their number fits no interpolation.
+    """Authored normals in world space; none, with a note, where their number is invalid.
 
-    `primvars:normals` wins over `normals`, as USD says.  A normal without direction becomes that
-    of the faces around its point.
+    `primvars:normals` takes precedence over `normals`, as in UsdGeom.  A zero normal is replaced by
+    that of the faces around its point.
     """
     authored = _authored(prim, time)
     if authored is None:
@@ -380,7 +379,7 @@ def read_normals(
 
 
 def _authored(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Floats, str] | None:
-    """Values (K, 3) in the prim's space and their interpolation."""
+    """Values (K, 3) in local space, and their interpolation; None where none are authored."""
     if not prim.IsA(UsdGeom.PointBased):
         return None
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
@@ -402,6 +401,6 @@ def _of_the_faces(points: Floats, triangles: Ints) -> Floats:
     total = np.zeros_like(points)
     for corner in range(3):
         np.add.at(total, triangles[:, corner], area)
-    # A point without area keeps some direction rather than none.
+    # An arbitrary direction where the area is 0.
     total[~np.any(total, axis=1)] = (0.0, 0.0, 1.0)
     return total

@@ -1,4 +1,4 @@
-"""Primvars of a mesh brought to the corners of its triangles."""
+"""Evaluation of primvars at the corners of a triangulated mesh."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gf_usd.readers.notes import Notes
 
 @dataclass(frozen=True, kw_only=True)
 class Corners:
-    """A triangulated mesh: where each triangle corner finds its values."""
+    """Indices of the points, face vertices and faces of each triangle corner."""
 
     n_points: int
     n_corners: int
@@ -23,7 +23,7 @@ class Corners:
     faces: Ints  # (T,) into faces
 
     def spread(self, values: Floats, interpolation: str) -> Floats | None:
-        """(T, 3, k) of values (n, k); None where n does not fit the interpolation."""
+        """(T, 3, k) values at corners, from (n, k); None where n does not match `interpolation`."""
         where = {
             "constant": (1, np.zeros_like(self.triangles)),
             "uniform": (self.n_faces, np.repeat(self.faces[:, None], 3, axis=1)),
@@ -43,7 +43,7 @@ def primvar_at_corners(
     time: Usd.TimeCode,
     notes: Notes,
 ) -> Floats | None:
-    """(T, 3, width) of a primvar, its own or inherited; None where it is missing or unusable."""
+    """(T, 3, width) values of a primvar, authored or inherited; None where missing or invalid."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not (primvar and primvar.HasValue()):
         return None
@@ -56,7 +56,7 @@ def primvar_at_corners(
         notes.add(f"primvar {what} holds no numbers: ignored", where)
         return None
     values = np.asarray(flat, dtype=np.float64)
-    if values.size:  # the type that is authored may be no array, whatever the one that is declared
+    if values.size:  # the authored type may differ from the declared one
         many = values.ndim > 0 and primvar.GetTypeName().isArray
         values = values.reshape((len(values) if many else 1, -1))
     if values.size == 0 or values.shape[-1] < width:

@@ -1,10 +1,8 @@
-"""Selection of the prims to make soft, and the reasons for leaving out the others.
+"""Selection of the prims to simulate, with the reasons for skipping the others.
 
-Instances that a bake would free, and whether they can be.
-
-Opinions on what is inside of an instance are ignored by USD as long as it is one.  In a bake an
-instance with a baked mesh is an ordinary prim, on which such opinions would take effect: another
-transform, say, under points that were written for the one before.
+A bake overrides `instanceable` to false on instances that contain a baked mesh.  USD ignores
+opinions on descendants of an instance; without instancing they take effect, and could for example
+change a transform under baked points.  Such instances are skipped (`hidden_opinions`).
 """
 
 from __future__ import annotations
@@ -20,12 +18,12 @@ from pxr import Pcp, Sdf, Usd, UsdGeom
 from gf_usd.core.errors import InputError
 from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.solids.points import is_body
-from gf_usd.readers.usd.stage import SPLAT_TYPE, is_running
+from gf_usd.readers.usd.stage import SPLAT_TYPE, is_bake_particles
 
-# Prims of an instance are read in place, as if it were not one.
+# Prims of instances are read as instance proxies.
 PROXIES = Usd.TraverseInstanceProxies()
 BAKED_PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
-# Why a prim is left out: the whole reason, how it begins, and how two end.
+# Reasons for skipping a prim: in full, by prefix, and by suffix.
 INVISIBLE, PURPOSE, REPEATED = "invisible", "purpose ", ": its instances are not made soft"
 PROXY = f"{PURPOSE}proxy"
 KINDS = ": only meshes, solid shapes, points and splats are made soft"
@@ -33,19 +31,20 @@ KINDS = ": only meshes, solid shapes, points and splats are made soft"
 
 @dataclass(frozen=True, kw_only=True)
 class Selection:
-    """The prims under a set of roots, sorted by what happens to them."""
+    """The selected and the skipped prims under a set of roots."""
 
     roots: tuple[Usd.Prim, ...]
-    geometry: tuple[Usd.Prim, ...]  # what has or gets a surface, and captured Gaussians, in order
+    geometry: tuple[Usd.Prim, ...]  # prims with a surface, and captured Gaussians, in stage order
     skipped: tuple[tuple[str, str], ...]  # (prim path, reason)
-    types: Counter[str]  # how often each prim type occurs, for words about an empty stage
+    types: Counter[str]  # number of prims of each type, for messages
 
 
 def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCode) -> Selection:
     """The visible geometry of purpose default or render under `prims`.
 
-    No prims: under the default prim, or where there is none under every root prim.  Raises
-    InputError for a prim path that does not exist.
+    prims : prim paths; (): the default prim, or all root prims where there is none.
+
+    Raises InputError for a prim path that does not exist.
     """
     if prims:
         roots = [
@@ -74,17 +73,17 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
                 skipped[str(prim.GetPath())] = why
                 walk.PruneChildren()
             elif prim.IsA(UsdGeom.Gprim):
-                reason = _why_not(prim, time)
+                reason = _skip_reason(prim, time)
                 if reason:
                     skipped[str(prim.GetPath())] = reason
                 else:
                     geometry[prim.GetPath()] = prim
-    for where, why in not_to_be_freed(stage, geometry.values()).items():
+    for where, why in hidden_opinions(stage, geometry.values()).items():
         skipped[str(where)] = why
         del geometry[where]
     for where, prim in list(geometry.items()):
-        if model := _model(prim, geometry):
-            skipped[str(where)] = f"inherits from <{model}>, which is baked, and follows it"
+        if base := _inherits_from(prim, geometry):
+            skipped[str(where)] = f"inherits from <{base}>, which is baked, and follows it"
             del geometry[where]
     return Selection(
         roots=tuple(roots),
@@ -94,8 +93,8 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
     )
 
 
-def _model(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | None:
-    """The baked prim that this one inherits from: its motion is this one's, whatever is said."""
+def _inherits_from(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | None:
+    """The baked prim from which this one inherits its points, and thereby its motion; or None."""
     if len(geometry) == 1:
         return None
     for arc in Usd.PrimCompositionQuery(prim).GetCompositionArcs():
@@ -106,13 +105,13 @@ def _model(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | 
 
 
 def bakeable(stage: Usd.Stage, time: Usd.TimeCode) -> set[Sdf.Path]:
-    """Paths of the prims that can be asked for: what `select` finds everywhere, and those above."""
+    """Paths of all prims that `select` finds in the stage, and of their ancestors."""
     everywhere = select(stage, Path(), ["/"], time).geometry
     return {path for prim in everywhere for path in prim.GetPath().GetPrefixes()}
 
 
 def _prototypes(stage: Usd.Stage) -> dict[Sdf.Path, Sdf.Path]:
-    """What PointInstancers repeat, and which one does: moved, it would move every copy."""
+    """The PointInstancer of each prototype: a moved prototype would move all its instances."""
     found: dict[Sdf.Path, Sdf.Path] = {}
     for prim in Usd.PrimRange.Stage(stage, PROXIES):
         if prim.IsA(UsdGeom.PointInstancer):
@@ -126,10 +125,10 @@ def _is_hidden(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     return bool(imageable) and imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible
 
 
-def _why_not(prim: Usd.Prim, time: Usd.TimeCode) -> str:
-    """Words for a visible gprim that is not made soft; empty for one that is."""
+def _skip_reason(prim: Usd.Prim, time: Usd.TimeCode) -> str:
+    """The reason for skipping a visible gprim; "" for one that is selected."""
     name = str(prim.GetTypeName())
-    if is_running(prim):
+    if is_bake_particles(prim):
         what = "Gaussians" if name == SPLAT_TYPE else "points"
         return f"these {what} are the particles of a bake"
     if prim.IsA(UsdGeom.Points):
@@ -148,9 +147,9 @@ def named_prim(
     *,
     among: Callable[[], Collection[Sdf.Path]] | None = None,
 ) -> Usd.Prim:
-    """The prim that a user named; InputError with the nearest names where there is none.
+    """The prim of a user's path; raises InputError, with similar paths, where there is none.
 
-    among : the paths that make sense there; None: all do.
+    among : gives the paths that are suggested; None: all.
     """
     if Sdf.Path.IsValidPathString(name) and (wanted := Sdf.Path(name)).IsAbsolutePath():
         if wanted == Sdf.Path.absoluteRootPath:
@@ -199,7 +198,7 @@ EVERYTHING = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)
 
 
 def instances_above(prim: Usd.Prim) -> list[Usd.Prim]:
-    """The instances that make a prim a proxy, the innermost first."""
+    """The instances that an instance proxy is in, the innermost first."""
     found = []
     while prim.IsInstanceProxy():
         prim = prim.GetParent()
@@ -208,8 +207,8 @@ def instances_above(prim: Usd.Prim) -> list[Usd.Prim]:
     return found
 
 
-def not_to_be_freed(stage: Usd.Stage, prims: Iterable[Usd.Prim]) -> dict[Sdf.Path, str]:
-    """Paths of the prims whose instances hide opinions, with the reason in words."""
+def hidden_opinions(stage: Usd.Stage, prims: Iterable[Usd.Prim]) -> dict[Sdf.Path, str]:
+    """By path, the reason for skipping prims of instances with ignored opinions on descendants."""
     above = {prim.GetPath(): instances_above(prim) for prim in prims if prim.IsInstanceProxy()}
     if not above:
         return {}
@@ -234,14 +233,14 @@ def not_to_be_freed(stage: Usd.Stage, prims: Iterable[Usd.Prim]) -> dict[Sdf.Pat
 def _first_hidden(stage: Usd.Stage, freed: Usd.Stage, path: Sdf.Path) -> Sdf.Path | None:
     for prim in Usd.PrimRange(freed.GetPrimAtPath(path), EVERYTHING):
         theirs = stage.GetPrimAtPath(prim.GetPath())
-        mine = list(_says(prim, freed.GetSessionLayer()))
-        if not theirs or mine != list(_says(theirs, None)):
+        mine = list(_authored_specs(prim, freed.GetSessionLayer()))
+        if not theirs or mine != list(_authored_specs(theirs, None)):
             return prim.GetPath()
     return None
 
 
-def _says(prim: Usd.Prim, besides: Sdf.Layer | None) -> Iterator[Sdf.PrimSpec]:
-    """The specs of a prim that say anything."""
+def _authored_specs(prim: Usd.Prim, besides: Sdf.Layer | None) -> Iterator[Sdf.PrimSpec]:
+    """The specs of a prim with any opinions."""
     for spec in prim.GetPrimStack():
         empty = not spec.properties and spec.ListInfoKeys() == ["specifier"]
         if spec.layer != besides and not (empty and spec.specifier == Sdf.SpecifierOver):

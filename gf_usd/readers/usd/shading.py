@@ -1,7 +1,4 @@
-"""The diffuse color of bound materials: a constant, a texture or a primvar of the mesh.
-
-The colors of a mesh: displayColor, bound materials, texture coordinates.
-"""
+"""Diffuse colors of a mesh: displayColor and bound materials (constants, textures, primvars)."""
 
 from __future__ import annotations
 
@@ -17,37 +14,37 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.primvars import Corners, primvar_at_corners
 
 GRAY = (0.18, 0.18, 0.18)  # the fallback of UsdPreviewSurface's diffuseColor
-MAX_TRANSFORMS = 16  # UsdTransform2d nodes in a row; a longer chain is a loop
+MAX_TRANSFORMS = 16  # UsdTransform2d nodes in a chain; a longer one is taken for a cycle
 
 
 @dataclass(frozen=True, kw_only=True)
 class TexturePlace:
-    """Where a texture is looked up: a primvar, then u' = A u + b."""
+    """Texture coordinates: those of a primvar, transformed by u' = A u + b."""
 
-    primvar: str  # empty: the same place everywhere
+    primvar: str  # empty: constant coordinates
     fallback: Floats  # (2,) where the primvar is missing
     linear: Floats  # (2, 2) A
     offset: Floats  # (2,) b
 
     def __call__(self, uvs: Floats) -> Floats:
-        """(..., 2) texture coordinates of primvar values (..., 2)."""
+        """(..., 2) transformed texture coordinates of primvar values (..., 2)."""
         return uvs @ self.linear.T + self.offset
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoundShading:
-    """A material, and what it needs of the mesh it is bound to."""
+    """A bound material, and the primvars of the mesh that it reads."""
 
     material: SurfaceMaterial
     place: TexturePlace | None = None  # of material.texture
     color_primvar: str = ""  # the diffuse color is this primvar of the mesh
-    understood: bool = True  # False: another shading language; the color is only a stand-in
+    understood: bool = True  # False: unsupported shader; the color is a fallback
 
 
 class ShadingReader:
-    """Materials of a stage at one time, each read once.
+    """The materials of a stage at one time, cached.
 
-    `textures` may be shared by several times of one stage, so that a file is decoded once.
+    textures : cache of decoded textures, which may be shared between times of one stage.
     """
 
     def __init__(
@@ -62,7 +59,7 @@ class ShadingReader:
         self._textures = {} if textures is None else textures
 
     def bound(self, prim: Usd.Prim) -> BoundShading | None:
-        """The shading bound to a mesh or subset, inherited and collection bindings included."""
+        """The shading bound to a mesh or subset, including inherited and collection bindings."""
         for purpose in (UsdShade.Tokens.preview, UsdShade.Tokens.full):
             material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)[0]
             if material:
@@ -103,7 +100,7 @@ class ShadingReader:
         return BoundShading(material=SurfaceMaterial(path=path, color=color))
 
     def _kind(self, material: UsdShade.Material, shader: UsdShade.Shader) -> str:
-        """Words for a surface shader that is not UsdPreviewSurface."""
+        """Name of an unsupported surface shader, for messages."""
         if shader:
             return f"shader {shader.GetShaderId() or shader.GetImplementationSource()}"
         contexts = [output.GetBaseName() for output in material.GetSurfaceOutputs()]
@@ -142,7 +139,7 @@ class ShadingReader:
         return BoundShading(material=material, place=self._place(path, node.GetInput("st")))
 
     def _place(self, path: str, st: UsdShade.Input) -> TexturePlace:
-        """Follow `st` through UsdTransform2d nodes to the primvar."""
+        """The texture coordinates of an `st` input, through UsdTransform2d nodes."""
         linear, offset = np.eye(2), np.zeros(2)
         for _ in range(MAX_TRANSFORMS):
             source = self._source(st)
@@ -151,7 +148,7 @@ class ShadingReader:
             node = source[0]
             if node.GetShaderId() == "UsdTransform2d":
                 own, shift = self._transform(node)
-                # The node nearest the texture acts last.
+                # The node nearest to the texture is applied last.
                 linear, offset = linear @ own, linear @ shift + offset
                 st = node.GetInput("in")
                 continue
@@ -184,7 +181,7 @@ class ShadingReader:
         return self._value(node.GetInput(name))
 
     def _value(self, shader_input: UsdShade.Input) -> Any:
-        """The value an input gets, through node graphs; None where it has none."""
+        """The value of an input, resolved through node graphs; None where it has none."""
         if not shader_input:
             return None
         for attribute in shader_input.GetValueProducingAttributes():
@@ -193,7 +190,7 @@ class ShadingReader:
         return shader_input.Get(self._time)
 
     def _source(self, shader_input: UsdShade.Input) -> tuple[UsdShade.Shader, str] | None:
-        """The shader and output that feed an input, through node graphs."""
+        """The shader and output connected to an input, resolved through node graphs; or None."""
         if not shader_input:
             return None
         for attribute in shader_input.GetValueProducingAttributes():
@@ -204,7 +201,7 @@ class ShadingReader:
 
 
 def _color(value: object, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The first three numbers of a color of three or four."""
+    """The first three components of a color of three or four."""
     if value is None:
         return otherwise
     numbers = np.asarray(value, dtype=np.float64).reshape(-1)
@@ -222,7 +219,7 @@ def _pair(value: object, otherwise: float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Colors:
-    """Fields of a Surface that say its color."""
+    """The fields of `Surface` for its colors."""
 
     colors: Floats | None  # (T, 3, 3) linear
     uvs: Floats | None  # (T, 3, 2)
@@ -233,13 +230,13 @@ class Colors:
 def colors(
     prim: Usd.Prim, corners: Corners, shadings: ShadingReader, time: Usd.TimeCode, notes: Notes
 ) -> Colors:
-    """What colors each triangle of `prim`; None in each field where nothing is authored."""
+    """The colors of a mesh by triangle; fields are None where nothing is authored."""
     display = primvar_at_corners(prim, "displayColor", 3, corners, time, notes)
     bound, of_face = _bindings(prim, corners.n_faces, shadings, time, notes)
     indices = of_face[corners.faces]
     uvs: Floats | None = None
     materials: list[SurfaceMaterial] = []
-    material_parts = np.full(len(bound) + 1, -1)  # the last is for faces without a material
+    rows = np.full(len(bound) + 1, -1)  # the last is for faces without a material
     for i, shading in enumerate(bound):
         mine = indices == i
         if shading.color_primvar and mine.any():
@@ -253,12 +250,12 @@ def colors(
         if shading.place is not None and mine.any():
             uvs = np.zeros((*corners.triangles.shape, 2)) if uvs is None else uvs
             uvs[mine] = _texture_coordinates(prim, shading, corners, time, notes)[mine]
-        material_parts[i] = len(materials)
+        rows[i] = len(materials)
         materials.append(shading.material)
     return Colors(
         colors=display,
         uvs=uvs,
-        indices=material_parts[indices] if materials else None,
+        indices=rows[indices] if materials else None,
         materials=tuple(materials),
     )
 
@@ -266,7 +263,7 @@ def colors(
 def _texture_coordinates(
     prim: Usd.Prim, shading: BoundShading, corners: Corners, time: Usd.TimeCode, notes: Notes
 ) -> Floats:
-    """(T, 3, 2) where the texture of a shading is read."""
+    """(T, 3, 2) texture coordinates of a shading."""
     place = shading.place
     assert place is not None
     found = None
@@ -286,7 +283,7 @@ def _texture_coordinates(
 def _bindings(
     prim: Usd.Prim, n_faces: int, shadings: ShadingReader, time: Usd.TimeCode, notes: Notes
 ) -> tuple[list[BoundShading], Ints]:
-    """The shadings bound to a mesh or its subsets, and the one of each face (P,); -1 none."""
+    """The shadings bound to a mesh or its subsets, and (P,) the index of each face's; -1: none."""
     found: list[BoundShading] = []
     of_face = np.full(n_faces, -1)
 

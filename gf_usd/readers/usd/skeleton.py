@@ -1,4 +1,4 @@
-"""Meshes posed by a skeleton (UsdSkel): skinned points, blend shapes and normals at one time."""
+"""UsdSkel skinning at one time: points, blend shapes and normals of skinned meshes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ PROXIES = Usd.TraverseInstanceProxies()
 
 @dataclass(frozen=True)
 class SkinnedPlacement(Placement):
-    """Points skinned into the skeleton's space, then its local-to-world `matrix`."""
+    """Points skinned in skeleton space, then transformed by its local-to-world `matrix`."""
 
     skeleton: UsdSkel.SkeletonQuery
     skin: UsdSkel.SkinningQuery
     time: Usd.TimeCode
     notes: Notes
-    bind: bool = False  # in the bind pose: joints and blend shapes do not move the points
+    bind: bool = False  # in the bind pose, without joint transforms and blend shapes
 
     @property
     def skinned(self) -> bool:
-        """True: the points are posed."""
+        """True: the points are skinned."""
         return True
 
     @property
@@ -37,11 +37,11 @@ class SkinnedPlacement(Placement):
 
     @property
     def mirrored(self) -> bool:
-        """True where bind and skeleton transforms together turn the winding over."""
+        """True where the bind and skeleton transforms together reverse the winding."""
         return bool(np.linalg.det(self._bind @ self.matrix[:3, :3]) < 0.0)
 
     def points(self, points: Floats) -> Floats:
-        """(V, 3) authored points to posed world points."""
+        """(V, 3) authored points to skinned world points."""
         if self.bind:
             if self.skin.HasBlendShapes():
                 self._remark("its blend shapes are left out of the bind pose")
@@ -55,7 +55,7 @@ class SkinnedPlacement(Placement):
         return super().points(np.array(posed, dtype=np.float64).reshape(-1, 3))
 
     def normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats:
-        """(K, 3) authored normals to world, each by the joints of the point that carries it."""
+        """(K, 3) authored normals to world space, by the joints of the points `carriers` (K,)."""
         if self.bind:
             if self.skin.HasJointInfluences() and np.linalg.det(self._bind) != 0.0:
                 normals = normals @ np.linalg.inv(self._bind).T
@@ -71,14 +71,14 @@ class SkinnedPlacement(Placement):
         return super().normals(normals, carriers)
 
     def _bound(self, points: Floats) -> Floats:
-        """(V, 3) authored points in the skeleton's space, before any joint moves them."""
+        """(V, 3) authored points to skeleton space, by the bind transform, before skinning."""
         if not self.skin.HasJointInfluences():
             return points
         matrix = np.array(self.skin.GetGeomBindTransform(self.time))
         return points @ matrix[:3, :3] + matrix[3, :3]
 
     def _skin_normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats | None:
-        """(K, 3) into the skeleton's space; None where that cannot be done."""
+        """(K, 3) normals skinned in skeleton space; None where the influences do not allow it."""
         joints = self._joint_matrices()
         influences = self.skin.GetNumInfluencesPerComponent()
         count = len(UsdGeom.PointBased(self.skin.GetPrim()).GetPointsAttr().Get(self.time))
@@ -115,7 +115,7 @@ class SkinnedPlacement(Placement):
         return np.linalg.inv(linear).transpose(0, 2, 1).astype(np.float64)
 
     def _blend(self, posed: Vt.Vec3fArray) -> None:
-        """Add the weighted offsets of the blend shapes to `posed`."""
+        """Add the weighted blend shape offsets to `posed`, in place."""
         animation = self.skeleton.GetAnimQuery()
         weights = animation.ComputeBlendShapeWeights(self.time) if animation else None
         mapper = self.skin.GetBlendShapeMapper()
@@ -137,9 +137,9 @@ class SkinnedPlacement(Placement):
 
 
 class Skins:
-    """The skinned meshes of a stage at one time, looked up by path.
+    """The skel bindings of a stage at one time, by prim path.
 
-    bind : their points are those of the bind pose, placed where the skeleton is at that time.
+    bind : meshes are in the bind pose, at the location of the skeleton at that time.
     """
 
     def __init__(
@@ -160,9 +160,9 @@ class Skins:
         self._bound: dict[Sdf.Path, tuple[Usd.Prim, UsdSkel.SkinningQuery]] = {}
 
     def placement(self, prim: Usd.Prim) -> SkinnedPlacement | None:
-        """Where `prim`'s points stand; None for a mesh that no skeleton poses.
+        """The placement of a skinned mesh; None for a mesh that is not bound to a skeleton.
 
-        Raises LeftAlone where the skeleton's own transform flattens space.
+        Raises SkippedPrim where the skeleton's transform is singular.
         """
         self._populate(prim)
         bound = self._bound.get(prim.GetPath())
@@ -196,10 +196,10 @@ class Skins:
         return SkinnedPlacement(world.matrix, query, skin, self._time, self._notes, self._bind)
 
     def alignment(self, skeleton: Usd.Prim) -> NDArray[np.float64]:
-        """(4, 4) rigid motion, row vectors, of the bind pose within the skeleton's space.
+        """(4, 4) rigid transform, row vectors, that aligns the bind pose in skeleton space.
 
-        The topmost joint that poses any flesh comes to where it is at this time, so that nothing
-        but the pose differs: a bind pose may lie far away, or on its side.
+        It moves the topmost joint with skinned points to its transform at this time, since bind
+        poses may be translated or rotated as a whole.
         """
         where = skeleton.GetPath()
         if where not in self._aligned:
@@ -235,22 +235,22 @@ class Skins:
 
     @property
     def time(self) -> Usd.TimeCode:
-        """When."""
+        """The time of the poses."""
         return self._time
 
     def skeleton(self, prim: Usd.Prim) -> tuple[Usd.Prim, UsdSkel.SkinningQuery] | None:
-        """The skeleton that poses a mesh, and how; None where none does."""
+        """The skeleton that a mesh is bound to, and its skinning query; None without one."""
         self._populate(prim)
         return self._bound.get(prim.GetPath())
 
     def query(self, skeleton: Usd.Prim) -> UsdSkel.SkeletonQuery:
-        """The joints of a skeleton and their animation."""
+        """The query of a skeleton's joints and animation."""
         return self._cache.GetSkelQuery(UsdSkel.Skeleton(skeleton))
 
     def _fits(
         self, prim: Usd.Prim, query: UsdSkel.SkeletonQuery, skin: UsdSkel.SkinningQuery
     ) -> bool:
-        """True where the influences can pose the points."""
+        """Whether the joint influences are valid for the mesh's points."""
         points = UsdGeom.PointBased(prim).GetPointsAttr().Get(self._time)
         if not points or not skin.HasJointInfluences():
             return True
@@ -258,7 +258,7 @@ class Skins:
         return bool(skin.ComputeSkinnedPoints(joints, points, self._time))
 
     def lone(self, stage: Usd.Stage) -> Usd.Prim | None:
-        """The only Skeleton of a stage, if it is under a SkelRoot, so that USD animates it."""
+        """The only Skeleton of a stage, if it is under a SkelRoot, as UsdSkel requires; or None."""
         every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
         found = [prim for prim in every if prim.IsA(UsdSkel.Skeleton)]
         if len(found) != 1 or not UsdSkel.Root.Find(found[0]):
@@ -282,10 +282,10 @@ class Skins:
 
 
 def _unposed(prim: Usd.Prim) -> str:
-    """Why USD poses a mesh with joint influences by no skeleton."""
+    """The reason why a mesh with joint influences is not bound to a skeleton."""
     above, between = prim.GetParent(), None
     while above and not above.IsA(UsdSkel.Root):
-        # UsdSkel stops at what is not imageable; the outermost such prim hides all below it
+        # UsdSkel traversal stops at prims that are not imageable; report the outermost
         between = between if above.IsA(UsdGeom.Imageable) or above.IsPseudoRoot() else above
         above = above.GetParent()
     if not above:

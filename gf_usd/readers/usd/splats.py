@@ -1,7 +1,7 @@
-"""Captured Gaussians of a stage: ParticleField3DGaussianSplat prims, and layers made of them.
+"""Captured Gaussians: reading and writing of ParticleField3DGaussianSplat prims.
 
-Every attribute may be there in float or in half precision; float is preferred, as UsdVol says.
-What is missing has UsdVol's fallback: no rotation, unit scale, opaque, gray.
+Attributes may be authored in float or in half precision; float is preferred, as in UsdVol.
+Missing attributes have UsdVol's fallbacks: no rotation, unit scale, opaque, gray.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Splats, tidy
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import ANIMATED, Notes
-from gf_usd.readers.usd.stage import SPLAT_TYPE, LeftAlone, Placement, is_running
+from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
 
 Types = Sdf.ValueTypeNames
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
@@ -26,27 +26,27 @@ WIDTHS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, HARMON
 
 
 def is_captured(prim: Usd.Prim) -> bool:
-    """True for Gaussians that no bake of ours wrote."""
-    return str(prim.GetTypeName()) == SPLAT_TYPE and not is_running(prim)
+    """True for Gaussians that were not written by a bake."""
+    return str(prim.GetTypeName()) == SPLAT_TYPE and not is_bake_particles(prim)
 
 
 def read_captured(
     prim: Usd.Prim, time: Usd.TimeCode, matrix: Gf.Matrix4d, unit: float, notes: Notes
 ) -> Splats:
-    """The Gaussians of a prim in its own space.
+    """The Gaussians of a prim, in its local space.
 
-    matrix : its local-to-world transform; unit : [m] per stage length.
+    matrix : local-to-world transform; unit : [m] per stage length.
 
-    Raises LeftAlone where there are none, InputError for one whose numbers are all broken.
+    Raises SkippedPrim where there are none, and InputError where all have invalid values.
     """
     where = str(prim.GetPath())
     positions = _values(prim, "positions", time)
     if positions is None:
-        raise LeftAlone("has no positions")
+        raise SkippedPrim("has no positions")
     count = len(positions)
     found = {"positions": positions}
     for name, fallback in (
-        ("orientations", (0.0, 0.0, 0.0, 1.0)),  # numpy sees (x, y, z, w)
+        ("orientations", (0.0, 0.0, 0.0, 1.0)),  # (x, y, z, w) in NumPy
         ("scales", (1.0, 1.0, 1.0)),
         ("opacities", (1.0,)),
     ):
@@ -69,7 +69,7 @@ def read_captured(
     )
     whole = tidy(splats, where, lambda text: notes.add(text, where))
     if len(whole) != count:
-        # The cache lies over this prim: its arrays must keep their length.
+        # The cache layer overrides this prim, so that its arrays must keep their length.
         raise InputError(
             f"<{where}>: {count - len(whole)} of its {count} Gaussians are not finite or have a "
             "scale of 0 or less",
@@ -79,7 +79,7 @@ def read_captured(
 
 
 def _values(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> NDArray[np.floating] | None:
-    """(n, k) of an attribute or of its half-precision twin; None where neither has values."""
+    """(n, k) values of an attribute or its half-precision variant; None where neither has any."""
     for attribute in (prim.GetAttribute(name), prim.GetAttribute(f"{name}h")):
         values = attribute.Get(time) if attribute else None
         if values is not None and len(values):
@@ -90,7 +90,7 @@ def _values(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> NDArray[np.floatin
 def _fitting(
     prim: Usd.Prim, name: str, time: Usd.TimeCode, count: int, fallback: tuple, notes: Notes
 ) -> NDArray[np.floating]:
-    """(count, k) of an attribute; too long is cut off, too short or missing is the fallback."""
+    """(count, k) values of an attribute, truncated if too long; `fallback` if too short."""
     values = _values(prim, name, time)
     if values is not None and len(values) >= count:
         return values[:count]
@@ -102,7 +102,7 @@ def _fitting(
 def _harmonics(
     prim: Usd.Prim, time: Usd.TimeCode, count: int, notes: Notes
 ) -> tuple[NDArray[np.floating], bool]:
-    """Coefficients (count, K, 3), and whether they are there in half precision only."""
+    """Spherical harmonics coefficients (count, K, 3), and whether they are in half precision."""
     degree = int(prim.GetAttribute(DEGREE).Get(time) or 0)
     each = (1 + degree) ** 2
     values = _values(prim, HARMONICS, time)
@@ -119,7 +119,7 @@ def _harmonics(
 
 
 def _labels(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> dict[str, Ints]:
-    """The primvars of a prim that hold an integer for each Gaussian."""
+    """The integer primvars of a prim with one value for each Gaussian."""
     found = {}
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithValues():
         flat = primvar.ComputeFlattened(time)
@@ -132,9 +132,9 @@ def _labels(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> dict[str, Ints]:
 def write_splat_layer(
     splats: Splats, path: Path, name: str, *, meters_per_unit: float, up_axis: str, turn: float = 0
 ) -> None:
-    """Write the USD layer of a splat file: a component with one prim of Gaussians.
+    """Write the USD layer of a splat file: a component with one ParticleField3DGaussianSplat.
 
-    turn : [degrees] about x, authored as a transform above the Gaussians.
+    turn : [degrees] rotation about x, authored as a transform of its parent.
     """
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
@@ -173,7 +173,7 @@ def write_splat_layer(
 
 
 def quaternions(wxyz: NDArray[np.floating]) -> Vt.QuatfArray:
-    """For USD: FromNumpy reads (x, y, z, w)."""
+    """USD quaternions from (n, 4) w, x, y, z; `FromNumpy` expects x, y, z, w."""
     return Vt.QuatfArray.FromNumpy(_f32(np.asarray(wxyz)[:, [1, 2, 3, 0]]))
 
 

@@ -1,7 +1,4 @@
-"""Open a USD file, and what the stage says of itself.
-
-Where a prim's points stand in the world.
-"""
+"""Opening of USD stages, their metadata (units, axis, times), and local-to-world placements."""
 
 from __future__ import annotations
 
@@ -30,18 +27,18 @@ RATES = ("timeCodesPerSecond", "framesPerSecond")
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
 
 
-def is_running(prim: Usd.Prim) -> bool:
-    """True for particles that a bake wrote: their colors are albedo, to be lit."""
+def is_bake_particles(prim: Usd.Prim) -> bool:
+    """True for particles that a bake wrote, whose colors are unlit albedo."""
     return bool(prim.HasAttribute("gaussianFlesh:restPositions"))
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Keep USD's own diagnostics off the screen; damage it meets becomes an InputError."""
+    """Context that collects USD diagnostics, and raises USD's errors as InputError."""
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
-    except (Tf.ErrorException, UnicodeDecodeError) as error:  # the latter: a name that is no text
+    except (Tf.ErrorException, UnicodeDecodeError) as error:  # the latter: names that are not UTF-8
         words = _first_words(error) if isinstance(error, Tf.ErrorException) else NO_TEXT
         raise InputError(
             f"{path} is damaged: {words}",
@@ -52,14 +49,14 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _first_words(error: Tf.ErrorException) -> str:
-    """The first sentence of a USD error, without the place in USD's own source."""
+    """The first line of a USD error, without its location in USD's source."""
     said = _text(error)
     quoted = re.search(r": '(.*?)'(?:\n|$)", said, re.DOTALL)
     return _first_line(quoted.group(1) if quoted else said)
 
 
 def _text(error: object) -> str:
-    """What an error of USD says, which may quote bytes of the file that are no text."""
+    """The text of a USD error, which may quote bytes that are not UTF-8."""
     try:
         return str(error)
     except UnicodeDecodeError:
@@ -71,10 +68,10 @@ def _first_line(text: str) -> str:
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """The composed stage, every payload loaded.
+    """The composed stage with all payloads loaded.
 
-    Raises InputError for a path that USD cannot open, for a file that is not USD, or whose rate of
-    time codes is zero (reading its samples would never end).
+    Raises InputError for a file that USD cannot open or that is not USD, and for a rate of time
+    codes of zero, with which reading samples would not terminate.
     """
     require_utf8(path)
     with path.open("rb") as file:
@@ -99,12 +96,12 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def require_saved(path: Path, stage: Usd.Stage | None = None) -> None:
-    """Raise InputError where a layer of an asset has edits in this process that its file lacks.
+    """Raise InputError where a layer of an asset has unsaved edits in this process.
 
-    Layers that are written refer to files, and a process of its own reads files: only what is saved
-    is the same to all of them.
+    Written layers reference files, and child processes read files, so that unsaved edits would be
+    used in some places only.
 
-    stage : of the asset; None: it is not opened, and those of its layers count that are open.
+    stage : of the asset; None: its layers that are open are checked, without opening a stage.
     """
     require_utf8(path)
     if stage is not None:
@@ -131,7 +128,7 @@ def _require_rates(path: Path, layer: Sdf.Layer) -> None:
     for key in RATES:
         if layer.pseudoRoot.HasInfo(key):
             rate = layer.pseudoRoot.GetInfo(key)
-            known = isinstance(rate, float | int)  # a text layer holds any type here
+            known = isinstance(rate, float | int)  # a text layer may author any type
             if not (known and math.isfinite(rate) and rate > 0.0):
                 inside = "" if Path(layer.realPath) == path.resolve() else f" in {layer.identifier}"
                 shown = f"{rate:g}" if known else f"{_text(rate)!r}, which is not a number"
@@ -149,9 +146,11 @@ def stage_facts(
     meters_per_unit: float | None,
     up_axis: str | None,
 ) -> StageFacts:
-    """Units, axis, times and root prims; `notes` gets what is assumed, and is not yet folded in.
+    """Units, up axis, times and root prims of a stage.
 
-    Raises InputError for a unit, an axis or a time code that makes no sense.
+    notes : assumptions are added to it, but are not yet in the result.
+
+    Raises InputError for an invalid unit, axis or time code.
     """
     root = stage.GetRootLayer()
     codes, frames = (
@@ -192,7 +191,7 @@ def stage_facts(
 
 
 def _baked_prim(stage: Usd.Stage) -> str | None:
-    """A root prim that has the variants of a bake."""
+    """Path of the root prim with the variant set of a bake; None where there is none."""
     for prim in stage.GetPseudoRoot().GetAllChildren():
         if prim.GetVariantSets().HasVariantSet(BAKES):
             return str(prim.GetPath())
@@ -200,7 +199,7 @@ def _baked_prim(stage: Usd.Stage) -> str | None:
 
 
 def _time_code(authored: bool, value: float, path: Path, which: str) -> float | None:
-    """An end of the stage's range; None where none is authored."""
+    """The startTimeCode or endTimeCode of the stage; None where it is not authored."""
     if not authored:
         return None
     if not abs(value) <= LATEST:
@@ -222,7 +221,7 @@ def _is_physics(prim: Usd.Prim) -> bool:
 
 
 def _metadata(stage: Usd.Stage, key: str) -> Any:
-    """Authored metadata, whatever its type (old exporters write floats where doubles belong)."""
+    """Authored metadata of any type (old exporters write floats instead of doubles)."""
     try:
         return stage.GetMetadata(key)
     except Tf.ErrorException:
@@ -230,7 +229,7 @@ def _metadata(stage: Usd.Stage, key: str) -> Any:
 
 
 def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
-    """An authored size of a unit; None where nothing is authored."""
+    """The authored size of a unit; None where it is not authored."""
     if not stage.HasAuthoredMetadata(key):
         return None
     value = _metadata(stage, key)
@@ -242,7 +241,7 @@ def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
             + ("from 1e-30 to 1e30" if odd else "above 0"),
             f"author {key} in the file{option}",
         )
-    # A unit that went through single precision (0.00999999977...) is the short decimal it was.
+    # A unit rounded to single precision (0.00999999977...) is restored to its short decimal.
     single = np.float32(value)
     return float(str(single)) if float(single) == value else float(value)
 
@@ -250,7 +249,7 @@ def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
 def _meters_per_unit(
     stage: Usd.Stage, path: Path, notes: Notes, override: float | None
 ) -> tuple[float, str]:
-    """[m] of the unit of length, and where it comes from."""
+    """[m] size of the unit of length, and its origin (FILE, OPTION or ASSUMED)."""
     if override is not None:
         if not (math.isfinite(override) and override > 0.0):
             raise InputError(
@@ -269,7 +268,7 @@ def _meters_per_unit(
 
 
 def _up_axis(stage: Usd.Stage, path: Path, notes: Notes, override: str | None) -> tuple[str, str]:
-    """Y or Z, and where it comes from."""
+    """Y or Z, and its origin (FILE, OPTION or ASSUMED)."""
     hint = "give --up-axis Y or --up-axis Z"
     if override is not None:
         axis = override.upper()
@@ -286,16 +285,16 @@ def _up_axis(stage: Usd.Stage, path: Path, notes: Notes, override: str | None) -
     return axis, FILE
 
 
-# Below this fraction of its scale cubed a 3 x 3 matrix has no usable inverse in double precision.
+# Determinant over scale^3 below which a 3 x 3 matrix is singular in double precision.
 FLAT = 1e-12
 
-# The note on a mesh whose own animation the simulation takes the place of.
+# The note on a mesh whose animation is replaced by the simulation.
 CHANGES = "its topology changes over time: that of the first frame is used"
-FOR_BAKES = (ANIMATED, CHANGES)  # notes that are no news for a picture
+FOR_BAKES = (ANIMATED, CHANGES)  # notes that do not apply to rendering
 
 
-class LeftAlone(Exception):
-    """The prim is not made soft; the text says why."""
+class SkippedPrim(Exception):
+    """The prim is skipped; the text is the reason."""
 
 
 @dataclass(frozen=True)
@@ -306,24 +305,24 @@ class Placement:
 
     @property
     def skinned(self) -> bool:
-        """True where a skeleton poses the points."""
+        """True where the points are skinned to a skeleton."""
         return False
 
     @classmethod
     def of(cls, matrix: Gf.Matrix4d) -> Placement:
-        """Raises LeftAlone for a matrix that is not finite or flattens space."""
+        """The placement by a matrix; raises SkippedPrim where it is not finite or singular."""
         rows = np.array(matrix, dtype=np.float64)
         if not np.isfinite(rows).all():
-            raise LeftAlone("its transform is not finite")
+            raise SkippedPrim("its transform is not finite")
         scale = np.linalg.norm(rows[:3, :3], axis=1)
         det = float(np.linalg.det(rows[:3, :3]))
         if abs(det) <= FLAT * float(scale.max()) ** 3:
-            raise LeftAlone(f"its transform flattens it (determinant {det:.3g})")
+            raise SkippedPrim(f"its transform flattens it (determinant {det:.3g})")
         return cls(rows)
 
     @property
     def mirrored(self) -> bool:
-        """True where the placement turns the winding over."""
+        """True where the placement reverses the winding."""
         return bool(np.linalg.det(self.matrix[:3, :3]) < 0.0)
 
     def points(self, points: Floats) -> Floats:
@@ -333,7 +332,7 @@ class Placement:
     def normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats:
         """(K, 3) local to world by the inverse transpose, not normalized.
 
-        `carriers` (K,): the point whose place each normal has; a rigid placement needs it not.
+        carriers : (K,) the point of each normal, used for skinned placements only.
         """
         del carriers
         return normals @ np.linalg.inv(self.matrix[:3, :3]).T

@@ -1,4 +1,4 @@
-"""Texture files, found and opened through USD's asset resolver (so also inside a usdz)."""
+"""Loading of texture files through USD's asset resolver, also from usdz packages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pxr import Ar, Sdf
 from gf_usd.core.asset import Texture
 from gf_usd.core.radiance import linear_to_srgb, srgb_to_linear
 
-# What Pillow raises on files that are damaged, truncated, huge or of a format it does not know.
+# Errors that Pillow raises for damaged, truncated, too large or unsupported files.
 UNREADABLE = (
     OSError,
     ValueError,
@@ -28,7 +28,7 @@ WRAPS = ("repeat", "clamp", "mirror", "black")
 
 
 class Unreadable(Exception):
-    """The texture cannot be used; the text says why."""
+    """The texture cannot be used; the text is the reason."""
 
 
 def load_texture(
@@ -40,17 +40,17 @@ def load_texture(
     bias: NDArray[np.float64],
     channel: str,
 ) -> Texture:
-    """The picture as colors.
+    """The texture of an image file, as read by UsdUVTexture.
 
     Parameters
     ----------
-    asset : the authored path with what it resolved to.
-    space : "sRGB", "raw" or "auto" (sRGB for 8-bit color pictures, as UsdPreviewSurface says).
-    wraps : along s and t; anything unknown repeats.
-    scale, bias : (3,) of linear colors; applied to the pixels where they are not 1 and 0.
-    channel : output that is read: "rgb", or one of "r", "g", "b", "a" spread over all three.
+    asset : the authored and resolved path.
+    space : sourceColorSpace: "sRGB", "raw" or "auto" (sRGB for 8-bit color images).
+    wraps : wrap modes along s and t; unknown ones repeat.
+    scale, bias : (3,) applied to linear colors.
+    channel : output that is read: "rgb", or one of "r", "g", "b", "a", copied to all three.
 
-    Raises Unreadable for a file that is missing, or that Pillow does not understand.
+    Raises Unreadable for a file that is missing, or that Pillow cannot read.
     """
     if "<UDIM>" in asset.path:
         raise Unreadable(f"texture {asset.path}: UDIM tiles are not supported")
@@ -86,7 +86,7 @@ def _short(error: Exception) -> str:
 
 
 def _pixels(picture: Image.Image, channel: str) -> NDArray[np.uint8]:
-    """(H, W, 3), 16-bit and float pictures brought to 8 bits."""
+    """(H, W, 3) pixels; 16-bit and float images are converted to 8 bits."""
     if picture.mode.startswith("I"):
         gray = np.clip(np.asarray(picture, dtype=np.float64) / 257.0, 0.0, 255.0)
         return np.repeat(np.round(gray).astype(np.uint8)[:, :, None], 3, axis=2)
@@ -102,7 +102,7 @@ def _pixels(picture: Image.Image, channel: str) -> NDArray[np.uint8]:
 def _adjusted(
     pixels: NDArray[np.uint8], srgb: bool, scale: NDArray[np.float64], bias: NDArray[np.float64]
 ) -> NDArray[np.uint8]:
-    """scale * linear + bias, clipped and encoded as the pixels were."""
+    """scale * linear + bias, clipped, in the encoding of the pixels."""
     level = np.arange(256) / 255.0
     linear = srgb_to_linear(level) if srgb else level
     table = np.clip(linear[:, None] * scale + bias, 0.0, 1.0)

@@ -1,1 +1,1 @@
-"""Bake settings in a USD stage: options, painted values, regions and materials."""
+"""Reader of bake settings in USD (GaussianFleshBakeAPI, primvars, regions), and of bake results."""

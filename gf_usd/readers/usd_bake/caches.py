@@ -1,7 +1,8 @@
-"""Animated points of meshes, such as those of a simulation cache: where each is at each frame.
+"""Animated points of meshes, such as those of a simulation cache, at each frame.
 
-Times before the first frame lead from the first pose, at rest, into the motion: as those of a
-skeleton (`readers.usd.bones`), x = x_0 + n s (x_1 - x_0) with n the frames back and s from 0 to 1.
+Times before the first frame are a pre-roll from the first pose, at rest, into the motion, as for
+skeletons (`readers.usd.bones`): x = x_0 + n s (x_1 - x_0), with n the frames by which the motion is
+extrapolated backward, and s from 0 to 1.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from gf_usd.readers.usd_physics.motion import bare_reading
 
 
 def has_animated_points(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
-    """Whether the points of any of some meshes have time samples of their own."""
+    """Whether the points of any of some meshes have time samples."""
     with reading(file):
         stage = open_stage(file)
         every = (UsdGeom.PointBased(named_prim(stage, facts.path, path)) for path in paths)
@@ -31,10 +32,10 @@ def has_animated_points(file: Path, paths: Sequence[str], facts: StageFacts) -> 
 
 
 def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:
-    """First and last time code of the animation of some meshes that no skeleton poses.
+    """First and last time code of the animation of some meshes without skeletons.
 
-    Where the stage says both, they are its own, else those of the time samples of their points and
-    of the transforms above.  Raises InputError where nothing of them is animated.
+    The stage's own if it authors both, else those of the time samples of the points and of the
+    transforms.  Raises InputError where nothing is animated.
     """
     codes: set[float] = set()
     with reading(file):
@@ -62,10 +63,10 @@ def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[fl
 def read_cache(
     file: Path, paths: Sequence[str], facts: StageFacts, *, first: float, times: Sequence[float]
 ) -> Iterator[dict[str, Floats]]:
-    """Points (V, 3) [m] of meshes in the world at each time, by prim path; one time after another.
+    """World points (V, 3) [m] of meshes by prim path, for each time in order.
 
-    first : time code of the first frame; times : time codes, which increase, and begin at the rest
-    shape where they begin before it.
+    first : time code of the first frame.
+    times : ascending time codes; those before `first` are a pre-roll from the rest shape.
 
     Raises InputError where the number of points changes, or they are not finite.
     """

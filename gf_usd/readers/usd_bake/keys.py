@@ -1,4 +1,4 @@
-"""Material values with time samples: what changes and is followed, and what changes besides."""
+"""Material values with time samples: those that a bake applies over time, and those it ignores."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gf_usd.readers.usd_physics.attributes import require_constant
 from gf_usd.readers.usd_physics.bodies import PURPOSE
 from gf_usd.readers.usd_physics.materials import OURS, PREFIXES
 
-# what attributes of these names change: see `core.materials.keys`
+# attribute -> value that its time samples animate: see `core.materials.keys`
 FOLLOWED = {
     "youngsModulus": "youngs_modulus",
     "poissonsRatio": "poissons_ratio",
@@ -32,20 +32,20 @@ STATIC, CONSERVED = "staticFriction", "density"
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialKeys:
-    """When the materials of a stage change."""
+    """The time samples of the materials of a stage."""
 
-    codes: tuple[float, ...] = ()  # time codes of the samples that are followed, ascending
-    # the attributes that have them, e.g. "/M.physics:youngsModulus", by one of FOLLOWED's values
+    codes: tuple[float, ...] = ()  # time codes of the samples that are applied, ascending
+    # their attributes, e.g. "/M.physics:youngsModulus", by the values of FOLLOWED
     by: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    others: tuple[str, ...] = ()  # attributes of materials that change and are not followed
+    others: tuple[str, ...] = ()  # attributes of materials whose time samples are ignored
 
 
 def material_keys(file: Path, facts: StageFacts, paths: Sequence[str]) -> MaterialKeys:
-    """The time samples of the physics materials bound to prims, and of what is painted on them.
+    """The time samples of the physics materials bound to prims, and of painted primvars.
 
-    file : the USD file; facts.path is what messages call it; paths : of the surfaces.
+    file : the USD file; facts.path is its name in messages; paths : of the surfaces.
 
-    Raises InputError for a density that changes.
+    Raises InputError for a density that varies over time.
     """
     codes: set[float] = set()
     by: dict[str, dict[str, None]] = {}
@@ -74,7 +74,7 @@ def material_keys(file: Path, facts: StageFacts, paths: Sequence[str]) -> Materi
 
 
 def _followed(attribute: Usd.Attribute) -> str | None:
-    """Which value changes with an attribute; None where none does."""
+    """The value that an attribute animates; None where it is not in FOLLOWED."""
     name = attribute.GetName()
     if name.endswith(STATIC):  # what counts where there is no other
         dynamic = attribute.GetPrim().GetAttribute(name.replace(STATIC, "dynamicFriction"))
@@ -83,7 +83,7 @@ def _followed(attribute: Usd.Attribute) -> str | None:
 
 
 def _attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
-    """Those of its materials for physics and of their subsets, and what is painted on it."""
+    """The attributes of the prim's physics materials, of its subsets', and its painted primvars."""
     painted = {*KNOWN, *(OURS + p.attribute for p in law_parameters())}
     bindings = UsdShade.MaterialBindingAPI(prim)
     subsets = bindings.GetMaterialBindSubsets() if prim.IsA(UsdGeom.Imageable) else []
@@ -98,7 +98,7 @@ def _attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
 
 
 def spec_at(asset: Asset, file: Path, spec: StageSpec, code: float) -> StageSpec:
-    """What a stage says, with the materials that its bodies have at a time code.
+    """The spec of a stage, with the materials of its bodies at a time code.
 
     Raises InputError as `read_stage_spec`.
     """

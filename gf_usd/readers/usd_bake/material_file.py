@@ -1,6 +1,6 @@
-"""Materials out of a USD file: ``--material file.usda``.
+"""Reading of a material from a USD file: ``--material file.usda``.
 
-Their values are read by the names and in the order of `gf_usd.core.stage`, in the file's own units.
+Values are read as those of bound physics materials (`usd_physics.materials`), in the file's units.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ def is_material_file(name: str) -> bool:
 
 
 def read_material(path: Path, say: Assume | None = None) -> Material:
-    """The one material with a Young's modulus in a file, or the one its default prim is.
+    """The material of a file: its default prim, or the only one with a Young's modulus.
 
-    say : is told what was chosen for it.
+    say : called with notes on assumptions.
 
-    Raises InputError where the file cannot be read, has none, has several, or has values out of
-    range.
+    Raises InputError where the file cannot be read, has no such material or several, or has values
+    out of range.
     """
     stage = _open(path)
     materials = (p for p in stage.Traverse() if p.IsA(UsdShade.Material))
@@ -82,7 +82,7 @@ def _units(path: Path, stage: Usd.Stage) -> StageUnits:
 
 
 def _authored(prim: Usd.Prim) -> Authored:
-    """Look-up of the authored attributes of a prim."""
+    """A function that returns the authored value of an attribute of a prim, by name."""
 
     def authored(name: str) -> Any:
         attribute = prim.GetAttribute(name)
@@ -104,7 +104,7 @@ def _material(path: Path, prim: Usd.Prim, units: StageUnits, say: Assume | None)
     if spec.density is None:
         raise InputError(f"{where} has no density", "author physics:density")
     material = spec.whole()
-    assert material is not None  # both moduli are there
+    assert material is not None  # it has both moduli
     if spec.law is None and LAWS[material.law].flows:
         tell(f"{stated_flow(material.law)} is stated but no law: {material.law} is used")
     return material

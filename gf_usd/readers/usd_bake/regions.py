@@ -1,7 +1,7 @@
-"""What names a region of the asset: a GeomSubset, a mesh, all meshes under a prim, a weight.
+"""Regions of an asset by name: a GeomSubset, a mesh, all meshes under a prim, or a weight map.
 
-A weight is painted on points, or is that by which points follow a joint of a skeleton.  The region
-is made of the faces all of whose points have `HALF` of it and more.
+A weight map is a primvar on points, or the skinning weights of a joint.  Its region consists of
+the faces all of whose points have a weight of at least `HALF`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Region
 from gf_usd.readers.usd.mesh import has_surface, posed_points, read_surface
 from gf_usd.readers.usd.select import PROXIES, named_prim
-from gf_usd.readers.usd.stage import LeftAlone, open_stage, reading
+from gf_usd.readers.usd.stage import SkippedPrim, open_stage, reading
 from gf_usd.readers.usd_physics.motion import bare_reading, shape_varies, transform_varies
 
 
@@ -31,14 +31,14 @@ def read_regions(
     times: Sequence[float],
     option: str = "--pin",
 ) -> tuple[Region, ...]:
-    """The regions that prim paths name, with their motion.
+    """The regions of prim paths, with their motion.
 
-    option : that names them, for messages.
-    file : the USD file; facts.path is what messages call it.
-    rest : time code of the rest pose; None: the stage's start, or 1.
+    file : the USD file; facts.path is its name in messages.
+    rest : time code of the rest pose; None: the stage's startTimeCode, or 1.
     times : time codes of the frames.
+    option : the command-line option, for messages.
 
-    Raises InputError for a path that names no prim, or one without a surface.
+    Raises InputError for a path without a prim, and for a prim without a surface.
     """
     with reading(file):
         stage = open_stage(file)
@@ -47,7 +47,7 @@ def read_regions(
 
 
 HALF = 0.5
-PAINT, JOINT = "paint:", "joint:"  # of a name, before that of a primvar or a joint
+PAINT, JOINT = "paint:", "joint:"  # prefixes of names of primvars and joints
 
 
 def read_weighted(
@@ -60,12 +60,12 @@ def read_weighted(
     times: Sequence[float],
     option: str = "--pin",
 ) -> tuple[Region, ...]:
-    """The regions where meshes have a weight, with their motion; arguments as of `read_regions`.
+    """The regions of a weight map, with their motion; other arguments as of `read_regions`.
 
-    name : "paint:PRIMVAR" or "joint:NAME", the last part of the joint's path or all of it.
+    name : "paint:PRIMVAR" or "joint:NAME", with the joint's path or its last element.
     meshes : prim paths.
 
-    Raises InputError where no mesh has that weight, or none of HALF.
+    Raises InputError where no mesh has that weight map, or no weight reaches HALF.
     """
     said = f"{option} {name}"
     with reading(file):
@@ -117,7 +117,7 @@ def read_weighted(
 
 
 def _painted(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats | None:
-    """(V,) of a primvar on points; None where the mesh has none of that name."""
+    """(V,) values of a primvar on points; None where the mesh has no such primvar."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name.removeprefix(PAINT))
     if not primvar or not primvar.HasValue():
         return None
@@ -128,7 +128,7 @@ def _painted(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats | None:
 
 
 def _of_joint(prim: Usd.Prim, name: str) -> tuple[Floats | None, list[str]]:
-    """(V,) by which points follow a joint, None where there is none; and all joints' names."""
+    """(V,) skinning weights of a joint, or None where there is no such; and all joints' names."""
     binding = UsdSkel.BindingAPI(prim)
     skeleton = UsdSkel.Skeleton(binding.GetInheritedSkeleton())
     joints: list[str] = list(binding.GetJointsAttr().Get() or ())
@@ -191,12 +191,12 @@ def _region(
 def _triangles(
     prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, said: str
 ) -> tuple[Floats, Ints]:
-    """All points (V, 3) [m] and triangles (T, 3) of some prims."""
+    """The concatenated points (V, 3) [m] and triangles (T, 3) of some prims."""
     context, points, triangles, count = bare_reading(facts, rest), [], [], 0
     for prim in prims:
         try:
             surface = read_surface(prim, context)
-        except LeftAlone as reason:
+        except SkippedPrim as reason:
             raise InputError(
                 f"{facts.path}: {said}: <{prim.GetPath()}> {reason}", "name other prims"
             ) from reason
@@ -207,7 +207,7 @@ def _triangles(
 
 
 def _posed(prims: Sequence[Usd.Prim], facts: StageFacts, times: Sequence[float]) -> Floats | None:
-    """(F, V, 3) [m] at the time codes; None where nothing moves."""
+    """(F, V, 3) [m] points at the time codes; None where they are static."""
     readings = [bare_reading(facts, Usd.TimeCode(time)) for time in times]
     if not any(transform_varies(p) or shape_varies(p, readings[0]) for p in prims):
         return None

@@ -1,6 +1,6 @@
-"""The particles, meshes and health of a bake as arrays, one time code at a time.
+"""Reading of bake results: particles, meshes and health as arrays, at single time codes.
 
-All in SI and in the world frame of the stage; quaternions (w, x, y, z).
+All values are in SI and in the world frame of the stage; quaternions are (w, x, y, z).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gf_usd.readers.usd.solids.tets import boundary
 from gf_usd.readers.usd.stage import (
     SPLAT_TYPE,
     Placement,
-    is_running,
+    is_bake_particles,
     open_stage,
     reading,
     stage_facts,
@@ -34,7 +34,7 @@ from gf_usd.readers.usd.stage import (
 Array = NDArray[np.float64]
 NAMESPACE = "gaussianFlesh:"
 HEALTH = "gaussianFlesh:health:"
-# attribute -> (key, unit of `_size`), of what does not change
+# attribute -> (key, unit of `_size`), of constant values
 REST = {
     "restVolumes": ("volumes", "volume"),
     "masses": ("masses", "mass"),
@@ -46,23 +46,23 @@ STRESS, GRADIENTS, VELOCITIES = "vonMisesStress", "deformationGradients", "veloc
 
 
 def _is_drawn(prim: Usd.Prim) -> bool:
-    """Whether a prim is a mesh of the asset, or a TetMesh, and no guide such as those of a bake."""
+    """Whether a prim is a mesh of the asset, or a TetMesh, not of purpose guide."""
     made_of_faces = prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh)
     guide = UsdGeom.Tokens.guide
     return made_of_faces and UsdGeom.Imageable(prim).ComputePurpose() != guide
 
 
 class BakedArrays:
-    """A bake opened to read one variant.
+    """One variant of a bake, opened for reading.
 
     Parameters
     ----------
-    path : its root layer, or a flattened bake.
-    variant : None: the one that is selected in the file.
+    path : root layer of the bake, or a flattened bake.
+    variant : None: the one selected in the file.
 
     Raises
     ------
-    InputError : no such file, not USD, damaged, or no bake.
+    InputError : no such file, not USD, damaged, or not a bake.
     UsageError : the file has no such variant.
     """
 
@@ -84,7 +84,7 @@ class BakedArrays:
     def _find(self) -> None:
         prims = list(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
         clouds = sorted(
-            (prim for prim in prims if is_running(prim)),
+            (prim for prim in prims if is_bake_particles(prim)),
             key=lambda prim: str(prim.GetTypeName()) != SPLAT_TYPE,
         )
         self._cloud = clouds[0] if clouds else Usd.Prim()
@@ -110,7 +110,7 @@ class BakedArrays:
 
     @property
     def about(self) -> Mapping[str, Any]:
-        """What the bake says of this variant in the root layer: settings, materials, command."""
+        """Metadata of this variant in the root layer: settings, materials, command."""
         data = self._stage.GetRootLayer().customLayerData.get(VARIANTS)
         looks = data.get("looks") if isinstance(data, dict) else None
         mine = looks.get(self.variant) if isinstance(looks, dict) else None
@@ -118,13 +118,13 @@ class BakedArrays:
 
     @property
     def mesh_paths(self) -> tuple[str, ...]:
-        """Paths of the meshes that the bake moves."""
+        """Paths of the meshes animated by the bake."""
         return tuple(self._meshes)
 
     def mesh_faces(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(P,) numbers of corners, and (C,) indices into the points, of a mesh.
+        """(P,) face vertex counts and (C,) face vertex indices of a mesh.
 
-        Raises UsageError for a path that is none of its meshes.
+        Raises UsageError for a path that is not in `mesh_paths`.
         """
         if path not in self._meshes:
             raise UsageError(
@@ -146,7 +146,7 @@ class BakedArrays:
         return np.array(counts, np.int64), np.array(indices, np.int64)
 
     def rest(self) -> dict[str, Array]:
-        """What does not change of the particles: positions (N, 3) [m], volumes (N,) and others."""
+        """Constant values of the particles: rest positions (N, 3) [m], volumes (N,) and others."""
         cloud = self._particles()
         with reading(self.path):
             place = self._place(Usd.TimeCode(self.time_codes[0]))
@@ -161,13 +161,13 @@ class BakedArrays:
         return out
 
     def positions(self, code: float) -> Array:
-        """(N, 3) [m] of the particles."""
+        """(N, 3) [m] positions of the particles."""
         name = "positions" if self._splats else "points"
         time = Usd.TimeCode(code)
         return self._place(time).points(self._vectors(name, time)) * self.units.length
 
     def velocities(self, code: float) -> Array:
-        """(N, 3) [m/s of playback] of the particles."""
+        """(N, 3) [m/s of playback] velocities of the particles."""
         name = f"{NAMESPACE}{VELOCITIES}" if self._splats else "velocities"
         time = Usd.TimeCode(code)
         turn = self._place(time).matrix[:3, :3]
@@ -180,7 +180,7 @@ class BakedArrays:
         time = Usd.TimeCode(code)
         quaternions = self._vectors("orientations", time, 4)[
             :, [3, 0, 1, 2]
-        ]  # USD's order in NumPy
+        ]  # from x, y, z, w, USD's order in NumPy
         local = gaussian_axes(quaternions, self._vectors("scales", time))
         axes = self._place(time).matrix[:3, :3].T * self.units.length @ local
         return axes @ axes.transpose(0, 2, 1)
@@ -190,12 +190,12 @@ class BakedArrays:
         return self._values(GRADIENTS, code)
 
     def stress(self, code: float) -> Array | None:
-        """(N,) [Pa] von Mises; None where the bake wrote none."""
+        """(N,) [Pa] von Mises stress; None where the bake wrote none."""
         values = self._values(STRESS, code)
         return None if values is None else values * self.units.pressure
 
     def internal(self, code: float) -> dict[str, Array]:
-        """(N,) of each internal variable of the laws that the bake wrote, by its name."""
+        """(N,) values of each internal variable of the constitutive laws, by name, if written."""
         if not self._splats:
             return {}
         found = {}
@@ -210,7 +210,7 @@ class BakedArrays:
         return found
 
     def mesh_points(self, path: str, code: float) -> Array:
-        """(V, 3) [m] of a mesh."""
+        """(V, 3) [m] points of a mesh."""
         time = Usd.TimeCode(code)
         with reading(self.path):
             xforms = UsdGeom.XformCache(time)
@@ -218,7 +218,7 @@ class BakedArrays:
             return world_points(self._meshes[path], time, xforms, skins) * self.units.length
 
     def health(self) -> dict[str, list[Any]]:
-        """Samples of each attribute of the health, over the time codes, in stage units."""
+        """Time samples of each health attribute, in stage units."""
         codes = [Usd.TimeCode(code) for code in self.time_codes]
         return {
             attribute.GetName().removeprefix(HEALTH): [attribute.Get(code) for code in codes]
@@ -245,9 +245,9 @@ class BakedArrays:
         return getattr(self.units, unit) if unit else 1.0
 
     def _vectors(self, name: str, time: Usd.TimeCode, width: int = 3) -> Array:
-        """(N, width) of an attribute, or of its twin in half precision."""
-        for command_arguments in (name, f"{name}h"):
-            attribute = self._particles().GetAttribute(command_arguments)
+        """(N, width) values of an attribute, or of its half-precision variant."""
+        for spelled in (name, f"{name}h"):
+            attribute = self._particles().GetAttribute(spelled)
             values = attribute.Get(time) if attribute else None
             if values is not None and len(values):
                 return np.asarray(values, np.float64).reshape(-1, width)

@@ -1,8 +1,9 @@
-"""Bake settings that a stage carries: GaussianFleshBakeAPI.
+"""Bake settings authored in a stage.
 
-Names and labels of prims that are to be soft: bound materials and UsdSemantics labels.
-
-Stiffness and density painted on meshes: primvars in the namespace gaussianFlesh.
+read_bake_settings   GaussianFleshBakeAPI attributes of prims
+read_subjects        bound materials and UsdSemantics labels, for advice on materials
+read_painted         material values painted as primvars of the namespace gaussianFlesh
+read_goals           goal weights painted as primvar gaussianFlesh:goal
 """
 
 from __future__ import annotations
@@ -35,15 +36,14 @@ SOLVERS = {"totalLagrangian": "tl", "updatedLagrangian": "ul"}
 def read_bake_settings(
     file: Path, facts: StageFacts, prims: Sequence[str], *, rest: float | None = None
 ) -> tuple[PrimBake, ...]:
-    """The settings that hold for each of the prims, in their order.
+    """The settings of each of the prims, in order.
 
-    Each attribute is that of the prim itself or of the nearest one above that authors it.  The
-    attributes count also where the API's name is not applied: a program without our schema can
-    author those but not this.
+    Attributes are inherited from the nearest ancestor that authors them.  They are used without
+    the API schema being applied, too, since programs without the schema cannot apply it.
 
-    file : the USD file; facts.path is what messages call it.  rest : time code of the rest pose.
+    file : the USD file; facts.path is its name in messages.  rest : time code of the rest pose.
 
-    Raises InputError for a path that names no prim and for values that make no sense.
+    Raises InputError for a path without a prim, and for invalid values.
     """
     with reading(file):
         stage = open_stage(file)
@@ -57,7 +57,7 @@ def _settings(prim: Usd.Prim, facts: StageFacts, time: Usd.TimeCode) -> PrimBake
     return PrimBake(
         path=str(prim.GetPath()),
         enabled=_nearest(prim, lambda p: flag(path, p, ENABLED, time)),
-        # Without a name the bound physics material counts, whatever is named above.
+        # An empty name blocks that of an ancestor: the bound physics material is used.
         material=_nearest(prim, lambda p: word(path, p, MATERIAL, time, ("", *presets()))) or None,
         spacing=None if spacing is None else spacing * facts.units.length,
         particles=particles,
@@ -71,8 +71,10 @@ def _settings(prim: Usd.Prim, facts: StageFacts, time: Usd.TimeCode) -> PrimBake
 def _resolution(
     prim: Usd.Prim, path: Path, time: Usd.TimeCode
 ) -> tuple[float | None, int | None, str]:
-    """Spacing [stage units], or number of particles with its prim: the nearest that is set, and of
-    two on one prim the spacing.  0 unsets what is said above.
+    """Spacing [stage units], or number of particles with the path of its prim.
+
+    Inherited from the nearest ancestor with either; of two on one prim, the spacing is used.  0
+    blocks the value of an ancestor.
     """
     spacing_open = particles_open = True
     for above in _upwards(prim):
@@ -88,12 +90,12 @@ def _resolution(
 
 
 def _nearest(prim: Usd.Prim, read: Callable[[Usd.Prim], T | None]) -> T | None:
-    """What the prim itself says, or the nearest above it."""
+    """The first result of `read` that is not None, from the prim upward."""
     return next((value for one in _upwards(prim) if (value := read(one)) is not None), None)
 
 
 def _upwards(prim: Usd.Prim) -> Iterator[Usd.Prim]:
-    """The prim and those above it."""
+    """The prim and its ancestors."""
     while prim and not prim.IsPseudoRoot():
         yield prim
         prim = prim.GetParent()
@@ -105,11 +107,11 @@ PURPOSES = (UsdShade.Tokens.preview, UsdShade.Tokens.full, "physics")
 def read_subjects(
     file: Path, facts: StageFacts, prims: Sequence[str], *, rest: float | None = None
 ) -> tuple[Subject, ...]:
-    """What the stage calls each of the prims, in their order.
+    """Names of each of the prims, of its bound materials and its semantic labels, in order.
 
-    file : the USD file; facts.path is what messages call it.  rest : time code of the rest pose.
+    file : the USD file; facts.path is its name in messages.  rest : time code of the rest pose.
 
-    Raises InputError for a path that names no prim.
+    Raises InputError for a path without a prim.
     """
     with reading(file):
         stage = open_stage(file)
@@ -121,14 +123,14 @@ def _subject(prim: Usd.Prim, time: Usd.TimeCode) -> Subject:
     above = [label for one in _above(prim) for label in _labels(one, time)]
     return Subject(
         path=str(prim.GetPath()),
-        looks=_looks(prim, time),
+        looks=_bound_materials(prim, time),
         labels=_labels(prim, time),
         labels_above=tuple(dict.fromkeys(above)),
     )
 
 
-def _looks(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str, ...]:
-    """Paths of the materials bound to the prim and its subsets, that of most faces first."""
+def _bound_materials(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str, ...]:
+    """Paths of the materials bound to the prim and its subsets, by descending number of faces."""
     faces: dict[str, int] = {}
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
         count = len(subset.GetIndicesAttr().Get(time) or [])
@@ -149,7 +151,7 @@ def _bound(prim: Usd.Prim) -> tuple[str, ...]:
 
 
 def _labels(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str, ...]:
-    """Labels of all taxonomies that are applied to a prim, in the order of the taxonomies."""
+    """The semantic labels applied to a prim, in order of their taxonomies."""
     out: list[str] = []
     for taxonomy in UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
         labels = UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr()
@@ -167,7 +169,7 @@ def _above(prim: Usd.Prim) -> Iterator[Usd.Prim]:
 YOUNG, NU, DENSITY = (
     f"gaussianFlesh:{name}" for name in ("youngsModulus", "poissonsRatio", "density")
 )
-# primvar: (field, least, most); what is stated must lie between
+# primvar -> (field, least and greatest value)
 KNOWN = {
     YOUNG: ("youngs_modulus", 0.0, np.inf),
     NU: ("poissons_ratio", -1.0, 0.5),
@@ -178,12 +180,15 @@ KNOWN = {
 def read_painted(
     file: Path, facts: StageFacts, surfaces: Sequence[Surface], *, rest: float | None = None
 ) -> dict[str, dict[str, Floats]]:
-    """By prim path and field (youngs_modulus [Pa], density [kg/m^3], a law's own, ...) the painted
-    value (C,) at each corner of each face, in the order of Surface.face_indices.
+    """Painted material values (C,) at face corners, by prim path and field.
 
-    A constant one is inherited, as primvars are.  rest : time code of the rest pose.
+    Fields are youngs_modulus [Pa], density [kg/m^3], law parameters and others; corners are in the
+    order of Surface.face_indices.  Constant primvars are inherited, as in USD.
 
-    Raises InputError for values that are no number, out of range, or not one for each element.
+    rest : time code of the rest pose.
+
+    Raises InputError for values that are not finite or out of range, and for a wrong number of
+    values.
     """
     scales = {YOUNG: facts.units.pressure, NU: 1.0, DENSITY: facts.units.density}
     known = dict(KNOWN)
@@ -215,10 +220,10 @@ GOAL = "gaussianFlesh:goal"
 def read_goals(
     file: Path, facts: StageFacts, surfaces: Sequence[Surface], *, rest: float | None = None
 ) -> dict[str, Floats]:
-    """By prim path the painted goal (C,), 0..1, at each corner of each face, as `read_painted`.
+    """Painted goal weights (C,) in 0..1 at face corners, by prim path, as `read_painted`.
 
-    A GeomSubset of faces may have a constant one of its own, which goes before the mesh's.  Faces
-    of which nothing is said are NaN.
+    A constant primvar of a face GeomSubset takes precedence over the mesh's.  Faces without a value
+    are NaN.
     """
     out = {}
     with reading(file):
@@ -256,7 +261,7 @@ def goals_vary(file: Path, facts: StageFacts, surfaces: Sequence[Surface]) -> bo
 def _goals(
     primvar: UsdGeom.Primvar, time: Usd.TimeCode, facts: StageFacts, path: str
 ) -> tuple[Floats, str]:
-    """Its values, and what messages call it; raises InputError for one that is no goal."""
+    """The values of a goal primvar, and its name for messages; InputError for invalid values."""
     where = f"{facts.path}: <{path}>: {primvar.GetAttr().GetName()}"
     values = _numbers(primvar, time, where)
     bad = ~((values >= 0.0) & (values <= 1.0))  # NaN compares false
@@ -272,7 +277,7 @@ def _goals(
 def _goals_of_subsets(
     prim: Usd.Prim, time: Usd.TimeCode, facts: StageFacts, surface: Surface
 ) -> Iterator[tuple[Floats, float]]:
-    """Faces and goal of each subset of faces of a prim that has a goal of its own."""
+    """The faces and the goal weight of each face subset of a prim with a goal primvar."""
     for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
         primvar = UsdGeom.PrimvarsAPI(subset.GetPrim()).GetPrimvar(GOAL)
         if not (primvar and primvar.HasValue()):
@@ -297,7 +302,7 @@ def _goals_of_subsets(
 
 
 def _numbers(primvar: UsdGeom.Primvar, time: Usd.TimeCode, where: str) -> Floats:
-    """(n,) the values, indices followed."""
+    """(n,) flattened values of a primvar."""
     flat = primvar.ComputeFlattened(time)
     if flat is None:
         raise InputError(
@@ -313,7 +318,7 @@ def _numbers(primvar: UsdGeom.Primvar, time: Usd.TimeCode, where: str) -> Floats
 
 
 def _require_within(values: Floats, least: float, most: float, where: str) -> None:
-    # NaN compares false: it counts as bad
+    # comparisons with NaN are false, so that it counts as out of range
     bad = ~((values > least) & (values < most))
     if bad.any():
         first = float(values[np.flatnonzero(bad)[0]])
@@ -326,7 +331,7 @@ def _require_within(values: Floats, least: float, most: float, where: str) -> No
 
 
 def _at_corners(values: Floats, interpolation: str, surface: Surface, where: str) -> Floats:
-    """(C,) of values (n,)."""
+    """(C,) values at face corners, from values (n,) of an interpolation."""
     corners = np.asarray(surface.face_indices)
     faces = np.repeat(np.arange(len(surface.face_counts)), surface.face_counts)
     rows = {

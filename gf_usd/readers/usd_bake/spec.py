@@ -1,4 +1,4 @@
-"""The bake settings and physics of a stage, read for the prims that are made soft."""
+"""The bake settings and physics of a stage, for the prims that are simulated."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from gf_usd.core.stage import PrimBake, StagePhysics, StageSpec
 def read_stage_spec(
     asset: Asset, file: Path, prims: Sequence[str], *, rest: float | None, elastic: bool
 ) -> tuple[Asset, StageSpec]:
-    """The asset without what its stage keeps out of a bake, and what the stage says of the rest.
+    """The asset without prims that the stage excludes from a bake, and the spec of the others.
 
-    file : the asset's USD file; prims : what was asked for by name, which goes before the stage;
-    rest : time code of the rest pose; elastic : False: the materials of bodies and what is painted
-    on them are not read.
+    file : the asset's USD file.
+    prims : prim paths of the user, which take precedence over the stage.
+    rest : time code of the rest pose.
+    elastic : False: materials and painted values of bodies are not read.
 
-    Raises InputError where nothing is left, and for values that make no sense.
+    Raises InputError where no prim is left, and for invalid values.
     """
     from gf_usd.readers.usd_bake.settings import read_bake_settings, read_painted
 
     found = read_bake_settings(file, asset.facts, [s.path for s in asset.surfaces], rest=rest)
     bakes = {bake.path: bake for bake in found}
     out = {
-        path: why for path, bake in bakes.items() if path not in prims and (why := _kept_out(bake))
+        path: why for path, bake in bakes.items() if path not in prims and (why := _excluded(bake))
     }
     if out and len(out) == len(asset.surfaces):
         listed = "\n".join(f"  {path}: {why}" for path, why in out.items())
@@ -54,15 +55,15 @@ def read_stage_spec(
 def read_motion(
     asset: Asset, file: Path, *, rest: float | None, times: Sequence[float], elastic: bool
 ) -> StagePhysics:
-    """What the stage says of physics, with its obstacles at time codes `times`."""
+    """The physics of the stage, with the motion of its obstacles at time codes `times`."""
     from gf_usd.readers.usd_physics.scene import read_physics
 
     paths = [s.path for s in asset.surfaces]
     return read_physics(file, asset.facts, paths, rest=rest, times=times, elastic=elastic)
 
 
-def _kept_out(bake: PrimBake) -> str:
-    """Why the stage wants a prim left as it is; "" where it does not."""
+def _excluded(bake: PrimBake) -> str:
+    """The reason why the stage excludes a prim from the bake; "" where it does not."""
     if bake.enabled is False:
         return "the stage turns off its bake (gaussianFlesh:enabled)"
     if bake.obstacle:

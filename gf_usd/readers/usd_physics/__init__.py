@@ -1,1 +1,1 @@
-"""UsdPhysics prims become bodies, materials, colliders and filters."""
+"""Reader of UsdPhysics: bodies, materials, colliders, attachments, collision filters, gravity."""

@@ -1,23 +1,24 @@
-"""Attachments of the AOUSD proposal for deformables: points of a body that a prim carries along.
+"""Attachments of the AOUSD proposal for deformables: points of a body attached to a prim.
 
-    PhysicsAttachment   physics:src0, type0 "point", indices0    points of a mesh that is baked
-                        physics:src1, type1 "xform", coords1     places in the frame of a prim
-                        physics:stiffness                        inf, or not authored: held
+    PhysicsAttachment   physics:src0, type0 "point", indices0    points of a baked mesh
+                        physics:src1, type1 "xform", coords1     positions in the frame of a prim
+                        physics:stiffness                        inf, or not authored: constraint
                         physics:damping                          of springs
 
     OmniPhysicsVtxXformAttachment, of Omniverse: omniphysics:src0, :vtxIndicesSrc0, :src1,
     :localPositionsSrc1, :stiffness and :damping, with the same meaning
 
-The faces whose corners are all attached are held, and move as the prim does.  A finite stiffness k
-[mass / second^2] and damping c [mass / second] stand for a spring and a damper of each point p to
-its place y, k (y - p) + c (dy/dt - dp/dt).  These are the units of Omniverse's schema.  The
+Faces whose corners are all attached are constrained to the motion of the prim.  A finite stiffness
+k [mass / second^2] and damping c [mass / second] give each point p a spring and a damper to its
+target y, of force k (y - p) + c (dy/dt - dp/dt).  These are the units of Omniverse's schema.  The
 proposal (OpenUSD-proposals 111, June 2026) has the same damping, and a stiffness of force / area,
-which no constraint of two points has: it is read as force / length.  As there, damping counts where
-the stiffness is finite only.  What attaches other things is left alone with a note.
+which is not defined for a pair of points: it is read as force / length.  As in the proposal,
+damping applies only where the stiffness is finite.  Attachments of other types are skipped with a
+note.
 
-Places may have time samples.  A bake with `--tets` writes attachments of its tetrahedra, which
-other simulators read; gaussianFlesh:pin is then the region of the mesh that they stand for, held by
-the bake of a stage that has them.
+Targets may have time samples.  A bake with `--tets` writes attachments of its tetrahedra for other
+simulators; their attribute gaussianFlesh:pin names the region of the mesh that they represent,
+which is pinned when that stage is baked again.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import read_surface
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
-from gf_usd.readers.usd_physics.attributes import authored, refuse, switch
+from gf_usd.readers.usd_physics.attributes import authored, invalid_value, switch
 from gf_usd.readers.usd_physics.motion import Readings, matrix, transform_varies
 
 T = TypeVar("T")
 
 AOUSD, OMNI = "PhysicsAttachment", "OmniPhysicsVtxXformAttachment"
-# by type of prim: prefix of its attributes, and names of the points' and the places' arrays
+# by prim type: prefix of its attributes, and names of the arrays of points and of targets
 KINDS = {
     AOUSD: ("physics:", "indices0", "coords1"),
     OMNI: ("omniphysics:", "vtxIndicesSrc0", "localPositionsSrc1"),
@@ -53,7 +54,7 @@ KINDS = {
 ENABLED, STIFFNESS, DAMPING = "attachmentEnabled", "stiffness", "damping"
 PIN, ANCHORS = "gaussianFlesh:pin", "gaussianFlesh:anchors"
 MESHES = "gaussianFlesh:sourceMeshes"
-APART = 1e-3  # of the body: farther apart than this, attached points are not where they are held
+APART = 1e-3  # of the body's size: distance of points from their targets that is noted
 
 
 def attachments_of(
@@ -64,10 +65,10 @@ def attachments_of(
     *,
     file: Path,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Paths of the enabled attachments that hold points of the bodies, and of those that draw them
-    by springs; notes on the others.
+    """Paths of the enabled attachments of the bodies: constraints, and springs; notes on others.
 
-    file : for messages.  Raises InputError for a stiffness or a damping below 0, or not a number.
+    file : for messages.  Raises InputError for a negative stiffness or damping, or one that is not
+    a number.
     """
     found: list[str] = []
     soft: list[str] = []
@@ -104,20 +105,20 @@ def attachments_of(
 
 
 def _concerns(prim: Usd.Prim, bodies: Sequence[str]) -> bool:
-    """Whether what a bake wrote is about one of the bodies."""
+    """Whether an attachment written by a bake is of one of the bodies."""
     relation = prim.GetRelationship(MESHES)
     meshes = {str(path) for path in relation.GetForwardedTargets()} if relation else set()
     return not meshes or bool(meshes & set(bodies))
 
 
 def _constant(file: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float | None:
-    """A stiffness or a damping, stage units; None where it is not authored."""
+    """A stiffness or damping, stage units; None where it is not authored."""
     value = authored(prim, _name(prim, name), time)
     if value is None:
         return None
     finite = name == STIFFNESS or value != np.inf
     if not isinstance(value, float | int) or not value >= 0.0 or not finite:
-        raise refuse(file, prim, _name(prim, name), value, "author a number of 0 or more")
+        raise invalid_value(file, prim, _name(prim, name), value, "author a number of 0 or more")
     return float(value)
 
 
@@ -129,10 +130,10 @@ def read_attachments(
     rest: float | None,
     times: Sequence[float],
 ) -> tuple[tuple[Region, ...], tuple[str, ...]]:
-    """The regions that attachments of points hold, and notes; arguments as of `read_physics`.
+    """The regions that attachments constrain, and notes; arguments as of `read_physics`.
 
-    Raises InputError for arrays that do not fit each other or the mesh, and for a source that is
-    not there.
+    Raises InputError for arrays of inconsistent lengths, indices that are not points of the mesh,
+    and a missing source.
     """
     notes = Notes()
     regions = _each(
@@ -149,7 +150,7 @@ def _each(
     rest: float | None,
     read: Callable[[Usd.Prim, Readings, Usd.TimeCode], T],
 ) -> list[T]:
-    """What is read of each attachment; rest : time code of the rest pose."""
+    """The results of `read` for each attachment; rest : time code of the rest pose."""
     with reading(file):
         stage, readings = open_stage(file), Readings(facts)
         time = Usd.TimeCode(first_time_code(facts, rest))
@@ -161,8 +162,8 @@ class WrittenPin:
     """A pin that an earlier bake wrote as an attachment."""
 
     name: str  # prim path of the attachment
-    region: str  # as --pin names it
-    path: Floats  # (F, n, 3) [m] places in the region at each frame; F = 1: they stay
+    region: str  # in the syntax of --pin
+    path: Floats  # (F, n, 3) [m] positions of the targets at each frame; F = 1: constant
 
 
 def read_written_pins(
@@ -173,24 +174,24 @@ def read_written_pins(
     rest: float | None,
     times: Sequence[float],
 ) -> tuple[WrittenPin, ...]:
-    """Those of the attachments that say which pin they stand for; arguments and errors as of
-    `read_attachments`.
-    """
+    """The attachments with gaussianFlesh:pin; arguments and errors as of `read_attachments`."""
 
     def read(prim: Usd.Prim, readings: Readings, time: Usd.TimeCode) -> WrittenPin | None:
         region = authored(prim, PIN, time)
         if region is None:
             return None
         if not isinstance(region, str) or not region:
-            raise refuse(
+            raise invalid_value(
                 facts.path, prim, PIN, region, "author a region in the form that --pin accepts"
             )
         if region.startswith("/") and not prim.GetStage().GetPrimAtPath(region):
-            raise refuse(facts.path, prim, PIN, region, "author the path of an existing prim")
+            raise invalid_value(
+                facts.path, prim, PIN, region, "author the path of an existing prim"
+            )
         said = authored(prim, ANCHORS, time) is not None
-        places = _Places(prim, readings, ANCHORS if said else "")
+        places = _Targets(prim, readings, ANCHORS if said else "")
         if not places.at(time).size:
-            raise refuse(
+            raise invalid_value(
                 facts.path, prim, places.name, [], "author the positions that are held, or bake"
                 " the asset again with --pin and --tets",
             )  # fmt: skip
@@ -201,12 +202,12 @@ def read_written_pins(
 
 @dataclass(frozen=True, kw_only=True)
 class SoftAttachment:
-    """Points of a mesh on springs."""
+    """Points of a mesh that are attached by springs."""
 
     body: str  # prim path of the mesh
     points: Ints  # (n,) of the mesh
     X: Floats  # (n, 3) [m] at rest, world
-    path: Floats  # (F, n, 3) [m] of their places; F = 1: they stay
+    path: Floats  # (F, n, 3) [m] positions of the targets; F = 1: constant
     stiffness: float  # [N/m] of each
     damping: float  # [N s/m] of each
 
@@ -237,12 +238,12 @@ def read_soft_attachments(
 
 
 def _name(prim: Usd.Prim, name: str) -> str:
-    """An attribute's name on this type of attachment."""
+    """The full name of an attribute for the prim's attachment type."""
     return KINDS[str(prim.GetTypeName())][0] + name
 
 
 def _source(prim: Usd.Prim, name: str) -> str:
-    """The path that a relationship names; empty where it names none, or several."""
+    """The target of a relationship; "" where it has none, or several."""
     relation = prim.GetRelationship(_name(prim, name))
     targets = relation.GetForwardedTargets() if relation else []
     return str(targets[0]) if len(targets) == 1 else ""
@@ -279,11 +280,11 @@ def _region(
     )
 
 
-class _Places:
-    """The places of an attachment, in the frame of its other prim, over time.
+class _Targets:
+    """The target positions of an attachment over time.
 
     name : of the attribute; "": that of the attachment's type.
-    Raises InputError where there is no such prim.
+    Raises InputError where the prim that they are relative to does not exist.
     """
 
     def __init__(self, prim: Usd.Prim, readings: Readings, name: str = "") -> None:
@@ -294,14 +295,14 @@ class _Places:
         self._where = f"{facts.path}: <{prim.GetPath()}>"
 
     def at(self, time: Usd.TimeCode) -> NDArray[np.float64]:
-        """(n, 3) in the frame of the other prim, stage units."""
+        """(n, 3) in the frame of the target prim, stage units."""
         value = authored(self._prim, self.name, time)
         return np.asarray([] if value is None else value, np.float64).reshape(-1, 3)
 
     def over(self, rest: Usd.TimeCode, times: Sequence[float]) -> NDArray[np.float64]:
-        """(F, n, 3) [m] world at time codes; F = 1 where they stay.
+        """(F, n, 3) [m] world positions at time codes; F = 1 where they are constant.
 
-        Raises InputError for a number of places that changes from that at rest.
+        Raises InputError for a number of positions that varies over time.
         """
         attribute = self._prim.GetAttribute(self.name)
         moves = transform_varies(self._carrier) or attribute.ValueMightBeTimeVarying()
@@ -323,17 +324,17 @@ class _Places:
 
 def _attached(
     prim: Usd.Prim, readings: Readings, time: Usd.TimeCode
-) -> tuple[Surface, Ints, _Places]:
-    """The mesh, its attached points (n,), and their places.
+) -> tuple[Surface, Ints, _Targets]:
+    """The mesh, its attached points (n,), and their targets.
 
-    Raises InputError where they do not fit each other.
+    Raises InputError where they are inconsistent.
     """
     facts, stage = readings.facts, prim.GetStage()
     where = f"{facts.path}: <{prim.GetPath()}>"
     body = named_prim(stage, facts.path, _source(prim, "src0"))
     surface = read_surface(body, readings.at(time))
     _, of, name = KINDS[str(prim.GetTypeName())]
-    places = _Places(prim, readings)
+    places = _Targets(prim, readings)
     indices = np.asarray(_array(prim, of, time), np.int64).reshape(-1)
     coords = places.at(time)
     if len(coords) != len(indices) or not len(indices):
@@ -356,6 +357,6 @@ def _array(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats:
 
 
 def _rows(indices: Ints, used: Ints) -> Ints:
-    """Where each used point stands among the indices; the first of several."""
+    """The first row in `indices` of each used point."""
     order = np.argsort(indices, kind="stable")
     return order[np.searchsorted(indices[order], used)]

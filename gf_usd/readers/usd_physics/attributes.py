@@ -1,7 +1,4 @@
-"""Attributes of physics as checked numbers.
-
-What UsdPhysics does with a prim: nothing, hold it, follow its animation, or let it fall.
-"""
+"""Validated values of physics attributes, and the role of a prim in UsdPhysics."""
 
 from __future__ import annotations
 
@@ -24,40 +21,40 @@ def authored(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
 
 
 def number(path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float | None:
-    """An authored number that is 0 or more; None where none is.
+    """An authored non-negative number; None where none is authored.
 
-    path : the file, for messages.  Raises InputError for anything else.
+    path : the file, for messages.  Raises InputError for any other value.
     """
     value = authored(prim, name, time)
     if value is None:
         return None
     if not isinstance(value, float | int) or not 0.0 <= value < np.inf:
-        raise refuse(path, prim, name, value, "author a number of 0 or more (0: not stated)")
+        raise invalid_value(path, prim, name, value, "author a number of 0 or more (0: not stated)")
     return float(value)
 
 
 def count(path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> int | None:
-    """An authored whole number, 0 or more; None where none is.  Raises InputError for another."""
+    """An authored non-negative integer; None where none is authored.  Errors as `number`."""
     value = authored(prim, name, time)
     if value is not None and not (isinstance(value, int) and value >= 0):
-        raise refuse(path, prim, name, value, "author an integer of 0 or more")
+        raise invalid_value(path, prim, name, value, "author an integer of 0 or more")
     return value
 
 
 def flag(path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> bool | None:
-    """An authored truth; None where there is none.  Raises InputError for what is no bool."""
+    """An authored bool; None where none is authored.  Raises InputError for another type."""
     value = authored(prim, name, time)
     if value is not None and not isinstance(value, bool):
-        raise refuse(path, prim, name, value, "author it as a bool")
+        raise invalid_value(path, prim, name, value, "author it as a bool")
     return value
 
 
 def word(
     path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode, known: Collection[str]
 ) -> str | None:
-    """An authored token, one of those known; None where there is none.
+    """An authored token, one of `known`; None where none is authored.
 
-    Raises InputError for another, with the nearest in the hint.
+    Raises InputError for any other, with a similar one in the hint.
     """
     value = authored(prim, name, time)
     if value is None or (isinstance(value, str) and value in known):
@@ -65,7 +62,7 @@ def word(
     close = difflib.get_close_matches(str(value), known, n=1)
     guess = f"did you mean {close[0]}? " if close else ""
     shown = ", ".join(one for one in known if one)
-    raise refuse(path, prim, name, value, f"{guess}author one of {shown}")
+    raise invalid_value(path, prim, name, value, f"{guess}author one of {shown}")
 
 
 def vector(
@@ -76,9 +73,9 @@ def vector(
     *,
     unstated: float | None = None,
 ) -> Floats | None:
-    """An authored vector (3,), finite; None where none is, or all three say `unstated`.
+    """An authored finite vector (3,); None where none is authored, or all three are `unstated`.
 
-    Raises InputError for another.
+    Raises InputError for any other value.
     """
     value = authored(prim, name, time)
     if value is None:
@@ -90,12 +87,12 @@ def vector(
     if unstated is not None and made.shape == (3,) and (made == unstated).all():
         return None
     if made.shape != (3,) or not np.isfinite(made).all():
-        raise refuse(path, prim, name, value, "author three finite numbers")
+        raise invalid_value(path, prim, name, value, "author three finite numbers")
     return made
 
 
 def require_constant(path: Path, attribute: Usd.Attribute) -> None:
-    """Raise InputError where the time samples of a mass or a density differ.
+    """Raise InputError where a mass or a density varies over time.
 
     path : the file, for messages.
     """
@@ -114,15 +111,15 @@ def require_constant(path: Path, attribute: Usd.Attribute) -> None:
     )
 
 
-def refuse(path: Path, prim: Usd.Prim, name: str, value: object, hint: str) -> InputError:
-    """The error for a value that makes no sense."""
+def invalid_value(path: Path, prim: Usd.Prim, name: str, value: object, hint: str) -> InputError:
+    """The error for an invalid value."""
     shown = f"{value:g}" if isinstance(value, float) else repr(value)
     return InputError(f"{path}: <{prim.GetPath()}>: {name} is {shown}", hint)
 
 
 RIGID_BODY = "PhysicsRigidBodyAPI"
-# The AOUSD proposal's and Omniverse's, with the attributes that switch each on and make it follow
-# its animation: usd-core defines neither schema.
+# Of the AOUSD proposal and of Omniverse, which usd-core does not define, with the attributes that
+# enable the body and make it kinematic.
 SOFT_BODIES = {
     "PhysicsDeformableBodyAPI": ("physics:bodyEnabled", "physics:kinematicEnabled"),
     "OmniPhysicsDeformableBodyAPI": (
@@ -135,19 +132,19 @@ COLLISION = "PhysicsCollisionAPI"
 
 
 def apis(prim: Usd.Prim) -> set[str]:
-    """Names of the applied API schemas, also of those that this USD has no definition of."""
+    """Names of the applied API schemas, including those without a definition in this USD."""
     return {*prim.GetAppliedSchemas(), *prim.GetPrimTypeInfo().GetAppliedAPISchemas()}
 
 
 def switch(prim: Usd.Prim, name: str, time: Usd.TimeCode, *, otherwise: bool) -> bool:
-    """A boolean attribute's value."""
+    """The value of a boolean attribute; `otherwise` where it is not authored."""
     attribute = prim.GetAttribute(name)
     value = attribute.Get(time) if attribute else None
     return otherwise if value is None else bool(value)
 
 
 def body_of(prim: Usd.Prim, time: Usd.TimeCode) -> Usd.Prim | None:
-    """The prim, or the nearest above it, that is an enabled rigid or deformable body."""
+    """The prim or its nearest ancestor that is an enabled rigid or deformable body."""
     above = prim
     while above and not above.IsPseudoRoot():
         for api in apis(above) & BODIES.keys():
@@ -165,8 +162,8 @@ def is_collider(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 
 
 def role(prim: Usd.Prim, time: Usd.TimeCode) -> str:
-    """dynamic: part of a body that forces move; kinematic: of one that follows its animation;
-    static: a collider without a body; "": none of them.
+    """Role of a prim: "dynamic" or "kinematic" (part of such a body), "static" (a collider without
+    a body), or "".
     """
     body = body_of(prim, time)
     if body is None:

@@ -1,8 +1,6 @@
-"""UsdPhysics of a baked prim: mass, density, initial velocities, material.
+"""UsdPhysics properties of a baked prim: mass, density, initial velocities, bound materials.
 
-Physics materials as bound: what they say of a prim.
-
-GeomSubsets that have a physics material of their own inside one mesh.
+GeomSubsets of a mesh may be bound to other physics materials (`read_subsets`).
 """
 
 from __future__ import annotations
@@ -43,8 +41,8 @@ from gf_usd.readers.usd_physics.attributes import (
 from gf_usd.readers.usd_physics.materials import read_material_spec
 from gf_usd.readers.usd_physics.motion import (
     Readings,
-    is_carried_on,
     matrix,
+    moves_after,
     velocity_at_rest,
 )
 
@@ -64,12 +62,13 @@ def read_body(
     step: float,
     notes: Notes,
 ) -> BodyPhysics:
-    """What is said of one baked mesh or implicit shape.
+    """The physics properties of one baked mesh or implicit shape.
 
-    time : of the rest pose, and rest the same as a number (None: before any sample); step : time
-    codes of one frame; materials : None: what is bound is not read.
+    materials : None: bound materials are not read.
+    time, rest : time code of the rest pose, as Usd.TimeCode and as number; None: before any sample.
+    step : time codes per frame.
 
-    Raises InputError for values that make no sense.
+    Raises InputError for invalid values.
     """
     facts, here = readings.facts, readings.at(time)
     owner = body_of(prim, time)
@@ -91,7 +90,7 @@ def read_body(
         angular_velocity=spin,
         center=_center(owner or prim, here),
         moving=velocity_at_rest(prim, readings, rest, step, notes),
-        carried=is_carried_on(prim, time),
+        carried=moves_after(prim, time),
         spec=spec,
         material=materials.whole(spec, density) if materials else None,
         subsets=read_subsets(prim, facts, time, materials, density, notes) if materials else (),
@@ -99,7 +98,7 @@ def read_body(
 
 
 def _chain(prim: Usd.Prim, owner: Usd.Prim | None, time: Usd.TimeCode) -> list[Usd.Prim]:
-    """From the body prim down to the prim, those whose statement of mass takes effect."""
+    """The prims from the body down to `prim` whose PhysicsMassAPI takes effect."""
     found, above = [], prim
     while above and not above.IsPseudoRoot():
         found.append(above)
@@ -110,7 +109,7 @@ def _chain(prim: Usd.Prim, owner: Usd.Prim | None, time: Usd.TimeCode) -> list[U
 
 
 def _mass_counts(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    """Whether a prim may state a mass: not as a body or collider that is switched off."""
+    """Whether the mass of a prim counts: not that of a disabled body or collider."""
     mine = apis(prim)
     bodies = mine & BODIES.keys()
     if not (MASS in mine or bodies):
@@ -122,7 +121,7 @@ def _mass_counts(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 def _mass(
     prim: Usd.Prim, owner: Usd.Prim | None, here: Reading, units: StageUnits, notes: Notes
 ) -> tuple[float | None, str]:
-    """[kg] and the prim that says so; a prim above goes before those below it."""
+    """Mass [kg] and the path of its prim; an ancestor takes precedence over its descendants."""
     for one in _chain(prim, owner, here.time):
         for name in MASSES:
             value = number(here.path, one, name, here.time)
@@ -140,7 +139,7 @@ def _mass(
 def _density(
     prim: Usd.Prim, owner: Usd.Prim | None, here: Reading, units: StageUnits
 ) -> float | None:
-    """[kg/m^3]; the prim nearest to the mesh goes first."""
+    """Density [kg/m^3] of the prim nearest to the mesh."""
     for one in reversed(_chain(prim, owner, here.time)):
         value = number(here.path, one, DENSITY, here.time)
         require_constant(here.path, one.GetAttribute(DENSITY))
@@ -152,10 +151,10 @@ def _density(
 def _rigid_velocity(
     owner: Usd.Prim | None, what: str, here: Reading
 ) -> tuple[Triple | None, Triple | None]:
-    """[m/s] and [rad/s] in the world; None where zero.
+    """Velocity [m/s] and angular velocity [rad/s] in world space; None where zero.
 
-    They are authored in the body's own frame; Newton's importer turns them by its rotation,
-    without its scale, and so are they here.  In a mirrored frame the spin turns the other way.
+    They are authored in the body's local space and are rotated, but not scaled, to world space, as
+    in Newton's importer.  A reflection reverses the angular velocity.
     """
     if owner is None or what == "kinematic" or RIGID_BODY not in apis(owner):
         return None, None
@@ -170,7 +169,7 @@ def _rigid_velocity(
 
 
 def _center(prim: Usd.Prim, here: Reading) -> Triple | None:
-    """(3,) [m] of mass, world; None where it is not authored."""
+    """(3,) [m] center of mass, world; None where it is not authored."""
     if MASS not in apis(prim):
         return None
     local = vector(here.path, prim, CENTER, here.time, unstated=-np.inf)
@@ -182,13 +181,13 @@ def _center(prim: Usd.Prim, here: Reading) -> Triple | None:
 
 
 def _moving(values: Floats) -> Triple | None:
-    """Three numbers; None where all are 0, by which nothing is said."""
+    """The values as a triple; None where all are 0, the schema's fallback."""
     return triple(values) if np.any(values) else None
 
 
 PURPOSE = "physics"
-CONTACT_VALUES = ("staticFriction", "dynamicFriction", "restitution")  # what counts of an obstacle
-# Materials that have moduli: of the AOUSD proposal by its earlier and later name, and Omniverse's.
+CONTACT_VALUES = ("staticFriction", "dynamicFriction", "restitution")  # values of an obstacle
+# Material APIs with elastic moduli: the AOUSD proposal's earlier and later names, and Omniverse's.
 DEFORMABLE = {
     "PhysicsDeformableMaterialAPI",
     "PhysicsVolumeDeformableMaterialAPI",
@@ -197,18 +196,18 @@ DEFORMABLE = {
 
 
 class PhysicsMaterials:
-    """The physics materials of a stage at one time, each read once."""
+    """The physics materials of a stage at one time, cached."""
 
     def __init__(self, facts: StageFacts, time: Usd.TimeCode, notes: Notes) -> None:
         self._facts = facts
         self._time = time
         self._notes = notes
         self._words: dict[Sdf.Path, PhysicsMaterialSpec] = {}
-        self._deformable: set[str] = set()  # paths of those that could state moduli
+        self._deformable: set[str] = set()  # paths of materials with APIs in DEFORMABLE
 
     def bound(self, prim: Usd.Prim) -> PhysicsMaterialSpec:
-        """What the material says that is bound to a prim (or above it, or by a collection) for
-        physics, else for all purposes.
+        """The material bound to a prim, with inherited and collection bindings, for the purpose
+        "physics", else for all purposes.
 
         Raises InputError for values out of range.
         """
@@ -221,9 +220,9 @@ class PhysicsMaterials:
         return self._words[path]
 
     def whole(self, spec: PhysicsMaterialSpec, density: float | None = None) -> Material | None:
-        """The material that the words make; None where they say nothing of elasticity.
+        """The complete material of a spec; None where it has no elastic moduli.
 
-        density : [kg/m^3] that goes before the material's, so that it needs none of its own.
+        density : [kg/m^3] which takes precedence over that of the material.
         """
         if not spec.elastic and spec.path in self._deformable:
             self._notes.add(
@@ -237,7 +236,7 @@ class PhysicsMaterials:
         return spec.whole()
 
     def note_keys(self, spec: PhysicsMaterialSpec, stage: Usd.Stage) -> None:
-        """Note what of an obstacle's material has time samples: it is not followed."""
+        """Add a note on time samples of an obstacle's material, which are ignored."""
         prim = stage.GetPrimAtPath(spec.path) if spec.path else None
         for attribute in prim.GetAuthoredAttributes() if prim else ():
             if attribute.GetBaseName() in CONTACT_VALUES and attribute.GetNumTimeSamples() > 1:
@@ -271,11 +270,11 @@ def read_subsets(
     density: float | None,
     notes: Notes,
 ) -> tuple[SubsetMaterial, ...]:
-    """The subsets of faces, family materialBind, whose physics material differs from the mesh's.
+    """The face subsets (family materialBind) whose physics material differs from the mesh's.
 
-    density : [kg/m^3] of the mesh's PhysicsMassAPI.  A face in two of them belongs to the first.
+    density : [kg/m^3] of the mesh's PhysicsMassAPI.  A face in two subsets belongs to the first.
 
-    Raises InputError for indices that are no faces of the mesh.
+    Raises InputError for indices that are not faces of the mesh.
     """
     if not mesh.IsA(UsdGeom.Mesh):
         for subset in UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets():
@@ -291,7 +290,7 @@ def read_subsets(
         prim = subset.GetPrim()
         spec = materials.bound(prim)
         if spec.path == whole.path or spec == PhysicsMaterialSpec(path=spec.path):
-            continue  # the mesh's own, or a look without a word of physics
+            continue  # the mesh's own, or a render material without physics
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             notes.add(
                 "is not a subset of faces: its physics material is ignored", str(prim.GetPath())
@@ -311,7 +310,7 @@ def read_subsets(
 
 
 def _faces(subset: UsdGeom.Subset, facts: StageFacts, time: Usd.TimeCode, n_faces: int) -> Ints:
-    """(n,) faces in order, each once."""
+    """(n,) the faces of a subset, ascending and unique."""
     indices = np.asarray(subset.GetIndicesAttr().Get(time) or [], dtype=np.int64)
     outside = (indices < 0) | (indices >= n_faces)
     if outside.any():

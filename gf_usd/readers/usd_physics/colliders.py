@@ -1,7 +1,4 @@
-"""The obstacles of a stage and their motion.
-
-The surface that stands for a collider: its own, its hull, a box, a ball or a plane.
-"""
+"""Colliders of a stage: their collision shapes (physics:approximation) and their motion."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from gf_usd.core.stage import Collider
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT
 from gf_usd.readers.usd.mesh import Reading, posed_points, read_surface
-from gf_usd.readers.usd.stage import LeftAlone, Placement
+from gf_usd.readers.usd.stage import Placement, SkippedPrim
 from gf_usd.readers.usd_physics.attributes import body_of, is_collider, number, role, word
 from gf_usd.readers.usd_physics.bodies import PhysicsMaterials
 from gf_usd.readers.usd_physics.motion import (
@@ -34,10 +31,10 @@ from gf_usd.readers.usd_physics.motion import (
 def obstacles(
     prims: Iterable[Usd.Prim], bodies: Sequence[Usd.Prim], time: Usd.TimeCode, notes: Notes
 ) -> tuple[list[Usd.Prim], list[Usd.Prim]]:
-    """Enabled colliders that stand in the way, and those that stand for a baked body itself.
+    """Enabled colliders, separated into obstacles and those of baked bodies.
 
-    A collider stands for a body if it is baked, lies under a prim that is, or belongs to the same
-    rigid or deformable body.
+    A collider belongs to a baked body if it is baked, is a descendant of a baked prim, or is part
+    of the same rigid or deformable body.
     """
     baked = [prim.GetPath() for prim in bodies]
     owners = {owner.GetPath() for prim in bodies if (owner := body_of(prim, time))}
@@ -69,9 +66,9 @@ def read_colliders(
     times: Sequence[float],
     notes: Notes,
 ) -> tuple[Collider, ...]:
-    """The colliders that `prims` are, at the frames' time codes `times`.
+    """The colliders of `prims`, with their motion at the time codes `times` of the frames.
 
-    Raises InputError for broken meshes, values and transforms.
+    Raises InputError for invalid meshes, values and transforms.
     """
     shapes = _shapes(prims, facts, time, notes)
     reading = bare_reading(facts, time)
@@ -118,7 +115,7 @@ def _shapes(
             continue
         try:
             found.append(read_shape(prim, reading, notes))
-        except LeftAlone as reason:
+        except SkippedPrim as reason:
             notes.add(f"does not collide: {reason}", _name(prim))
     return found
 
@@ -130,8 +127,8 @@ def _follow(
     times: Sequence[float],
     notes: Notes,
 ) -> list[tuple[list[Floats], Floats | None]]:
-    """For each shape the (4, 4) matrices of the frames, none where it stays, or (F, V, 3) [m] where
-    its points move by themselves: a skinned mesh does not follow its own transform."""
+    """The motion of each shape: (4, 4) matrices of the frames, empty where it is static; or
+    (F, V, 3) [m] points where they are animated (a skinned mesh ignores its own transform)."""
     reading = bare_reading(facts, time)
     changing = {
         k for k, s in enumerate(shapes) if s.kind == "mesh" and shape_varies(s.prim, reading)
@@ -166,9 +163,9 @@ def _follow(
 
 
 def _condensed(frames: Sequence[Floats], at_rest: Floats) -> Floats | None:
-    """(F, V, 3) of points that do move; one frame where all are alike, None where as at rest.
+    """(F, V, 3) animated points; F = 1 where all frames are equal.
 
-    None too where no frame was asked for.
+    None where they equal the rest pose, and where there are no frames.
     """
     if not frames:
         return None
@@ -179,7 +176,7 @@ def _condensed(frames: Sequence[Floats], at_rest: Floats) -> Floats | None:
 
 
 def without_instancers(stage: Usd.Stage, notes: Notes) -> list[Usd.Prim]:
-    """Every prim of a stage, instances seen as prims; what a PointInstancer repeats is left out."""
+    """All prims of a stage, with instance proxies, without the prototypes of PointInstancers."""
     found: list[Usd.Prim] = []
     walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for prim in walk:
@@ -191,7 +188,7 @@ def without_instancers(stage: Usd.Stage, notes: Notes) -> list[Usd.Prim]:
 
 
 def _note_instancer(prim: Usd.Prim, notes: Notes) -> None:
-    """Say so where an instancer repeats colliders."""
+    """Add a note where a PointInstancer has colliders, which are skipped."""
     time = Usd.TimeCode.Default()
     targets = UsdGeom.PointInstancer(prim).GetPrototypesRel().GetForwardedTargets()
     roots = [prim, *(prim.GetStage().GetPrimAtPath(Sdf.Path(target)) for target in targets)]
@@ -223,22 +220,22 @@ BOX = np.array(
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A collider posed at rest, world, and how it follows its prim."""
+    """A collision shape in the rest pose, world space."""
 
     prim: Usd.Prim
     kind: str  # mesh | plane
     points: Floats  # (V, 3) [m]
-    triangles: Ints  # (T, 3), outward
+    triangles: Ints  # (T, 3), outward-facing
     approximation: str
-    n_points: int  # of the prim's own surface
-    carriers: Ints | None  # (V,) the own points these are; None: they only follow the transform
+    n_points: int  # of the prim's surface
+    carriers: Ints | None  # (V,) index in the prim's points; None: moved by its transform only
 
 
 def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
-    """The collider that UsdPhysics makes of a mesh or an implicit shape.
+    """The collision shape of a mesh or an implicit shape, by its physics:approximation.
 
-    Raises InputError for broken meshes and approximations that are none, LeftAlone for a prim
-    without a surface.
+    Raises InputError for invalid meshes and approximations, and SkippedPrim for a prim without a
+    surface.
     """
     if prim.IsA(UsdGeom.Plane):
         points = _plane(prim, reading)
@@ -246,7 +243,7 @@ def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
             prim=prim, kind="plane", points=points, triangles=np.array([(0, 1, 2), (0, 2, 3)]),
             approximation="none", n_points=4, carriers=None,
         )  # fmt: skip
-    Placement.of(reading.xforms.GetLocalToWorldTransform(prim))  # also where a skeleton poses it
+    Placement.of(reading.xforms.GetLocalToWorldTransform(prim))  # validation, also of skinned ones
     surface = read_surface(prim, reading)
     points, triangles = np.asarray(surface.points, np.float64), surface.triangles
     carriers = np.arange(len(points))
@@ -298,13 +295,13 @@ def _hull(points: Floats) -> tuple[Ints, Ints] | None:
 
 
 def _own_box(points: Floats, rows: Floats, unit: float) -> tuple[Floats, Floats]:
-    """Low and high corner (3,) of world points [m] along the prim's own axes, in its space."""
+    """Low and high corner (3,) of the bounding box of world points [m], in local space."""
     local = (points / unit - rows[3, :3]) @ np.linalg.inv(rows[:3, :3])
     return local.min(0), local.max(0)
 
 
 def _box(points: Floats, prim: Usd.Prim, reading: Reading) -> tuple[Floats, Ints]:
-    """The box around the points along the prim's own axes."""
+    """The bounding box of the points along the prim's local axes."""
     rows, unit = matrix(prim, reading), reading.meters_per_unit
     low, high = _own_box(points, rows, unit)
     corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
@@ -314,7 +311,7 @@ def _box(points: Floats, prim: Usd.Prim, reading: Reading) -> tuple[Floats, Ints
 
 
 def _ball(points: Floats, prim: Usd.Prim, reading: Reading) -> tuple[Floats, Ints]:
-    """The ball around the points, its center that of the box around them."""
+    """The bounding sphere about the center of the points' local bounding box."""
     from trimesh.creation import icosphere
 
     rows, unit = matrix(prim, reading), reading.meters_per_unit
@@ -325,12 +322,12 @@ def _ball(points: Floats, prim: Usd.Prim, reading: Reading) -> tuple[Floats, Int
 
 
 def _plane(prim: Usd.Prim, reading: Reading) -> NDArray[np.float64]:
-    """Corners (4, 3) [m] of the drawn part, counter-clockwise seen from the axis."""
+    """Corners (4, 3) [m] of the rendered part of a plane, counter-clockwise seen from its axis."""
     path, time = reading.path, reading.time
     axis = "XYZ".index(word(path, prim, "axis", time, ("X", "Y", "Z")) or "Z")
-    # USD's fallback where none is stated; only the picture has an end, the plane has none.
+    # USD's fallback sizes; they bound the rendered part only, the collision plane is infinite.
     width, length = (0.5 * (number(path, prim, name, time) or 2.0) for name in ("width", "length"))
-    # USD's sizes along the two axes that follow `axis` in a cycle.
+    # width and length are along the two axes that follow `axis` cyclically
     along = {0: (length, width), 1: (length, width), 2: (width, length)}[axis]
     corners = np.zeros((4, 3))
     corners[:, (axis + 1) % 3] = np.array([-1.0, 1.0, 1.0, -1.0]) * along[0]

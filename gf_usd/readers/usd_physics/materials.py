@@ -1,9 +1,9 @@
-"""What a physics material says, by the names that the field uses, in SI.
+"""Values of a physics material in SI units, from the attributes of several schemas.
 
 Moduli, density and friction are read in this order: UsdPhysics and the AOUSD proposal for
-deformables (``physics:``), Newton (``newton:mpm:``), Omniverse (``omniphysics:``).  All are in the
-stage's own units: E[Pa] = E * kilogramsPerUnit / metersPerUnit.  Only what is authored counts: a
-schema's fallback is nobody's word.
+deformables (``physics:``), Newton (``newton:mpm:``), Omniverse (``omniphysics:``).  All are in
+stage units: E [Pa] = E * kilogramsPerUnit / metersPerUnit.  Only authored values are used, not the
+fallbacks of schemas.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from gf_usd.core.units import StageUnits
 PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
 OURS = "gaussianFlesh:"
 POISSON = 0.3  # the fallback of our schema, of Newton's and of the AOUSD proposal
-INCOMPRESSIBLE = 0.47  # what a displacement method carries without locking
+INCOMPRESSIBLE = 0.47  # replaces 0.5: the greatest ratio without volumetric locking
 
 
 Authored = Callable[[str], Any]  # attribute name -> its authored value, None where there is none
-Assume = Callable[[str], None]  # told, in words, what had to be assumed
+Assume = Callable[[str], None]  # called with notes on assumptions
 
 
 def read_material_spec(
@@ -37,15 +37,14 @@ def read_material_spec(
     assume: Assume | None = None,
     say: Assume | None = None,
 ) -> PhysicsMaterialSpec:
-    """What the Material prim at `path` says.
+    """The values of the Material prim at `path`.
 
     where : file and prim, for messages.
-    assume : without it a Young's modulus needs a Poisson's ratio next to it, and both values that
-        the vocabularies give a meaning of their own (0 or -inf: not stated; 0.5: incompressible)
-        and missing ones are refused.  With it they are settled, and it is told how.
-    say : is told how Newton's words on flow are read; None: `assume` is.
+    assume : called with a note where a value is assumed: a Poisson's ratio that is missing, 0 or
+        -inf (not stated) or 0.5 (incompressible).  None: InputError is raised for these.
+    say : called with notes on how Newton's plasticity parameters are converted; None: as `assume`.
 
-    Raises InputError for a value that is not a number in its range, or a law that is none.
+    Raises InputError for a value that is not a number in its range, and for an unknown law.
     """
     lenient = assume is not None
     young = _number(authored, "youngsModulus", where, unstated=lenient)
@@ -75,7 +74,7 @@ def read_material_spec(
 
 
 def states_modulus(authored: Authored) -> bool:
-    """Whether a Young's modulus is authored, whatever its value."""
+    """Whether a Young's modulus is authored."""
     return any(authored(prefix + "youngsModulus") is not None for prefix in PREFIXES)
 
 
@@ -93,7 +92,7 @@ def _poissons_ratio(authored: Authored, where: str, assume: Assume | None) -> fl
 
 
 def _parameters(authored: Authored, where: str, units: StageUnits) -> dict[str, float]:
-    """What is authored of any law's own parameters, in SI."""
+    """The authored parameters of constitutive laws, in SI."""
     out = {}
     for one in law_parameters():
         value = _float(authored(OURS + one.attribute), OURS + one.attribute, where)
@@ -104,12 +103,12 @@ def _parameters(authored: Authored, where: str, units: StageUnits) -> dict[str, 
     return out
 
 
-# What has no counterpart in a law, with the value at which it changes nothing.
+# Attributes without a counterpart in the laws, with the value at which they have no effect.
 UNREAD = {
     "": {"internalFriction": 0.0, newton.TENSION: 1.0, "yieldPressure": math.inf},
     newton.CRUSHABLE: {"internalFriction": 0.0, "viscosity": 0.0},
-    # Newton bounds the tension of grains by a share of the yield pressure, which is none by its
-    # fallback, ours by the tip of the cone.
+    # Newton bounds the tension of granular materials by a share of the yield pressure, which is
+    # infinite by its fallback; here the apex of the yield cone is the bound.
     newton.GRANULAR: {newton.TENSION: 0.0, "yieldPressure": math.inf, "viscosity": 0.0},
 }
 WHY = {
@@ -123,9 +122,9 @@ WHY = {
 def _newtons(
     authored: Authored, where: str, units: StageUnits, law: str | None, say: Assume | None
 ) -> dict[str, float]:
-    """Newton's terms for flow as parameters of ours, in SI; none where nothing flows by them.
+    """Newton's plasticity attributes as law parameters, in SI; empty where there is no plasticity.
 
-    See `newton`.  Internal friction makes a material granular, a yield pressure a crushable one.
+    Internal friction makes a material granular, and a yield pressure crushable.
     """
 
     def stated(name: str) -> float | None:
@@ -163,7 +162,7 @@ def _newtons(
             left.append("yieldPressure")
     if hardening := stated("hardening"):
         if kind == newton.CRUSHABLE:
-            # exp(h (1 - J)) of the yield stress, to first order in the volume that is lost
+            # yield stress times exp(h (1 - J)), to first order in the volumetric compression
             out["hardening"] = positive("hardening", hardening * out["yield_stress"])
         else:
             left.append("hardening")
@@ -180,7 +179,7 @@ def _newtons(
 def _crushable(
     stated: Callable[[str], float | None], positive: Callable[..., float], units: StageUnits
 ) -> dict[str, float]:
-    """Parameters of `crushable` by the yield pressure; none where that is out of its range."""
+    """Parameters of the law `crushable` from the yield pressure; empty where it is out of range."""
     pressure, shape = stated("yieldPressure"), LAWS[newton.CRUSHABLE].parameters[2]
     if not pressure or math.isinf(pressure):
         return {}
@@ -195,7 +194,7 @@ def _crushable(
 def _damping_time(
     authored: Authored, where: str, units: StageUnits, young: float | None
 ) -> float | None:
-    """Ours [s], else Newton's viscosity [pressure time] over Young's modulus."""
+    """[s] damping time of gaussianFlesh, else Newton's viscosity over Young's modulus."""
     tau = _float(authored(OURS + "dampingTime"), OURS + "dampingTime", where)
     viscosity = _float(authored(PREFIXES[1] + "elasticDamping"), "elasticDamping", where)
     if tau is None and viscosity is not None and young is not None:
@@ -204,7 +203,7 @@ def _damping_time(
 
 
 def _number(authored: Authored, name: str, where: str, *, unstated: bool = False) -> float | None:
-    """The first vocabulary's value; unstated: 0 and -inf leave the word to the next one."""
+    """The value of the first prefix with one; unstated: 0 and -inf count as not authored."""
     for prefix in PREFIXES:
         value = _float(authored(prefix + name), prefix + name, where)
         if value is not None and not (unstated and value in (0.0, float("-inf"))):

@@ -1,4 +1,4 @@
-"""The motion of a prim, read for physics, without shading or textures."""
+"""The animation of a prim for physics: transforms, points and velocities, without shading."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gf_usd.readers.usd.shading import BoundShading, ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured
 
-# What gives a prim its shape in its own space.
+# Attributes that define the shape of a prim in local space.
 SHAPE = (
     "points", "faceVertexCounts", "faceVertexIndices", "size", "radius", "radiusTop",
     "radiusBottom", "height", "width", "length", "axis",
@@ -25,15 +25,15 @@ SHAPE = (
 
 
 class NoShading(ShadingReader):
-    """Nothing is bound to anything: a shape is read without its colors."""
+    """A shading reader without bindings, to read shapes without colors."""
 
     def bound(self, prim: Usd.Prim) -> BoundShading | None:
-        """None."""
+        """None: no material is bound."""
         return None
 
 
 def bare_reading(facts: StageFacts, time: Usd.TimeCode) -> Reading:
-    """What reading the bare shapes of a stage needs at one time."""
+    """The context for reading shapes of a stage at one time, without shading and notes."""
     notes, xforms = Notes(), UsdGeom.XformCache(time)
     return Reading(
         path=facts.path,
@@ -47,21 +47,21 @@ def bare_reading(facts: StageFacts, time: Usd.TimeCode) -> Reading:
 
 
 class Readings:
-    """The bare readings of a few times, each made once: skeletons are resolved once for all."""
+    """Cache of `bare_reading` by time, with common skeleton bindings."""
 
     def __init__(self, facts: StageFacts) -> None:
         self.facts = facts
         self._made: dict[Usd.TimeCode, Reading] = {}
 
     def at(self, time: Usd.TimeCode) -> Reading:
-        """The reading of one time."""
+        """The context of one time."""
         if time not in self._made:
             self._made[time] = bare_reading(self.facts, time)
         return self._made[time]
 
 
 def matrix(prim: Usd.Prim, reading: Reading) -> NDArray[np.float64]:
-    """(4, 4) local-to-world of row vectors, stage units.  Raises InputError where not finite."""
+    """(4, 4) local-to-world matrix for row vectors, stage units; InputError where not finite."""
     rows = np.array(reading.xforms.GetLocalToWorldTransform(prim), dtype=np.float64)
     if not np.isfinite(rows).all():
         raise InputError(
@@ -72,7 +72,7 @@ def matrix(prim: Usd.Prim, reading: Reading) -> NDArray[np.float64]:
 
 
 def transform_varies(prim: Usd.Prim) -> bool:
-    """Whether the prim or one above it could move."""
+    """Whether the transform of the prim or an ancestor might vary over time."""
     above = prim
     while above and not above.IsPseudoRoot():
         placed = UsdGeom.Xformable(above)
@@ -82,8 +82,8 @@ def transform_varies(prim: Usd.Prim) -> bool:
     return False
 
 
-def is_carried_on(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    """Whether its transform, or one above it, moves the prim after a time."""
+def moves_after(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether the transform of the prim or an ancestor varies after a time."""
     codes: set[float] = set()
     above = prim
     while above and not above.IsPseudoRoot():
@@ -97,7 +97,7 @@ def is_carried_on(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 
 
 def shape_varies(prim: Usd.Prim, reading: Reading) -> bool:
-    """Whether the points could move by themselves, or a skeleton moves them."""
+    """Whether the local points might vary over time, or are skinned to a skeleton."""
     if prim.IsA(UsdGeom.Mesh) and reading.skins.placement(prim) is not None:
         return True
     named = (prim.GetAttribute(name) for name in SHAPE)
@@ -107,10 +107,10 @@ def shape_varies(prim: Usd.Prim, reading: Reading) -> bool:
 def relative_motion(
     at_rest: Floats, frames: Sequence[Floats], unit: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """linear (F, 3, 3) and offset (F, 3) [m] that carry points from the rest pose to each frame.
+    """The affine maps from the rest pose to each frame: linear (F, 3, 3) and offset (F, 3) [m].
 
-    at_rest, frames : (4, 4) local-to-world of row vectors, stage units of `unit` [m].  F = 1 where
-    all frames are alike.
+    at_rest, frames : (4, 4) local-to-world matrices for row vectors, stage units of `unit` [m].
+    F = 1 where all frames are equal.
     """
     if all(np.array_equal(frame, frames[0]) for frame in frames):
         frames = frames[:1]
@@ -123,11 +123,13 @@ def relative_motion(
 def velocity_at_rest(
     prim: Usd.Prim, readings: Readings, rest: float | None, step: float, notes: Notes
 ) -> Floats | None:
-    """(V, 3) [m/s of playback] of the animation that ends at the rest pose; None where none does.
+    """(V, 3) [m/s of playback] initial velocities, from the animation before the rest pose.
 
-    rest : time code of the rest pose; None: nothing is before it.  step : of one frame, in time
-    codes.  By the backward difference (x(rest) - x(rest - step)) / step of posed points; a mesh
-    that stands still there has its authored point velocities.
+    The backward difference (x(rest) - x(rest - step)) / step of the posed points; where it is 0,
+    the authored point velocities.  None where there is neither.
+
+    rest : time code of the rest pose; None: there is no animation before it.
+    step : time codes per frame.
     """
     if rest is None:
         return None
@@ -159,7 +161,7 @@ def _authored_velocities(prim: Usd.Prim, reading: Reading, notes: Notes) -> Floa
     if value is None or attribute.GetTypeName() != Sdf.ValueTypeNames.Vector3fArray:
         return None
     where, local = str(prim.GetPath()), np.asarray(value)
-    # the schema names the type, the file may author another
+    # the authored type may differ from the schema's
     if local.dtype.kind not in "fiu" or local.shape[1:] != (3,):
         notes.add("its velocities are not of type vector3f[]: ignored", where)
         return None

@@ -1,9 +1,4 @@
-"""UsdPhysics of a stage: gravity, obstacles, and the bodies that are baked.
-
-Pairs that pass through each other: filtered pairs and collision groups of UsdPhysics.
-
-Gravity of a stage, from its PhysicsScene.
-"""
+"""UsdPhysics of a stage: gravity, fields, colliders, baked bodies, and collision filtering."""
 
 from __future__ import annotations
 
@@ -26,7 +21,7 @@ from gf_usd.readers.usd_physics.attributes import (
     apis,
     authored,
     body_of,
-    refuse,
+    invalid_value,
     switch,
     vector,
 )
@@ -44,14 +39,15 @@ def read_physics(
     times: Sequence[float],
     elastic: bool = True,
 ) -> StagePhysics:
-    """What the USD file says of physics; facts.path is what messages call it.
+    """The physics of a USD file.
 
-    bodies : prim paths of the surfaces that are baked; every other enabled collider is an obstacle.
-    rest : time code of the rest pose; None: the stage's start, or 1.
+    facts : of the stage; facts.path is the file's name in messages.
+    bodies : prim paths of the baked surfaces; all other enabled colliders are obstacles.
+    rest : time code of the rest pose; None: the stage's startTimeCode, or 1.
     times : time codes of the frames.
-    elastic : False: the materials of the bodies are not read, whatever they hold.
+    elastic : False: the materials of the bodies are not read.
 
-    Raises InputError for values that make no sense, with the prim's path.
+    Raises InputError for invalid values, with the prim's path.
     """
     with reading(file):
         stage = open_stage(file)
@@ -102,7 +98,7 @@ def read_physics(
 
 
 def _stand_ins(body: Usd.Prim, own: Sequence[Usd.Prim], time: Usd.TimeCode) -> tuple[Sdf.Path, ...]:
-    """The paths by which others may name a baked surface: its own and its colliders'."""
+    """The paths that refer to a baked surface in collision filters: its own and its colliders'."""
     owner, path = body_of(body, time), body.GetPath()
     mine = [
         prim.GetPath()
@@ -142,9 +138,9 @@ def ignored_pairs(
     bodies: Mapping[str, Paths],
     colliders: Sequence[str],
 ) -> tuple[tuple[str, str], ...]:
-    """(body, body or collider) that do not collide, each pair once.
+    """Pairs (body, body or collider) that do not collide, without repetition.
 
-    bodies : path of each body and the paths that stand for it: its own and its colliders'.
+    bodies : by the path of each body, the paths that refer to it (`_stand_ins`).
     """
     pairs = [(prim.GetPath(), target) for prim in prims for target in _filtered(prim)]
     groups = _Groups(stage)
@@ -168,7 +164,7 @@ def _filtered(prim: Usd.Prim) -> list[Sdf.Path]:
 
 
 def _paired(pairs: Sequence[tuple[Sdf.Path, Sdf.Path]], one: Paths, other: Paths) -> bool:
-    """Whether a filter names both, itself or by a prim above, in either order."""
+    """Whether a filtered pair contains both, or ancestors of them, in either order."""
     return any(
         (_under(one, a) and _under(other, b)) or (_under(one, b) and _under(other, a))
         for a, b in pairs
@@ -180,7 +176,7 @@ def _under(paths: Paths, root: Sdf.Path) -> bool:
 
 
 class _Groups:
-    """The collision groups of a stage, and which of them do not collide."""
+    """The collision groups of a stage, and the pairs of them that do not collide."""
 
     def __init__(self, stage: Usd.Stage) -> None:
         table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage)
@@ -196,7 +192,7 @@ class _Groups:
         }
 
     def apart(self, one: Paths, other: Paths) -> bool:
-        """Whether two sets of stand-ins are in groups that do not collide."""
+        """Whether the paths of two bodies are in groups that do not collide."""
         mine, theirs = self._of(one), self._of(other)
         return any((a, b) in self.disable for a in mine for b in theirs)
 
@@ -215,21 +211,21 @@ DIRECTION, MAGNITUDE = "physics:gravityDirection", "physics:gravityMagnitude"
 def read_fields(
     stage: Usd.Stage, scene: str, facts: StageFacts, time: Usd.TimeCode
 ) -> tuple[str, ...]:
-    """The texts of a scene's fields.  Raises InputError for what is no list of texts."""
+    """The force fields of a scene, as strings.  Raises InputError for other types."""
     if not scene:
         return ()
     prim = stage.GetPrimAtPath(scene)
     value = authored(prim, FIELDS, time)
     texts = () if value is None else value
     if isinstance(texts, str) or not all(isinstance(text, str) for text in texts):
-        raise refuse(
+        raise invalid_value(
             facts.path, prim, FIELDS, value, 'author it as string[], such as ["wind:3,0,0"]'
         )
     return tuple(map(str, texts))
 
 
 def gravity_samples(stage: Usd.Stage, scene: str) -> list[float]:
-    """Time codes at which the gravity of a scene is authored; none where it has one value."""
+    """Time codes of the samples of a scene's gravity; empty where it is constant."""
     codes: set[float] = set()
     for name in (DIRECTION, MAGNITUDE) if scene else ():
         attribute = stage.GetPrimAtPath(scene).GetAttribute(name)
@@ -240,13 +236,12 @@ def gravity_samples(stage: Usd.Stage, scene: str) -> list[float]:
 def read_gravity(
     prims: Iterable[Usd.Prim], facts: StageFacts, time: Usd.TimeCode, notes: Notes
 ) -> tuple[Triple | None, str]:
-    """Gravity [m/s^2] in the world, and the path of the scene that gives it; (None, "") where the
-    prims have no scene.
+    """World gravity [m/s^2], and the path of its PhysicsScene; (None, "") where there is none.
 
-    As UsdPhysics has it: without a direction it points down, and without a magnitude, or with a
-    negative one, it is the earth's.  Of several scenes the first counts.
+    As in UsdPhysics, the direction defaults to down, and the magnitude, if missing or negative, to
+    earth gravity.  Of several scenes the first is used.
 
-    Raises InputError for a direction or a magnitude that is not a number, or too large a one.
+    Raises InputError for a direction or a magnitude that is not a number, or is too large.
     """
     scenes = [prim for prim in prims if prim.IsA(UsdPhysics.Scene)]
     if not scenes:
@@ -260,13 +255,13 @@ def read_gravity(
     value = authored(scene, MAGNITUDE, time)
     magnitude = -np.inf if value is None else value
     if not isinstance(magnitude, float | int) or not magnitude < np.inf:
-        raise refuse(
+        raise invalid_value(
             facts.path, scene, MAGNITUDE, value,
             "author a finite magnitude in stage units per second squared, or leave it out for "
             "Earth's gravity",
         )  # fmt: skip
     if magnitude * facts.units.length > STRONGEST:
-        raise refuse(
+        raise invalid_value(
             facts.path, scene, MAGNITUDE, value,
             f"author up to {STRONGEST / facts.units.length:g} (1 unit is {facts.units.length:g} m),"
             " or leave it out for Earth's gravity",

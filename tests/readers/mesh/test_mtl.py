@@ -33,7 +33,7 @@ def test_texture_options_and_names_with_spaces(tmp_path):
     (tmp_path / "my skin.png").write_bytes(png())
     text = "newmtl a\nmap_Kd -o 0.5 0.25 -s 2 3 1 -bm 2 -mm 0 1 C:\\art\\my skin.png\n"
     found, notes = read(tmp_path, text)
-    (slot,) = found["a"].material_parts
+    (slot,) = found["a"].texture_slots
     assert slot.picture.path == tmp_path / "my skin.png"
     assert slot.uv_offset == (0.5, 0.25)
     assert slot.uv_scale == (2.0, 3.0)
@@ -58,7 +58,7 @@ def test_what_is_missing_is_said(tmp_path):
     )
     found, notes = read(tmp_path, "newmtl b\nmap_Kd gone.png\nd 0.5\n", ("a", "b"))
     assert list(found) == ["b"]
-    assert found["b"].material_parts == ()
+    assert found["b"].texture_slots == ()
     assert notes == (
         "material b: its texture gone.png does not exist: a constant color is used",
         "material b: transparency is not supported: the material is opaque",

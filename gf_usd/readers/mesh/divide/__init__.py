@@ -1,1 +1,1 @@
-"""Meshes with shorter edges, in a USD layer over the stage that has them."""
+"""Subdivision of meshes with long edges, in a USD layer over the stage."""

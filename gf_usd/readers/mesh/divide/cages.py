@@ -1,7 +1,7 @@
-"""Cages of subdivision surfaces: read from a stage, and refined until their edges are short.
+"""Cages of subdivision surfaces: reading from a stage, and refinement until their edges are short.
 
-A refined cage has the same limit surface, so that what is rendered stays where it is, and the
-polygons that are simulated come close to it.
+A refined cage has the same limit surface.  The rendered surface therefore does not change, and the
+simulated polygons approximate it.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from gf_usd.readers.mesh.divide.catmull_clark import (
 )
 from gf_usd.readers.mesh.divide.faces import CORNERS, FACES, POINTS
 
-FIRST = Usd.TimeCode.EarliestTime()  # of what a mesh has as time samples alone
-NEAR = 0.005  # of the size of a mesh: no bake has so small a spacing
-LARGE = 40_000  # corners: to refine them takes a tenth of a second
+FIRST = Usd.TimeCode.EarliestTime()  # for attributes that have time samples only
+NEAR = 0.005  # of the size of a mesh: a distance well below the spacing of any bake
+LARGE = 40_000  # corners, whose refinement takes 0.1 s
 
 
 def cage_of(mesh: UsdGeom.Mesh, counts: Ints, indices: Ints, points: int) -> Cage | None:
-    """The cage of a Catmull-Clark surface; None: the mesh has another scheme, or faces that have
-    fewer than three corners.
+    """The cage of a Catmull-Clark surface; None: the mesh has another scheme, or faces with fewer
+    than three corners.
 
-    Creases and corners that name points or edges that are not there are passed over.
+    Creases and corners of points or edges that do not exist are ignored.
     """
     counts, indices = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
     if str(mesh.GetSubdivisionSchemeAttr().Get()) != UsdGeom.Tokens.catmullClark:
@@ -67,7 +67,7 @@ def cage_of(mesh: UsdGeom.Mesh, counts: Ints, indices: Ints, points: int) -> Cag
 
 
 def unknown_rule(mesh: UsdGeom.Mesh, counts: Ints) -> str:
-    """Why the cage of a Catmull-Clark surface cannot be refined here; "" where it can.
+    """The reason why the cage of a Catmull-Clark surface cannot be refined; "" where it can.
 
     counts : (P,) corners of the faces.
     """
@@ -84,8 +84,10 @@ def unknown_rule(mesh: UsdGeom.Mesh, counts: Ints) -> str:
 
 
 def limit_surface(cage: Cage, points: Floats) -> LimitSurface | None:
-    """The limit surface of a cage with points (V, 3) [m]; None where it is NEAR all of them, or
-    where the cage has more than LARGE corners: such a cage is fine.
+    """The limit surface of a cage with points (V, 3) [m].
+
+    None where it is within NEAR of all the points, which is assumed of cages with more than LARGE
+    corners or with short edges.
     """
     size = float(np.ptp(points, axis=0).max(initial=0.0))
     edges = points[cage.edges().ends]
@@ -112,32 +114,32 @@ class RefinedCage:
 
     @property
     def last(self) -> Cage:
-        """The cage that they end with."""
+        """The most refined cage."""
         return self.levels[-1].cage if self.levels else self.cage
 
     @property
     def counts(self) -> Ints:
-        """(P',) corners of each face."""
+        """(P',) corner count of each face."""
         return self.last.counts
 
     @property
     def indices(self) -> Ints:
-        """(C',) points of the corners."""
+        """(C',) point of each corner."""
         return self.last.indices
 
     @property
     def face(self) -> Ints:
-        """(P',) the face before that each lies in."""
+        """(P',) original face of each refined face."""
         face = np.arange(len(self.cage.counts))
         for level in self.levels:
             face = face[level.face]
         return face
 
     def values(self, given: Any, elements: str, width: int = 1) -> Any:
-        """Values (n, ...) of points, faces or corners, of those that there are now.
+        """Refined values (n', ...) of points, faces or corners, from the original ones (n, ...).
 
-        Numbers of points are subdivided like the points themselves, others with a fraction are
-        interpolated; of those without one the nearest is taken.  width : values of each element.
+        Floating-point values of points are subdivided like the points, others are interpolated;
+        integers and other types are taken from the nearest element.  width : values per element.
         """
         given = given.reshape(-1, width, *given.shape[1:])
         out = given if given.dtype.kind != "f" or elements == FACES else given.astype(float)
@@ -155,11 +157,11 @@ class RefinedCage:
         return out.reshape(-1, *given.shape[2:]).astype(given.dtype)
 
     def faces(self, given: Ints) -> Ints:
-        """The faces that lie in some of those before."""
+        """The refined faces of some original faces."""
         return np.flatnonzero(np.isin(self.face, given))
 
     def smooth_corners(self, given: Floats, linear: str) -> Floats:
-        """Values (C, ...) of corners, smooth within the regions that have no seam between corners.
+        """Refined face-varying values (C, ...), smooth within the regions between seams.
 
         linear : faceVaryingLinearInterpolation of the mesh; `all` is `values`.
         """
@@ -170,7 +172,7 @@ class RefinedCage:
         return table[cage.indices].astype(given.dtype)
 
     def author(self, mesh: UsdGeom.Mesh) -> None:
-        """Write what is sharp after these levels, where anything was."""
+        """Author the creases and corners that remain sharp after refinement, if there were any."""
         last = self.last
         if mesh.GetCreaseIndicesAttr().HasAuthoredValue():
             edges, sharpness = sharp_edges(last)
@@ -198,7 +200,7 @@ def refine_until(
 
 
 def _creases(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
-    """(K, 2) points of the edges in creases, and (K,) their sharpness."""
+    """(K, 2) points of the crease edges, and (K,) their sharpness."""
     along = np.asarray(mesh.GetCreaseIndicesAttr().Get(FIRST) or (), np.int64)
     sizes = np.asarray(mesh.GetCreaseLengthsAttr().Get(FIRST) or (), np.int64)
     sharpness = np.asarray(mesh.GetCreaseSharpnessesAttr().Get(FIRST) or (), float)
@@ -218,7 +220,7 @@ def _creases(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
 
 
 def _corners(mesh: UsdGeom.Mesh, points: int) -> tuple[Ints, Floats]:
-    """(K,) points that are sharp, and (K,) their sharpness."""
+    """(K,) points of sharp corners, and (K,) their sharpness."""
     at = np.asarray(mesh.GetCornerIndicesAttr().Get(FIRST) or (), np.int64)
     sharpness = np.asarray(mesh.GetCornerSharpnessesAttr().Get(FIRST) or (), float)
     if len(at) != len(sharpness):

@@ -1,8 +1,8 @@
 """Catmull-Clark subdivision of cages, with creases, corners and boundaries as USD defines them.
 
 The rules are those of Catmull and Clark (1978), the creases those of DeRose, Kass and Truong (1998)
-as OpenSubdiv has them: sharpness falls by one a level, and a vertex whose rule changes from a level
-to the next takes a mean of both.  A cage that is refined has the same limit surface.
+as in OpenSubdiv: sharpness decreases by one per level, and a vertex whose rule changes between two
+levels uses a weighted mean of both rules.  A refined cage has the same limit surface.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 
-INFINITE = 10.0  # UsdGeom.Mesh.SHARPNESS_INFINITE: does not fall
+INFINITE = 10.0  # UsdGeom.Mesh.SHARPNESS_INFINITE: does not decrease
 SMOOTH, CREASE, CORNER = 0, 1, 2  # rules of a vertex
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cage:
-    """Polygons with at least three corners each, and what is sharp."""
+    """Polygons with at least three corners each, with creases and corners."""
 
     counts: Ints  # (P,) corners of each face
     indices: Ints  # (C,) points of the corners
@@ -28,7 +28,7 @@ class Cage:
     point_sharpness: Floats  # (points,)
 
     def after(self) -> Ints:
-        """(C,) the next corner of each in its face."""
+        """(C,) next corner of each corner in its face."""
         end = np.cumsum(self.counts)
         after = np.arange(1, len(self.indices) + 1)
         after[end - 1] = end - self.counts
@@ -52,13 +52,13 @@ class Edges:
 
 
 def edge_keys(ends: Ints, points: int) -> Ints:
-    """(n,) a number for each pair of points (n, 2), in the order of the lower and the higher."""
+    """(n,) key of each unordered pair of points (n, 2); ascending by lower, then higher point."""
     return ends.min(1) * points + ends.max(1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Sums of rows, each with a weight: what a linear map needs of its matrix."""
+    """A sparse linear map: weighted sums of rows."""
 
     to: Ints  # (W,) row of the result
     of: Ints  # (W,) row of what is given
@@ -76,9 +76,9 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """One step of refinement: each corner of a face becomes a quad.
+    """One level of refinement: each corner of a face becomes a quad.
 
-    New points are those before, moved, then one for each edge and one for each face.
+    The new points are the vertex points, followed by the edge points and the face points.
     """
 
     cage: Cage  # refined
@@ -91,16 +91,16 @@ class Level:
     before: Ints  # (C,) and the previous one; new face k is the quad at corner k
 
     def points(self, values: Floats) -> Floats:
-        """Values (points, ...) of the refined points (points', ...)."""
+        """Values (points', ...) at the refined points, by the subdivision rules."""
         middle = self.middle(values)
         return np.concatenate([self.moved(np.concatenate([values, middle])), middle])
 
     def linear(self, values: Floats) -> Floats:
-        """Values (points, ...) of the refined points, interpolated on edges and faces."""
+        """Values (points', ...) at the refined points, interpolated on edges and faces."""
         return np.concatenate([values, values[self.edges].mean(1), self.middle(values)])
 
     def corners(self, values: Floats) -> Floats:
-        """Values (C, ...) of the refined corners (C', ...), interpolated on each face."""
+        """Values (C', ...) at the refined corners, interpolated on each face."""
         counts = np.bincount(self.face, minlength=self.middle.count)
         start = np.cumsum(counts) - counts
         mean = np.add.reduceat(values, start) / counts.reshape(-1, *[1] * (values.ndim - 1))
@@ -149,7 +149,7 @@ def refine(cage: Cage, *, bilinear: bool = False) -> Level:
 
 
 def limit(level: Level, values: Floats, before: int) -> Floats:
-    """Where the points of a cage end up on its limit surface: (before, ...).
+    """The limit positions of the points of a cage: (before, ...).
 
     level : of the cage; values : (points', ...) of its refined points; before : points of the cage.
 
@@ -160,7 +160,7 @@ def limit(level: Level, values: Floats, before: int) -> Floats:
     v, e, f, e2 = cage.indices.reshape(-1, 4).T
     quads = np.arange(len(v))
     n = np.bincount(v, minlength=before)[:before].astype(float)
-    # Each edge of an interior vertex is beside two quads.
+    # Each edge of an interior vertex is adjacent to two quads.
     around = 2.0 * (values[e] + values[e2]) + values[f]
     total = Weights(to=v, of=quads, weight=np.ones(len(v)), count=before)(around)
     shape = (-1, *[1] * (values.ndim - 1))
@@ -173,7 +173,7 @@ def limit(level: Level, values: Floats, before: int) -> Floats:
     sharp = np.zeros(cage.points)
     np.maximum.at(sharp, e, cage.edge_sharpness.reshape(-1, 4)[:, 0])
     np.maximum.at(sharp, e2, cage.edge_sharpness.reshape(-1, 4)[:, 3])
-    # A point on an edge is beside four quads, or two at a boundary.
+    # An edge point is adjacent to four quads, or two at a boundary.
     hard = (sharp[middle] > 0.0) | (count[middle] != 4)
     center, middle = center[hard], middle[hard]
     rule = _rule(np.bincount(center, minlength=before), cage.point_sharpness[:before])
@@ -195,7 +195,7 @@ def _fallen(sharpness: Floats) -> Floats:
 
 
 def _edges(cage: Cage, edges: Ints, edge: Ints, face: Ints, sharp: Floats) -> Weights:
-    """A sharp edge has its point in the middle, a smooth one in that of ends and faces."""
+    """Edge points: the midpoint of a sharp edge; of a smooth one, the mean of ends and faces."""
     hard = np.minimum(sharp, 1.0)
     at = np.arange(len(edges))
     ends = 0.25 + 0.25 * hard
@@ -212,13 +212,13 @@ def _edges(cage: Cage, edges: Ints, edge: Ints, face: Ints, sharp: Floats) -> We
 def _vertices(
     cage: Cage, edges: Ints, edge: Ints, face: Ints, sharp: Floats, point_sharp: Floats
 ) -> Weights:
-    """The rule of each vertex at this level and at the next, and a mean of both between."""
+    """Vertex points: the rules of this level and of the next, and a mean where they differ."""
     n_points = cage.points
     ends, other = edges.ravel(), edges[:, ::-1].ravel()
     hard, later = np.repeat(sharp, 2), _fallen(np.repeat(sharp, 2))
     rule = _rule(np.bincount(ends, hard > 0.0, n_points), point_sharp)
     then = _rule(np.bincount(ends, later > 0.0, n_points), _fallen(point_sharp))
-    # The mean sharpness of what turns smooth says how far a vertex is between its two rules.
+    # The weight between the two rules is the mean sharpness of the elements that become smooth.
     turns = (hard > 0.0) & (later == 0.0)
     own = (point_sharp > 0.0) & (_fallen(point_sharp) == 0.0)
     many = np.bincount(ends, turns, n_points) + own
@@ -247,7 +247,7 @@ def _vertices(
 
 
 def _joined(one: Weights, other: Weights) -> Weights:
-    """The rows of both, one after the other."""
+    """The concatenated rows of both."""
     return replace(
         one,
         to=np.concatenate([one.to, one.count + other.to]),
@@ -258,7 +258,7 @@ def _joined(one: Weights, other: Weights) -> Weights:
 
 
 def sharp_edges(cage: Cage) -> tuple[Ints, Floats]:
-    """(K, 2) points of the edges that are sharp besides boundaries, and (K,) their sharpness."""
+    """(K, 2) points of the sharp edges other than boundaries, and (K,) their sharpness."""
     edges = cage.edges()
     sharpness = np.zeros(len(edges.ends))
     np.maximum.at(sharpness, edges.of, cage.edge_sharpness)
@@ -267,6 +267,6 @@ def sharp_edges(cage: Cage) -> tuple[Ints, Floats]:
 
 
 def boundary(cage: Cage) -> Ints:
-    """Points at an edge of one face alone."""
+    """Points of boundary edges."""
     edges = cage.edges()
     return np.unique(edges.ends[edges.faces == 1])

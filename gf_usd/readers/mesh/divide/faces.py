@@ -1,7 +1,6 @@
-"""Polygons with long edges, divided into triangles with short ones.
+"""Division of polygons with long edges into triangles with short edges.
 
-The surface stays where it is, and what hangs on points, faces and corners is interpolated or
-handed on.
+The surface does not change.  Values of points, faces and corners are interpolated or inherited.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ POINTS, VARYING, FACES, CORNERS = "points", "varying", "faces", "corners"
 
 @dataclass(frozen=True, kw_only=True)
 class DividedFaces:
-    """Polygons of which those with long edges are triangles with short ones."""
+    """The result of `divide`, with the interpolation of values."""
 
     counts: Ints  # (P',) corners of each face
     indices: Ints  # (C',) points of the corners
@@ -30,10 +29,10 @@ class DividedFaces:
     divided: int  # faces that had long edges
 
     def values(self, given: Any, elements: str, width: int = 1) -> Any:
-        """Values (n, ...) of points, faces or corners, of those that there are now.
+        """New values (n', ...) of points, faces or corners, from the original ones (n, ...).
 
-        Numbers with a fraction are interpolated; of others the nearest is taken.  width : values
-        that belong to each element.
+        Floating-point values are interpolated; others are taken from the nearest element.  width :
+        values per element.
         """
         given = given.reshape(-1, width, *given.shape[1:])
         if elements == FACES:
@@ -47,7 +46,7 @@ class DividedFaces:
         return out.reshape(-1, *given.shape[2:]).astype(given.dtype)
 
     def faces(self, given: Ints) -> Ints:
-        """The faces that lie in some of those before."""
+        """The new faces of some original faces."""
         return np.flatnonzero(np.isin(self.face, given))
 
     def _nearest(self, elements: str, count: int) -> Ints:
@@ -61,7 +60,7 @@ class DividedFaces:
 
 
 def long_faces(points: Floats, counts: Ints, indices: Ints, longest: float) -> Ints:
-    """(P,) whether a polygon has an edge longer than this; lines have no triangles, and stay."""
+    """(P,) whether a polygon has an edge longer than this; False for those with two corners."""
     face = np.repeat(np.arange(len(counts)), counts)
     start = np.cumsum(counts) - counts
     after = np.arange(1, len(indices) + 1)
@@ -73,10 +72,12 @@ def long_faces(points: Floats, counts: Ints, indices: Ints, longest: float) -> I
 def divide_faces(
     points: Floats, counts: Ints, indices: Ints, longest: float, most: int = 0
 ) -> DividedFaces:
-    """Divide polygons with an edge longer than this; the others stay, and meet them at their edges.
+    """Divide polygons with an edge longer than this; the others are unchanged.
 
-    points : (V, 3); counts : (P,); indices : (C,); longest : of the points' unit; most : triangles
-    from which on it ends with edges left; 0: no matter how many.
+    points : (V, 3).
+    counts, indices : (P,), (C,) of the polygons.
+    longest : edge length, in the unit of the points.
+    most : number of triangles at which the division stops; 0: unlimited.
     """
     counts, indices = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
     long, start = long_faces(points, counts, indices, longest), np.cumsum(counts) - counts

@@ -1,9 +1,10 @@
-"""Divide the long faces of meshes, in a USD layer over the stage that has them.
+"""Division of meshes with long edges, in a USD layer over the stage.
 
-A face is flat between its points however the body bends that they are embedded in.  The layer gives
-such meshes more points and faces: the surface stays where it is, and what hangs on points, faces
-and corners (primvars, normals, velocities, holes, GeomSubsets) is interpolated or handed on.  Cages
-of Catmull-Clark surfaces are refined by its rules: their limit surface stays where it is.
+A large face remains flat when the body bends in which its points are embedded.  The layer
+overrides such meshes with more points and faces.  The surface does not change, and data on points,
+faces and corners (primvars, normals, velocities, holes, GeomSubsets) is interpolated or inherited.
+Cages of Catmull-Clark surfaces are refined by the subdivision rules, which preserve the limit
+surface.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ from gf_usd.readers.mesh.divide.faces import (
 )
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
 
-MOST = 4_000_000  # triangles of a mesh: more take the memory of a workstation
+MOST = 4_000_000  # triangles of a mesh: more need too much memory
 ELEMENTS = {"vertex": POINTS, "varying": VARYING, "uniform": FACES, "faceVarying": CORNERS}
 
 
 def fine_edge(surfaces: Sequence[Surface], particles: int) -> float:
-    """[m] EDGE spacings of so many particles in all surfaces; infinite: they hold nothing."""
+    """[m] EDGE spacings of so many particles in all surfaces; infinite for zero volume."""
     volume = sum(
         one.limit.volume if one.limit else abs(signed_volume(one.points, one.triangles))
         for one in surfaces
@@ -56,14 +57,15 @@ def divided(
     unit: float,
     note: Callable[[str, str], None],
 ) -> MeshSource:
-    """The layer of a file whose meshes have no face with an edge longer than this [m].
+    """The layer over a file in which no mesh has an edge longer than this [m].
 
-    surfaces : of the file; asked : the length was, and is not that of `fine_edge`; of : its USD
-    form, where it is no USD file; unit : [m] of the stage's.
-    note : takes what is said of a mesh, and its path.
+    surfaces : of the file.
+    asked : whether the user gave the length, rather than `fine_edge`.
+    of : the converted layer, where the file is not USD.
+    unit : [m] of the stage.
+    note : called with a note on a mesh and its path.
 
-    Raises InputError where a mesh would have more than MOST triangles by a length that was asked
-    for.
+    Raises InputError where a mesh would have more than MOST triangles with a length of the user.
     """
     folder = of.folder if of else Folder()
     if of is None:
@@ -125,7 +127,7 @@ def _lie_over(path: Path, target: Path) -> None:
 
 
 def _refusal(prim: Usd.Prim, polygons: tuple[Floats, Ints, Ints]) -> str:
-    """Why the faces of a mesh are not divided; "" where they are."""
+    """The reason why the faces of a mesh are not divided; "" where they are."""
     mesh = UsdGeom.Mesh(prim)
     if prim.IsInstanceProxy():
         return "it is part of an instance, which a layer cannot change"
@@ -157,9 +159,9 @@ def _shortened(
 def _author(
     prim: Usd.Prim, made: DividedFaces | RefinedCage, polygons: tuple[Floats, Ints, Ints]
 ) -> list[str]:
-    """Write what becomes of a mesh; returns the attributes that did not fit it, which are blocked.
+    """Author the divided mesh; returns the attributes of invalid size, which are blocked.
 
-    polygons : before.
+    polygons : the original ones.
     """
     mesh = UsdGeom.Mesh(prim)
     points, counts, indices = polygons
@@ -223,7 +225,7 @@ def _change_primvar(
     times = sorted({*attribute.GetTimeSamples(), *primvar.GetIndicesAttr().GetTimeSamples()})
     flat = {time: primvar.ComputeFlattened(time) for time in times or [Usd.TimeCode.Default()]}
     for time, values in flat.items():
-        # None where an index is that of no value
+        # None where an index is out of range
         if values is None or len(values) not in (0, count * width):
             return False
         if len(values) == 0:
@@ -260,7 +262,7 @@ def _fits(values: Any, count: int) -> bool:
 
 
 def _as(like: Any, values: Any) -> Any:
-    """An array of the type of another."""
+    """Values as a Vt array of the type of another."""
     if hasattr(type(like), "FromNumpy"):
         return type(like).FromNumpy(np.ascontiguousarray(values))
     return type(like)(values.tolist())

@@ -1,6 +1,6 @@
-"""Joint weights and blend shapes of the points that a divided mesh gains.
+"""Joint weights and blend shapes of the new points of a divided mesh.
 
-Both are linear in the points, so that they are interpolated like these.
+Both are linear in the points, and are interpolated like them.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.readers.mesh.divide.cages import FIRST, RefinedCage
 from gf_usd.readers.mesh.divide.faces import POINTS, DividedFaces
 
-BLOCK = 16  # joints whose weights are interpolated together
-INFLUENCES = 8  # joints of a point, where the points before had no more
-LEAST = 1e-4  # of a point's weights: less is left out
+BLOCK = 16  # joints whose weights are interpolated at a time
+INFLUENCES = 8  # joints per point at most, unless the original points have more
+LEAST = 1e-4  # of the sum of a point's weights: smaller ones are dropped
 INDICES, WEIGHTS = "skel:jointIndices", "skel:jointWeights"
 SKIN = (INDICES, WEIGHTS)
 
 
 def refusal(prim: Usd.Prim, points: int) -> str:
-    """Why joint weights or blend shapes of a mesh cannot be interpolated; "" where they can.
+    """The reason why joint weights or blend shapes cannot be interpolated; "" where they can.
 
     points : of the mesh.
     """
@@ -42,7 +42,7 @@ def refusal(prim: Usd.Prim, points: int) -> str:
 
 
 def author_skin(prim: Usd.Prim, made: DividedFaces | RefinedCage, points: int) -> None:
-    """Write joint weights and blend shapes of the new points; points : of the mesh before."""
+    """Author joint weights and blend shapes of the new points; points : of the original mesh."""
     joints, weights = (UsdGeom.PrimvarsAPI(prim).GetPrimvar(name) for name in SKIN)
     if _per_point(joints):
         size = joints.GetElementSize()
@@ -60,14 +60,14 @@ def author_skin(prim: Usd.Prim, made: DividedFaces | RefinedCage, points: int) -
 
 
 def _per_point(primvar: UsdGeom.Primvar) -> bool:
-    """A rigid mesh has the same joints for all its points, which stay."""
+    """Whether there are joint weights per point; constant ones (rigid binding) do not change."""
     return primvar.HasAuthoredValue() and primvar.GetInterpolation() != UsdGeom.Tokens.constant
 
 
 def _divided(
     joints: Ints, weights: Floats, made: DividedFaces | RefinedCage
 ) -> tuple[Ints, Floats]:
-    """(V', k') joints and weights of the new points; those before : (V, k) both."""
+    """(V', k') joints and weights of the new points, from those (V, k) of the original ones."""
     names, column = np.unique(joints, return_inverse=True)
     column = column.reshape(-1)
     rows = np.repeat(np.arange(len(joints)), joints.shape[1])
@@ -101,7 +101,7 @@ def _shapes(prim: Usd.Prim) -> list[UsdSkel.BlendShape]:
 
 
 def _of_others(prim: Usd.Prim) -> set[Sdf.Path]:
-    """Blend shapes of all other meshes; none is looked for where this one has none."""
+    """The blend shapes of all other meshes; empty where this mesh has none."""
     if not _targets(prim):
         return set()
     meshes = (one for one in prim.GetStage().Traverse() if one.IsA(UsdGeom.Mesh) and one != prim)
@@ -109,7 +109,7 @@ def _of_others(prim: Usd.Prim) -> set[Sdf.Path]:
 
 
 def _rows(shape: UsdSkel.BlendShape, points: int) -> Ints | None:
-    """(K,) points that the offsets of a blend shape are of; None: they do not fit the mesh."""
+    """(K,) points of the offsets of a blend shape; None: they are invalid for the mesh."""
     offsets = len(shape.GetOffsetsAttr().Get() or ())
     given = shape.GetPointIndicesAttr().Get()
     at = np.arange(offsets) if not given else np.asarray(given, np.int64)

@@ -1,1 +1,1 @@
-"""glTF 2.0: the container, its primitives and materials, its nodes, skins and animation."""
+"""Reader of glTF 2.0: container, primitives, materials, nodes, skins and animation."""

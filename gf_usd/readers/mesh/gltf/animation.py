@@ -1,15 +1,15 @@
-"""The animation of a glTF file, sampled: translations, rotations and scales of nodes.
+"""Sampling of the animation of a glTF file: translations, rotations and scales of nodes.
 
-glTF 2.0, 3.11 and appendix C.  Between keys k and k + 1 at t_k and t_k+1, with d = t_k+1 - t_k and
-s = (t - t_k) / d, a value is
+glTF 2.0, 3.11 and appendix C.  Between keyframes k and k + 1 at t_k and t_k+1, with
+d = t_k+1 - t_k and s = (t - t_k) / d, a value is
 
     STEP         v_k
-    LINEAR       (1 - s) v_k + s v_k+1; of rotations the shorter arc at a constant rate
+    LINEAR       (1 - s) v_k + s v_k+1; for rotations, slerp along the shorter arc
     CUBICSPLINE  (2 s^3 - 3 s^2 + 1) v_k + d (s^3 - 2 s^2 + s) b_k
                  + (3 s^2 - 2 s^3) v_k+1 + d (s^3 - s^2) a_k+1
 
-with tangents a into and b out of a key, rotations normalized; before the first key and after the
-last it stays.
+with in-tangent a and out-tangent b of a keyframe; rotations are normalized.  Values are constant
+before the first keyframe and after the last.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from gf_usd.readers.notes import Notes
 
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 STEP, LINEAR, CUBIC = "STEP", "LINEAR", "CUBICSPLINE"
-RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)  # [frames/s] that keys may lie on
-ON_FRAME = 1e-3  # [frames] by which times of single precision miss a frame
+RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)  # [frames/s] candidate rates of keyframes
+ON_FRAME = 1e-3  # [frames] tolerance of keyframe times in single precision
 LONGEST = 100_000  # frames
 
 ANIMATIONS = table(
@@ -46,7 +46,7 @@ ANIMATIONS = table(
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """One value of a node over time."""
+    """One animation channel: a translation, rotation or scale over time."""
 
     times: Floats  # (n,) [s] increasing
     values: Floats  # (n, w)
@@ -55,7 +55,7 @@ class Channel:
     turns: bool = False  # values are quaternions (x, y, z, w)
 
     def at(self, t: Floats, tolerance: float = 0.0) -> NDArray[np.float64]:
-        """(F, w) at times t (F,) [s]; tolerance : [s] by which a step may come early."""
+        """(F, w) values at times t (F,) [s]; tolerance : [s] of the times of steps."""
         if len(self.times) == 1:
             return np.repeat(self.values, len(t), axis=0)
         if self.mode == STEP:
@@ -76,24 +76,24 @@ class Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class Animation:
-    """What moves the nodes of a file; empty: nothing does."""
+    """The animation channels of the nodes of a file; empty: no animation."""
 
     channels: dict[tuple[int, str], Channel] = field(default_factory=dict)  # by node and WIDTHS
 
     @property
     def nodes(self) -> set[int]:
-        """Those that it moves."""
+        """The animated nodes."""
         return {node for node, _ in self.channels}
 
     @property
     def span(self) -> tuple[float, float]:
-        """[s] of the first key and the last."""
+        """[s] times of the first and the last keyframe."""
         times = [channel.times for channel in self.channels.values()]
         return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
 
     @property
     def rate(self) -> float:
-        """[frames/s] on which its keys lie; 24 where they lie on none of RATES."""
+        """[frames/s] rate in RATES that all keyframes match; 24 where none does."""
         keys = np.concatenate([c.times for c in self.channels.values()]) - self.span[0]
         for rate in RATES:
             if np.abs(keys * rate - np.rint(keys * rate)).max() <= ON_FRAME:
@@ -104,8 +104,8 @@ class Animation:
 def read_animation(gltf: Gltf, notes: Notes) -> Animation:
     """The first animation of a file.
 
-    Raises InputError for keys that do not increase, are not finite or do not fit their values, and
-    for what is no target.
+    Raises InputError for keyframe times that do not increase or are not finite, for a wrong number
+    of values, and for invalid targets.
     """
     require_types(gltf.path, gltf.tree, ANIMATIONS)
     every = gltf.rows("animations")
@@ -140,9 +140,9 @@ def read_animation(gltf: Gltf, notes: Notes) -> Animation:
 def frame_times(
     animation: Animation, fps: float | None, where: str
 ) -> tuple[float, NDArray[np.float64]]:
-    """Frames a second, and the times (F,) [s] of the frames of an animation.
+    """Frames per second, and the times (F,) [s] of the frames of an animation.
 
-    fps : asked for; None: that of its keys.  Raises InputError for one of too many frames.
+    fps : None: that of its keyframes.  Raises InputError where there are too many frames.
     """
     if not animation.channels:
         return fps or RATES[0], np.zeros(1)
@@ -193,11 +193,11 @@ def _unit(q: Floats) -> NDArray[np.float64]:
 
 
 def _arc(a: Floats, b: Floats, s: Floats) -> NDArray[np.float64]:
-    """(F, 4) at shares s (F, 1) of the shorter arcs between unit quaternions (F, 4)."""
+    """(F, 4) spherical linear interpolation by s (F, 1) between unit quaternions (F, 4)."""
     dot = (a * b).sum(1, keepdims=True)
     b = np.where(dot < 0.0, -b, b)
     angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
-    near = angle < 1e-6  # there the chord is the arc, to rounding
+    near = angle < 1e-6  # linear interpolation is exact to rounding
     sine = np.where(near, 1.0, np.sin(angle))
     from_a = np.where(near, 1.0 - s, np.sin((1.0 - s) * angle) / sine)
     from_b = np.where(near, s, np.sin(s * angle) / sine)

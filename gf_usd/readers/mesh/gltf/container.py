@@ -1,12 +1,8 @@
-"""glTF 2.0 files, text and binary: the container, and what it refers to.
+"""Container of glTF 2.0 files, .gltf and .glb: JSON, buffers and images, with validation.
 
-The standard: Khronos glTF 2.0, sections 3.6 (buffers) and 4 (GLB).
-
-The pictures of a glTF file: files next to it, or bytes inside it.
-
-The types of what is read from a glTF file, so that its readers need not ask.
-
-A small part of the schema of glTF 2.0: only the keys that are read here, all of them optional.
+Khronos glTF 2.0, sections 3.6 (buffers) and 4 (GLB).  The JSON is validated against the part of
+the glTF schema that is used here (`FILE`), in which all keys are optional, so that the other
+modules need not check types.
 """
 
 from __future__ import annotations
@@ -31,8 +27,8 @@ from gf_usd.readers.notes import Notes
 MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 DRACO = "KHR_draco_mesh_compression"
-# Extensions without which a file may ask not to be read, and which change no shape that is read
-# here (shading of materials apart).
+# Extensions that a file may require and that are supported, or do not affect geometry; material
+# extensions are handled separately.
 UNDERSTOOD = {"KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", DRACO}
 MATERIAL_EXTENSIONS = "KHR_materials_"
 
@@ -47,11 +43,11 @@ class Gltf:
     inputs: tuple[Path, ...]  # every file read
 
     def rows(self, key: str) -> list[dict[str, Any]]:
-        """One of the lists of the file: nodes, meshes, materials and so on."""
+        """A top-level array of the file: nodes, meshes, materials and so on."""
         return self.tree.get(key, [])
 
     def row(self, key: str, index: int | None) -> dict[str, Any]:
-        """One of them by its number; InputError where there is none."""
+        """An element of a top-level array by index; InputError where it is out of range."""
         rows = self.rows(key)
         if index is None or index >= len(rows):
             raise InputError(
@@ -79,8 +75,8 @@ class Gltf:
 def open_gltf(path: Path) -> Gltf:
     """Read a .gltf or .glb file and its buffers.
 
-    Raises InputError for a file that is damaged, of another version, that needs an extension which
-    is not read, or whose buffers are missing or too short.
+    Raises InputError for a file that is damaged, of another version, or requires an unsupported
+    extension, and for buffers that are missing or too short.
     """
     data = path.read_bytes()
     refuse_pointer(path, data)
@@ -120,9 +116,9 @@ def open_gltf(path: Path) -> Gltf:
 
 
 def resolve(path: Path, uri: str) -> tuple[bytes, Path | None]:
-    """The bytes that a URI of the file `path` means, and the file they came from, if one.
+    """The bytes of a URI in the file `path`, and the file they were read from, if any.
 
-    Raises InputError for a missing file and for broken base64.
+    Raises InputError for a missing file and for invalid base64.
     """
     if uri.startswith("data:"):
         try:
@@ -178,13 +174,13 @@ def _require_understood(path: Path, tree: dict[str, Any]) -> None:
         )
 
 
-# What USD itself opens; anything else becomes a PNG.
+# Image types that USD supports; others are converted to PNG.
 KINDS = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg"}
 WEBP = "EXT_texture_webp"
 
 
 class GltfImages:
-    """Pictures by number, each looked up once."""
+    """The images of a file by index, cached."""
 
     def __init__(self, gltf: Gltf, notes: Notes) -> None:
         self.files: list[Path] = []
@@ -193,7 +189,7 @@ class GltfImages:
         self._found: dict[int, Picture | None] = {}
 
     def of(self, texture: dict[str, Any], material: str) -> Picture | None:
-        """The picture of a texture; None (and a note) where there is none that can be read."""
+        """The image of a texture; None, with a note, where it is missing or cannot be read."""
         webp = texture.get("extensions", {}).get(WEBP, {})
         number = webp.get("source", texture.get("source"))
         if number is None:
@@ -235,7 +231,7 @@ class GltfImages:
 
 
 def _as_png(data: bytes) -> bytes | None:
-    """The same picture as PNG; None where Pillow does not know it."""
+    """The image as PNG; None where Pillow cannot read it."""
     try:
         picture = Image.open(BytesIO(data))
         out = BytesIO()
@@ -246,7 +242,7 @@ def _as_png(data: bytes) -> bytes | None:
 
 
 class Wrong(Exception):
-    """A value that is not of its type: (where, what is wanted)."""
+    """A value of the wrong type: (location, expected type)."""
 
     def __init__(self, where: str, wanted: str) -> None:
         super().__init__(where, wanted)
@@ -265,7 +261,7 @@ def _of(wanted: str, right: Callable[[Any], bool]) -> Check:
 
 
 def _is_number(value: Any) -> bool:
-    # NaN is not below anything either.
+    # comparisons with NaN are false
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e38
 
 
@@ -280,7 +276,7 @@ flag = _of("true or false", lambda value: isinstance(value, bool))
 
 
 def numbers(count: int, least: int | None = None) -> Check:
-    """A list of so many finite numbers."""
+    """A check for a list of finite numbers, of one of some lengths."""
     low = count if least is None else least
     return _of(
         f"a list of {count} numbers",
@@ -291,7 +287,7 @@ def numbers(count: int, least: int | None = None) -> Check:
 
 
 def rows(item: Check) -> Check:
-    """A list of such things."""
+    """A check for a list of elements."""
 
     def check(value: Any, where: str) -> None:
         if not isinstance(value, list):
@@ -303,7 +299,7 @@ def rows(item: Check) -> Check:
 
 
 def table(**keys: Check) -> Check:
-    """An object; keys that are not named may hold anything."""
+    """A check for an object; the values of other keys are not checked."""
 
     def check(value: Any, where: str) -> None:
         if not isinstance(value, dict):
@@ -390,7 +386,7 @@ FILE = table(
 
 
 def require_types(path: Path, tree: Any, schema: Check = FILE) -> None:
-    """Raise InputError (with the place in the file) where a value is not of its type."""
+    """Raise InputError, with the JSON location, for a value of the wrong type."""
     try:
         schema(tree, "")
     except Wrong as wrong:

@@ -1,8 +1,8 @@
-"""The materials of a glTF file as inputs of UsdPreviewSurface.
+"""Conversion of glTF materials to UsdPreviewSurface.
 
-Read are the metallic-roughness numbers and the textures of base color, metal and roughness,
-normal, emission and occlusion; of the older specular-glossiness only the diffuse part.  Alpha is
-not read.  A texture transform acts on the coordinates themselves: no reader need know of it.
+Supported are the metallic-roughness factors and the textures of base color, metallic-roughness,
+normal, emission and occlusion; of the older specular-glossiness extension, only the diffuse part.
+Alpha is not read.  Texture transforms of the coordinate set are applied to the coordinates.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 class GltfMaterials:
-    """Materials of a file, each made when a primitive first needs it."""
+    """The materials of a file, converted on first use by a primitive."""
 
     def __init__(self, gltf: Gltf, notes: Notes) -> None:
         self._gltf = gltf
@@ -34,16 +34,16 @@ class GltfMaterials:
 
     @property
     def used(self) -> tuple[FileMaterial, ...]:
-        """The materials that indices count."""
+        """The converted materials, in order of their indices."""
         return tuple(self._made.values())
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """Picture files next to the asset."""
+        """The image files of the materials."""
         return tuple(self._images.files)
 
     def index(self, number: int | None, colored: bool) -> int:
-        """Into `used`: the shading of a primitive; -1 for one that says nothing."""
+        """Index into `used` of the material of a primitive; -1: none."""
         if number is None and not colored:
             return -1
         row = {} if number is None else self._gltf.row("materials", number)
@@ -56,7 +56,7 @@ class GltfMaterials:
         return list(self._made).index(key)
 
     def uvs(self, primitive: Primitive) -> Floats | None:
-        """(V, 2) where its textures are read, v upward; None without coordinates."""
+        """(V, 2) texture coordinates of a primitive, v upward; None without coordinates."""
         row = self._row_of(primitive)
         coordinates, transform = _placing(_reference(row))
         found = primitive.attributes.get(f"TEXCOORD_{coordinates}")
@@ -73,7 +73,7 @@ class GltfMaterials:
         return np.stack([u, 1.0 - v], axis=1)
 
     def colors(self, primitive: Primitive) -> Floats | None:
-        """(V, 3) linear of COLOR_0 times the base color; None without."""
+        """(V, 3) linear vertex colors, COLOR_0 times the base color; None without COLOR_0."""
         found = primitive.attributes.get("COLOR_0")
         if found is None or not np.isfinite(found).all():
             return None
@@ -100,7 +100,7 @@ class GltfMaterials:
         surface = pbr.get("metallicRoughnessTexture", {})
         bump = row.get("normalTexture", {})
         k = float(bump.get("scale", 1.0))
-        material_parts = [
+        texture_slots = [
             self._slot(row, "diffuseColor", base, scale=(r, g, b)),
             self._slot(row, "roughness", surface, "g", srgb=False, scale=(rough,) * 3),
             self._slot(row, "metallic", surface, "b", srgb=False, scale=(metal,) * 3),
@@ -110,13 +110,13 @@ class GltfMaterials:
             self._slot(row, "occlusion", row.get("occlusionTexture", {}), "r", srgb=False),
         ]
         if any(glow):
-            material_parts.append(
+            texture_slots.append(
                 self._slot(row, "emissiveColor", row.get("emissiveTexture", {}), scale=glow)
             )
         return FileMaterial(
             name=_name(row) or "material",
             values=values,
-            material_parts=tuple(slot for slot in material_parts if slot is not None),
+            texture_slots=tuple(slot for slot in texture_slots if slot is not None),
             mesh_colors=mesh_colors,
             double_sided=bool(row.get("doubleSided")),
         )
@@ -132,7 +132,7 @@ class GltfMaterials:
         scale: tuple[float, ...] = WHITE,
         bias: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> Slot | None:
-        """The texture of an input; None where there is none or it cannot be carried over."""
+        """The texture of an input; None where there is none or it cannot be converted."""
         if "index" not in info:
             return None
         if _placing(info) != _placing(_reference(row)):
@@ -175,7 +175,7 @@ def _base(row: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
 
 
 def _reference(row: dict[str, Any]) -> dict[str, Any]:
-    """The texture whose coordinates the mesh carries: base color, else the first there is."""
+    """The texture whose coordinate set is used: that of the base color, else the first one."""
     pbr = row.get("pbrMetallicRoughness", {})
     for info in (
         _base(row)[1],
@@ -190,7 +190,7 @@ def _reference(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _placing(info: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-    """Set of coordinates and transform of a texture."""
+    """Coordinate set and transform of a texture."""
     transform = dict(info.get("extensions", {}).get(TRANSFORM, {}))
     coordinates = transform.pop("texCoord", info.get("texCoord", 0))
     return coordinates, transform

@@ -1,4 +1,4 @@
-"""The nodes of a glTF file: their tree, and their transforms for row vectors.
+"""Node hierarchy of a glTF file, and node transforms for row vectors.
 
 glTF 2.0, 3.5: the transform of a node is T R S for column vectors; here x_parent = x S R T.
 """
@@ -17,12 +17,12 @@ from gf_usd.core.matrices import signed_polar
 from gf_usd.readers.mesh.data import REPAIR
 from gf_usd.readers.mesh.gltf.container import Gltf
 
-DEEPEST = 1000  # nodes above a node; more are a loop
-SHEAR = 1e-4  # of a matrix, beyond which it is no rotation and scale
+DEEPEST = 1000  # ancestors of a node; more are taken for a cycle
+SHEAR = 1e-4  # relative shear above which a matrix is not a rotation and scale
 
 
 class Nodes:
-    """The nodes of a file, and which stands above which."""
+    """The nodes of a file, and their parents."""
 
     def __init__(self, gltf: Gltf) -> None:
         self._gltf = gltf
@@ -33,15 +33,15 @@ class Nodes:
         }
 
     def row(self, index: int) -> dict[str, Any]:
-        """What the file says of a node."""
+        """The JSON object of a node."""
         return self._gltf.row("nodes", index)
 
     def name(self, index: int) -> str:
-        """Its name, or a number that stands for one."""
+        """The name of a node, or one made from its index."""
         return str(self.row(index).get("name") or f"node{index}")
 
     def chain(self, index: int) -> list[int]:
-        """A node and those above it, up to a root.  Raises InputError for a loop."""
+        """A node and its ancestors, up to a root.  Raises InputError for a cycle."""
         out = [index]
         while (above := self.parents.get(out[-1])) is not None:
             out.append(above)
@@ -50,12 +50,12 @@ class Nodes:
         return out
 
     def local(self, index: int) -> NDArray[np.float64]:
-        """(4, 4) of a node in the space of the one above."""
+        """(4, 4) local transform of a node, relative to its parent."""
         matrix = local_matrix(self.row(index))
         return np.eye(4) if matrix is None else matrix
 
     def world(self, index: int) -> NDArray[np.float64]:
-        """(4, 4) of a node in the scene."""
+        """(4, 4) transform of a node to the scene."""
         matrix = np.eye(4)
         for at in self.chain(index):
             matrix = matrix @ self.local(at)
@@ -64,7 +64,7 @@ class Nodes:
     def parts(self, index: int) -> Parts:
         """Translation, rotation and scale of a node.
 
-        Raises InputError for a matrix that is more than these.
+        Raises InputError for a matrix that cannot be decomposed into these.
         """
         row = self.row(index)
         if "matrix" not in row:
@@ -93,7 +93,7 @@ class Nodes:
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """A transform in parts."""
+    """A decomposed transform."""
 
     translation: Floats  # (3,)
     rotation: Floats  # (4,) (x, y, z, w)
@@ -101,9 +101,9 @@ class Parts:
 
 
 def local_matrix(row: dict[str, Any]) -> Floats | None:
-    """(4, 4) of a node for row vectors, x_parent = x S R T; None where it says nothing."""
+    """(4, 4) local transform for row vectors, x_parent = x S R T; None where it is the identity."""
     if "matrix" in row:
-        # Column by column for column vectors is row by row for row vectors.
+        # Column-major for column vectors is row-major for row vectors.
         return np.array(row["matrix"], np.float64).reshape(4, 4)
     if not any(key in row for key in ("translation", "rotation", "scale")):
         return None
@@ -116,7 +116,7 @@ def local_matrix(row: dict[str, Any]) -> Floats | None:
 
 
 def _rotation(q: Floats) -> Floats:
-    """(3, 3) of a quaternion (x, y, z, w) for column vectors; one of length 0 turns nothing."""
+    """(3, 3) rotation of a quaternion (x, y, z, w), for column vectors; identity for length 0."""
     length = float(np.linalg.norm(q))
     x, y, z, w = q / length if length > 0.0 else (0.0, 0.0, 0.0, 1.0)
     return np.array(

@@ -1,7 +1,7 @@
-"""The primitives of a glTF file as arrays.
+"""Decoding of the primitives of a glTF file into arrays.
 
-Accessors are decoded as glTF 2.0 says in 3.6.2: every component type, rows apart by a stride, whole
-numbers that stand for fractions, and sparse ones; Draco's by DracoPy, where it is installed.
+Accessors are decoded by glTF 2.0, 3.6.2: all component types, strides, normalized integers and
+sparse accessors; Draco compression by DracoPy, where it is installed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SHAPES = {"SCALAR": (1, 1), "VEC2": (2, 1), "VEC3": (3, 1), "VEC4": (4, 1)} | {
     "MAT2": (2, 2), "MAT3": (3, 3), "MAT4": (4, 4)
 }  # fmt: skip
 ALIGNED = 4  # bytes, between the columns of a matrix
-# fewest and most numbers in a row of an attribute
+# least and greatest number of components of an attribute
 WIDTHS = {"NORMAL": (3, 3), "TEXCOORD": (2, 2), "COLOR": (3, 4), "JOINTS": (4, 4)} | {
     "WEIGHTS": (4, 4)
 }
@@ -34,7 +34,7 @@ WIDTHS = {"NORMAL": (3, 3), "TEXCOORD": (2, 2), "COLOR": (3, 4), "JOINTS": (4, 4
 
 @dataclass(frozen=True, kw_only=True)
 class Primitive:
-    """One primitive in the space of its mesh."""
+    """One primitive in mesh space."""
 
     points: Floats  # (V, 3)
     triangles: Ints  # (T, 3)
@@ -43,10 +43,10 @@ class Primitive:
 
 
 def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive]:
-    """Every primitive made of triangles, by (number of mesh, number in the mesh).
+    """All triangle primitives, by (mesh index, primitive index).
 
-    Raises InputError for accessors that do not fit their buffers or each other, and for compressed
-    data that cannot be decoded.
+    Raises InputError for accessors that exceed their buffers or have inconsistent lengths, and for
+    compressed data that cannot be decoded.
     """
     rows = [
         (m, p, primitive)
@@ -111,7 +111,7 @@ def _primitive(gltf: Gltf, where: str, row: dict[str, Any]) -> Primitive:
 
 
 def _corners(gltf: Gltf, where: str, row: dict[str, Any], points: int) -> Ints:
-    """(C,) the points of the corners; without indices every point is one."""
+    """(C,) the points of the corners; without indices, 0, 1, ..."""
     if "indices" not in row:
         return np.arange(points)
     accessor = gltf.row("accessors", row["indices"])
@@ -127,7 +127,7 @@ def _corners(gltf: Gltf, where: str, row: dict[str, Any], points: int) -> Ints:
 
 
 def _triangles(gltf: Gltf, where: str, row: dict[str, Any], corners: Ints) -> Ints:
-    """(T, 3) of a list of corners, or of a strip: glTF 2.0, 3.7.2.1."""
+    """(T, 3) triangles of a triangle list or strip: glTF 2.0, 3.7.2.1."""
     if row.get("mode", TRIANGLES) == STRIP:
         k = np.arange(max(len(corners) - 2, 0))
         return np.stack([corners[k], corners[k + 1 + k % 2], corners[k + 2 - k % 2]], axis=1)
@@ -140,7 +140,7 @@ def _triangles(gltf: Gltf, where: str, row: dict[str, Any], corners: Ints) -> In
 
 
 def decoded(gltf: Gltf, index: int | None) -> Floats:
-    """(n, k) of an accessor; whole numbers that stand for fractions become those."""
+    """(n, k) values of an accessor; normalized integers are converted to floats."""
     accessor = gltf.row("accessors", index)
     return _numbers(accessor, _elements(gltf, index))
 
@@ -154,7 +154,7 @@ def _numbers(accessor: dict[str, Any], values: np.ndarray) -> Floats:
 
 
 def _elements(gltf: Gltf, index: int | None) -> np.ndarray:
-    """(n, k) as stored; zeros where an accessor has no data but what a sparse one puts in."""
+    """(n, k) stored values of an accessor; zeros without a buffer view; sparse values applied."""
     accessor = gltf.row("accessors", index)
     where = f"{gltf.path}: accessor {index}"
     count, (rows, columns) = accessor.get("count", 0), SHAPES.get(accessor.get("type", ""), (0, 0))
@@ -180,7 +180,7 @@ def _elements(gltf: Gltf, index: int | None) -> np.ndarray:
 def _rows(
     gltf: Gltf, where: str, at: dict[str, Any], dtype: np.dtype, count: int, rows: int, columns: int
 ) -> np.ndarray:
-    """(count, rows * columns) of a buffer view, column by column as matrices are stored."""
+    """(count, rows * columns) values of a buffer view; matrices are column-major."""
     view, start = at.get("bufferView"), at.get("byteOffset", 0)
     data = gltf.view(view)
     packed = rows * dtype.itemsize
@@ -204,7 +204,7 @@ def _rows(
 def _replaced(
     gltf: Gltf, where: str, base: np.ndarray, sparse: dict[str, Any], rows: int, columns: int
 ) -> np.ndarray:
-    """Rows with those that a sparse accessor has otherwise: glTF 2.0, 3.6.2.3."""
+    """Rows with the substitutions of a sparse accessor: glTF 2.0, 3.6.2.3."""
     count, at, values = (sparse.get(key) for key in ("count", "indices", "values"))
     kind = at.get("componentType") if at else None
     if count is None or not at or not values or kind not in INDICES:
@@ -226,7 +226,7 @@ def _replaced(
 
 
 def _is_compressed(gltf: Gltf, row: dict[str, Any]) -> bool:
-    """Whether a primitive has data in Draco's form only."""
+    """Whether a primitive has Draco-compressed data only."""
     if DRACO not in row.get("extensions", {}):
         return False
     plain = (gltf.row("accessors", index) for index in row["attributes"].values())
@@ -234,7 +234,7 @@ def _is_compressed(gltf: Gltf, row: dict[str, Any]) -> bool:
 
 
 def _decompressed(gltf: Gltf, where: str, row: dict[str, Any]) -> tuple[dict[str, Floats], Ints]:
-    """Attributes by glTF name and corners (C,) of a primitive that Draco compressed."""
+    """Attributes by glTF name, and corners (C,), of a Draco-compressed primitive."""
     try:
         import DracoPy
     except ImportError as error:

@@ -1,17 +1,17 @@
-"""The skeletons of a glTF file: its joints, their bind pose and their motion, for UsdSkel.
+"""Conversion of glTF skins to UsdSkel: joint hierarchy, bind pose and animation.
 
-A skin of glTF has a matrix M_j from the points of a mesh to each joint, its inverse bind matrix,
-and a vertex stands at x(t) = sum_j w_j x M_j L_j(t) with L_j the joint's transform to the scene
-(row vectors).  UsdSkel has x G B_j^-1 J_j(t) W with a bind transform B_j in the skeleton's space, G
-of the mesh and W of the skeleton.  They are the same for
+A glTF skin has an inverse bind matrix M_j from the mesh to each joint; a vertex is at
+x(t) = sum_j w_j x M_j L_j(t), with L_j the joint's transform to the scene (row vectors).  In
+UsdSkel it is at sum_j w_j x G B_j^-1 J_j(t) W, with the bind transforms B_j and J_j in skeleton
+space, G (geomBindTransform) of the mesh and W of the skeleton.  They are equal for
 
-    L_j(t) = J_j(t) W        W of the nodes above all joints, as far as nothing moves them
-    G = M_0 L_0(0) W^-1      0 the topmost joint: the bind pose stands where this joint is first
+    L_j(t) = J_j(t) W        W of the common ancestors of all joints that are not animated
+    G = M_0 L_0(0) W^-1      0 the topmost joint, whose bind transform is that of the first frame
     B_j = M_j^-1 G
 
-so that joints keep the translation, rotation and scale of their nodes.  Nodes between W and the
-joints are joints without weights.  Skins on one tree of joints whose M_j differ by one matrix in
-all that they share are one skeleton, and that matrix is a part of G.
+so that joints have the translation, rotation and scale of their nodes.  Nodes between W and the
+joints become joints without weights.  Skins on one joint hierarchy become one skeleton if the M_j
+of their common joints differ by one matrix, which becomes a part of G.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from gf_usd.readers.mesh.gltf.primitives import Primitive
 from gf_usd.readers.mesh.gltf.skins import Skins
 from gf_usd.readers.notes import Notes
 
-ALIKE = 1e-4  # relative: matrices of single precision that mean the same
+ALIKE = 1e-4  # relative tolerance of equal matrices in single precision
 FLAT = 1e-12  # determinant of a matrix without an inverse
-HALF = 1e-6  # relative: a scale that changes by more in half precision is worth a note
+HALF = 1e-6  # relative rounding error of a scale in half precision that is noted
 
 
 @dataclass(kw_only=True)
 class _Tree:
-    """Skins that are one skeleton."""
+    """Skins that become one skeleton."""
 
     inverse: dict[int, Floats] = field(default_factory=dict)  # M_j by node
     order: list[int] = field(default_factory=list)  # nodes of the skeleton, parents first
@@ -47,9 +47,9 @@ class _Tree:
 
 
 class Rigs:
-    """The skeletons of a file, and what hangs on them.
+    """The skeletons of a file, and the bindings of its meshes.
 
-    used : numbers of the skins that pose a mesh; fps : of the frames, None: of the keys.
+    used : indices of the skins of meshes; fps : of the frames, None: of the keyframes.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Rigs:
     def skinned(
         self, number: int, name: str, mesh: FileMesh, primitives: list[Primitive]
     ) -> FileMesh:
-        """A mesh on the skeleton of a skin."""
+        """A mesh bound to the skeleton of a skin."""
         found = self._skins.influences(number, primitives)
         if found is None:
             raise InputError(
@@ -95,7 +95,7 @@ class Rigs:
         return replace(mesh, skin=skin)
 
     def carried(self, node: int, mesh: FileMesh) -> FileMesh | None:
-        """A mesh that a joint above its node carries along; None where none does."""
+        """A mesh bound rigidly to the joint that its node descends from; None where none does."""
         chain = self._nodes.chain(node)
         for above, joint in enumerate(chain):
             for at, tree in enumerate(self._trees):
@@ -119,7 +119,7 @@ class Rigs:
         return None
 
     def _add(self, number: int) -> None:
-        """Find the tree of a skin, or begin one."""
+        """Find the skeleton of a skin, or add one."""
         joints, inverse = self._skins.joints(number), self._skins.inverse_bind(number)
         where = f"{self._gltf.path}: skin {number}"
         if not joints or inverse is None:
@@ -148,7 +148,7 @@ class Rigs:
         self._of[number] = len(self._trees) - 1, np.eye(4)
 
     def _difference(self, tree: _Tree, mine: dict[int, Floats]) -> Floats | None:
-        """(4, 4) between the points of a skin and those of a tree; None: it is another one."""
+        """(4, 4) from the bind space of a skin to that of a tree; None: they do not match."""
         both = sorted(mine.keys() & tree.inverse.keys())
         common = [mine[node] @ np.linalg.inv(tree.inverse[node]) for node in both]
         if common:
@@ -218,12 +218,12 @@ class Rigs:
                 out.append(channel.at(self._times, 0.01 / self.fps))
         length = np.linalg.norm(out[1], axis=1, keepdims=True)
         turn = np.where(length > 0.0, out[1] / np.where(length > 0.0, length, 1.0), (0, 0, 0, 1))
-        # neighbors of one sign: USD goes the shorter way between samples, and others need not
+        # consecutive quaternions of equal sign, since not all programs take the shorter arc
         same = np.concatenate([[1.0], np.where((turn[1:] * turn[:-1]).sum(1) < 0.0, -1.0, 1.0)])
         return out[0], turn * np.cumprod(same)[:, None], out[2]
 
     def _bind(self, tree: _Tree, parents: list[int], local: list[NDArray[np.float64]]) -> None:
-        """Fill in G, and B_j of all joints; those without a matrix stand as in the first frame."""
+        """Set G, and B_j of all joints; joints without M_j are bound as in the first frame."""
         posed: list[NDArray[np.float64]] = []
         for row, parent in enumerate(parents):
             posed.append(local[row] @ posed[parent] if parent >= 0 else local[row])
@@ -234,7 +234,7 @@ class Rigs:
             for row, node in enumerate(tree.order)
             if node in tree.inverse
         }
-        for row in reversed(range(len(parents))):  # from below, where the joint above has none
+        for row in reversed(range(len(parents))):  # from children to parents without M_j
             above = parents[row]
             if row in known and above >= 0 and abs(np.linalg.det(local[row])) > FLAT:
                 known.setdefault(above, np.linalg.inv(local[row]) @ known[row])

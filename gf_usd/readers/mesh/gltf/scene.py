@@ -1,7 +1,7 @@
-"""The nodes of a glTF file with their meshes; its primitives are joined, so that bodies stay whole.
+"""Reading of the scene of a glTF file: nodes with their meshes.
 
-Each material of a glTF mesh is a primitive of its own: apart they would be open surfaces.  Skinned
-meshes stand in the pose of the nodes, or hang on skeletons (`read_rigged_gltf`).
+A glTF mesh has one primitive per material, which would be open surfaces on their own: they are
+merged.  Skinned meshes are in the pose of the nodes, or bound to skeletons (`read_rigged_gltf`).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from gf_usd.readers.notes import Notes
 
 
 def read_gltf(path: Path) -> MeshFile:
-    """The default scene of a glTF file: meters, Y up, as its standard says.
+    """The default scene of a glTF file, in meters and Y up, as in the standard.
 
-    Raises InputError for a file that is damaged, incomplete or needs what is not read.
+    Raises InputError for a file that is damaged, incomplete or requires unsupported extensions.
     """
     gltf, notes = open_gltf(path), Notes()
     if gltf.tree.get("animations"):
@@ -35,9 +35,9 @@ def read_gltf(path: Path) -> MeshFile:
 
 
 def read_rigged_gltf(path: Path, fps: float | None = None) -> MeshFile:
-    """The same with skeletons, whose bind pose its skinned meshes have, and the first animation.
+    """As `read_gltf`, with skeletons, meshes in the bind pose, and the first animation.
 
-    fps : frames per second of the animation; None: those that its keys lie on, else 24.
+    fps : frames per second of the animation; None: the rate of its keyframes, else 24.
 
     Raises InputError as `read_gltf`, and for skins and animations that are damaged.
     """
@@ -79,10 +79,10 @@ class _Scene:
             rows = gltf.rows("nodes")
             used = sorted({row["skin"] for row in rows if "mesh" in row and "skin" in row})
             self.rigs = Rigs(gltf, nodes, self._skins, used, fps, notes)
-        self._posed: list[FileNode] = []  # skinned meshes stand in the world, whatever their node
+        self._posed: list[FileNode] = []  # skinned meshes, which ignore the transform of their node
 
     def roots(self) -> tuple[FileNode, ...]:
-        """Nodes of the default scene that hold a mesh, posed ones last."""
+        """The nodes of the default scene with meshes, skinned ones last."""
         scenes = self._gltf.rows("scenes")
         if scenes:
             scene = self._gltf.row("scenes", self._gltf.tree.get("scene", 0))
@@ -100,7 +100,7 @@ class _Scene:
         return found
 
     def _node(self, index: int, above: tuple[int, ...]) -> FileNode | None:
-        """A node and what is below; None where no mesh is."""
+        """A node with its descendants; None where there is no mesh."""
         row = self._gltf.row("nodes", index)
         if index in above or len(above) > 200:
             raise InputError(f"{self._gltf.path}: node {index} is its own descendant", REPAIR)
@@ -118,7 +118,7 @@ class _Scene:
     def _skinned(
         self, row: dict[str, Any], index: int, name: str, mesh: FileMesh
     ) -> FileNode | None:
-        """A node in the scene with a mesh that joints pose; None where none does."""
+        """A root node with the skinned mesh of a node; None where it is not skinned."""
         primitives = self._of_mesh(row["mesh"])
         if self.rigs is None:
             if "skin" not in row:
@@ -134,7 +134,7 @@ class _Scene:
         return [found for (m, _), found in self._primitives.items() if m == number]
 
     def _mesh(self, number: Any, node: str) -> FileMesh | None:
-        """The primitives of a mesh as one; None where none has a surface."""
+        """The merged primitives of a mesh; None where none has a surface."""
         primitives = self._of_mesh(number)
         if not primitives:
             return None
@@ -170,7 +170,7 @@ class _Scene:
 def _joined(
     values: list[Floats | None], primitives: list[Primitive], missing: float
 ) -> Floats | None:
-    """(V, k) of all primitives; `missing` where one has none; None where none has."""
+    """(V, k) attribute of all primitives, `missing` where one lacks it; None where all do."""
     width = next((v.shape[1] for v in values if v is not None), None)
     if width is None:
         return None

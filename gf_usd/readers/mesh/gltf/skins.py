@@ -1,7 +1,7 @@
-"""Skinned meshes of a glTF file in the pose of its nodes.
+"""Skinning of the meshes of a glTF file in the pose of its nodes.
 
-glTF 2.0, 3.7.3.3: a vertex stands at sum_j w_j J_j x, where J_j takes the bind pose to joint j (its
-inverse bind matrix) and from there to the world; the node that holds the mesh does not matter.
+glTF 2.0, 3.7.3.3: a vertex is at sum_j w_j J_j x, where J_j is the inverse bind matrix of joint j
+followed by its transform to the world; the transform of the mesh's node is ignored.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Skins:
     def posed(
         self, number: int, name: str, mesh: FileMesh, primitives: list[Primitive], notes: Notes
     ) -> FileNode:
-        """A node in the world with the mesh as its skeleton holds it."""
+        """A root node with the skinned mesh in world space."""
         joints = self._joint_matrices(number)
         found = self.influences(number, primitives)
         if found is None:
@@ -42,7 +42,7 @@ class Skins:
         points = np.einsum("vi,vij->vj", mesh.points, blend[:, :3, :3]) + blend[:, 3, :3]
         normals = mesh.normals
         if normals is not None:
-            # The cofactors are the inverse transpose up to a factor, and exist where no inverse is.
+            # The cofactor matrix is the inverse transpose up to a factor, also of singular ones.
             a, b, c = np.moveaxis(blend[:, :3, :3], 1, 0)
             cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
             normals = np.einsum("vi,vij->vj", normals, cofactors)
@@ -50,14 +50,14 @@ class Skins:
         return FileNode(name=name, mesh=replace(mesh, points=points, normals=normals))
 
     def joints(self, number: int) -> list[int]:
-        """The nodes that are the joints of a skin."""
+        """The joint nodes of a skin."""
         return self._gltf.row("skins", number).get("joints", [])
 
     def influences(self, number: int, primitives: list[Primitive]) -> tuple[Ints, Floats] | None:
         """Joints (V, k) of a skin and weights (V, k) of the points of a mesh; None without weights.
 
-        The weights of a point sum to 1, or are all 0.  Raises InputError for joints that are not
-        there, and for weights that are not finite.
+        The weights of a point sum to 1, or are all 0.  Raises InputError for joints out of range,
+        and for weights that are not finite.
         """
         rows = [self._influences(p, len(self.joints(number))) for p in primitives]
         found = [row for row in rows if row is not None]
@@ -89,7 +89,7 @@ class Skins:
         return index, weight / np.where(total > 0.0, total, 1.0)
 
     def inverse_bind(self, number: int) -> NDArray[np.float64] | None:
-        """(J, 4, 4) from the points of a mesh to each joint; None where the file has none."""
+        """(J, 4, 4) inverse bind matrices; None where the file has none."""
         skin, joints = self._gltf.row("skins", number), self.joints(number)
         if "inverseBindMatrices" not in skin:
             return None
@@ -105,7 +105,7 @@ class Skins:
         return np.asarray(decoded(self._gltf, at)[: len(joints)].reshape(-1, 4, 4))
 
     def _joint_matrices(self, number: int) -> Floats:
-        """(J, 4, 4) from the bind pose to the world, for row vectors."""
+        """(J, 4, 4) skinning matrices from the bind pose to the world, for row vectors."""
         joints = self.joints(number)
         bind = self.inverse_bind(number)
         if bind is None:

@@ -1,1 +1,1 @@
-"""PLY files: their tables, and the polygons in them."""
+"""Reader of PLY files: element tables, and polygon meshes."""

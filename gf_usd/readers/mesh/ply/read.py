@@ -1,7 +1,7 @@
-"""PLY files: polygons of the tables of the file.
+"""Reading of PLY files as polygon meshes.
 
-trimesh refuses a binary PLY whose faces differ in their number of corners and cuts every polygon
-into triangles; here they stay as they are.
+trimesh does not support binary PLY files with faces of different corner counts, and triangulates
+polygons; this reader preserves them.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 def read_ply(path: Path) -> MeshFile:
     """The polygons of a PLY file with their colors, normals and texture coordinates.
 
-    Raises InputError for a header or a body that is not what it says, and for a file that holds
-    points without faces.
+    Raises InputError for a header or body that is invalid, and for a file without faces.
     """
     data = path.read_bytes()
     refuse_pointer(path, data)
@@ -48,7 +47,7 @@ def read_ply(path: Path) -> MeshFile:
     materials = ()
     if picture is not None and mesh.uvs is not None:
         slot = Slot(input="diffuseColor", picture=picture)
-        materials = (FileMaterial(name="texture", material_parts=(slot,)),)
+        materials = (FileMaterial(name="texture", texture_slots=(slot,)),)
     return require_sound(
         MeshFile(
             path=path,
@@ -121,7 +120,7 @@ def _mesh(
 
 
 def _columns(table: dict[str, Floats | Ragged], names: tuple[str, ...]) -> Floats | None:
-    """(n, k) of scalar columns; None where one is missing."""
+    """(n, k) values of scalar columns; None where one is missing."""
     found = [table.get(name) for name in names]
     if any(column is None or isinstance(column, Ragged) for column in found):
         return None
@@ -129,7 +128,7 @@ def _columns(table: dict[str, Floats | Ragged], names: tuple[str, ...]) -> Float
 
 
 def _colors(table: dict[str, Floats | Ragged]) -> Floats | None:
-    """(n, 3) linear: whole numbers are sRGB up to the type's largest, fractions linear."""
+    """(n, 3) linear colors: integers are sRGB in the range of their type, floats are linear."""
     first = table.get("red")
     colors = _columns(table, ("red", "green", "blue"))
     if colors is None or not np.isfinite(colors).all():

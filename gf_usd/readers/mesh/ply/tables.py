@@ -1,4 +1,4 @@
-"""The header of a PLY file and its body, text or binary, as one table for each element."""
+"""Parsing of the header and the body of a PLY file, text or binary, into one table per element."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
-    """Elements, byte order ("" for text), texture name, and where the body begins."""
+    """Parse the header: elements, byte order ("" for text), texture name, start of the body."""
     if not data.startswith(b"ply") or b"end_header" not in data:
         raise InputError(
             f"{path} is not a PLY file: it does not begin with 'ply' and a header",
@@ -86,12 +86,12 @@ class Column:
 
     name: str
     type: str  # numpy's, without the byte order
-    count_type: str = ""  # of the list's length; empty: a single number
+    count_type: str = ""  # of the list's length; "": a single number
 
 
 @dataclass(frozen=True)
 class Element:
-    """What the header announces."""
+    """An element declared in the header."""
 
     name: str
     count: int
@@ -100,7 +100,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Ragged:
-    """A list property: counts (n,) and the values (sum of counts,) one after the other."""
+    """A list property: counts (n,) and concatenated values (sum of counts,)."""
 
     counts: Ints
     values: Floats | Ints
@@ -112,11 +112,11 @@ Table = dict[str, Floats | Ragged]
 def read_body(
     path: Path, data: bytes, start: int, elements: list[Element], order: str
 ) -> dict[str, Table]:
-    """The columns of every element by their names.
+    """The columns of all elements by name.
 
     Parameters
     ----------
-    data : the whole file.   start : where its header ends.
+    data : the whole file.   start : offset of the body.
     order : "<" or ">" of binary files, "" of text.
 
     Raises InputError for a body that is shorter than declared or contains a value that is not a
@@ -127,7 +127,7 @@ def read_body(
 
 
 class _Text:
-    """One row a line."""
+    """Parse a text body, with one row per line."""
 
     def __init__(self, path: Path, data: bytes, start: int) -> None:
         self._path = path
@@ -196,7 +196,7 @@ class _Text:
 
 
 class _Binary:
-    """Rows packed one after the other."""
+    """Parse a binary body of packed rows."""
 
     def __init__(self, path: Path, data: bytes, start: int, order: str) -> None:
         self._path, self._data, self._at, self._order = path, data, start, order
@@ -287,7 +287,7 @@ class _Binary:
 
 
 def _even(table: np.ndarray, element: Element, lengths: list[int]) -> bool:
-    """True where every row's lists are as long as the first row's."""
+    """Whether the lists of all rows have the lengths of the first row's."""
     return all(
         bool((table[f"#{column.name}"] == length).all())
         for column, length in zip(element.columns, lengths)
@@ -296,7 +296,7 @@ def _even(table: np.ndarray, element: Element, lengths: list[int]) -> bool:
 
 
 def _cast(values: list[float] | Floats, column: Column) -> Floats:
-    """Text numbers as the header's type; a whole number that does not fit stays as it is."""
+    """Numbers of a text body in the declared type; integers out of its range are kept."""
     numbers = np.asarray(values, np.float64)
     kind = np.dtype(column.type)
     if kind.kind not in "iu" or not np.isfinite(numbers).all():

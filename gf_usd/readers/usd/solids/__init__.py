@@ -1,1 +1,1 @@
-"""Prims that are bodies without being meshes: tetrahedra, and clouds of points."""
+"""Bodies that are not meshes: TetMesh and Points prims, and bind poses of deformable bodies."""

@@ -1,13 +1,13 @@
-"""A surface around the balls of a Points prim.
+"""Surface reconstruction around the balls of a Points prim.
 
-The balls |x - p| <= w / 2 of points p and widths w, with the gaps between neighbors closed: a place
-belongs to the body unless a ball of radius c fits there that meets none of them (morphological
-closing, Serra 1982).  What cannot be reached from outside is filled.  On a grid of edge h,
+The body is the morphological closing (Serra 1982), by a ball of radius c, of the union of the balls
+|x - p| <= w / 2 with points p and widths w: it contains x unless a ball of radius c around some
+point contains x and intersects none of them.  Cavities are filled.  On a grid of edge h,
 
     f(x) = min_p (|x - p| - w_p / 2),    D = {f <= c} filled,    body = {x in D: dist(x, dD) >= c}
 
-c is twice the median distance between neighbors, and at most the median width, so that balls that
-lie apart stay apart.  Dimples between neighbors are smoothed by a Gaussian of BLUR cells.
+c is twice the median distance between neighbors, and at most the median width, so that separate
+balls are not merged.  Dimples between neighbors are smoothed by a Gaussian of BLUR cells.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.mesh import proper, signed_volume, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd.stage import LeftAlone
+from gf_usd.readers.usd.stage import SkippedPrim
 from gf_usd.readers.usd_physics.attributes import SOFT_BODIES, apis, body_of
 
 CELLS = 96  # along the longest side, at most
 FEWEST = 24  # along the longest side, at least
 BLUR = 1.5  # [cells]
-APART = 3.0  # [radii] between neighbors that lie apart, and are balls by themselves
-NEAR = 8  # balls of about one size that are looked at around a place
-PARTICLES = ("Newton", "Physx", "OmniPhysics", "PhysicsDeformable")  # of APIs, for points
+APART = 3.0  # [radii] distance between neighbors from which they are separate balls
+NEAR = 8  # nearest balls, of about one size, that are evaluated at a point
+PARTICLES = ("Newton", "Physx", "OmniPhysics", "PhysicsDeformable")  # prefixes of particle APIs
 
 
 def is_body(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    """Whether Points are a body: they have widths, or an API of particles or deformables."""
+    """Whether a Points prim is a body: it has widths, or an API of particles or deformables."""
     if any(attribute.HasAuthoredValue() for attribute in _widths_of(prim)):
         return True
     if any(name.startswith(PARTICLES) for name in apis(prim)):
@@ -44,9 +44,9 @@ def is_body(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 
 
 def widths(prim: Usd.Prim, points: Floats, time: Usd.TimeCode, notes: Notes) -> Floats:
-    """(n,) widths above 0 in the prim's units; where none are authored the points' mean distance.
+    """(n,) positive widths in local units; where none are authored, from the spacing of the points.
 
-    Raises LeftAlone where neither says a size.
+    Raises SkippedPrim where neither gives a size.
     """
     where, count = str(prim.GetPath()), len(points)
     for attribute in _widths_of(prim):
@@ -55,13 +55,13 @@ def widths(prim: Usd.Prim, points: Floats, time: Usd.TimeCode, notes: Notes) -> 
             continue
         found = np.atleast_1d(np.asarray(value, dtype=np.float64))
         if len(found) not in (1, count) or not (np.isfinite(found) & (found > 0.0)).all():
-            raise LeftAlone(
+            raise SkippedPrim(
                 f"its {len(found)} widths are not valid: it needs one, or one for each of "
                 f"{count} points, above 0"
             )
         return np.broadcast_to(found, (count,))
     if count < 2 or not (spacing := _spacing(points)) > 0.0:
-        raise LeftAlone(f"has {count} points in one place and no widths")
+        raise SkippedPrim(f"has {count} points in one place and no widths")
     notes.add(
         f"no widths are authored: the distance between neighbors, {spacing:.3g}, is used", where
     )
@@ -69,9 +69,9 @@ def widths(prim: Usd.Prim, points: Floats, time: Usd.TimeCode, notes: Notes) -> 
 
 
 def cover(points: Floats, wide: Floats) -> tuple[NDArray[np.float64], Ints]:
-    """Vertices (V, 3) and triangles (T, 3), outward, of the surface around balls.
+    """Vertices (V, 3) and outward-facing triangles (T, 3) of the surface around balls.
 
-    points : (n, 3); wide : (n,) widths, above 0.  Raises LeftAlone where no surface is found.
+    points : (n, 3); wide : (n,) positive widths.  Raises SkippedPrim where the surface is empty.
     """
     points, radii = np.asarray(points, np.float64), np.asarray(wide, np.float64) / 2.0
     typical = float(np.median(radii))
@@ -94,16 +94,16 @@ def cover(points: Floats, wide: Floats) -> tuple[NDArray[np.float64], Ints]:
     if spacing < APART * typical:
         from scipy import ndimage
 
-        # The dimples between balls are no thin parts of the body, for which particles are small.
+        # Dimples between balls would be taken for thin parts of the body, with small particles.
         g = ndimage.gaussian_filter(g, BLUR)
     vertices, triangles = _contour(-g, nodes, h)
     if len(triangles) == 0:
-        raise LeftAlone(f"no surface could be constructed around its {len(points)} points")
+        raise SkippedPrim(f"no surface could be constructed around its {len(points)} points")
     return vertices, triangles
 
 
 def _widths_of(prim: Usd.Prim) -> list[Usd.Attribute]:
-    """Where widths may be authored; the primvar goes first, as UsdGeomPoints says."""
+    """The attributes of widths; the primvar takes precedence, as in UsdGeomPoints."""
     found = (UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths").GetAttr(), prim.GetAttribute("widths"))
     return [attribute for attribute in found if attribute]
 
@@ -114,7 +114,7 @@ def _spacing(points: Floats) -> float:
 
 
 def _distance(x: Floats, points: Floats, radii: Floats, most: float) -> NDArray[np.float64]:
-    """(m,) f at places x (m, 3); `most` where it is more."""
+    """(m,) f at x (m, 3), at most `most`."""
     f = np.full(len(x), most)
     size = np.floor(np.log2(radii))
     for one in np.unique(size):
@@ -124,16 +124,16 @@ def _distance(x: Floats, points: Floats, radii: Floats, most: float) -> NDArray[
         away, which = kd_tree(points[mine]).query(
             x, k=np.arange(1, many + 1), distance_upper_bound=reach
         )
-        found = np.append(radii[mine], 0.0)[which]  # where none is near `which` is one beyond
+        found = np.append(radii[mine], 0.0)[which]  # `which` is len(mine) where none is near
         f = np.minimum(f, (away - found).min(axis=1))
     return f
 
 
 def _without_cavities(f: Floats, level: float, h: float) -> NDArray[np.float64]:
-    """f with what is closed in by {f <= level} made part of it."""
+    """f with the cavities of {f <= level} filled."""
     from scipy import ndimage
 
-    label: Any = ndimage.label  # its stub knows no pair
+    label: Any = ndimage.label  # its stub returns no pair
     outside = label(f > level)[0]
     closed = (f > level) & (outside != outside[0, 0, 0])
     return np.where(closed, level - h, f)
@@ -144,17 +144,17 @@ def _contour(f: Floats, nodes: Floats, h: float) -> tuple[NDArray[np.float64], I
     import igl
 
     n = f.shape
-    # igl wants x to run fastest
+    # igl expects x to vary fastest
     order = (2, 1, 0)
     values = np.ascontiguousarray(f.transpose(order)).ravel()
     at = np.ascontiguousarray(nodes.transpose(*order, 3)).reshape(-1, 3)
-    march: Any = igl.marching_cubes  # its stub knows no unpacked sizes
+    march: Any = igl.marching_cubes  # its stub rejects unpacked sizes
     made = march(values, at, *map(int, n), 0.0)
     points = np.asarray(made[0], np.float64).reshape(-1, 3)
     triangles = np.asarray(made[1], np.int64).reshape(-1, 3)
     if len(triangles) == 0:
         return points, triangles
-    # where the surface goes through a node, triangles have no size
+    # triangles are degenerate where the surface passes through a grid point
     one, _ = weld(points, 1e-6 * h)
     triangles = one[triangles]
     triangles = triangles[proper(triangles)]
@@ -166,7 +166,7 @@ def _contour(f: Floats, nodes: Floats, h: float) -> tuple[NDArray[np.float64], I
 
 
 def _to_surface(x: Floats, points: Floats, triangles: Ints) -> NDArray[np.float64]:
-    """(m,) distance of places x (m, 3) from triangles."""
+    """(m,) distances of points x (m, 3) from triangles."""
     import igl
 
     center = points.mean(0)

@@ -2,11 +2,11 @@
 
     physics:deformablePose:NAME:purposes   ["bindPose"]     AOUSD (OpenUSD-proposals 111)
     physics:deformablePose:NAME:points     in the mesh's own space, one for each of its points
-    deformablePose:NAME:omniphysics:...    the same of Omniverse
+    deformablePose:NAME:omniphysics:...    the same, of Omniverse
 
-In the bind pose graphics and collision meshes of a body are bound to its simulation mesh; without
-one the points of a mesh are its bind pose.  A bake binds all meshes where it begins, so that a
-graphics mesh begins in its bind pose, as long as its simulation mesh does.
+The graphics and collision meshes of a body are bound to its simulation mesh in the bind pose; a
+mesh without one is bound with its points.  A bake binds all meshes in its rest pose.  A graphics
+mesh therefore starts in its bind pose if its simulation mesh does.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ SAME = 1e-5  # of the mesh: points are single precision
 
 
 class BrokenPose(ValueError):
-    """A pose that does not fit its mesh; the text says why."""
+    """A pose that is invalid for its mesh; the text is the reason."""
 
 
 def bound_points(prim: Usd.Prim, points: Floats, time: Usd.TimeCode) -> tuple[Floats, str]:
-    """The points (V, 3) with which a mesh enters a bake, and a note; "": there is nothing to say.
+    """The rest points (V, 3) of a mesh in a bake, and a note; "": none.
 
-    points : of the mesh at the time, in its own space, as the result.
-    Raises BrokenPose for a bind pose with another number of points, or with points that are none.
+    points : of the mesh at the time, in local space, as the result.
+    Raises BrokenPose for a bind pose with another number of points, or points that are not finite.
     """
     bind = _bind_pose(prim, time)
     if bind is None:
@@ -49,12 +49,12 @@ def bound_points(prim: Usd.Prim, points: Floats, time: Usd.TimeCode) -> tuple[Fl
         raise BrokenPose(f"its bind pose has {len(bind)} points, but the mesh has {len(points)}")
     if not np.isfinite(bind).all():
         raise BrokenPose("its bind pose has points that are not finite (NaN or infinity)")
-    away = _away(bind, points)
+    away = _relative_distance(bind, points)
     if away <= SAME:
         return points, ""
     if _apis(prim) & SIMULATED:
         return points, "starts from its points, not from its bind pose"
-    if (simulated := _simulation_mesh(prim)) is None or _stands_bound(simulated, time):
+    if (simulated := _simulation_mesh(prim)) is None or _in_bind_pose(simulated, time):
         return bind, "starts from its bind pose"
     return points, (
         f"starts from its points: the simulation mesh <{simulated.GetPath()}> is not in the"
@@ -62,13 +62,13 @@ def bound_points(prim: Usd.Prim, points: Floats, time: Usd.TimeCode) -> tuple[Fl
     )
 
 
-def _away(a: Floats, b: Floats) -> float:
-    """The largest distance over the size of what is bound."""
+def _relative_distance(a: Floats, b: Floats) -> float:
+    """The greatest distance of corresponding points, relative to the size of the mesh."""
     return float(np.abs(a - b).max()) / max(float(np.ptp(a, axis=0).max()), 1e-30)
 
 
 def _bind_pose(prim: Usd.Prim, time: Usd.TimeCode) -> Floats | None:
-    """(V, 3); None where there is none."""
+    """(V, 3) points of the bind pose; None where there is none."""
     for name in (*prim.GetAppliedSchemas(), *prim.GetPrimTypeInfo().GetAppliedAPISchemas()):
         for schema, template in POSES:
             if not name.startswith(schema):
@@ -92,14 +92,14 @@ def _upwards(prim: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def _simulation_mesh(prim: Usd.Prim) -> Usd.Prim | None:
-    """That of the body which a mesh is part of: a child of the body's prim."""
+    """The simulation mesh of the body that a mesh is part of: a child of the body's prim."""
     body = next((one for one in _upwards(prim) if _apis(one) & BODIES), None)
     children = body.GetChildren() if body else ()
     return next((child for child in children if _apis(child) & SIMULATED), None)
 
 
-def _stands_bound(mesh: Usd.Prim, time: Usd.TimeCode) -> bool:
+def _in_bind_pose(mesh: Usd.Prim, time: Usd.TimeCode) -> bool:
     """Whether a simulation mesh is in its bind pose at a time."""
     bind, attribute = _bind_pose(mesh, time), UsdGeom.PointBased(mesh).GetPointsAttr()
     points = np.asarray(attribute.Get(time) if attribute else (), np.float64).reshape(-1, 3)
-    return bind is None or (bind.shape == points.shape and _away(bind, points) <= SAME)
+    return bind is None or (bind.shape == points.shape and _relative_distance(bind, points) <= SAME)

@@ -1,11 +1,11 @@
-"""Tetrahedra of a TetMesh: their surface, and whether they can be a body at rest.
+"""Surface extraction and validation of the tetrahedra of a TetMesh.
 
 A tetrahedron (a, b, c, d) of a right-handed TetMesh has the volume
 
     V = (b - a) . ((c - a) x (d - a)) / 6 > 0
 
 and the faces (b c d), (a d c), (a b d), (a c b), counter-clockwise seen from outside
-(UsdGeomTetMesh).  A face of one tetrahedron alone is part of the surface.
+(UsdGeomTetMesh).  The faces that only one tetrahedron has are the surface.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.mesh import tet_surface, weld
 
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
-FLAT = 1e-9  # of its longest edge cubed: the volume below which a tetrahedron is flat
-STRETCHED = 1e-4  # of an edge: a rest shape that differs by more is not that of the points
+FLAT = 1e-9  # of the cube of its longest edge: volume below which a tetrahedron is degenerate
+STRETCHED = 1e-4  # relative edge length difference up to which a rest shape matches the points
 
 
 class BrokenTets(Exception):
-    """The tetrahedra are no body; the text says why."""
+    """The tetrahedra are invalid; the text is the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tets:
-    """A TetMesh as authored, in its own space."""
+    """A TetMesh as authored, in local space."""
 
     points: Floats  # (V, 3), finite
     tets: Ints  # (n, 4) into points
-    surface: Ints  # (T, 3) into points; none: not authored
+    surface: Ints  # (T, 3) into points; empty: not authored
     left_handed: bool
-    rest_points: Floats  # (R, 3) of the rest shape; none: it is that of the points
-    rest_tets: Ints  # (n, 4) into rest_points; none: as tets
+    rest_points: Floats  # (R, 3) of the rest shape; empty: as points
+    rest_tets: Ints  # (n, 4) into rest_points; empty: as tets
 
 
 def surface_of(body: Tets, say: Callable[[str], None]) -> Ints:
     """Triangles (T, 3) of the surface, counter-clockwise seen from outside.
 
-    They are the authored ones, in their order, where there are any and they are wound one way.
+    They are the authored ones, in their order, where they are authored with consistent winding.
 
-    say : is told what was assumed.
+    say : called with notes on assumptions.
 
-    Raises BrokenTets for indices out of range, tetrahedra that are inverted or overlap, and an
-    authored surface that is not theirs.
+    Raises BrokenTets for indices out of range, inverted or overlapping tetrahedra, and an authored
+    surface that is not the boundary of the tetrahedra.
     """
     points, tets = body.points, body.tets
     _require_range("tetVertexIndices", tets, len(points))
@@ -55,26 +55,26 @@ def surface_of(body: Tets, say: Callable[[str], None]) -> Ints:
     volumes = signed_volumes(points, tets)
     handed = -1.0 if body.left_handed else 1.0
     sign = _sign(volumes * handed, _flat(points, tets), "its points", say) * handed
-    _look_at_rest(body, sign, say)
+    _check_rest_shape(body, sign, say)
     wound = tets if sign > 0.0 else tets[:, [0, 2, 1, 3]]
     if len(body.surface):
         return _authored(body.surface, boundary(wound), say)
-    # Tetrahedra that have their points for themselves touch all the same.
+    # Tetrahedra that share no points may have coincident ones.
     one, _ = weld(points)
     inner = boundary(one[wound])
     return inner if len(inner) else boundary(wound)
 
 
 def signed_volumes(points: Floats, tets: Ints) -> Floats:
-    """(n,) volumes of tetrahedra (n, 4)."""
+    """(n,) signed volumes of tetrahedra (n, 4)."""
     a, b, c, d = np.moveaxis(np.asarray(points, np.float64)[tets], 1, 0)
     return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
 
 
 def boundary(tets: Ints) -> Ints:
-    """Faces (T, 3) that belong to one of the tetrahedra (n, 4) only, wound outward.
+    """(T, 3) faces that only one of the tetrahedra (n, 4) has, facing outward.
 
-    Raises BrokenTets where three and more share a face.
+    Raises BrokenTets where more than two tetrahedra share a face.
     """
     faces, crowded = tet_surface(tets)
     if crowded:
@@ -92,17 +92,17 @@ def _require_range(name: str, indices: Ints, count: int) -> None:
 
 
 def _flat(points: Floats, tets: Ints) -> Floats:
-    """(n,) volume below which each tetrahedron is flat."""
+    """(n,) volume below which each tetrahedron is degenerate."""
     corners = np.asarray(points, np.float64)[tets]
     edges = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2)
     return FLAT * edges.max(axis=1, initial=0.0) ** 3
 
 
 def _sign(volumes: Floats, least: Floats, where: str, say: Callable[[str], None]) -> float:
-    """1 where the tetrahedra are wound as their orientation says, -1 where all are the other way.
+    """1 where the tetrahedra match the authored orientation, -1 where all are opposite to it.
 
-    volumes : (n,) signed, positive as the orientation says; least : (n,) of which those below are
-    flat.
+    volumes : (n,) signed, positive for the authored orientation; least : (n,) volumes below which
+    they are degenerate.
     """
     flat = np.abs(volumes) <= least
     inverted = (volumes < 0.0) & ~flat
@@ -126,8 +126,8 @@ def _sign(volumes: Floats, least: Floats, where: str, say: Callable[[str], None]
     return 1.0
 
 
-def _look_at_rest(body: Tets, sign: float, say: Callable[[str], None]) -> None:
-    """Raise BrokenTets for a rest shape that is none; say where it is not that of the points."""
+def _check_rest_shape(body: Tets, sign: float, say: Callable[[str], None]) -> None:
+    """Raise BrokenTets for an invalid rest shape; note where it differs from the points."""
     if not len(body.rest_points):
         return
     rest = body.rest_points
@@ -153,7 +153,7 @@ def _look_at_rest(body: Tets, sign: float, say: Callable[[str], None]) -> None:
 
 
 def _authored(surface: Ints, outward: Ints, say: Callable[[str], None]) -> Ints:
-    """The authored triangles, wound outward."""
+    """The authored triangles, facing outward."""
     order = {tuple(sorted(row)): k for k, row in enumerate(outward.tolist())}
     rows = [order.get(tuple(sorted(row)), -1) for row in surface.tolist()]
     foreign, missing = rows.count(-1), len(set(order.values()) - set(rows))
@@ -163,7 +163,7 @@ def _authored(surface: Ints, outward: Ints, say: Callable[[str], None]) -> Ints:
             f"surface of its tetrahedra, and {missing} of the {len(outward)} faces of that "
             f"surface are missing"
         )
-    # An even permutation of the corners keeps the winding.
+    # An even permutation of the corners preserves the winding.
     same = np.array([_even(a, b) for a, b in zip(surface.tolist(), outward[rows].tolist())])
     if same.all():
         return surface

@@ -8,7 +8,7 @@ import pytest
 from gf_usd.core.mesh import boundary_edges, signed_volume
 from gf_usd.readers.usd.solids import points as module
 from gf_usd.readers.usd.solids.points import cover
-from gf_usd.readers.usd.stage import LeftAlone
+from gf_usd.readers.usd.stage import SkippedPrim
 
 W = 0.25
 LATTICE = [
@@ -139,6 +139,6 @@ def test_points_in_one_place_have_no_size(read) -> None:
 
 
 def test_nothing_to_cover_is_said() -> None:
-    with pytest.raises(LeftAlone, match="no surface"):
+    with pytest.raises(SkippedPrim, match="no surface"):
         # Numbers in which single balls vanish between the nodes of the grid.
         cover(np.array([(0.0, 0, 0), (1e6, 0, 0)]), np.array([1e-3, 1e-3]))
