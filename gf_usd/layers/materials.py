@@ -70,8 +70,8 @@ def write_material_file(
 
     Raises UsageError where path is the asset, and BakeError where the disk refuses.
     """
+    layer = new_layer(path, source)
     with dropped_on_failure(path):
-        layer = new_layer(path, source)
         stage = Usd.Stage.Open(layer)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)

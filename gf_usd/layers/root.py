@@ -111,8 +111,8 @@ def write_root(
     source_path = source or asset.facts.path
     stage = open_source(source_path)
     home = find_home(stage, asset, choices)
+    layer = new_layer(path, source_path)
     with dropped_on_failure(path):
-        layer = new_layer(path, source_path)
         _author_metadata(layer, stage, asset, home, bakes, settled=choices.settled)
         reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
         display_set = free_display_set(stage, asset, home)

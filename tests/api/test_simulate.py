@@ -144,6 +144,24 @@ def test_a_saved_state_goes_on_to_the_bit() -> None:
     assert np.array_equal(again.F, once.F)
 
 
+def test_states_from_before_and_after_a_conversion_are_loaded() -> None:
+    """The solver, and with it the arrays of the state, change where bodies begin to flow."""
+    scene = gf_usd.Scene()
+    scene.add_body(UNIT, FACES, material="rubber", name="one")
+    more = {"frames": 5, "particles": 100, "conversions": "/one=dry-sand@time:2"}
+    simulation = gf_usd.simulate(scene, **more)
+    next(simulation)
+    start = simulation.save()
+    frames = list(simulation)
+    end = simulation.save()
+    simulation.load(start)
+    for once, again in zip(frames, simulation):
+        assert np.array_equal(once.positions, again.positions)
+    other = gf_usd.simulate(scene, **more)
+    other.load(end)
+    assert int(other.save()["index"]) == int(end["index"])
+
+
 def test_a_scene_is_run_again_from_its_first_state() -> None:
     simulation = gf_usd.simulate(alone(gravity=0.0), frames=3, particles=100)
     next(simulation)

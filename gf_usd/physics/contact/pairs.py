@@ -75,8 +75,7 @@ class BodyContact:
         self._reach = (FACING + TRAVEL) * self._spacing  # [m] from where something is faced
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins: dict[int, BodySkin] = {}  # see `_skin`, of bodies that others came near
-        g, r = float(np.linalg.norm(body.settings.gravity)), body.particles.radius
-        self._budget = EnergyBudget.of_body(float(body.m.sum()), g, r)
+        self._budget = self._make_budget(body, len(skins))
         self._placed: tuple[ref[StateView], Floats, Floats] | None = None  # `motion` of a view
         self._own = {
             k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)
@@ -115,6 +114,18 @@ class BodyContact:
             self._skins[body] = BodySkin(skin, rows, m, self._X[m])
         return self._skins[body]
 
+    def _make_budget(self, body: Body, count: int) -> EnergyBudget:
+        """For `count` bodies, whose pairs are numbered as by `_pairs`."""
+        of, obstacle_count, number = body.particles.body_of, len(self._obstacles), np.arange(count)
+        g = float(np.linalg.norm(body.settings.gravity))
+        budget = EnergyBudget.of_mass(float(body.m.sum()), body.particles.radius, g)
+        return budget.with_own(
+            number * (obstacle_count + count) + obstacle_count + number,
+            np.bincount(of, body.m, count),
+            np.bincount(of, body.particles.V0, count),
+            g,
+        )
+
     def _make_own(self, body: int, samples: SurfaceSamples) -> SelfContact:
         m = self._members[body]
         assert samples.normal is not None
@@ -130,7 +141,7 @@ class BodyContact:
             "contact_own_gap": self._own_gap,
             "contact_x": self._x,
             "contact_stiffness": self._k,
-            "contact_given": self._budget.given,
+            "contact_given": self._budget.given.copy(),
         }
 
     def load(self, saved: Mapping[str, Any]) -> None:
@@ -142,7 +153,7 @@ class BodyContact:
         self._own_gap = np.asarray(saved["contact_own_gap"])
         self._x = np.asarray(saved["contact_x"])
         self._k = np.asarray(saved["contact_stiffness"])
-        self._budget.given = float(saved["contact_given"])
+        self._budget.given = np.array(saved["contact_given"])
 
     def begin(self, state: State) -> None:
         """Count from zero."""

@@ -46,6 +46,8 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.conversion import past_limits
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
+FLOWING = "bodies_that_flow"  # in a saved state
+
 
 class Converting(Solver):
     """Bodies of which some particles can be converted, and others; parameters as for `Coupled`.
@@ -187,11 +189,11 @@ class Converting(Solver):
 
     def save(self) -> dict[str, Any]:
         """See `Solver`."""
-        return {**self.now.save(), "bodies_that_flow": self.flows.copy()}
+        return {**self.now.save(), FLOWING: self.flows.copy()}
 
     def load(self, saved: Mapping[str, Any]) -> None:
         """See `Solver`."""
-        flows = np.asarray(saved["bodies_that_flow"], bool)
+        flows = np.asarray(saved[FLOWING], bool)
         if (flows != self.flows).any():
             self.flows = flows
             self.now = self._solver()

@@ -111,7 +111,7 @@ class FlowPlanes:
         self._walls = [(c.spec.friction, c.spec.restitution) for c in setup.colliders]
         self._obstacles: tuple[Obstacle, ...] = obstacles(setup.colliders, frame_time)
         self._g = float(np.linalg.norm(gravity))
-        self._budget = EnergyBudget.of_body(float(contact.mass.sum()), self._g, radius)
+        self._budget = EnergyBudget.of_mass(float(contact.mass.sum()), radius, self._g)
         self._frame_time = frame_time
         self.reach = (FACING + TRAVEL) * spacing
         self.hardening = (HARD * spacing) ** -2
@@ -139,14 +139,13 @@ class FlowPlanes:
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
         arrays = {f"plane_{name}": getattr(self, name).copy() for name in ARRAYS}
-        return {**arrays, "plane_detected": self.detected, "plane_given": self._budget.given}
+        return {**arrays, "plane_detected": self.detected}
 
     def load(self, saved: Mapping[str, Any]) -> None:
         """See `Saved`."""
         for name in ARRAYS:
             setattr(self, name, np.array(saved[f"plane_{name}"]))
         self.detected = float(saved["plane_detected"])
-        self._budget.given = float(saved["plane_given"])
         self._recompute_derived()
 
     def set_contact(self, contact: FloorContact) -> None:

@@ -112,6 +112,7 @@ def note_joints(
     prims: Iterable[Usd.Prim], baked: Sequence[Usd.Prim], time: Usd.TimeCode, notes: Notes
 ) -> None:
     """Say of enabled joints that connect a baked surface, or a body that it is of, what happens."""
+    owners = [(one, body_of(one, time)) for one in baked]
     for prim in prims:
         if not prim.IsA(UsdPhysics.Joint):
             continue
@@ -120,7 +121,12 @@ def note_joints(
         joint = UsdPhysics.Joint(prim)
         ends = [*joint.GetBody0Rel().GetForwardedTargets()]
         ends += joint.GetBody1Rel().GetForwardedTargets()
-        if any(one.GetPath().HasPrefix(end) for end in ends for one in baked):
+        bodies = [body_of(prim.GetStage().GetPrimAtPath(end), time) for end in ends]
+        if any(
+            (body is not None and body == owner) or end.HasPrefix(one.GetPath())
+            for one, owner in owners
+            for end, body in zip(ends, bodies)
+        ):
             notes.add(
                 "is a joint, and joints are not simulated: what it connects moves freely; --pin"
                 " holds regions in place, and the meshes below one RigidBodyAPI are one body",

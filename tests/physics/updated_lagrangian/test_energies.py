@@ -12,6 +12,7 @@ from solids import ball, look, settings
 
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.per_particle import strains
+from gf_usd.physics.updated_lagrangian import solver as updated_solver
 from gf_usd.physics.updated_lagrangian.energies import cells_now, strained_speed, world_stiffness
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
@@ -73,3 +74,12 @@ def test_a_stretched_body_takes_shorter_steps():
     solver.read(0)
     # Half of the limit at rest, all of it when strained: 4 times the frequency is twice the steps.
     assert solver.substeps > 1.5 * relaxed
+
+
+def test_a_state_that_blew_up_is_left_to_the_guard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its stable step can round to 0 s, by which nothing can be divided."""
+    body, _ = ball(300)
+    solver = UpdatedLagrangian(body, [look("rubber", body)], settings(fps=1.0), real=np.float32)
+    monkeypatch.setattr(updated_solver, "strained_step", lambda *of_the_strain: 0.0)
+    solver.read(0)
+    assert solver.strained == 1

@@ -99,6 +99,16 @@ def test_a_joint_of_what_is_baked_is_named_as_not_simulated(write: Write, kind: 
     assert "--pin" in note
 
 
+def test_a_joint_connects_the_rigid_body_that_its_frame_is_in(write: Write) -> None:
+    """The frame may be a prim in the body; an Xform above all that is no body is the world's."""
+    rig = prim("Xform", "Rig", mesh("Asset") + prim("Xform", "Frame"), apis=["PhysicsRigidBodyAPI"])
+    held = joint("PhysicsFixedJoint", "Held", one="/World/Rig/Frame")
+    far = mesh("Far") + joint("PhysicsFixedJoint", "Door", one="/World", two="/World/Far")
+    said = physics_of(write(head() + prim("Xform", "World", rig + held + far)), "/World/Rig/Asset")
+    (note,) = [one for one in said.notes if JOINT in one]
+    assert note.startswith("/World/Held: ")
+
+
 @pytest.mark.parametrize(
     "other",
     [

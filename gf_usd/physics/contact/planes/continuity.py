@@ -24,37 +24,53 @@ from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 EASE = 0.1  # [spacings] largest increase of a sample's depth by a detection
 # Bound of f, for a pair with hardly a sample left inside after a detection.
 MOST = 2.0
-# Of m g r: power in T, and energy in all, by which detections may bring pairs to their true depths.
-# This lifts what rests on them, and takes a few T.  Without a bound of the whole, a sample between
-# two sheets, whose plane changes sides at every detection, is given energy for ever.
+# Fractions of m g r: power per T by which detections may bring a pair to its true depths, and the
+# energy in all that they may add to a body's contact with itself.
 POWER = 1e-4
 RESERVE = 4e-4
 
 
-@dataclass
 class EnergyBudget:
-    """Energy that detections may give to the contact springs of a body so that depths are true."""
+    """Energy that detections may add to contact springs so that depths become the true ones.
 
-    power: float  # [W] for each pair
-    reserve: float  # [J] in all
-    given: float = 0.0  # [J] so far; what was taken back does not count
+    The power is bounded for each pair.  Along a curved surface it is needed at every detection,
+    since samples that follow their planes are found deeper than before.  In the contact of a body
+    with itself the energy is bounded in all, too: a sample between two sheets, whose plane changes
+    sides at every detection, would be given it for ever.
+
+    power : [W] for each pair; own : (B,) numbers of the pairs of a body with itself; reserve : (B,)
+    [J] for each of these.
+    """
+
+    def __init__(self, power: float, own: Ints, reserve: Floats) -> None:
+        self._power, self._own, self._reserve = power, own, reserve
+        self.given = np.zeros(len(own))  # (B,) [J] of the reserve; less what was taken back
 
     @classmethod
-    def of_body(cls, mass: float, g: float, radius: float) -> EnergyBudget:
-        """For a body of a mass [kg] and a radius [m] under gravity g [m/s^2]."""
-        energy = mass * g * radius
-        return cls(power=POWER * energy / time_scale(radius), reserve=RESERVE * energy)
+    def of_mass(cls, mass: float, radius: float, g: float) -> EnergyBudget:
+        """For bodies that do not meet themselves.
+
+        mass : [kg], radius : [m] of all together; g : [m/s^2] gravity.
+        """
+        power = POWER * mass * g * radius / time_scale(radius)
+        return cls(power, np.zeros(0, np.int64), np.zeros(0))
+
+    def with_own(self, own: Ints, mass: Floats, volume: Floats, g: float) -> EnergyBudget:
+        """The same for bodies that meet themselves, of masses [kg] and volumes [m^3] (B,)."""
+        radius = (3.0 * volume / (4.0 * np.pi)) ** (1.0 / 3.0)
+        return EnergyBudget(self._power, own, RESERVE * mass * g * radius)
 
     def spend(self, missing: Floats, elapsed: float) -> Floats:
-        """(p,) [J] given to each pair, below 0: taken, of what is missing (p,) [J] to its true
-        energy; elapsed : [s] since the last detection."""
-        most = self.power * elapsed
+        """(p,) [J] by which the energy of each pair changes.
+
+        missing : (p,) [J] to the true energy; elapsed : [s] since the last detection.
+        """
+        most = self._power * elapsed
         given = np.clip(missing, -most, most)
-        asked, taken = float(given[given > 0.0].sum()), -float(given[given < 0.0].sum())
-        left = self.reserve - self.given + taken
-        if asked > left:
-            given = np.where(given > 0.0, given * (max(left, 0.0) / asked), given)
-        self.given += float(given.sum())
+        some = np.flatnonzero(self._own < len(given))
+        own = self._own[some]
+        given[own] = np.minimum(given[own], np.maximum(self._reserve - self.given, 0.0)[some])
+        self.given[some] += given[own]
         return given
 
 
