@@ -74,6 +74,7 @@ class Simulation(Iterator[SimulationFrame]):
         self._index = -1  # of the last frame
         self._last: Health | None = None
         self._disturbed = False  # since the last frame
+        self._known_shapes: Mapping[str, tuple[int, ...]] | None = None  # see `_shapes`
         self._forces: Any = 0.0  # (n, 3) [m/s^2] of free nodes by `push`; 0: none
         self._acceleration: Any = 0.0  # the same by `accelerate`
         self.bodies: tuple[str, ...] = scene.bodies
@@ -206,6 +207,13 @@ class Simulation(Iterator[SimulationFrame]):
             "rest": self._plan.particles.X,
         }  # fmt: skip
 
+    def _shapes(self, solver: Any) -> Mapping[str, tuple[int, ...]]:
+        """The shapes of a state of this scene; read once, since that takes the whole state."""
+        if self._known_shapes is None:
+            with guest():
+                self._known_shapes = {k: np.shape(value) for k, value in solver.save().items()}
+        return self._known_shapes
+
     def load(self, state: Mapping[str, Any]) -> None:
         """Continue from a state of `save`; the frames that follow are identical to the bit.
 
@@ -214,8 +222,7 @@ class Simulation(Iterator[SimulationFrame]):
         if not isinstance(state, Mapping) or not state.keys() >= STATE:
             raise UsageError("the state was not made by save()", "give what save() returned")
         solver = self._running()
-        with guest():
-            own = {name: np.shape(value) for name, value in solver.save().items()}
+        own = self._shapes(solver)
         theirs = {name: np.shape(value) for name, value in state.items() if name not in STATE}
         from gf_usd.physics.coupled.handover import FLOWING
 

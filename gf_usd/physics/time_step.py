@@ -142,6 +142,15 @@ def wave_speed(k: Floats, density: Floats, order: np.ndarray, cell_start: np.nda
     return float(np.sqrt((k / density).max()))
 
 
+def substeps_of(frame_time: float, dt: float) -> int:
+    """Substeps of a frame [s] with steps of at most dt [s].
+
+    The stable step of a state that blew up can round to 0: then 1, the guard judges the frame, and
+    its step is halved from that at rest.
+    """
+    return 1 if dt == 0.0 else int(np.ceil(frame_time / dt))
+
+
 def strained_step(
     rest: StableStep, speed: float, h: float, per_cell: float, frequency: float | None = None
 ) -> float:

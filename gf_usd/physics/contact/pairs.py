@@ -115,12 +115,12 @@ class BodyContact:
         return self._skins[body]
 
     def _make_budget(self, body: Body, count: int) -> EnergyBudget:
-        """For `count` bodies, whose pairs are numbered as by `_pairs`."""
-        of, obstacle_count, number = body.particles.body_of, len(self._obstacles), np.arange(count)
+        """For `count` bodies."""
+        of, number = body.particles.body_of, np.arange(count)
         g = float(np.linalg.norm(body.settings.gravity))
         budget = EnergyBudget.of_mass(float(body.m.sum()), body.particles.radius, g)
         return budget.with_own(
-            number * (obstacle_count + count) + obstacle_count + number,
+            self._pair_number(number, len(self._obstacles) + number),
             np.bincount(of, body.m, count),
             np.bincount(of, body.particles.V0, count),
             g,
@@ -176,8 +176,11 @@ class BodyContact:
         """(n,) which body of each sample and what it faces, as one number; -1: nothing."""
         theirs = np.where(planes.partner >= 0, self._of[planes.partner], planes.obstacle)
         theirs = theirs + np.where(planes.partner >= 0, len(self._obstacles), 0)
-        number = self._of * (len(self._obstacles) + len(self._members)) + theirs
-        return np.where(planes.partner == NOBODY, -1, number)
+        return np.where(planes.partner == NOBODY, -1, self._pair_number(self._of, theirs))
+
+    def _pair_number(self, body: Ints, theirs: Ints) -> Ints:
+        """The number of pairs of a body and what it faces: obstacles first, then bodies."""
+        return body * (len(self._obstacles) + len(self._members)) + theirs
 
     def imminent(self, now: StateView, time: float, still: Ints | None = None) -> bool:
         """Whether anything may touch before the next frame; bodies `still` (B,) do not move.

@@ -32,7 +32,7 @@ from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats
 from gf_usd.physics.grid.bodies import bodies_of
 from gf_usd.physics.laws.registry import ParticleLaws
-from gf_usd.physics.time_step import per_cell, stiffness, strained_step, wave_speed
+from gf_usd.physics.time_step import per_cell, stiffness, strained_step, substeps_of, wave_speed
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.shape_correction import is_active
@@ -194,6 +194,4 @@ def strained_substeps(
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
     rest = pressed_step(body.contact, body.step, depth)
     dt = strained_step(rest, speed, body.h, per_cell(body.particles, body.h), body.frequency)
-    if dt == 0.0:  # a state that blew up: the guard judges it, and the step is halved from rest
-        return 1
-    return int(np.ceil(body.settings.frame_time / dt))
+    return substeps_of(body.settings.frame_time, dt)

@@ -27,7 +27,7 @@ from gf_usd.physics import taichi_arrays
 from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.taichi_arrays import Launcher
-from gf_usd.physics.time_step import per_cell, strained_step
+from gf_usd.physics.time_step import per_cell, strained_step, substeps_of
 from gf_usd.physics.total_lagrangian.setup import floor_height
 from gf_usd.physics.updated_lagrangian.conversion import Conversions
 from gf_usd.physics.updated_lagrangian.energies import (
@@ -342,9 +342,7 @@ class UpdatedLagrangian(Solver):
         depth = float(self.state.get("sample_depth").max())
         step = pressed_step(body.contact, body.step, depth)
         dt = strained_step(step, speed, body.h, per_cell(self.particles, body.h))
-        if dt == 0.0:  # a state that blew up: the guard judges it, and the step is halved from rest
-            return 1
-        return self.required_substeps(int(np.ceil(self.frame_time / dt)), depth)
+        return self.required_substeps(substeps_of(self.frame_time, dt), depth)
 
     def von_mises(self) -> Floats:
         """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""
