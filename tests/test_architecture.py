@@ -18,10 +18,11 @@ PACKAGE = ROOT / "gf_usd"
 BASE = {"core", "system"}
 # Who takes these apart; all others are given what they need of them.
 WHOLE = {
-    "gf_usd.prepare.plan.Plan": {"prepare/fill.py", "prepare/prepare.py",
+    "gf_usd.prepare.plan.Plan": {"prepare/fill/fill.py", "prepare/prepare.py",
                                  "pipeline/prepared.py", "pipeline/run.py", "pipeline/inspect.py",
                                  "pipeline/scene.py", "cli/console.py"},
-    "gf_usd.prepare.options.request.Request": {"prepare/settings.py", "prepare/fill.py",
+    "gf_usd.prepare.options.request.Request": {"prepare/settings.py", "prepare/fill/inputs.py",
+                                               "prepare/fill/fill.py",
                                                "prepare/options/choices.py",
                                                "prepare/options/implied.py",
                                                "prepare/prepare.py", "pipeline/scene.py",

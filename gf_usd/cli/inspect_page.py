@@ -204,7 +204,7 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 
 def _said(seen: Inspection) -> list[str]:
     """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
-    from gf_usd.prepare.fill import not_baked_notes
+    from gf_usd.prepare.fill.notes import not_baked_notes
 
     left = set(not_baked_notes(seen.asset.skipped))
     left |= {one.note for one in (seen.plan.advice if seen.plan else ())}

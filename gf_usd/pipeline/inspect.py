@@ -47,7 +47,8 @@ from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.cost.budget import Cost
 from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
-from gf_usd.prepare.fill import fill, repair_asset_for_fill
+from gf_usd.prepare.fill.fill import fill
+from gf_usd.prepare.fill.inputs import repair_asset_for_fill
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.prepare import parse_request, read_stage, reading, would_fill

@@ -25,7 +25,7 @@ from gf_usd.core.stage import (
 )
 from gf_usd.core.units import StageUnits
 from gf_usd.pipeline.prepared import solver_of
-from gf_usd.prepare.fill import fill
+from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import outputs

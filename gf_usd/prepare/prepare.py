@@ -19,7 +19,7 @@ from gf_usd.prepare.advice import Auto
 from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
 from gf_usd.prepare.asset_size import implausible_size
 from gf_usd.prepare.bodies.contact import file_obstacles
-from gf_usd.prepare.fill import fill
+from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.materials.table import Authored, variant_name
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import Swept, swept

@@ -1,0 +1,266 @@
+"""Flesh on characters (`--flesh`): their animation, pins at the bones, springs to the pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset, first_time_code
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import Settings, SurfaceSamples
+from gf_usd.core.stage import Goals, Pin, Skeleton
+from gf_usd.prepare.bodies.characters import character_paths
+from gf_usd.prepare.pins import FREE
+from gf_usd.prepare.settings import Animation
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
+    from gf_usd.prepare.bodies.plan import BodyPlan
+
+
+BONE_RADIUS = 0.5  # of the distance to the skin
+GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 6
+GOAL_DAMPING = 0.5
+SAME_POSE = 1e-3  # of the skeleton: poses that differ by less are one
+JUMP = 2.0  # times the longest way between two frames: a cycle whose end is farther is none
+
+
+def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
+    """The animation of the skeletons that pose an asset; start : its first time code, as asked for.
+
+    Where no skeleton poses any of it, that of its points, or else of the only skeleton of the
+    stage.  Raises InputError where there is none, and for a broken skeleton.
+    """
+    from gf_usd.readers.usd.bones import (
+        animation_range,
+        has_skeleton,
+        lone_skeleton,
+        read_skeleton,
+    )
+    from gf_usd.readers.usd_bake.caches import cache_range, has_animated_points, read_cache
+
+    paths = [s.path for s in asset.surfaces]
+    posed, nearest = has_skeleton(file, paths, asset.facts), ""
+    if not (posed or has_animated_points(file, paths, asset.facts)):
+        nearest = lone_skeleton(file)
+    cached = not (posed or nearest)
+    loose = _surface_points(asset) if nearest else None
+    if cached:
+        first, last = cache_range(file, paths, asset.facts)
+    else:
+        first, last = animation_range(file, paths, asset.facts, loose)
+    if start is not None:
+        first, last = first_time_code(asset.facts, start), max(start, last)
+    if cached:
+        ends = read_cache(file, paths, asset.facts, first=first, times=[first, last])
+        start_points, end_points = (np.concatenate([x[p] for p in paths]) for x in ends)
+        extent = float(np.linalg.norm(np.ptp(start_points, axis=0)))
+        away = float(np.linalg.norm(end_points - start_points, axis=1).max())
+        closed = last > first and away < SAME_POSE * extent
+        return Animation(first=first, last=last, reach=0.0, closed=closed, cached=True)
+    ends = {"first": first, "times": [first, last], "loose": loose}
+    bones = read_skeleton(file, paths, asset.facts, **ends).bones
+    reach = max(float(np.linalg.norm(b.path[0] - b.anchors, axis=1).max()) for b in bones)
+    steps = [float(np.linalg.norm(b.path[1] - b.path[0], axis=1).max()) for b in bones]
+    size = float(np.linalg.norm(bones[0].anchors[1] - bones[0].anchors[0]))
+    closed = last > first and max(steps) < SAME_POSE * size
+    return Animation(first=first, last=last, reach=reach, closed=closed, nearest=nearest)
+
+
+def _surface_points(asset: Asset) -> dict[str, Floats]:
+    """The points of the surfaces, (V, 3) [m] in the world, by prim path."""
+    return {s.path: s.points for s in asset.surfaces}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flesh:
+    """The pins and goals of a character's flesh."""
+
+    pins: tuple[Pin, ...] = ()  # the cores of bones
+    goals: Goals | None = None  # springs to the skinned pose
+    notes: tuple[str, ...] = ()
+    rigid: tuple[str, ...] = ()  # what of --rigid moves with its joints
+
+
+def flesh_of(
+    asset: Asset,
+    solid: Solid,
+    X: Floats,
+    samples: SurfaceSamples,
+    settings: Settings,
+    animation: Animation,
+    file: Path,
+    *,
+    bodies: BodyPlan,
+    **asked: Any,
+) -> Flesh:
+    """The cores of the bones of each body, and its springs; for the others see `_of_character`.
+
+    bodies : one for each character.
+    """
+    if bodies.count == 1:
+        return _of_character(asset, solid, X, samples, settings, animation, file, **asked)
+    every = []
+    for k, paths in enumerate(character_paths(bodies)):
+        own = replace(asset, surfaces=tuple(s for s in asset.surfaces if s.path in paths))
+        part = solid.part(np.flatnonzero(bodies.of_surface == k))
+        near = samples.some(np.flatnonzero(samples.body == k))
+        every.append(_of_character(own, part, X, near, settings, animation, file, **asked))
+    goals = None
+    if any(one.goals for one in every):
+        first, *others = (one.goals or FREE for one in every)
+        goals = replace(first, of_body=dict(enumerate(others, 1)))
+    return Flesh(
+        pins=tuple(replace(pin, body=k) for k, one in enumerate(every) for pin in one.pins),
+        goals=goals,
+        notes=tuple(dict.fromkeys(note for one in every for note in one.notes)),
+        rigid=tuple(dict.fromkeys(name for one in every for name in one.rigid)),
+    )
+
+
+def _of_character(
+    asset: Asset,
+    solid: Solid,
+    X: Floats,
+    samples: SurfaceSamples,
+    settings: Settings,
+    animation: Animation,
+    file: Path,
+    *,
+    share: float | None,
+    frequency: float | None,
+    damping: float | None,
+    squish: float | None = None,
+    stretch: float | None = None,
+    rigid: Sequence[str] = (),
+    lattice: float,
+    spacing: float,
+    cycle: int = 0,
+    repeats: int = 0,
+) -> Flesh:
+    """The cores of the bones, and the springs that are asked for, of the surfaces of one body.
+
+    X : (n, 3) [m] of the particles.  settings : as `sampled`.  share, frequency [Hz], damping,
+    squish, stretch : of --bone-radius, --goal-frequency, --goal-damping, --squish and --stretch;
+    None: not said.  rigid : names of --rigid.  lattice : [m] half the edge of a cell; spacing : [m]
+    of the samples.  cycle : samples of a period, which comes `repeats` times before it is written;
+    0: the animation is none.  Raises InputError as
+    `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
+    """
+    from gf_usd.geometry.flesh.carried import carried_meshes, carried_pins, named_carried_meshes
+    from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
+    from gf_usd.geometry.flesh.goals import flesh_goals
+    from gf_usd.geometry.flesh.limits import flesh_limits
+    from gf_usd.geometry.flesh.medial import medial_skeleton
+    from gf_usd.readers.usd.bones import read_skeleton
+    from gf_usd.readers.usd_bake.caches import read_cache
+    from gf_usd.readers.usd_bake.settings import goals_vary, read_goals
+
+    step = settings.time_codes_per_second / settings.fps
+    lead = animation.lead(settings, cycle * repeats)
+    frame = np.arange(settings.frames) - lead
+    frame = np.where((frame > 0) & (cycle > 0), frame % max(cycle, 1), frame)
+    times = animation.first + frame * step
+    paths = [s.path for s in asset.surfaces]
+    different, again = np.unique(times, return_inverse=True)
+    when = {"first": animation.first, "times": different.tolist()}
+    cores, notes = None, ()
+    if animation.cached:
+        skeleton, cores = medial_skeleton(
+            solid, X, samples, read_cache(file, paths, asset.facts, **when),
+            share=share or BONE_RADIUS, cell=2.0 * lattice, spacing=spacing,
+            where=str(asset.facts.path),
+        )  # fmt: skip
+        notes = (
+            f"it has no skeleton: {len(skeleton.bones)} pieces along its medial axis follow its"
+            f" animated points as bones",
+        )
+    else:
+        loose = _surface_points(asset) if animation.nearest else None
+        skeleton = read_skeleton(file, paths, asset.facts, **when, loose=loose)
+    skeleton = _at_frames(skeleton, again.tolist())
+    bones = skeleton.bones
+    if cycle and repeats:
+        _require_closed(asset, skeleton, lead, cycle)
+    if cores is None:
+        cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
+    if animation.nearest:
+        notes = (
+            f"{', '.join(paths)} without joint weights: each point follows the nearest bones of"
+            f" {animation.nearest}",
+            *notes,
+        )
+    pins = bone_pins(bones, cores)
+    carried = carried_meshes(skeleton)
+    kept = named_carried_meshes(rigid, carried, paths)
+    pins += carried_pins(kept, carried, skeleton, solid, 2.0 * lattice)
+    taken = {path for pin in pins for path in pin.meshes}
+    if soft := [f"<{path}>" for path in carried if path not in taken]:
+        left = len(soft) - 3
+        more = f" and {left} more mesh{'es' * (left > 1)}" if left > 0 else ""
+        moves, becomes = ("moves", "becomes") if len(soft) == 1 else ("move", "become")
+        notes = (
+            *notes,
+            f"{', '.join(soft[:3])}{more} {moves} with a single joint and {becomes} as soft as the"
+            f" rest; --rigid keeps a mesh rigid, such as --rigid {soft[0][1:-1]}",
+        )
+    if not pins:
+        raise InputError(
+            f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
+            f" as {bones[0].name}",
+            "bind the mesh again, so that in the bind pose its skeleton is inside it",
+        )
+    painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
+    limits = None
+    if squish is not None or stretch is not None:
+        limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=2.0 * lattice)
+    if frequency is None and not painted:
+        if limits is None:
+            return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
+        frequency = 0.0  # limits alone: no springs
+    elif frequency is None:
+        frequency = GOAL_FREQUENCY
+        notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
+    keys: list[Mapping[str, Floats]] = []
+    if painted and goals_vary(file, asset.facts, asset.surfaces):
+        codes = np.maximum(different, animation.first).tolist()
+        keys = [read_goals(file, asset.facts, asset.surfaces, rest=code) for code in codes]
+        notes = (*notes, "painted goals have time samples: springs change with them")
+    goals = flesh_goals(
+        solid, samples, skeleton, painted, keys=keys, key_of_frame=again.tolist(),
+        frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
+        limits=limits,
+    )  # fmt: skip
+    return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept))
+
+
+def _at_frames(skeleton: Skeleton, rows: list[int]) -> Skeleton:
+    """A skeleton with a selection of its frames."""
+    bones = tuple(replace(bone, path=bone.path[rows]) for bone in skeleton.bones)
+    skin = skeleton.samples
+    if skin is not None:
+        skin = replace(skin, offsets=[skin.offsets[row] for row in rows])
+    return replace(skeleton, bones=bones, samples=skin)
+
+
+def _require_closed(asset: Asset, skeleton: Skeleton, first: int, cycle: int) -> None:
+    """Raise InputError where the motion jumps from the end of a cycle to its start.
+
+    first : sample at which the animation begins; cycle : samples of a period.
+    """
+    path = np.concatenate([b.path[first : first + cycle + 1] for b in skeleton.bones], axis=1)
+    ways = np.linalg.norm(np.diff(path, axis=0), axis=2).max(1)
+    size = float(np.linalg.norm(skeleton.bones[0].anchors[1] - skeleton.bones[0].anchors[0]))
+    if ways[-1] > JUMP * ways[:-1].max(initial=0.0) + SAME_POSE * size:
+        raise InputError(
+            f"{asset.facts.path}: --loop: the animation is not cyclic: the distance from its"
+            f" last frame to its first is {ways[-1]:.3g} m, and at most"
+            f" {ways[:-1].max(initial=0.0):.3g} m between"
+            " others",
+            "give a stage whose time range is one cycle, in place, or omit --loop",
+        )

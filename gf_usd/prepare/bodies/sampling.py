@@ -1,0 +1,108 @@
+"""Fills the bodies of a solid with particles, and covers them with contact samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.core.arrays import Ints
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.prepare.bodies.plan import BodyPlan, plan_bodies
+from gf_usd.prepare.materials.flowing import Dispatch
+from gf_usd.prepare.settings import Resolution
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
+
+OTHER_COUNT = 0.25  # of the number requested: solids alone are as far from it
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledBodies:
+    """The bodies of a bake with their particles and contact samples."""
+
+    bodies: BodyPlan
+    particles: Particles
+    samples: SurfaceSamples
+
+
+def sample_bodies(
+    asset: Asset,
+    solid: Solid,
+    resolution: Resolution,
+    flow: Dispatch,
+    *,
+    seed: int,
+    paper: bool,
+    mixed: bool,
+    combine: bool,
+    owners: dict[str, str],
+    characters: bool,
+) -> SampledBodies:
+    """Fill a solid.  Raises InputError where a body cannot be filled.
+
+    seed : of random places; paper : whether particles are placed as in the paper.
+    mixed : solid bodies beside flowing ones, each with its own solver.
+    combine, owners, characters : see `plan_bodies`.
+    """
+    from gf_usd.geometry.sampling.contact_samples import sample_surface
+    from gf_usd.geometry.sampling.particles import sample_solid
+
+    def sample(of: Ints) -> Particles:
+        return sample_solid(
+            solid,
+            particles=resolution.particles if resolution.spacing is None else None,
+            spacing=resolution.spacing,
+            seed=seed,
+            uniform=paper,
+            up=asset.facts.up_axis,
+            bodies=of,
+            scattered=None if paper else flow.first,
+            later=None if paper else flow.flows & ~flow.first,
+        )
+
+    spacing = resolution.spacing or float(np.cbrt(solid.volume / (resolution.particles or 1)))
+    bodies, particles = plan_bodies(
+        asset, solid, spacing, sample, owners, combine=combine,
+        kinds=flow.first if mixed else None, characters=characters,
+    )  # fmt: skip
+    if paper or (flow.flows.any() and not mixed):
+        # There every particle feels the floor; a mass of rho * area * spacing is its own.
+        samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
+    else:
+        samples = sample_surface(
+            solid,
+            particles.spacing,
+            bodies.of_surface if bodies.count > 1 else None,
+            asset.facts.up_axis,
+        )
+    if mixed:
+        samples = samples.with_grains(particles, bodies.flows(flow.first))
+    return SampledBodies(bodies=bodies, particles=particles, samples=samples)
+
+
+def count_notes(requested: int, particles: Particles, *, sheets: bool) -> tuple[str, ...]:
+    """A note where the number of particles differs from the requested one; 0: none was requested.
+
+    sheets : sheets of one layer are filled at a spacing that was to give as many.
+    """
+    count = len(particles)
+    if not requested or abs(count - requested) <= OTHER_COUNT * requested:
+        return ()
+    if sheets:
+        return (
+            f"sheets of one layer have {count} particles instead of {requested}: --spacing sets how"
+            " fine they are",
+        )
+    if count < requested:
+        return ()
+    from gf_usd.geometry.sampling.particles import CELL_PER_LATTICE
+
+    return (
+        f"there are {count} particles instead of {requested}: cells at the surface have four or"
+        " eight each, and parts are thinner than a cell,"
+        f" {CELL_PER_LATTICE * particles.lattice:.3g} m; fewer --particles make the cells larger",
+    )

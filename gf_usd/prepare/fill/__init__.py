@@ -1,0 +1,1 @@
+"""Makes a plan from an asset that was read."""

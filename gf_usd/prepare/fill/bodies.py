@@ -1,0 +1,80 @@
+"""The step of `fill` that samples bodies with particles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.bodies.characters import characters_of
+from gf_usd.prepare.bodies.sampling import SampledBodies, count_notes, sample_bodies
+from gf_usd.prepare.fill.inputs import Inputs, resolution_of
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.thin.thickness import Thickness
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilledBodies(SampledBodies):
+    """`SampledBodies` with the notes on them."""
+
+    count_notes: tuple[str, ...]
+    resolution_notes: tuple[str, ...]
+    character_notes: tuple[str, ...]
+    characters: bool  # whether each body is a character of --flesh
+
+
+def fill_bodies(inputs: Inputs) -> FilledBodies:
+    request, meshes, paper = inputs.request, inputs.meshes, inputs.paper
+    asset, solid = inputs.asset, inputs.solid
+
+    def thin() -> tuple[float, Thickness | None]:
+        from gf_usd.geometry.thin.thickness import thickness
+
+        return solid.volume, thickness(solid)
+
+    requested = resolution_of(
+        request, inputs.spec, inputs.unit, meshes.volumes, None if meshes.thickened else thin
+    )
+    count = 0 if paper or (requested.spacing and not meshes.spacing) else requested.particles
+    owners, notes = {}, ()
+    if request.flesh and inputs.file:
+        owners, notes = characters_of(asset, inputs.file)
+    characters = bool(owners)
+    filled = sample_bodies(
+        asset, solid, replace(requested, spacing=meshes.spacing or requested.spacing), inputs.flow,
+        seed=request.seed or 0,
+        paper=paper,
+        mixed=inputs.mixed,
+        combine=request.combine or paper or request.solver == "ul"
+        or (request.flesh and not characters),
+        owners=owners or {path: body.owner for path, body in inputs.spec.bodies.items()},
+        characters=characters,
+    )  # fmt: skip
+    _require_one_body(
+        filled.bodies.count, skin=request.skin, wls=bool(request.wls),
+        procrustes=bool(request.procrustes),
+    )  # fmt: skip
+    return FilledBodies(
+        bodies=filled.bodies,
+        particles=filled.particles,
+        samples=filled.samples,
+        count_notes=count_notes(count, filled.particles, sheets=bool(meshes.spacing)),
+        resolution_notes=(requested.note,) if requested.note else (),
+        character_notes=notes,
+        characters=characters,
+    )
+
+
+def _require_one_body(count: int, *, skin: str | None, wls: bool, procrustes: bool) -> None:
+    """Raise UsageError for options that support a single body only."""
+    given_options = {
+        f"--skin {skin}": skin not in (None, "embed"),
+        "--wls": wls,
+        "--procrustes": procrustes,
+    }
+    for option, given in given_options.items():
+        if given and count > 1:
+            raise UsageError(
+                f"{option} supports one body, but there are {count}", "add --combine, or omit it"
+            )

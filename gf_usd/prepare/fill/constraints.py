@@ -1,0 +1,92 @@
+"""The step of `fill` that finds what holds or drives parts of the bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gf_usd.core.frames import Settings, sampled, written
+from gf_usd.core.stage import Goals, Pin
+from gf_usd.prepare.bodies.contact import (
+    LimbPlan,
+)
+from gf_usd.prepare.bodies.flesh import Flesh, flesh_of
+from gf_usd.prepare.bodies.sampling import SampledBodies
+from gf_usd.prepare.fill.bodies import FilledBodies
+from gf_usd.prepare.fill.inputs import Inputs
+from gf_usd.prepare.fill.shot import Shot
+from gf_usd.prepare.pins import attachment_pins, make_pins, soft_attachment_goals
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constraints:
+    """What holds or drives parts of the bodies."""
+
+    pins: tuple[Pin, ...]
+    flesh: Flesh
+    cycle: int  # frames of the period of the animation; 0: it is not repeated
+    meet_from: int  # frame from which characters collide with each other
+    attachment_notes: tuple[str, ...]
+
+
+def constrain(inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[Pin]) -> Constraints:
+    """pins : in addition to those of the options and of the stage."""
+    request, asset, solid, file = inputs.request, inputs.asset, inputs.solid, inputs.file
+    settings, every = shot.settings, sampled(shot.settings)
+    if file is None:
+        return Constraints(
+            pins=tuple(pins), flesh=Flesh(), cycle=0, meet_from=0,
+            attachment_notes=_ignored_attachment_notes(inputs, shot),
+        )  # fmt: skip
+    animation, flesh, cycle, meet_from = shot.animation, Flesh(), 0, 0
+    found = list(pins)
+    found += make_pins(request.listed("pins"), asset, solid, every, file, rest=request.start)
+    attached, notes = attachment_pins(shot.attachments, asset, solid, every, file, request.start)
+    found += attached
+    if animation:
+        cycle = animation.cycle(written(settings)) if request.loop else 0
+        repeats = request.cycles.repeats
+        flesh = flesh_of(
+            asset, solid, filled.particles.X, filled.samples, every, animation, file,
+            share=request.bone_radius, frequency=request.goal_frequency,
+            damping=request.goal_damping, squish=request.squish, stretch=request.stretch,
+            lattice=filled.particles.lattice, spacing=filled.particles.spacing,
+            cycle=cycle * settings.samples_per_frame, repeats=repeats,
+            rigid=request.listed("rigid"), bodies=filled.bodies,
+        )  # fmt: skip
+        found += flesh.pins
+        if filled.characters:
+            meet_from = animation.lead(every, cycle * settings.samples_per_frame * repeats)
+    names = [name for name in request.listed("rigid") if name not in flesh.rigid]
+    found += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
+    return Constraints(
+        pins=tuple(found), flesh=flesh, cycle=cycle, meet_from=meet_from,
+        attachment_notes=(*notes, *_ignored_attachment_notes(inputs, shot)),
+    )  # fmt: skip
+
+
+def _ignored_attachment_notes(inputs: Inputs, shot: Shot) -> tuple[str, ...]:
+    physics = inputs.spec.physics
+    used = {*shot.attachments, *shot.springs}
+    ignored = {*physics.attachments, *physics.soft_attachments} - used
+    if not ignored:
+        return ()
+    return (f"{len(ignored)} attachments are not read with --flesh and --solver ul",)
+
+
+def springs_of(
+    inputs: Inputs, filled: SampledBodies, shot: Shot, flesh: Flesh, limbs: LimbPlan,
+    settings: Settings,
+) -> tuple[Goals | None, tuple[str, ...]]:  # fmt: skip
+    """The springs of --flesh, or of the attachments of the stage with a note."""
+    if not shot.springs or inputs.file is None:
+        return flesh.goals, ()
+    goals = soft_attachment_goals(
+        shot.springs, inputs.asset, sampled(settings), inputs.file, inputs.request.start,
+        body=filled.bodies.embedded, copies=limbs.embedded_copies,
+    )  # fmt: skip
+    return goals, (f"attachments pull parts of the body with springs: {', '.join(shot.springs)}",)

@@ -1,0 +1,240 @@
+"""Makes a plan from an asset: its steps, each with what the next one needs.
+
+The steps read `Inputs`, with the completed request; what they call is given the values that it
+needs.  Only `settings.resolve`, `options.implied` and `options.choices` take the whole request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import triple
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import Choices, Settings
+from gf_usd.core.stage import Pin, StageSpec, Triple
+from gf_usd.prepare.bodies.cages import cage_notes
+from gf_usd.prepare.bodies.contact import (
+    LimbPlan,
+    contact_setup,
+    penetration_notes,
+    require_clear_start,
+    separate_limbs,
+)
+from gf_usd.prepare.bodies.flow import flow_of
+from gf_usd.prepare.bodies.sampling import SampledBodies
+from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
+from gf_usd.prepare.fill.bodies import fill_bodies
+from gf_usd.prepare.fill.constraints import constrain, springs_of
+from gf_usd.prepare.fill.inputs import Inputs, resolution_function
+from gf_usd.prepare.fill.materials import (
+    assign,
+    material_changes,
+    settings_of_materials,
+    softness_notes,
+)
+from gf_usd.prepare.fill.meshes import build_meshes
+from gf_usd.prepare.fill.notes import (
+    no_internals_notes,
+    not_baked_notes,
+    not_filled_notes,
+    paper_notes,
+)
+from gf_usd.prepare.fill.shot import Length, plan_length, plan_shot
+from gf_usd.prepare.materials.assign import Assigned
+from gf_usd.prepare.materials.flowing import dispatch
+from gf_usd.prepare.options.choices import chosen, require_stored
+from gf_usd.prepare.options.implied import with_flow, with_stage
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.outputs import Outputs
+from gf_usd.prepare.plan import Plan, embedded_points
+from gf_usd.prepare.settings import (
+    Animation,
+)
+from gf_usd.readers.notes import ANIMATED
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.diagnosis import Diagnosis
+    from gf_usd.geometry.solid import Solid
+
+
+def fill(
+    asset: Asset,
+    request: Request,
+    presets: Sequence[Any],
+    law: str | None,
+    files: Outputs,
+    file: Path | None,
+    *,
+    spec: StageSpec,
+    repair: bool,
+    known: Sequence[Diagnosis] = (),
+    built: Solid | None = None,
+    more_pins: Callable[[Solid], Sequence[Pin]] | None = None,
+) -> tuple[Plan, Solid]:
+    """A plan for an asset.  Raises InputError where the asset is refused.
+
+    file : its USD form; None: it has none, and spec has the motion of its obstacles.
+    spec : the specification of its stage.
+    known : result of `diagnose` for its surfaces, if available.
+    built : its solid without `repair`, if available.
+    more_pins : of the solid, in addition to those of the options.
+    """
+    from gf_usd.geometry.sampling.tets import tet_lattices
+    from gf_usd.geometry.skinning import SKIN_NOTES
+
+    unit = asset.facts.units.length
+    paper = request.preset == "paper"
+    meshes = build_meshes(
+        asset, repair=repair, resolution=resolution_function(request, spec, unit), paper=paper,
+        known=known, built=built,
+    )  # fmt: skip
+    asset, solid = meshes.asset, meshes.solid
+    gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()
+    flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)
+    request, flow_notes = with_flow(request, flow)
+    request, stage_notes = with_stage(request, spec, asset)
+    inputs = Inputs(
+        meshes=meshes, request=request, spec=spec, presets=presets, law=law, file=file, flow=flow
+    )
+    filled = fill_bodies(inputs)
+    shot = plan_shot(inputs, filled, gravity_keys)
+    constraints = constrain(inputs, filled, shot, more_pins(solid) if more_pins else ())
+    changes = material_changes(inputs)
+    length = plan_length(inputs, shot, constraints.pins, changes)
+    settings = length.settings
+    materials = assign(inputs, filled, settings, changes, repeats=bool(constraints.cycle))
+    each = settings_of_materials(inputs, filled, settings, materials.main, constraints.pins)
+    softness = softness_notes(inputs, materials, settings, length.physics)
+    choices, split_notes = _choose_outputs(inputs, filled, materials, files, length)
+    limbs, overlap_notes = _plan_contact(inputs, filled, materials, length, constraints.meet_from)
+    tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
+    copies = {t.key: t.copy for t in tets if t.copy is not None}
+    goals, goal_notes = springs_of(inputs, filled, shot, constraints.flesh, limbs, settings)
+    advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
+    loose_notes: tuple[str, ...] = ()
+    if not goals:
+        loose_notes = unpinned_animation_notes(
+            filled.bodies, spec.bodies, limbs.particles, constraints.pins
+        )
+    plan = Plan(
+        asset=asset,
+        particles=limbs.particles,
+        samples=limbs.samples,
+        materials=materials.main,
+        tables=materials.tables,
+        settings=each[0],
+        each=each,
+        outputs=files,
+        source=files.source or file or asset.facts.path,
+        embedded=solid.embedded,
+        drop=shot.gap / float(np.array(settings.normal) @ asset.facts.up),
+        pins=constraints.pins,
+        goals=goals,
+        cycle=constraints.cycle if request.cycles.repeats else 0,
+        repeats=request.cycles.repeats,
+        until_periodic=request.cycles.until_periodic,
+        choices=choices,
+        bodies=filled.bodies,
+        contact_setup=limbs.contact_setup,
+        embedded_copies={**limbs.embedded_copies, **copies},
+        tets=tets,
+        velocity=_start_velocities(inputs, filled, limbs, settings),
+        advice=advice,
+        notes=(
+            *_asset_notes(asset, shot.animation), *(one.note for one in advice),
+            *meshes.notes, *filled.count_notes, *flow_notes, *stage_notes, *shot.notes,
+            *constraints.attachment_notes, *goal_notes, *filled.resolution_notes,
+            *filled.bodies.notes, *overlap_notes,
+            *cage_notes(
+                solid.surfaces, filled.particles.spacing,
+                refined=request.max_edge_length is not None,
+            ),
+            *loose_notes, *filled.character_notes, *constraints.flesh.notes, *limbs.notes,
+            *materials.notes, *softness, *length.physics.notes,
+            *not_filled_notes(solid.embedded), *not_baked_notes(asset.skipped),
+            *SKIN_NOTES.get(settings.skin, ()), *paper_notes(materials.main, each), *split_notes,
+            *no_internals_notes(materials.main, settings),
+        ),
+    )  # fmt: skip
+    return plan, solid
+
+
+def _choose_outputs(
+    inputs: Inputs,
+    filled: SampledBodies,
+    materials: Assigned,
+    files: Outputs,
+    length: Length,
+) -> tuple[Choices, tuple[str, ...]]:
+    """What is written, and notes on it."""
+    request, settings, particles = inputs.request, length.settings, materials.particles
+    flow = flow_of(inputs.solid, filled.bodies, particles, materials.tables[0])
+    choices, notes = chosen(
+        request, files, settings, inputs.asset, len(particles), length.open_end, flow
+    )
+    if (inputs.mixed or request.converted) and not choices.flowing:
+        choices = replace(choices, flowing=flow.meshes)
+    require_stored(choices.precision, particles, settings)
+    return choices, notes
+
+
+def _plan_contact(
+    inputs: Inputs,
+    filled: SampledBodies,
+    materials: Assigned,
+    length: Length,
+    meet_from: int,
+) -> tuple[LimbPlan, tuple[str, ...]]:
+    """Contact between bodies, and notes on obstacles that are inside one.
+
+    Raises InputError where bodies are moved into an obstacle.
+    """
+    request, asset, solid = inputs.request, inputs.asset, inputs.solid
+    bodies, particles, settings = filled.bodies, materials.particles, length.settings
+    limbs = LimbPlan(
+        particles=particles,
+        samples=filled.samples,
+        contact_setup=contact_setup(
+            solid, bodies, length.physics, spacing=particles.spacing,
+            self_contact=False
+            if inputs.paper or settings.solver == "ul"
+            else request.self_contact,
+            meet_from=meet_from,
+        ),
+    )  # fmt: skip
+    notes: tuple[str, ...] = ()
+    if not inputs.paper:
+        setup = limbs.contact_setup
+        require_clear_start(asset.facts.path, particles, settings.lift, setup, inputs.unit)
+        notes = penetration_notes(particles, settings.lift, setup, bodies)
+    if not inputs.paper and request.solver != "ul":
+        limbs = separate_limbs(solid, bodies, limbs, embedded_points(asset))
+    return limbs, notes
+
+
+def _start_velocities(
+    inputs: Inputs, filled: SampledBodies, limbs: LimbPlan, settings: Settings
+) -> tuple[Any, ...]:
+    asked = inputs.request.parsed
+    return tuple(
+        start_velocities(
+            inputs.asset, filled.bodies, inputs.spec.bodies, settings.time_scale, limbs.particles,
+            velocity=_scaled(asked["velocity"], inputs.unit),
+            spin=_scaled(asked["spin"], np.pi / 180.0),
+        )
+    )  # fmt: skip
+
+
+def _scaled(vector: Triple | None, unit: float) -> Triple | None:
+    return None if vector is None else triple(unit * np.array(vector))
+
+
+def _asset_notes(asset: Asset, animation: Animation | None) -> tuple[str, ...]:
+    """Notes on the asset; of its animation only where no --flesh follows it."""
+    followed = animation is not None and animation.cached
+    return tuple(note for note in asset.facts.notes if not (followed and note.endswith(ANIMATED)))

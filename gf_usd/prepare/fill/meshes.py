@@ -1,0 +1,102 @@
+"""The meshes that are filled: repaired or consistently oriented, and the solid that they bound."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.mesh import signed_volume
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.diagnosis import Diagnosis
+    from gf_usd.geometry.repair import Repairs
+    from gf_usd.geometry.solid import Solid
+    from gf_usd.prepare.settings import Resolution
+
+Volumes = Callable[[], Mapping[str, float]]  # [m^3] of closed surfaces, by prim path
+ResolutionOf = Callable[[Volumes], "Resolution"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilledMeshes:
+    """The meshes of an asset, and the solid to fill."""
+
+    asset: Asset  # for display: its points are those of the source
+    solid: Solid
+    notes: tuple[str, ...] = ()  # on repairs and on defects that are tolerated
+    thickened: bool = False  # sheets are as thick as the spacing
+    spacing: float | None = None  # [m] of as many particles as requested, sheets included
+
+    def volumes(self) -> dict[str, float]:
+        """[m^3] of its closed surfaces, by prim path."""
+        closed = zip(self.solid.surfaces, self.solid.triangles, strict=True)
+        return {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed}
+
+
+def build_meshes(
+    asset: Asset,
+    *,
+    repair: bool,
+    resolution: ResolutionOf,
+    paper: bool,
+    known: Sequence[Diagnosis] = (),
+    built: Solid | None = None,
+) -> FilledMeshes:
+    """The meshes of an asset and their solid.  Raises InputError where they cannot be filled.
+
+    resolution : see `repair_for_fill`; paper : whether the fill is that of the paper.
+    known : result of `diagnose` for the surfaces, if available.
+    built : the solid without `repair`, if available.
+    """
+    from gf_usd.geometry.diagnosis import diagnose, lost_volume_warning, tolerated_defects
+    from gf_usd.geometry.repair import consistently_oriented_asset, notes
+    from gf_usd.geometry.solid import build_solid
+
+    if repair:
+        asset, filled, repairs, spacing = repair_for_fill(asset, resolution, paper=paper)
+        return FilledMeshes(
+            asset=asset,
+            solid=built or build_solid(filled, repaired=True),
+            notes=notes(repairs),
+            thickened=any(one.thickened for one in repairs),
+            spacing=spacing,
+        )
+    asset, turned = consistently_oriented_asset(asset)
+    if built:
+        return FilledMeshes(asset=asset, solid=built)
+    solid = build_solid(asset, repaired=False)
+    by_path = {} if turned else {diagnosis.path: diagnosis for diagnosis in known}
+    diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
+    defects = (
+        *(tolerated_defects(diagnosis) for diagnosis in diagnoses),
+        lost_volume_warning(diagnoses, solid.volume),
+    )
+    return FilledMeshes(asset=asset, solid=solid, notes=(*turned, *filter(None, defects)))
+
+
+def repair_for_fill(
+    asset: Asset, resolution: ResolutionOf, *, paper: bool
+) -> tuple[Asset, Asset, tuple[Repairs, ...], float | None]:
+    """The repaired asset, the same with sheets thickened for the fill, and the repairs.
+
+    The first is for display: its points are those of the source.  The last value is the spacing [m]
+    that gives the requested number of particles; None: nothing is thickened, or the spacing is
+    given.
+
+    resolution : the requested one, for the volumes of the repaired surfaces.
+    """
+    from gf_usd.geometry.repair import repair_asset
+    from gf_usd.geometry.thin.thicken import thicken_asset, thicken_to_count
+
+    repaired, repairs = repair_asset(asset)
+    requested = resolution(
+        lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in repaired.surfaces}
+    )
+    if requested.spacing is None and not paper:
+        return repaired, *thicken_to_count(repaired, repairs, requested.particles)
+    filled, repairs = thicken_asset(
+        repaired, repairs, spacing=requested.spacing, particles=requested.particles
+    )
+    return repaired, filled, repairs, None

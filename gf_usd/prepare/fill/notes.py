@@ -1,0 +1,80 @@
+"""Notes of a plan on what is not filled, not baked, or has no effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from gf_usd.core.frames import Settings
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
+from gf_usd.prepare import paper as paper_options
+
+MOST_NAMED = 3  # prims that each have a note of their own for the same reason
+
+
+def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """The notes on prims that are not baked, each with a reason of the reader."""
+    from gf_usd.readers.usd.select import KINDS, PROXY, REPEATED
+
+    stays = "keeps the place and motion of its source and does not follow what is baked"
+    ways = {
+        KINDS: f"; it {stays}: attach it to a baked mesh in another program, or convert it to one",
+        REPEATED: f"; it {stays}: attach its instances in another program, or make them prims",
+        PROXY: f"; it {stays}: viewers that draw proxies, as usdview does by default, show it at"
+        " rest unless it is hidden, or the purpose render is drawn instead",
+    }
+
+    def note(path: str, more: int, reason: str) -> str:
+        way = next((text for end, text in ways.items() if reason.endswith(end)), "")
+        others = f" and {more} more are" if more else " is"
+        return f"<{path}>{others} not baked: {reason}{way}"
+
+    return tuple(note(*group) for group in _by_reason(skipped))
+
+
+def not_filled_notes(embedded: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """The notes on meshes that move with a body, each with the reason why it is not filled."""
+
+    def note(path: str, more: int, reason: str) -> str:
+        if more:
+            return (
+                f"<{path}> and {more} more are not filled: they move with the nearest body and do"
+                f" not collide; {reason}"
+            )
+        return (
+            f"<{path}> is not filled: it moves with the nearest body and does not collide; {reason}"
+        )
+
+    return tuple(note(*group) for group in _by_reason(embedded))
+
+
+def _by_reason(prims: Iterable[tuple[str, str]]) -> list[tuple[str, int, str]]:
+    """(path, 0, reason) of each prim (path, reason).
+
+    Of more than `MOST_NAMED` prims with the same reason only the first is listed, with the number
+    of the others.
+    """
+    paths: dict[str, list[str]] = {}
+    for path, reason in prims:
+        paths.setdefault(reason, []).append(path)
+    return [
+        (path, len(group) - 1 if len(group) > MOST_NAMED else 0, reason)
+        for reason, group in paths.items()
+        for path in (group if len(group) <= MOST_NAMED else group[:1])
+    ]
+
+
+def paper_notes(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:
+    """Notes on the paper's options, once where they are the same for all materials."""
+    if all(settings == each[0] for settings in each):
+        return paper_options.notes(each[0])
+    pairs = zip(materials, each)
+    return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
+
+
+def no_internals_notes(materials: Sequence[Material], settings: Settings) -> tuple[str, ...]:
+    """A note where `--internal` has no effect."""
+    if not settings.internal or any(LAWS[m.law].flows for m in materials):
+        return ()
+    laws = ", ".join(dict.fromkeys(m.law for m in materials))
+    return (f"--internal writes nothing: the law {laws} has no internal variables",)

@@ -1,0 +1,106 @@
+"""The steps of `fill` that resolve the settings: before the bodies are constrained, and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.core.frames import Settings, sampled
+from gf_usd.core.stage import Pin, StagePhysics, Triple
+from gf_usd.prepare.bodies.flesh import read_animation
+from gf_usd.prepare.bodies.sampling import SampledBodies
+from gf_usd.prepare.fill.inputs import Inputs
+from gf_usd.prepare.options.choices import require_resolved
+from gf_usd.prepare.options.fields import upward_note
+from gf_usd.prepare.settings import (
+    Animation,
+    floor_plane,
+    resolve,
+    settled_frames,
+)
+from gf_usd.readers.usd_bake.spec import read_motion
+
+if TYPE_CHECKING:
+    from gf_usd.readers.usd_bake.keys import MaterialKeys
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """The settings of a bake as requested, and what of the stage moves the bodies."""
+
+    settings: Settings
+    gap: float  # [m] along the normal of the floor from it to the lowest point, lifted
+    animation: Animation | None  # that --flesh follows
+    attachments: Sequence[str]  # prim paths of those that pin
+    springs: Sequence[str]  # and of those that pull
+    notes: tuple[str, ...]
+
+
+def plan_shot(
+    inputs: Inputs, filled: SampledBodies, gravity_keys: Sequence[tuple[float, Triple]]
+) -> Shot:
+    request, asset, physics = inputs.request, inputs.asset, inputs.spec.physics
+    floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, inputs.unit)
+    # a sheet that was thickened reaches below what is drawn
+    surfaces = (*asset.surfaces, *inputs.solid.surfaces)
+    lowest = min(float((s.face_points @ normal).min()) for s in surfaces)
+    animation = None
+    if request.flesh and inputs.file:
+        animation = read_animation(asset, inputs.file, request.start)
+    unsupported = request.flesh or request.solver == "ul"
+    attachments = () if unsupported else physics.attachments
+    springs = () if unsupported else physics.soft_attachments
+    settings = resolve(
+        request, asset.facts, float(filled.bodies.radius.max()), lowest, animation, gravity_keys,
+        stated_fields=physics.fields, attached=bool(attachments or springs),
+    )  # fmt: skip
+    gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
+    require_resolved(request, settings, gap, filled.particles.spacing)
+    return Shot(
+        settings=settings,
+        gap=gap,
+        animation=animation,
+        attachments=attachments,
+        springs=springs,
+        notes=upward_note(request.parsed["gravity"]),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Length:
+    """The settings with the number of frames, and obstacles with their motion over these."""
+
+    settings: Settings
+    physics: StagePhysics
+    open_end: bool  # the bake may end sooner, with everything at rest
+
+
+def plan_length(
+    inputs: Inputs, shot: Shot, pins: Sequence[Pin], changes: MaterialKeys | None
+) -> Length:
+    request, asset, file = inputs.request, inputs.asset, inputs.file
+    settings, physics = shot.settings, inputs.spec.physics
+    # Without anything below them bodies fall for ever.
+    falls = (settings.floor is None and not physics.colliders) or _weightless(settings)
+    changing = changes is not None and bool(changes.codes)
+    driven = bool(pins or shot.springs or settings.fields) or changing
+    open_end = request.length_is_open and not (falls or driven)
+    if open_end:
+        settings = replace(settings, frames=settled_frames(settings.frames))
+    if physics.colliders and file is not None:
+        every = sampled(settings)
+        times = [every.time_code(i) for i in range(every.frames)]
+        moving = read_motion(asset, file, rest=request.start, times=times, elastic=False)
+        physics = replace(moving, of_files=physics.of_files)
+    if open_end and any(one.deformed is not None for one in physics.colliders):
+        # its points may move for as long as there are frames
+        return Length(settings=shot.settings, physics=physics, open_end=False)
+    return Length(settings=settings, physics=physics, open_end=open_end)
+
+
+def _weightless(settings: Settings) -> bool:
+    """Whether no gravity presses bodies against the floor."""
+    return float(np.dot(settings.gravity, settings.normal)) >= 0.0
