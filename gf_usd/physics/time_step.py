@@ -13,10 +13,15 @@ n (x) N, along which J is linear. For a law psi = (shear part) + U(J) its stiffn
 
 which is lam + 2 mu at rest. The frequency of a node depends on all particles in its cells, so that
 the mean of k over a cell is used.
+
+The damping does not stiffen as much. The stress of Kelvin-Voigt damping is
+2 mu tau F sym(F^T dF/dt), and its power 2 mu tau |sym(F^T dF/dt)|^2 is at most s_max^2 times that
+at rest, with s_max the largest singular value of F.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -35,6 +40,7 @@ if TYPE_CHECKING:
 GRID_FREQUENCY = ((4.0, 2.2), (1.0, 2.7), (0.0, 3.3))
 
 MARGIN = 0.8  # factor on the limit with contact
+SHORT = 0.9  # of the step at rest: a substep below it is that of a strained body
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +68,29 @@ class StableStep:
     def hardened(self, by: float) -> StableStep:
         """With contact springs `by` times as stiff, and the same damping."""
         return replace(self, contact=np.sqrt(by) * self.contact)
+
+    def substeps_with_contact(
+        self, dt: float, springs: Callable[[StableStep], StableStep]
+    ) -> float:
+        """Substeps with contact springs for one of dt [s] without: >= 1.
+
+        dt : at most that of this step; shorter where the body is strained, or its step was halved.
+        springs : adds contact to a step, in place of its own.
+
+        By how much a strained body is stiffer is known from dt alone: w <= 2 / dt.
+        """
+        if dt >= SHORT * self.dt:
+            return max(1.0, self.dt / springs(self).dt)
+        elastic = 2.0 / dt
+        slow = self.viscous_time * (self.elastic / elastic) ** 2
+        free = replace(
+            self, elastic=elastic, viscous_time=slow, contact=0.0, contact_damping=0.0, safety=1.0
+        )
+        stiff = springs(free)
+        stiff = replace(
+            stiff, contact=stiff.contact / MARGIN, contact_damping=stiff.contact_damping / MARGIN
+        )
+        return max(1.0, free.limit / stiff.limit)
 
     @property
     def limit(self) -> float:
@@ -142,6 +171,11 @@ def wave_speed(k: Floats, density: Floats, order: np.ndarray, cell_start: np.nda
     return float(np.sqrt((k / density).max()))
 
 
+def largest_mean(values: Floats, order: np.ndarray, cell_start: np.ndarray) -> float:
+    """Largest over cells of the mean of particle values (N,); order, cell_start : see Stencil."""
+    return float((np.add.reduceat(values[order], cell_start[:-1]) / np.diff(cell_start)).max())
+
+
 def substeps_of(frame_time: float, dt: float) -> int:
     """Substeps of a frame [s] with steps of at most dt [s].
 
@@ -152,14 +186,25 @@ def substeps_of(frame_time: float, dt: float) -> int:
 
 
 def strained_step(
-    rest: StableStep, speed: float, h: float, per_cell: float, frequency: float | None = None
+    rest: StableStep,
+    speed: float,
+    h: float,
+    per_cell: float,
+    frequency: float | None = None,
+    *,
+    damping: float | None = None,
 ) -> float:
-    """The stable step [s] for waves of this speed [m/s]; contact and damping as at rest.
+    """The stable step [s] for waves of this speed [m/s]; contact as at rest.
 
     Without a safety factor: the mean over a cell is conservative, and `Guard` detects instability.
 
     frequency : see `stable_step`.
+    damping : factor >= 1 on the damping of the stiffest vibration at rest; None: it grows with the
+        square of the frequency.
     """
     highest = grid_frequency(per_cell) if frequency is None else frequency
-    elastic = highest * speed / h
-    return replace(rest, elastic=max(elastic, rest.elastic), safety=1.0).dt
+    elastic = max(highest * speed / h, rest.elastic)
+    viscous_time = rest.viscous_time
+    if damping is not None:
+        viscous_time *= damping * (rest.elastic / elastic) ** 2
+    return replace(rest, elastic=elastic, viscous_time=viscous_time, safety=1.0).dt

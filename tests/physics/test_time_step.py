@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -131,3 +133,29 @@ def test_no_vibration_is_damped_faster_than_the_step_allows_for(nu):
     viscous_time = tau * 2.0 * mu / (lam + 2.0 * mu)
     limit = step(wave_speed=1.0, h=h, viscous_time=viscous_time)
     assert tau * top(shear) <= 2.0 * limit.damping_ratio * limit.elastic
+
+
+@pytest.mark.parametrize("strained", [2.5, 10.0, 300.0])
+@pytest.mark.parametrize("contact", [30.0, 3e3, 3e5])
+def test_contact_of_a_strained_body_takes_the_substeps_of_both_frequencies(strained, contact):
+    """Frequencies add as squares: the springs of contact and the stiffness by strain."""
+    rest = step(viscous_time=1e-4, safety=0.5)
+    w = strained * rest.elastic
+    dt = 0.99 * 2.0 / w
+
+    def springs(free: StableStep) -> StableStep:
+        return replace(free, contact=contact, contact_damping=0.0)
+
+    by = rest.substeps_with_contact(dt, springs)
+    both = np.hypot(w, contact)
+    assert swing(both, 0.0, dt / by) < 20.0
+    # and few more: MARGIN on the springs, .99, and the damping at rest
+    assert by < 1.02 * np.hypot(w, contact / MARGIN) / w
+
+
+def test_contact_of_a_body_at_rest_keeps_its_safety():
+    rest = step(safety=0.5)
+    springs = replace(rest, contact=rest.elastic)
+    assert rest.substeps_with_contact(0.9 * rest.dt, lambda _: springs) == pytest.approx(
+        max(1.0, rest.dt / springs.dt)
+    )

@@ -97,3 +97,47 @@ def test_a_squashed_body_gets_more_substeps_unless_they_are_given() -> None:
     fixed.state.arrays["u"].from_numpy(u.ravel())
     fixed.read(0)
     assert fixed.substeps == 40
+
+
+def test_damping_grows_with_the_stretch_and_not_with_the_stiffness() -> None:
+    rest = stable_step(
+        wave_speed=2.0, h=0.1, per_cell=8.0, viscous_time=2e-3, contact_omega2=0.0,
+        contact_damping=0.0, safety=1.0,
+    )  # fmt: skip
+    # 50 times as stiff a wave, damped 9 times as strongly: z falls from .04 to .04 * 9 / 50
+    w, z = 50.0 * rest.elastic, 9.0 / 50.0 * rest.damping_ratio
+    expected = 2.0 / w * (np.sqrt(1.0 + z * z) - z)
+    assert strained_step(rest, 100.0, 0.1, 8.0, damping=9.0) == pytest.approx(expected)
+    assert strained_step(rest, 100.0, 0.1, 8.0) < 0.3 * expected
+
+
+def perturbation_growth(F: np.ndarray, steps_apart: float) -> float:
+    """Largest growth of a small displacement of the nodes within 60 substeps of a strained body.
+
+    steps_apart : length of these over that of the stable step.
+    """
+    body, _ = ball(600)
+    material = look("jelly", body)
+    runs = []
+    for size in (0.0, 1e-8):
+        solver = TotalLagrangian(
+            body, [material], settings(floor=None, gravity=(0.0, 0.0, 0.0)), real=np.float64
+        )
+        X = solver.body.stencil.node_X
+        u = X @ (F - np.eye(3)).T + size * np.random.default_rng(0).normal(size=X.shape)
+        solver.state.arrays["u"].from_numpy(u.ravel())
+        solver.read(0)
+        assert solver.strained > 2 * solver.coarse
+        dt = steps_apart * solver.frame_time / solver.strained
+        solver.launches.run(solver.state, 60, dt, 0)
+        runs.append(np.array(solver.state.view().u))
+    with np.errstate(all="ignore"):
+        return float(np.abs(runs[1] - runs[0]).max()) / 1e-8
+
+
+@pytest.mark.parametrize("stretches", [(1.0, 0.2, 1.0), (2.0, 0.1, 2.0), (4.0, 0.05, 3.0)])
+def test_a_damped_body_is_stable_under_large_strain(stretches: tuple[float, ...]) -> None:
+    F = np.diag(stretches)
+    # measured: 16 to 52, and not finite at three times the step
+    assert perturbation_growth(F, 1.0) < 300.0
+    assert not perturbation_growth(F, 3.0) < 1e6

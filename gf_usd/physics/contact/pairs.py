@@ -46,6 +46,7 @@ from gf_usd.physics.contact.rest_gaps import RestGaps
 from gf_usd.physics.contact.self_contact.search import AHEAD, FACE, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import PairSprings
 from gf_usd.physics.grid.embedding import placed
+from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
@@ -297,7 +298,7 @@ class BodyContact:
         slide = TRAVEL * self._spacing + WAIT * np.maximum(self._gap, 0.0)
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
-        by = self._step_ratio(x, v, chunk * dt, values, floor)
+        by = self._step_ratio(x, v, chunk, dt, values, floor)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
         free = until_contact(self.planes, gap, v, AHEAD) / dt
         if free >= min(chunk, FEWEST) and (by - 1.0) * min(chunk, free) >= FEWEST:
@@ -359,11 +360,12 @@ class BodyContact:
         return values
 
     def _step_ratio(
-        self, x: Floats, v: Floats, span: float, values: Mapping[str, Floats], floor: Ints | None
-    ) -> float:
-        """Substeps with the springs of these planes over those where nothing touches.
+        self, x: Floats, v: Floats, chunk: int, dt: float, values: Mapping[str, Floats],
+        floor: Ints | None,
+    ) -> float:  # fmt: skip
+        """Substeps with the springs of these planes over those of dt [s] where nothing touches.
 
-        x, v : (n, 3) [m], [m/s] now; span : [s] for which the planes stay; values : of
+        x, v : (n, 3) [m], [m/s] now; chunk : substeps for which the planes stay; values : of
         `pair_values`; floor : see `detect`.  1 where the number of substeps is given.
         """
         body = self._body
@@ -376,12 +378,15 @@ class BodyContact:
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing,
         )  # fmt: skip
+        span = chunk * dt
         fall = self._speed_gain(span)
-        if body.regions:
-            stable = springs.crowded_step(self.contact, body.step, x, v, span, fall, self._crowd)
-        else:
-            stable = springs.step(self.contact, body.mass, body.step, x, v, span, fall, near)
-        return max(1.0, body.step.dt / stable.dt)
+
+        def with_springs(step: StableStep) -> StableStep:
+            if body.regions:
+                return springs.crowded_step(self.contact, step, x, v, span, fall, self._crowd)
+            return springs.step(self.contact, body.mass, step, x, v, span, fall, near)
+
+        return body.step.substeps_with_contact(dt, with_springs)
 
     def _speed_gain(self, span: float) -> float:
         """[m/s] that gravity and fields may add to a speed within a span [s]."""

@@ -32,7 +32,14 @@ from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats
 from gf_usd.physics.grid.bodies import bodies_of
 from gf_usd.physics.laws.registry import ParticleLaws
-from gf_usd.physics.time_step import per_cell, stiffness, strained_step, substeps_of, wave_speed
+from gf_usd.physics.time_step import (
+    largest_mean,
+    per_cell,
+    stiffness,
+    strained_step,
+    substeps_of,
+    wave_speed,
+)
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.shape_correction import is_active
@@ -192,6 +199,10 @@ def strained_substeps(
     k = stiffness(law, stretch, J) * now.plastic_factor
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
+    damping = stretch[:, 2] ** 2 * now.plastic_factor
     rest = pressed_step(body.contact, body.step, depth)
-    dt = strained_step(rest, speed, body.h, per_cell(body.particles, body.h), body.frequency)
+    dt = strained_step(
+        rest, speed, body.h, per_cell(body.particles, body.h), body.frequency,
+        damping=max(1.0, largest_mean(damping, nodes.order, nodes.cell_start)),
+    )  # fmt: skip
     return substeps_of(body.settings.frame_time, dt)
