@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, counted
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.mesh import triangulate
@@ -273,7 +273,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
     fewest = min(map(len, rings), default=0)
     if fewest < 3:
         raise UsageError(
-            f"{what} has {len(counts)} faces, the smallest with {fewest} corners",
+            f"{what} has {counted(len(counts), 'face')}, the smallest with {fewest} corners",
             "give faces with at least three corners",
         )
     indices = np.concatenate(rings)
@@ -313,8 +313,9 @@ def _poses(one: _Moving, times: Sequence[float]) -> Array | None:
             f"function of the time that returns one of them",
         )
     if len(poses) < len(times):
+        has = counted(len(poses), "frame")
         raise UsageError(
-            f"{one.name}: its motion has {len(poses)} frames, but {len(times)} are simulated",
+            f"{one.name}: its motion has {has}, but {len(times)} are simulated",
             "give one for each simulated frame",
         )
     if not np.isfinite(poses).all():

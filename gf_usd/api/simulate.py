@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gf_usd.api.call import keywords, named
+from gf_usd.api.call import in_keywords, keywords, named
 from gf_usd.api.host.guest import guest, require_here
 from gf_usd.api.scene import Scene, at_frames
 from gf_usd.core.errors import SolverError, UsageError
@@ -79,7 +79,9 @@ class Simulation(Iterator[SimulationFrame]):
         self._acceleration: Any = 0.0  # the same by `accelerate`
         self.bodies: tuple[str, ...] = scene.bodies
         # what was assumed, in words
-        self.notes: tuple[str, ...] = (*scene._notes, *self._plan.notes)
+        self.notes: tuple[str, ...] = tuple(
+            in_keywords(note) for note in (*scene._notes, *self._plan.notes)
+        )
 
     @property
     def particles(self) -> Particles:

@@ -5,6 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 
+def counted(count: int, one: str, many: str = "") -> str:
+    """A number with its noun, "1 frame" or "2 frames"; many : a plural that is not one with s."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
 class GfUsdError(Exception):
     """An expected failure, reported without a traceback.
 

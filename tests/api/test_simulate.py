@@ -64,6 +64,17 @@ def test_a_negative_number_of_gravity_points_up_with_a_note() -> None:
     assert simulation.notes[0].startswith("gravity of -9.81 m/s^2 points up")
 
 
+@pytest.mark.parametrize("apart", [0.0, 0.5, 2.0])
+def test_bodies_that_overlap_at_the_start_have_a_note(apart: float) -> None:
+    """Also a copy at the same place; and notes name no option that a scene does not have."""
+    scene = alone()
+    scene.add_body(UNIT + (apart, 0.0, 0.0), FACES, name="other")
+    notes = gf_usd.simulate(scene, frames=1, particles=100).notes
+    said = "</block> and </other> are different physics bodies that overlap"
+    assert any(note.startswith(said) for note in notes) == (apart < 1.0)
+    assert not [note for note in notes if "--" in note or "asset" in note]
+
+
 def test_forces_on_particles_give_their_momentum() -> None:
     simulation = gf_usd.simulate(alone(gravity=0.0), frames=5, particles=100)
     first = next(simulation)
@@ -383,7 +394,7 @@ def test_a_scene_that_makes_no_sense_is_refused(call: Any, message: str) -> None
     ("motion", "message"),
     [
         (np.eye(4), "its motion is an array of shape (4, 4)"),
-        (np.eye(4)[None], "its motion has 1 frames, but 3 are simulated"),
+        (np.eye(4)[None], "its motion has 1 frame, but 3 are simulated"),
         (lambda time: np.eye(3), "its motion is an array of shape (3, 3, 3)"),
         (np.full((3, 4, 4), np.nan), "its motion is not finite"),
         (

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.geometry.solid import INSIDE, Solid
 
+INNER = 256  # points inside a surface that are tested, about: a copy has all of them inside
 FINEST = 64  # subdivisions of an edge at most: bounds the samples of very large triangles
 TOUCHING = 0.25  # [spacings] nearer than this, surfaces count as touching
 
@@ -62,14 +63,24 @@ def find_bodies(
 
 
 def overlapping(
-    solid: Solid, spacing: float, of: Ints, owners: Sequence[str]
+    solid: Solid,
+    spacing: float,
+    of: Ints,
+    owners: Sequence[str],
+    inner: Sequence[Floats] = (),
 ) -> list[tuple[int, int]]:
-    """Pairs of surfaces of different owners and bodies that overlap by more than `TOUCHING`."""
+    """Pairs of surfaces of different owners and bodies that overlap by more than `TOUCHING`.
+
+    inner : points (n, 3) [m] inside each surface.  They find copies at the same place, of which no
+        point of one surface is inside the other.
+    """
     rivals = [k for k, owner in enumerate(owners) if owner]
     if len({owners[k] for k in rivals}) < 2:
         return []
     points, depth = _skins(solid, spacing), TOUCHING * spacing
     close = _close(points, -depth)
+    for k, X in enumerate(inner):
+        points[k] = np.concatenate([points[k], X[:: max(1, len(X) // INNER)]])
     return [
         (a, b)
         for a in rivals

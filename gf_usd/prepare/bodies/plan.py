@@ -10,6 +10,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
+from gf_usd.core.errors import counted
 from gf_usd.core.frames import Particles
 from gf_usd.core.neighbors import kd_tree
 
@@ -50,12 +51,14 @@ def plan_bodies(
     combine: bool,
     kinds: Ints | None = None,
     characters: bool = False,
+    can_combine: bool = True,
 ) -> tuple[BodyPlan, Particles]:
     """The bodies of a solid, and the particles that fill them.
 
     spacing : [m] approximate spacing of the particles; sample : particles for the body (S,) of each
         surface; owners : the physics body prim of each surface, by path, or the SkelRoot where
-        bodies are `characters` of --flesh; combine : a single body; kinds : (S,) surfaces of
+        bodies are `characters` of --flesh; combine : a single body; can_combine : there
+        is such an option, for notes; kinds : (S,) surfaces of
         different kinds are never one body; None: all are of one kind.
     """
     from gf_usd.geometry.connected.bodies import TOUCHING, find_bodies, overlapping
@@ -72,7 +75,7 @@ def plan_bodies(
     paths = [s.path for s in solid.surfaces]
     names = tuple(tuple(p for p, k in zip(paths, of) if k == b) for b in range(int(of.max()) + 1))
     notes += [
-        f"<{paths[s]}> holds {n} particles and is merged with <{paths[host]}>"
+        f"<{paths[s]}> holds {counted(n, 'particle')} and is merged with <{paths[host]}>"
         for s, n, host in fused
     ]
     notes += _small(names, np.bincount(body))
@@ -80,16 +83,18 @@ def plan_bodies(
         what = "characters" if characters else "bodies"
         when = ", from the first frame of the animation on" if characters else ""
         notes.append(
-            f"{len(names)} {what}, which collide{when}: {_listed(names)}; --combine makes them one"
-            " body"
+            f"{len(names)} {what}, which collide{when}: {_listed(names)}"
+            + ("; --combine makes them one body" if can_combine else "")
         )
-    if len(names) > 1 and not characters and (pairs := overlapping(solid, spacing, of, owned)):
+    inner = [particles.X[particles.surface == k] for k in range(len(paths))]
+    rivals = len(names) > 1 and not characters
+    if rivals and (pairs := overlapping(solid, spacing, of, owned, inner)):
         one, two = (f"<{paths[k]}>" for k in pairs[0])
-        more = f" (and {len(pairs) - 1} more pairs)" if len(pairs) > 1 else ""
+        more = f" (and {counted(len(pairs) - 1, 'more pair')})" if len(pairs) > 1 else ""
         notes.append(
             f"{one} and {two}{more} are different physics bodies that overlap: they stay as deep"
-            " in each other as they are until they move apart; move them apart in the asset, or use"
-            " --combine"
+            " in each other as they are until they move apart; move them apart"
+            + (" in the asset, or use --combine" if can_combine else "")
         )
     several = len(names) > 1
     radius = np.cbrt(3.0 * volume / (4.0 * np.pi)) if several else np.array([particles.radius])

@@ -41,12 +41,13 @@ def sample_bodies(
     combine: bool,
     owners: dict[str, str],
     characters: bool,
+    can_combine: bool,
 ) -> SampledBodies:
     """Fill a solid.  Raises InputError where a body cannot be filled.
 
     seed : of random places; paper : whether particles are placed as in the paper.
     mixed : solid bodies beside flowing ones, each with its own solver.
-    combine, owners, characters : see `plan_bodies`.
+    combine, owners, characters, can_combine : see `plan_bodies`.
     """
     from gf_usd.geometry.sampling.contact_samples import sample_surface
     from gf_usd.geometry.sampling.particles import sample_solid
@@ -68,6 +69,7 @@ def sample_bodies(
     bodies, particles = plan_bodies(
         asset, solid, spacing, sample, owners, combine=combine,
         kinds=flow.first if mixed else None, characters=characters,
+        can_combine=can_combine,
     )  # fmt: skip
     if paper or (flow.flows.any() and not mixed):
         # There every particle feels the floor; a mass of rho * area * spacing is its own.

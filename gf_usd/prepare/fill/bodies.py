@@ -50,6 +50,7 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
         or (request.flesh and not characters),
         owners=owners or {path: body.owner for path, body in inputs.spec.bodies.items()},
         characters=characters,
+        can_combine=inputs.file is not None,
     )  # fmt: skip
     _require_one_body(
         filled.bodies.count, skin=request.skin, wls=bool(request.wls),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from gf_usd.core.errors import counted
 from gf_usd.core.frames import Settings, sampled, written
 from gf_usd.core.stage import Goals, Pin
 from gf_usd.prepare.bodies.contact import (
@@ -75,7 +76,7 @@ def _ignored_attachment_notes(inputs: Inputs, shot: Shot) -> tuple[str, ...]:
     ignored = {*physics.attachments, *physics.soft_attachments} - used
     if not ignored:
         return ()
-    return (f"{len(ignored)} attachments are not read with --flesh and --solver ul",)
+    return (f"{counted(len(ignored), 'attachment')} not read with --flesh and --solver ul",)
 
 
 def springs_of(

@@ -70,3 +70,12 @@ def test_owners_that_overlap_are_found_and_those_that_touch_are_not() -> None:
     assert overlapping(seen, 0.1, of, owners) == [(0, 1)]
     assert overlapping(seen, 0.1, np.zeros(4, int), owners) == []
     assert overlapping(seen, 0.1, of, ["", "/B", "", ""]) == []
+
+
+def test_a_copy_at_the_same_place_overlaps() -> None:
+    """No point of its surface is inside the other one, but those inside it are."""
+    seen = solid(*(cube((float(x), 0.0, 0.0), path=f"/C{k}") for k, x in enumerate((0, 0, 1))))
+    # a neighbor shares a face, and has no point inside
+    inner = [surface.points.mean(0)[None] for surface in seen.surfaces]
+    of, owners = np.arange(3), ["/A", "/B", "/C"]
+    assert overlapping(seen, 0.1, of, owners, inner) == [(0, 1)]

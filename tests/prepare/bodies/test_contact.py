@@ -95,6 +95,8 @@ def test_rigid_bodies_that_touch_stay_apart(plan) -> None:
     seen = plan(mesh("One", apis=[RIGID]), mesh("Two", at(0.8), apis=[RIGID]))
     assert seen.bodies.count == 2
     assert noted(seen, "</One> and </Two> are different physics bodies that overlap")
+    seen = plan(mesh("One", apis=[RIGID]), mesh("Two", apis=[RIGID]))
+    assert noted(seen, "</One> and </Two> are different physics bodies that overlap")
 
 
 def test_skins_are_seen_from_outside(plan) -> None:
