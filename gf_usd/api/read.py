@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
+from gf_usd.core.errors import counted
 
 if TYPE_CHECKING:
     from gf_usd.readers.usd_bake.result import BakedArrays
@@ -104,7 +105,9 @@ class Bake(Sequence[BakeFrame]):
             return [self[one] for one in range(*index.indices(len(self)))]
         at = index + len(self) if index < 0 else index
         if not 0 <= at < len(self):
-            raise IndexError(f"{self.path.name} has {len(self)} frames but no frame {index}")
+            raise IndexError(
+                f"{self.path.name} has {counted(len(self), 'frame')} but no frame {index}"
+            )
         return BakeFrame(self._arrays, at)
 
     def __iter__(self) -> Iterator[BakeFrame]:

@@ -23,6 +23,7 @@ from gf_usd.batch.job import NOT_FAILED, STATES, Job, Outcome
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.run import cores
 from gf_usd.core import __version__
+from gf_usd.core.errors import counted
 from gf_usd.pipeline.cost.budget import duration
 from gf_usd.system.atomic_files import publish_text
 from gf_usd.system.file_locks import locked
@@ -88,7 +89,7 @@ def build_page(
             tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
             tag("meta", http_equiv="Content-Security-Policy", content=policy([code])),
             tag("link", rel="icon", href="data:,"),
-            tag("title", f"{plan.title}: {len(outcomes)} jobs"),
+            tag("title", f"{plan.title}: {counted(len(outcomes), 'job')}"),
             Html(f"<style>{style}</style>"),
         ]
     )
@@ -119,7 +120,7 @@ def _header(
     cpu = sum(row.cpu_seconds for row in rows)
     good = [row for row in rows if row.good]
     begun = len(rows) - len(good) - len(bad)
-    line = f"{len(rows)} jobs, {len(good)} good, {duration(cpu)} of CPU time"
+    line = f"{counted(len(rows), 'job')}, {len(good)} good, {duration(cpu)} of CPU time"
     if entry.get("seconds"):
         line += f", {duration(float(entry['seconds']))} for the last run"
     parts = [tag("h1", plan.title), tag("div", line, class_="soft")]
@@ -131,7 +132,8 @@ def _header(
         parts.append(tag("div", *lines, class_="banner"))
     if unknown:
         names = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
-        parts.append(tag("div", f"{len(unknown)} have not been run yet: {names}", class_="banner"))
+        have = f"{counted(len(unknown), 'job has', 'jobs have')} not been run yet: {names}"
+        parts.append(tag("div", have, class_="banner"))
     return tag("header", *parts)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import Job, Outcome
+from gf_usd.core.errors import counted
 from gf_usd.system.processes import ProcessResult
 
 LOG = 4000  # characters of stderr that are kept of a bake that failed
@@ -96,10 +97,10 @@ def _complete(
         findings=findings,
     )
     if findings:
-        first = findings[0]
+        first, more = findings[0], "; the first is" if len(findings) > 1 else ":"
         outcome = replace(
             outcome, state="unsound",
-            message=f"the check found {len(findings)} errors; the first is {first['rule']}"
+            message=f"the check found {counted(len(findings), 'error')}{more} {first['rule']}"
             f" <{first['prim']}>: {first['message']}"[:MESSAGE_LENGTH],
             hint=first["fix"],
         )  # fmt: skip

@@ -12,6 +12,7 @@ import typer
 
 from gf_usd.batch.board import Board, Row
 from gf_usd.batch.job import NOT_FAILED
+from gf_usd.core.errors import counted
 from gf_usd.pipeline.cost.budget import duration
 
 SHOWN = 12  # rows of a kind on the table
@@ -121,7 +122,7 @@ def table(board: Board) -> Any:
         )
     left = board.left
     line = (
-        f"{len(board.ended)} of {len(board.rows)} jobs"
+        f"{len(board.ended)} of {counted(len(board.rows), 'job')}"
         + (f", {len(board.failed)} of them failed" if board.failed else "")
         + f", {len(board.of('running'))} running, {duration(board.seconds)}"
         + (f", about {duration(left)} left" if left is not None else "")

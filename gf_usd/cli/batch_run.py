@@ -59,7 +59,7 @@ from gf_usd.batch.slices import Part, exit_status, failing_outcomes, require_cli
 from gf_usd.batch.task import Limits
 from gf_usd.cli.batch_console import voice
 from gf_usd.cli.streams import outlived
-from gf_usd.core.errors import BakeError, UsageError
+from gf_usd.core.errors import BakeError, UsageError, counted
 from gf_usd.system.processes import Children
 
 
@@ -104,7 +104,9 @@ def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
         known = earlier_run(plan.out / f"{plan.title}{SUMMARY}", plan.jobs, "--failed")
         bad = set(failed_in(known, plan.jobs))
         if left := not_run(known, jobs):
-            typer.echo(f"note: --failed leaves out {left} jobs that no run has ended", err=True)
+            typer.echo(
+                f"note: --failed leaves out {counted(left, 'job')} that no run has ended", err=True
+            )
         jobs = tuple(job for job in jobs if job.name in bad)
         if not jobs:
             typer.echo(f"note: no {'selected job' if bad else 'job'} has failed", err=True)
@@ -246,7 +248,7 @@ def listing(plan: BatchPlan, jobs: Sequence[Job], *, as_json: bool) -> None:
                 json.dumps(row) if as_json else f"{number:4d}  {job.name}\n      {job.command}"
             )
     if not as_json:
-        typer.echo(f"{len(jobs)} jobs, results in {plan.out}", err=True)
+        typer.echo(f"{counted(len(jobs), 'job')}, results in {plan.out}", err=True)
 
 
 def bundle(
@@ -262,9 +264,9 @@ def bundle(
     write_bundle(
         chosen, folder, chunk=chunk, program=program or sys.executable, table=table, slice=slice
     )
-    parts = f", {slice} clips of each job" if slice else ""
+    parts = f", {counted(slice, 'clip')} of each job" if slice else ""
     typer.echo(
-        f"{folder}: {len(jobs)} jobs, {chunk} per task{parts}\n"
+        f"{folder}: {counted(len(jobs), 'job')}, {chunk} per task{parts}\n"
         f"openjd run {folder / TEMPLATE} -p file://{(folder / FLAT).absolute()}",
         err=True,
     )
@@ -340,7 +342,9 @@ def _finish(
     bad = [outcome for outcome in ordered(outcomes) if not outcome.good]
     if how.openjd_lines and (wrong := failing_outcomes(ordered(outcomes), how.part)):
         first = wrong[0]
-        said = f"{len(wrong)} of {len(outcomes)} jobs failed: {first.job}: {first.message}"
+        said = (
+            f"{len(wrong)} of {counted(len(outcomes), 'job')} failed: {first.job}: {first.message}"
+        )
         typer.echo(f"openjd_fail: {' '.join(said.split())}")
     for outcome in bad:
         typer.echo(f"{outcome.state}: {outcome.job}: {outcome.message}", err=True)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gf_usd.cli.options import LimitsOf
+from gf_usd.core.errors import counted
+
+if TYPE_CHECKING:
+    from gf_usd.layers.check.base import Skip
 
 
 def check(
@@ -45,14 +50,37 @@ def check(
         for finding in result.inherited:
             typer.echo(f"also in the source: {finding.rule} <{finding.prim_path}>")
             typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
-        for skip in result.skipped:
-            typer.echo(f"not checked: {skip.rule} <{skip.prim_path}>: {skip.reason}")
+        for line in unchecked(result.skipped):
+            typer.echo(line)
         for line in result.warned:
             typer.echo(f"note: {line}")
-        theirs = f", {len(result.inherited)} errors in the source" if result.inherited else ""
+        inherited = counted(len(result.inherited), "error") + " in the source"
+        theirs = f", {inherited}" if result.inherited else ""
         typer.echo(
-            f"{file}: {result.errors} errors, {result.warnings} warnings{theirs}"
-            f" ({result.rules} rules, {result.prims} prims, {result.layers} layers)"
+            f"{file}: {counted(result.errors, 'error')}, {counted(result.warnings, 'warning')}"
+            f"{theirs} ({counted(result.rules, 'rule')}, {counted(result.prims, 'prim')},"
+            f" {counted(result.layers, 'layer')})"
         )
     if not result.ok:
         raise typer.Exit(1)
+
+
+SHOWN = 3  # prims that a line names
+
+
+def unchecked(skipped: Sequence[Skip]) -> list[str]:
+    """A line for each rule that could not be applied, with its prims and the first one's reason."""
+    told = []
+    for rule in dict.fromkeys(skip.rule for skip in skipped):
+        mine = [skip for skip in skipped if skip.rule == rule]
+        paths = list(dict.fromkeys(skip.prim_path for skip in mine))
+        where = ", ".join(f"<{path}>" for path in paths[:SHOWN])
+        if len(paths) > SHOWN:
+            where += f" and {len(paths) - SHOWN} more"
+        if len(paths) > 1:
+            where = f"of {len(paths)} prims, {where}"
+        reasons = dict.fromkeys(skip.reason for skip in mine)
+        others = len(reasons) - 1
+        more = f" ({counted(others, 'other reason')}: --json lists all)" if others else ""
+        told.append(f"not checked: {rule} {where}: {next(iter(reasons))}{more}")
+    return told

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gf_usd.core.errors import counted
+
 if TYPE_CHECKING:
     from gf_usd.view.compare import Comparison
 
@@ -106,8 +108,8 @@ def lines(found: Comparison) -> list[str]:
     center = int(found.center.argmax())
     ratio = found.volumes[:, 1] / found.volumes[:, 0] if found.volumes.all() else None
     told = [
-        f"{len(found.meshes)} {'mesh' if len(found.meshes) == 1 else 'meshes'}, {found.points}"
-        f" points, {len(found.time_codes)} frames; radius {length(found.radius)}",
+        f"{counted(len(found.meshes), 'mesh', 'meshes')}, {counted(found.points, 'point')},"
+        f" {counted(len(found.time_codes), 'frame')}; radius {length(found.radius)}",
         f"largest distance {length(found.error)} ({100 * found.error / found.radius:.3g} % of the"
         f" radius): point {point} of <{mesh}> at time code {found.time_codes[worst]:g}",
         f"largest rms distance {length(float(found.rms.max()))}, largest distance of the "

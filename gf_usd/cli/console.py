@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from gf_usd.core.errors import counted
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
@@ -35,7 +37,7 @@ def show_plan(
     drop = f"{d['drop_m']:.3g} m" if drops(prepared.plan) else "none"
     too_long = d["estimated_seconds"] > 3600.0 * max_hours
     lines = [
-        f"{d['source']}: {len(d['bodies'])} mesh(es), {d['volume_m3']:.4g} m^3,"
+        f"{d['source']}: {counted(len(d['bodies']), 'mesh', 'meshes')}, {d['volume_m3']:.4g} m^3,"
         f" radius {d['radius_m']:.4g} m",
         *(f"  {path}" for path in d["bodies"]),
         f"particles   {d['particles']}, {d['spacing_m']:.3g} m apart",
@@ -92,9 +94,9 @@ def frames_of(told: Mapping[str, Any]) -> str:
     """The number of simulated frames as text; told : its limit, and the cost of the plan."""
     frames = told["frames"]
     if not told["ends_early"]:
-        return f"{frames} frames"
+        return counted(frames, "frame")
     if told["usual_frames"] >= frames:
-        return f"at most {frames} frames"
+        return f"at most {counted(frames, 'frame')}"
     return f"at most {frames} frames (usually about {told['usual_frames']})"
 
 
@@ -314,14 +316,17 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
     lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
     for folder in dict.fromkeys(clip.parent for clip in clips):
         sizes = [clip.stat().st_size for clip in clips if clip.parent == folder]
-        lines.append(f"{folder}/  {len(sizes)} files, {_bytes(sum(sizes))}")
+        lines.append(f"{folder}/  {counted(len(sizes), 'file')}, {_bytes(sum(sizes))}")
     lines.append(f"{result.particles} particles, {spent}")
     lines += [f"note: {note}" for note in result.notes if note not in plan.notes]
     for bake in result.bakes:
         lines.append(_measured(bake))
         if bake.certificate is not None:
             lines += [f"{bake.variant}: {line}" for line in bake.certificate.lines()]
-        lines += [f"warning: {bake.variant}: {c.message}\n  hint: {c.hint}" for c in bake.warnings]
+        lines += [
+            f"warning: {bake.variant}: {c.message} [{c.about}]\n  hint: {c.hint}"
+            for c in bake.warnings
+        ]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"
         for f in result.findings
@@ -334,10 +339,11 @@ def _measured(bake: VariantResult) -> str:
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
     overlap = h["deepest_overlap_spacings"]
     met = f", deepest overlap {overlap:.2f} spacings" if overlap else ""
-    redone = f", {h['rollbacks']} frames recomputed" if h["rollbacks"] else ""
+    redone = f", {counted(h['rollbacks'], 'frame')} recomputed" if h["rollbacks"] else ""
     rest = f", at rest at frame {bake.at_rest}" if bake.at_rest else ""
     return (
-        f"{bake.variant}: {bake.frames} frames{rest}, {h['substeps']} substeps{redone}, {rebound},"
+        f"{bake.variant}: {counted(bake.frames, 'frame')}{rest},"
+        f" {counted(h['substeps'], 'substep')}{redone}, {rebound},"
         f" deepest penetration {h['deepest_penetration_spacings']:.2f} spacings"
         f" ({h['deepest_penetration_m']:.3g} m){met}, volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gf_usd.core.errors import counted
+
 if TYPE_CHECKING:
     from gf_usd.delivery.deliver import Delivered, DeliveredSplats
 
@@ -96,7 +98,7 @@ def deliver(
         name = f"{cloud.variant}: " if cloud.variant else ""
         typer.echo(f"{name}{cloud.path}: {said_of(cloud)}")
     typer.echo(
-        f"{done.path}: {done.bytes / 1000:.0f} kB, {done.frames} frames, largest error"
+        f"{done.path}: {done.bytes / 1000:.0f} kB, {counted(done.frames, 'frame')}, largest error"
         f" {100 * done.error:.2g} % of the radius"
     )
 
@@ -105,7 +107,7 @@ def described(joints: int, shapes: int) -> str:
     """In words, how a body is moved."""
     if joints:
         return f"{joints + 1} joints"
-    return f"{shapes} blend shapes on 1 joint" if shapes else "1 joint"
+    return f"{counted(shapes, 'blend shape')} on 1 joint" if shapes else "1 joint"
 
 
 def said_of(cloud: DeliveredSplats) -> str:

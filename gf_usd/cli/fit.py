@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gf_usd.core.errors import counted
+
 if TYPE_CHECKING:
     from gf_usd.fitting.result import Estimate, FitResult, Reproduced
 
@@ -168,7 +170,7 @@ def progress(*, shown: bool) -> Iterator[Callable[[int, float], None]]:
 
 def described(count: int, best: float) -> str:
     """How far a fit is, in words."""
-    return f"{count} simulations, best misfit {best:.3g} standard deviations"
+    return f"{counted(count, 'simulation')}, best misfit {best:.3g} standard deviations"
 
 
 def show_result(result: FitResult) -> None:
@@ -188,8 +190,9 @@ def show_result(result: FitResult) -> None:
     for sentence in result.not_identifiable:
         console.print(sentence, style="yellow")
     console.print(
-        f"{result.simulations} simulations of {result.particles} particles and {result.frames}"
-        f" frames ({result.read} more were kept) in {result.seconds:.0f} s"
+        f"{counted(result.simulations, 'simulation')} of {result.particles} particles and"
+        f" {counted(result.frames, 'frame')} ({result.read} more were kept)"
+        f" in {result.seconds:.0f} s"
     )
     for path in (result.layer, result.picture):
         if path is not None:

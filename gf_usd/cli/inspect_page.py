@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gf_usd.cli.console import drops, frames_of, landing_of
+from gf_usd.core.errors import counted
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -87,7 +88,8 @@ def _meshes(console: Console, seen: Inspection) -> None:
         )
     console.print(table)
     if len(seen.diagnoses) > len(rows):
-        console.print(f"and {len(seen.diagnoses) - len(rows)} more meshes (--json lists all)")
+        more = counted(len(seen.diagnoses) - len(rows), "more mesh", "more meshes")
+        console.print(f"and {more} (--json lists all)")
 
 
 def _faces(mesh: Diagnosis) -> str:

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from gf_usd.api.drawing.options import Options, read_options
-from gf_usd.core.errors import GfUsdError
+from gf_usd.core.errors import GfUsdError, counted
 
 
 def preview(
@@ -167,7 +167,7 @@ def draw(
     width, height = done.size
     made = f"{done.path}: {width}x{height}"
     if done.fps is not None:
-        made += f", {done.frames} frames, {done.fps:g} per second"
+        made += f", {counted(done.frames, 'frame')}, {done.fps:g} per second"
     return [made, *(f"note: {note}" for note in done.notes)]
 
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.core.errors import counted
+
 
 def retime(
     bake: Annotated[Path, typer.Argument(help="Root layer of a bake.")],
@@ -65,4 +67,4 @@ def retime(
         return
     for path in (done.path, *done.caches):
         typer.echo(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
-    typer.echo(f"{done.frames} frames, time codes {done.start:g} to {done.end:g}")
+    typer.echo(f"{counted(done.frames, 'frame')}, time codes {done.start:g} to {done.end:g}")

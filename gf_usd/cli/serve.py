@@ -228,7 +228,10 @@ def _tell(event: Mapping[str, Any]) -> None:
 
 def _summary(result: Mapping[str, Any], warnings: Sequence[Mapping[str, Any]]) -> str:
     """The written files, and warnings."""
-    told = [f"warning: {w['look']}: {w['message']}\n  hint: {w['hint']}" for w in warnings]
+    told = [
+        f"warning: {w['variant']}: {w['message']} [{w['about']}]\n  hint: {w['hint']}"
+        for w in warnings
+    ]
     particles, seconds = result["particles"], result["seconds"]
     return "\n".join([*result["outputs"], f"{particles} particles, {seconds:.1f} s", *told])
 

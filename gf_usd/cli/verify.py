@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gf_usd.core.errors import counted
+
 if TYPE_CHECKING:
     from gf_usd.verify.case import Case, Result
 
@@ -65,7 +67,7 @@ def verify(
     failed = sum(not row["pass"] for row in table)
     if failed:
         names = ", ".join(row["name"] for row in table if not row["pass"])
-        typer.echo(f"{failed} of {len(table)} figures failed: {names}", err=True)
+        typer.echo(f"{failed} of {counted(len(table), 'figure')} failed: {names}", err=True)
         raise typer.Exit(1)
 
 
@@ -116,4 +118,6 @@ def _show(results: Sequence[Result]) -> None:
     console.print(table)
     seconds = sum(result.seconds for result in results)
     count = sum(len(result.measures) for result in results)
-    console.print(f"{count} figures of {len(results)} cases in {seconds:.0f} s")
+    console.print(
+        f"{counted(count, 'figure')} of {counted(len(results), 'case')} in {seconds:.0f} s"
+    )

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import AXES, Floats, Ints
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import DEGREE, Y_0
 from gf_usd.core.units import StageUnits
@@ -273,12 +273,13 @@ def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
         )
     turned = int((keep & (norm == 0.0)).sum())
     if turned:
-        note(f"{turned} Gaussians have a quaternion of length 0: no rotation is assumed")
+        gaussians = counted(turned, "Gaussian has", "Gaussians have")
+        note(f"{gaussians} a quaternion of length 0: no rotation is assumed")
     length = np.where(norm > 0.0, norm, 1.0)[:, None]
     unit = np.where(norm[:, None] > 0.0, splats.orientations / length, (1.0, 0.0, 0.0, 0.0))
     beyond = keep & ((splats.opacities < 0.0) | (splats.opacities > 1.0))
     if beyond.any():
-        note(f"{int(beyond.sum())} opacities lie outside 0..1: clipped")
+        note(f"{counted(int(beyond.sum()), 'opacity', 'opacities')} outside 0..1: clipped")
     count = splats.harmonics.shape[1]
     most = (DEGREE + 1) ** 2
     if count > most:
@@ -286,8 +287,8 @@ def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
     harmonics = splats.harmonics[:, :most]
     bright = keep[:, None, None] & (np.abs(harmonics) > BRIGHTEST)
     if bright.any():
-        many = int(bright.sum())
-        note(f"{many} spherical harmonics coefficients are beyond {BRIGHTEST:g}: clipped")
+        many = counted(int(bright.sum()), "spherical harmonics coefficient")
+        note(f"{many} beyond {BRIGHTEST:g}: clipped")
         harmonics = np.clip(harmonics, -BRIGHTEST, BRIGHTEST)
     sound = Splats(
         positions=splats.positions,

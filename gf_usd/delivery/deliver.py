@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gf_usd.core.errors import BakeError, UsageError
+from gf_usd.core.errors import BakeError, UsageError, counted
 from gf_usd.core.scene import Recording
 from gf_usd.delivery.gltf.read import read_error, read_splat_errors
 from gf_usd.delivery.gltf.write import write_glb
@@ -314,12 +314,15 @@ def _fitter(
         if kind == "shapes":
             found = with_shapes(body, error, most_shapes)
             if found is None:
-                reasons.append(f"{most_shapes} blend shapes are not enough")
+                reasons.append(
+                    f"{counted(most_shapes, 'blend shape is', 'blend shapes are')} not enough"
+                )
             return found
         *_, last = with_joints(body, error, most_joints)
         if last.error <= error:
             return with_single_joints(last) if nodes else last
-        reasons.append(f"{last.joints} joints leave an error of {100 * last.error:.2g} %")
+        joints = counted(last.joints, "joint leaves", "joints leave")
+        reasons.append(f"{joints} an error of {100 * last.error:.2g} %")
         return None
 
     return fit

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.scene import Recording
 from gf_usd.fitting.observation import Followed, Scene, corner
 from gf_usd.fitting.targets import Asked, Motion, points_sigma
@@ -167,10 +167,10 @@ def attached(asked: Asked, tracks: Tracks, scene: Scene) -> tuple[Motion, tuple[
     notes = []
     if left := int((~there).sum()):
         notes.append(
-            f"{asked.file.name}: {left} tracks are not visible at the first frame and are left out"
+            f"{asked.file.name}: {counted(left, 'track')} not visible at the first frame: left out"
         )
     if off := int((there & ~good).sum()):
-        notes.append(f"{asked.file.name}: {off} tracks are off the surface and are left out")
+        notes.append(f"{asked.file.name}: {counted(off, 'track')} off the surface: left out")
     order = [k for name in scene.surfaces for k in np.flatnonzero(good) if path[k] == name]
     after = seconds > -1e-6
     followed = []

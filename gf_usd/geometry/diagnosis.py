@@ -18,6 +18,7 @@ from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
+from gf_usd.core.errors import counted
 from gf_usd.core.mesh import WELD_FRACTION, areas, proper, shells, weld
 from gf_usd.core.neighbors import components
 from gf_usd.geometry import winding
@@ -208,15 +209,15 @@ def faults(seen: Diagnosis) -> list[str]:
     said = []
     if seen.holes:
         share = f"{100 * seen.hole_share:.2g} % of the closed area"
-        said.append(f"{_count(len(seen.holes), 'hole')} ({share})")
+        said.append(f"{counted(len(seen.holes), 'hole')} ({share})")
     if against := sum(shell.against for shell in seen.shells):
-        said.append(f"{_count(against, 'triangle')} facing the other way")
+        said.append(f"{counted(against, 'triangle')} facing the other way")
     if inward := seen.with_winding("inside out"):
-        said.append(f"{inward} of {_count(len(seen.shells), 'shell')} inside out")
+        said.append(f"{inward} of {counted(len(seen.shells), 'shell')} inside out")
     if inner := sum(shell.inner for shell in seen.shells):
-        said.append(f"{_count(inner, 'shell')} inside others that bound no volume")
+        said.append(f"{counted(inner, 'shell')} inside others that bound no volume")
     if seen.duplicates:
-        said.append(_count(seen.duplicates, "duplicate triangle"))
+        said.append(counted(seen.duplicates, "duplicate triangle"))
     return said
 
 
@@ -248,10 +249,6 @@ def lost_volume_warning(seen: Sequence[Diagnosis], volume: float) -> str:
     return (
         f"only {volume:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"
     )
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 Flags = NDArray[np.bool_]

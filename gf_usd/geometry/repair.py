@@ -15,6 +15,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.errors import counted
 from gf_usd.core.mesh import areas, proper, shells, triangulate, weld
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import (
@@ -81,44 +82,45 @@ class Repairs:
         if dropped:
             said.append(f"dropped triangles: {', '.join(dropped)}")
         if self.turned:
-            said.append(f"turned {_count(self.turned, 'triangle')} to match the rest")
+            said.append(f"turned {counted(self.turned, 'triangle')} to match the rest")
         if self.turned_parts:
-            said.append(f"turned {_count(self.turned_parts, 'part')} that faced the wrong way")
+            said.append(f"turned {counted(self.turned_parts, 'part')} that faced the wrong way")
         if self.inner:
-            said.append(f"dropped {_count(self.inner, 'part')} inside others that bound no volume")
+            said.append(f"dropped {counted(self.inner, 'part')} inside others that bound no volume")
         if self.cavities:
             said.append(
-                f"left {_count(self.cavities, 'part')} that lie inside others and face inward "
+                f"left {counted(self.cavities, 'part')} that lie inside others and face inward "
                 f"(cavities)"
             )
         if self.overlapping:
             said.append(
-                f"left {_count(self.overlapping, 'part')} that overlap others: the common "
+                f"left {counted(self.overlapping, 'part')} that overlap others: the common "
                 f"volume is filled once"
             )
         if self.holes_closed:
             said.append(
-                f"closed {_count(self.holes_closed, 'hole')} with {_count(self.caps, 'triangle')},"
-                f" the largest {_share(self.largest_closed)} of the closed area"
+                f"closed {counted(self.holes_closed, 'hole')} with"
+                f" {counted(self.caps, 'triangle')}, the largest {_share(self.largest_closed)} of"
+                " the closed area"
             )
         if self.holes_left:
             said.append(
-                f"left {_count(self.holes_left, 'hole')} open, the largest"
+                f"left {counted(self.holes_left, 'hole')} open, the largest"
                 f" {_share(self.largest_left)} of the closed area (repair closes up to"
                 f" {_share(HOLE_LIMIT)})"
             )
         if self.loose_edges:
             said.append(
-                f"left {_count(self.loose_edges, 'boundary edge')} that form no closed loop"
+                f"left {counted(self.loose_edges, 'boundary edge')} that form no closed loop"
             )
         if self.thickened:
             said.append(
-                f"made {_count(self.thickened, 'thin part')} {self.thickness:.3g} m thick (one "
+                f"made {counted(self.thickened, 'thin part')} {self.thickness:.3g} m thick (one "
                 f"spacing) for the simulation"
             )
         if self.thin_left:
             said.append(
-                f"left {_count(self.thin_left, 'sheet')} unfilled: too small for a body of "
+                f"left {counted(self.thin_left, 'sheet')} unfilled: too small for a body of "
                 f"particles, or one-sided"
             )
         return tuple(said)
@@ -150,7 +152,7 @@ def consistently_oriented_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
     """
     made = [_with_consistent_winding(surface) for surface in asset.surfaces]
     said = tuple(
-        f"<{surface.path}>: {_count(turned, 'triangle')} facing the other way"
+        f"<{surface.path}>: {counted(turned, 'triangle')} facing the other way"
         f" {'is' if turned == 1 else 'are'} turned for the fill; the mesh itself does not change"
         for surface, turned in made
         if turned
@@ -271,10 +273,6 @@ def _with_corners(surface: Surface, corners: Ints) -> Surface:
         triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[corners],
         triangle_materials=None if materials is None else materials[corners[:, 0] // 3],
     )
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def _share(value: float) -> str:

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners
-from gf_usd.core.errors import SolverError
+from gf_usd.core.errors import SolverError, counted
 from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
 from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.taichi_arrays import Saved
@@ -220,8 +220,8 @@ class Solver(ABC):
             self.strained = min(self.strained, GROWTH * (substeps >> self.guard.halvings))
             self.guard.refine()
         raise SolverError(
-            f"frame {index}: {fault}, with {self.coarse} substeps, and still after {RETRIES} "
-            f"halvings of the step to {self.dt:.3g} s",
+            f"frame {index}: {fault}, with {counted(self.coarse, 'substep')}, and still after"
+            f" {RETRIES} halvings of the step to {self.dt:.3g} s",
             self._hint() + "; the frames before it are in the partial cache",
             frame=index,
             particle=particle,
@@ -299,7 +299,7 @@ class Guard:
         known = max(self._inverted, last.inverted)
         if now.inverted > known and self._tried < 0:
             self._tried = now.inverted
-            return worst(particles), f"{now.inverted} particles turned inside out"
+            return worst(particles), f"{counted(now.inverted, 'particle')} turned inside out"
         if self._tried >= 0:
             self._inverted = max(self._inverted, now.inverted)
         self._tried = -1

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.errors import BakeError, Unfinished, UsageError
+from gf_usd.core.errors import BakeError, Unfinished, UsageError, counted
 from gf_usd.core.frames import Choices, Health, Particles, Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Collider
@@ -304,8 +304,8 @@ class CheckpointWriter:
     def unfinished(self, number: int, variant: str, done: int, frames: int) -> Unfinished:
         """The exception that reports the end of a slice, with the number of frames done."""
         return Unfinished(
-            f"{variant}: {done} of {frames} frames are done, and the slice of {self._slice} clips"
-            f" ends here; {self._paths[number]} is kept",
+            f"{variant}: {done} of {frames} frames are done, and the slice of"
+            f" {counted(self._slice or 0, 'clip')} ends here; {self._paths[number]} is kept",
             "the same command with --resume continues",
             variant=variant,
             done=done,

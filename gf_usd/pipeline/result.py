@@ -25,7 +25,9 @@ def require_healthy(result: BakeResult, *, strict: bool) -> None:
     ]
     if not warnings:
         return
-    lines = "".join(f"\n  {name}: {warning.message}" for name, warning in warnings)
+    lines = "".join(
+        f"\n  {name}: {warning.message} [{warning.about}]" for name, warning in warnings
+    )
     hints = list(dict.fromkeys(warning.hint for _, warning in warnings))
     errors = any(warning.level == ERROR for _, warning in warnings)
     kind = "error" if errors else "warning"

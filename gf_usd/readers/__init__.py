@@ -114,22 +114,32 @@ def _require_file(path: Path) -> None:
         ) from error
 
 
+PARTS = (".partial", ".cache", ".source")  # of bakes: unfinished, or read by a root layer
+
+
 def _of_folder(folder: Path) -> str:
     """A hint at the asset file of a folder: the one with the folder's name, or the only one."""
-    names = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+    names = sorted(p.name for p in folder.iterdir() if _is_candidate(p))
     own = [name for name in names if Path(name).stem == folder.resolve().name]
     if len(found := own or names) == 1:
         return f"give the asset file in it: {folder / found[0]}"
     if found:
-        more = f" or one of {len(found) - 3} others" if len(found) > 3 else ""
-        return f"give one of the asset files in it: {', '.join(found[:3])}{more}"
+        shown = found if len(found) <= 4 else found[:3]  # "one of 1 others" is no help
+        more = f" or one of {len(found) - 3} others" if len(found) > 4 else ""
+        return f"give one of the asset files in it: {', '.join(shown)}{more}"
     return _what_can_be_read()
+
+
+def _is_candidate(path: Path) -> bool:
+    """Whether a hint may name a file: of a known suffix, not hidden, and no part of a bake."""
+    known = path.suffix.lower() in SUFFIXES and path.is_file()
+    return known and not path.name.startswith(".") and Path(path.stem).suffix not in PARTS
 
 
 def _near(path: Path) -> str:
     """A hint at files with names similar to that of a missing one."""
     if not path.parent.is_dir():
         return f"the folder {path.parent} does not exist either; "
-    names = [p.name for p in path.parent.iterdir() if p.suffix.lower() in SUFFIXES]
+    names = [p.name for p in path.parent.iterdir() if _is_candidate(p)]
     close = difflib.get_close_matches(path.name, names, n=3)
     return f"did you mean {' or '.join(close)}? otherwise " if close else ""

@@ -73,7 +73,7 @@ def test_failures_are_on_top_with_why_and_what_to_do(tmp_path: Path) -> None:
     assert numbers == ["1", "2", "", "0.50", "1.0e-05", "120", "4", "", "3.2", "3.0", "300", "1"]
     assert "One job needs attention" in text
     assert "gf-usd batch x --select bad" in text
-    assert "1 have not been run yet: never" in text
+    assert "1 job has not been run yet: never" in text
 
 
 def test_a_slice_is_no_fault(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_a_slice_is_no_fault(tmp_path: Path) -> None:
     assert Table(text).rows[1][0]["data-kind"] == "begun"
     assert "One job has remaining frames. To repeat only these:" in text
     assert "with remaining frames 1" in text
-    assert "1 jobs, 0 good" in text
+    assert "1 job, 0 good" in text
     assert "need attention 0" in text
     both = build_page(plan, [sliced, outcome("bad", "failed")], entry, {})
     assert "One job needs attention; One job has remaining frames." in both

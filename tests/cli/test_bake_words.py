@@ -34,7 +34,7 @@ def test_json_is_all_there_is_on_stdout(gf_usd, here: Path, block: Path) -> None
 def test_a_dry_run_says_and_writes_nothing_else(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, "--particles", "300", "--drop", "10", "--dry-run")
     assert (done.status, done.err) == (0, "")
-    assert done.out.startswith(f"{block}: 1 mesh(es), 0.012 m^3, radius 0.142 m\n  /World/Block\n")
+    assert done.out.startswith(f"{block}: 1 mesh, 0.012 m^3, radius 0.142 m\n  /World/Block\n")
     for line in ("particles   ", "frames      ", "substeps    ", "time        about ", "disk  "):
         assert f"\n{line}" in done.out
     # sqrt(2 * 0.1 m / g) = 0.143 s are 6.85 frames of 1/48 s
@@ -119,7 +119,7 @@ def test_quiet_and_verbose(gf_usd, here: Path, block: Path) -> None:
     assert (done.status, done.out, done.err) == (0, "", "")
     loud = gf_usd("bake", block, *SMALL, "-v", "--overwrite")
     assert loud.status == 0
-    assert loud.err.startswith(f"{block}: 1 mesh(es)")
+    assert loud.err.startswith(f"{block}: 1 mesh, ")
     assert "would write block.rubber.usda" in loud.err
     assert "would write" not in loud.out
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from small_bakes import names
+
+from gf_usd.cli.check import unchecked
+from gf_usd.layers.check.base import Skip
 
 # A triangle that leads to a fourth point which is not there.
 BROKEN = """#usda 1.0
@@ -67,7 +71,7 @@ def test_warnings_do_not_count(gf_usd, mild: str) -> None:
     done = gf_usd("check", mild)
     assert done.status == 0
     assert "warning: extent </Shard>\n" in done.out
-    assert "mild.usda: 0 errors, 1 warnings (" in done.out
+    assert "mild.usda: 0 errors, 1 warning (" in done.out
 
 
 @pytest.mark.parametrize("sound", [True, False])
@@ -85,6 +89,29 @@ def test_json(gf_usd, block: Path, broken: str, sound: bool) -> None:
         assert set(finding) == {"rule", "severity", "prim_path", "message", "fix"}
     found = {(f["rule"], f["prim_path"]) for f in told["findings"]}
     assert found == set() if sound else ("mesh-topology", "/Shard") in found
+
+
+def test_one_line_for_what_a_rule_cannot_check() -> None:
+    """With the number of prims and at most three of them, however many there are."""
+    at = [Skip(rule="velocities", prim_path=f"/P{k}", reason="too short") for k in range(5)]
+    other = Skip(rule="usd", prim_path="/", reason="not run")
+    assert unchecked([]) == []
+    assert unchecked([other, *at[:1]]) == [
+        "not checked: usd </>: not run",
+        "not checked: velocities </P0>: too short",
+    ]
+    assert unchecked([*at[:3], other]) == [
+        "not checked: velocities of 3 prims, </P0>, </P1>, </P2>: too short",
+        "not checked: usd </>: not run",
+    ]
+    assert unchecked([at[0], *at]) == [
+        "not checked: velocities of 5 prims, </P0>, </P1>, </P2> and 2 more: too short"
+    ]
+    fast = replace(at[1], reason="too fast")
+    assert unchecked([at[0], fast]) == [
+        "not checked: velocities of 2 prims, </P0>, </P1>: too short"
+        " (1 other reason: --json lists all)"
+    ]
 
 
 def test_a_bake_passes(gf_usd, here: Path, block: Path) -> None:

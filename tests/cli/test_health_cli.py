@@ -36,7 +36,8 @@ def test_an_unhealthy_bake_says_so_and_is_written(gf_usd, here: Path, block: Pat
     warned = [w for w in report["warnings"] if w["about"] == "inside-out"]
     assert [set(w) for w in warned] == [{"variant", "look", "about", "message", "hint", "level"}]
     assert f"up to {health['inverted_max']} at once" in warned[0]["message"]
-    assert f"warning: jelly: {warned[0]['message']}\n  hint: {warned[0]['hint']}" in done.out
+    said = f"warning: jelly: {warned[0]['message']} [inside-out]\n  hint: {warned[0]['hint']}"
+    assert said in done.out
     stage = Usd.Stage.Open(str(here / "block.jelly.usda"))
     said = stage.GetDefaultPrim().GetAttribute("gaussianFlesh:health:warnings").Get()
     assert list(said) == [w["message"] for w in report["warnings"]]
@@ -57,7 +58,7 @@ def test_strict_ends_with_status_4_and_keeps_the_files(gf_usd, here: Path, block
     )
     assert result["warnings"] != []
     for warning in result["warnings"]:
-        assert f"\n  jelly: {warning['message']}\n" in error
+        assert f"\n  jelly: {warning['message']} [{warning['about']}]\n" in error
     assert error.rstrip().endswith("without --strict this is not an error")
 
 

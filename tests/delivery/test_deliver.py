@@ -253,7 +253,7 @@ def test_the_smaller_file_is_kept(ball: Path, tmp_path: Path) -> None:
 
 
 def test_limits_that_do_not_allow_the_error_are_named(ball: Path, tmp_path: Path) -> None:
-    with pytest.raises(BakeError, match=r"1 blend shapes are not enough and 2 joints leave"):
+    with pytest.raises(BakeError, match=r"1 blend shape is not enough and 2 joints leave"):
         deliver(ball, tmp_path / "out.glb", error=1e-4, most_joints=2, most_shapes=1)
     assert list(tmp_path.iterdir()) == []
 

@@ -86,7 +86,7 @@ def test_tracks_lie_on_the_surface_at_the_first_frame(tmp_path: Path) -> None:
     assert followed.of(CORNERS + LIFT) == pytest.approx(found.x[0])
     assert found.x[:, 0, 1] == pytest.approx([2.25, 2.0, 1.5])
     assert np.isnan(found.x[2, 1]).all()
-    assert notes == ("film.usda: 1 tracks are off the surface and are left out",)
+    assert notes == ("film.usda: 1 track off the surface: left out",)
 
 
 def test_what_shows_nothing_of_the_asset_is_refused(tmp_path: Path) -> None:

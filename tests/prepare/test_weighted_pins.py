@@ -42,7 +42,7 @@ def test_a_weight_that_nobody_has_is_refused(plan) -> None:
     with pytest.raises(InputError) as caught:
         plan(mesh("One", PAINTED), pins=("paint:nothing",))
     assert (
-        "--pin paint:nothing: no face of 1 mesh(es) has a weight of at least 0.5"
+        "--pin paint:nothing: no face of 1 mesh has a weight of at least 0.5"
         in caught.value.message
     )
     with pytest.raises(InputError, match="joint:hips"):

@@ -55,6 +55,11 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
         (tuple("edcba"), ""),
         (tuple(f"{k}.usda" for k in range(5)),
          "give one of the asset files in it: 0.usda, 1.usda, 2.usda or one of 2 others"),
+        (tuple(f"{k}.usda" for k in range(4)),
+         "give one of the asset files in it: 0.usda, 1.usda, 2.usda, 3.usda"),
+        (("b.usda", "b.rubber.partial.usda", "b.rubber.cache.partial.usdc", ".b.usda",
+          "b.rubber.cache.usdc", "m.source.usdc"), "give the asset file in it: {b.usda}"),
+        ((".b.obj", "b.partial.usda"), ""),
     ],
 )  # fmt: skip
 def test_a_folder_says_which_file_is_meant(tmp_path, names, hint):
@@ -69,6 +74,20 @@ def test_a_folder_says_which_file_is_meant(tmp_path, names, hint):
     assert error.value.hint == (
         wanted or f"give a file with one of these suffixes: {', '.join(SUFFIXES)}"
     )
+
+
+def test_a_folder_named_like_an_asset_is_not_offered(tmp_path):
+    (tmp_path / "lamp" / "sub.usda").mkdir(parents=True)
+    with pytest.raises(InputError) as error:
+        read_asset(tmp_path / "lamp")
+    assert "sub.usda" not in error.value.hint
+
+
+def test_a_missing_file_is_not_said_to_mean_a_partial_one(tmp_path):
+    (tmp_path / "duck.partial.usda").write_text("x")
+    with pytest.raises(InputError) as error:
+        read_asset(tmp_path / "duck.partia.usda")
+    assert "did you mean" not in error.value.hint
 
 
 def test_suffix_in_capitals(write):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import counted
 from gf_usd.core.stage import Bone, Pin
 from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
@@ -145,4 +146,5 @@ def _along(start: Floats, end: Floats) -> NDArray[np.float64]:
 
 
 def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more bones" if len(names) > 3 else "")
+    more = f" and {counted(len(names) - 3, 'more bone')}" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more

@@ -8,6 +8,8 @@ from typing import Literal
 
 from pxr import Sdf, Tf, Usd
 
+from gf_usd.core.errors import counted
+
 Severity = Literal["error", "warning"]
 
 
@@ -108,7 +110,7 @@ def first_problem(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
     time, text = first
     more = sum(1 for _ in rest)
     when = "" if time.IsDefault() else f" at time {time.GetValue():g}"
-    return f"{text}{when}" + (f", and also in {more} more samples" if more else "")
+    return f"{text}{when}" + (f", and also in {counted(more, 'more sample')}" if more else "")
 
 
 def reason(error: Tf.ErrorException) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from pxr import Usd, UsdGeom, UsdShade
 
+from gf_usd.core.errors import counted
 from gf_usd.layers.check.base import Finding, about, first_problem, rule
 from gf_usd.layers.check.read import applied_names, authored, prims, samples
 from gf_usd.system.usd_schema import APIS
@@ -171,14 +172,15 @@ def time_range(stage: Usd.Stage) -> Iterator[Finding]:
                 low, high = min(low, codes[0]), max(high, codes[-1])
         if bounded and outside:
             yield about("time-range", prim).warning(
-                f"{len(outside)} attributes ({', '.join(outside[:3])}"
-                f"{', ...' if len(outside) > 3 else ''}) have samples from {low:g} to {high:g}, "
-                f"but the stage runs from {start:g} to {end:g}",
+                f"{counted(len(outside), 'attribute has', 'attributes have')} samples from {low:g}"
+                f" to {high:g}, but the stage runs from {start:g} to {end:g}:"
+                f" {', '.join(outside[:3])}{', ...' if len(outside) > 3 else ''}",
                 "extend the range from startTimeCode to endTimeCode, or delete the samples "
                 "outside it",
             )
     if animated and not bounded:
         yield speak.warning(
-            f"{animated} attributes have time samples, but the stage has no time range",
+            f"{counted(animated, 'attribute has', 'attributes have')} time samples, but the stage"
+            " has no time range",
             "author startTimeCode and endTimeCode in the root layer",
         )

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.errors import InputError, OutOfResources
+from gf_usd.core.errors import InputError, OutOfResources, counted
 from gf_usd.core.frames import MIXED, Settings, written
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
@@ -273,7 +273,7 @@ def require_affordable(
         f" {particles} particles of {material.name} (Young's modulus"
         f" {material.youngs_modulus:.3g} Pa, damping time {material.damping_time:.3g} s), dropped"
         f" {drop:.3g} m, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
-        f" {settings.frames} frames",
+        f" {counted(settings.frames, 'frame')}",
         "take a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
         + "".join(f" {line};" for line in shortcuts({**cost, "per_material": [row]}, materials))
         + f" --max-hours {math.ceil(hours * 1.2)} allows it",

@@ -11,6 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import SplatPose, Splats, StageFacts, joined
+from gf_usd.core.errors import counted
 from gf_usd.core.frames import (
     BakedFrame,
     Particles,
@@ -181,8 +182,9 @@ class SplatDeformer:
         from gf_usd.physics.output.gaussians import STRETCH
 
         return tuple(
-            f"{path}: {track.clamped} times a Gaussian was clamped, because it would have been "
-            f"stretched or flattened more than {STRETCH:g} times relative to its own axes"
+            f"{path}: a Gaussian was clamped {counted(track.clamped, 'time')}, because it would"
+            f" have been stretched or flattened more than {STRETCH:g} times relative to its own"
+            " axes"
             for path, track in self._tracks.items()
             if track.clamped
         )

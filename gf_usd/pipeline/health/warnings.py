@@ -12,6 +12,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from gf_usd.core.errors import counted
+
 HealthSummary = Mapping[str, Any]
 
 # Of the energy scale, in one frame.  Correct bakes with all presets stay below 1e-4 (measured);
@@ -131,8 +133,8 @@ def _rollbacks(h: HealthSummary) -> Said:
         return None
     law = f", or use {_other_law(h)}" if _other_law(h) else ""
     return (
-        f"the step was too long {h['rollbacks']} times in {h['frames']} frames, which were redone"
-        " with half of it",
+        f"the step was too long {counted(h['rollbacks'], 'time')} in"
+        f" {counted(h['frames'], 'frame')}, which were redone with half of it",
         f"{_gentler(h)}{law}",
     )
 
@@ -207,9 +209,9 @@ def _let_go(h: HealthSummary) -> Said:
     if not h["released_max"]:
         return None
     return (
-        f"{h['released_max']} contact points at once were deeper in another surface than they"
-        f" can have moved, where it was folded or inverted, and were released: there the bodies"
-        f" may overlap",
+        f"contact points were released because they were deeper in another surface than they can"
+        f" have moved, where it was folded or inverted, {h['released_max']} at once: there the"
+        " bodies may overlap",
         f"{_gentler(h)}, take a stiffer material, or more --particles",
     )
 
@@ -298,9 +300,10 @@ def _lost(h: HealthSummary) -> Said:
     count = h.get("lost_particles", 0)
     if not count:
         return None
+    are = f"{100.0 * h['lost_share']:.2g} % of all, {'is' if count == 1 else 'are'} below"
     return (
-        f"{count} flowing particles, {100.0 * h['lost_share']:.2g} % of all, are below the floor or"
-        f" every obstacle in the last frame, the first from frame {h['first_lost_frame']} on",
+        f"{counted(count, 'flowing particle')}, {are} the floor or every obstacle in the last"
+        f" frame, the first from frame {h['first_lost_frame']} on",
         "add a floor (--floor HEIGHT), make obstacles larger or thicker, or take more --particles",
     )
 

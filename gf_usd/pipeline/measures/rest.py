@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from gf_usd.core.errors import BakeError
+from gf_usd.core.errors import BakeError, counted
 from gf_usd.core.frames import AT_REST, Health
 from gf_usd.core.materials.dimensionless import G0, time_scale
 
@@ -42,16 +42,17 @@ class Rest:
             return f"{variant}: at rest at frame {len(frames)}"
         last = frames[-1]
         return (
-            f"{variant}: not at rest within {most} frames: the kinetic energy of the last one is"
-            f" {last.kinetic:.3g} J, but at most {self.limit(last):.3g} J counts as rest; --frames"
-            f" rest:{2 * most} simulates longer"
+            f"{variant}: not at rest within {counted(most, 'frame')}: the kinetic energy of the"
+            f" last one is {last.kinetic:.3g} J, but at most {self.limit(last):.3g} J counts as"
+            f" rest; --frames rest:{2 * most} simulates longer"
         )
 
     def refusal(self, variant: str, last: Health, most: int, path: Path) -> BakeError:
         """The error of --settle-only where a body still moves in the last of `most` frames."""
         return BakeError(
-            f"{path}, {variant}: not at rest within {most} frames: the kinetic energy of the last"
-            f" one is {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as rest",
+            f"{path}, {variant}: not at rest within {counted(most, 'frame')}: the kinetic energy"
+            f" of the last one is {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as"
+            " rest",
             f"simulate longer with --frames {2 * most}, or slow the motion with --drag, "
             f"--friction or another material; a body that is driven by a moving pin or "
             f"obstacle, or drifts without gravity, never comes to rest",

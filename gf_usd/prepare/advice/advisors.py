@@ -25,10 +25,11 @@ def find_advisor(name: str) -> EntryPoint:
     found = [point for point in known if point.name == name]
     if not found:
         names = sorted({point.name for point in known})
-        there = f"there are {', '.join(names)}" if names else "no advisor is installed"
+        there = f"give one of {', '.join(names)}" if names else "no advisor is installed"
+        another = "install another" if names else "install one"
         raise UsageError(
             f"there is no material advisor {name!r}",
-            f"{there}; install one (docs/materials.md), or use --material {AUTO}",
+            f"{there}; {another} (docs/materials.md), or use --material {AUTO}",
         )
     if len({point.value for point in found}) > 1:
         raise UsageError(

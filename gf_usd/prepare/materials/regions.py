@@ -261,7 +261,7 @@ def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> No
         held = [s.labels[label.name] for s in sets if label.name in s.labels]
         if not held:
             names = sorted({name for s in sets for name in s.labels})
-            there = "have " + _listed(names) if names else "have no whole numbers at all"
+            there = "have " + _listed(names) if names else "have none"
             raise InputError(
                 f"{LABEL_OPTION} {label.text}: no Gaussian has a property {label.name} of whole"
                 f" numbers; they {there}",

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.neighbors import components
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.readers.mesh.data import (
@@ -34,7 +34,9 @@ from gf_usd.readers.mesh.mtl import read_libraries
 from gf_usd.readers.notes import Notes
 
 SILENT = {"#", "s", "mg", "lod", "bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj"}
-OTHER = {"l": "lines", "p": "points"}
+OTHER = {"l": "line", "p": "point"}
+THIN = "face with fewer than three corners"
+LEFT_OUT = {THIN: "faces with fewer than three corners"}  # plurals that are not the noun with s
 
 
 def read_obj(path: Path) -> MeshFile:
@@ -123,7 +125,7 @@ class _Reader:
         elif key in OTHER:
             self._left_out[OTHER[key]] += 1
         elif key not in SILENT and not key.startswith("#"):
-            self._left_out[f"'{key[:16]}' statements"] += 1
+            self._left_out[f"'{key[:16]}' statement"] += 1
 
     def _row(self, key: str, number: int, tokens: list[str]) -> None:
         try:
@@ -143,7 +145,7 @@ class _Reader:
 
     def _face(self, number: int, tokens: list[str]) -> None:
         if len(tokens) < 4:
-            self._left_out["faces with fewer than three corners"] += 1
+            self._left_out[THIN] += 1
             return
         lengths = [len(self._rows[key]) for key in ("v", "vt", "vn")]
         for token in tokens[1:]:
@@ -178,7 +180,7 @@ class _Reader:
     def tables(self, notes: Notes) -> Tables:
         """The tables as arrays; raises InputError where they are inconsistent."""
         for what, count in self._left_out.items():
-            notes.add(f"{count} {what} are left out")
+            notes.add(f"left out: {counted(count, what, LEFT_OUT.get(what, ''))}")
         if not self._counts:
             raise InputError(
                 f"{self._path}: the file contains no faces ({len(self._rows['v'])} points)",
@@ -230,7 +232,7 @@ class _Reader:
             raise self._error(
                 self._face_lines[face],
                 f"the face names {key} {corners[outside[0]] + 1}, but there are {length}; "
-                f"{len(outside)} corners have such an index",
+                f"{counted(len(outside), 'corner has', 'corners have')} such an index",
             )
 
     def _error(self, line: int, what: str) -> InputError:
@@ -267,7 +269,8 @@ def to_nodes(tables: Tables, defined: list[str], notes: Notes) -> tuple[FileNode
     face_of = np.repeat(np.arange(len(tables.counts)), tables.counts)
     unused = len(tables.points) - len(np.unique(tables.corners))
     if unused:
-        notes.add(f"{unused} of its {len(tables.points)} points belong to no face and are left out")
+        belong = "belongs to no face and is" if unused == 1 else "belong to no face and are"
+        notes.add(f"{unused} of its {len(tables.points)} points {belong} left out")
     nodes = []
     for faces, parts in _bodies(tables, face_of):
         mesh = _mesh(tables, faces, parts, materials, face_of, notes)

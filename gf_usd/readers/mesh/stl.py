@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.mesh import weld
 from gf_usd.readers.mesh.data import (
     REPAIR,
@@ -58,7 +58,8 @@ def _stl_body(path: Path, data: bytes, notes: Notes) -> bytes:
     text = data.lstrip()[:5].lower() == b"solid" and b"facet" in data.lower()
     if count and len(data) >= whole and not (text and len(data) > whole):
         if len(data) > whole:
-            notes.add(f"{len(data) - whole} bytes after its {count} triangles are ignored")
+            extra = counted(len(data) - whole, "byte")
+            notes.add(f"the file ends with {extra} after its {count} triangles: ignored")
         return data[:whole]
     if text:
         if data.lower().count(b"endsolid") == 0:

@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts, first_time_code
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.stage import Region
 from gf_usd.readers.usd.mesh import has_surface, posed_points, read_surface
 from gf_usd.readers.usd.select import PROXIES, named_prim
@@ -109,8 +109,8 @@ def read_weighted(
     if not made:
         what = "joints are " + ", ".join(dict.fromkeys(known)) if known else "no mesh has it"
         raise InputError(
-            f"{facts.path}: {said}: no face of {len(meshes)} mesh(es) has a weight of"
-            f" at least {HALF:g}",
+            f"{facts.path}: {said}: no face of {counted(len(meshes), 'mesh', 'meshes')} has a"
+            f" weight of at least {HALF:g}",
             f"name a float primvar on points, or a joint of the skeleton; {what}",
         )
     return tuple(made)

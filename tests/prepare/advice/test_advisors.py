@@ -88,7 +88,13 @@ def test_an_unknown_name_lists_those_that_are_there(installed):
     installed(PLUGIN, mine="good", other="good")
     with pytest.raises(UsageError, match="no material advisor 'yours'") as error:
         find_advisor("yours")
-    assert "mine, other" in error.value.hint
+    assert error.value.hint.startswith("give one of mine, other; install another (")
+
+
+def test_without_advisors_the_hint_is_to_install_one():
+    with pytest.raises(UsageError, match="no material advisor 'yours'") as error:
+        find_advisor("yours")
+    assert error.value.hint.startswith("no advisor is installed; install one (")
 
 
 def test_two_advisors_of_one_name_are_refused(installed):

@@ -120,6 +120,15 @@ def test_what_is_not_there_is_refused(tmp_path: Path, label: str, words: str) ->
     assert "--material-label" in seen.refusal.message
 
 
+def test_splats_without_labels_are_said_to_have_none(tmp_path: Path) -> None:
+    captures.write_ply(tmp_path / "bare.ply", halves())
+    with pytest.raises(InputError, match="property label of whole numbers; they have none\n"):
+        prepare(
+            tmp_path / "bare.ply", output=tmp_path / "out.usda",
+            material_labels=("label=3:metal",), **FEW,
+        )  # fmt: skip
+
+
 def test_a_label_without_particles_is_refused(tmp_path: Path) -> None:
     path = labeled_ply(tmp_path / "ball.ply")
     with pytest.raises(InputError, match="boxes override it for all of its particles"):

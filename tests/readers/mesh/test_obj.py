@@ -106,10 +106,10 @@ def test_lines_that_go_on_comments_and_what_is_left_out(obj):
     source = convert(path)
     (cube,) = source.asset().surfaces
     assert cube.face_indices[:4].tolist() == [0, 1, 3, 2]
-    assert "1 lines are left out" in source.notes
-    assert "1 faces with fewer than three corners are left out" in source.notes
-    assert "1 'curv' statements are left out" in source.notes
-    assert "1 of its 9 points belong to no face and are left out" in source.notes
+    assert "left out: 1 line" in source.notes
+    assert "left out: 1 face with fewer than three corners" in source.notes
+    assert "left out: 1 'curv' statement" in source.notes
+    assert "1 of its 9 points belongs to no face and is left out" in source.notes
 
 
 def test_colors_of_points_are_srgb(obj, tmp_path):

@@ -45,7 +45,7 @@ def test_bytes_after_the_triangles_are_left_out(tmp_path):
     path.write_bytes(STL + b"\0" * 7)
     source = convert(path)
     assert len(source.asset().surfaces[0].triangles) == 12
-    assert "7 bytes after its 12 triangles are ignored" in source.notes
+    assert "the file ends with 7 bytes after its 12 triangles: ignored" in source.notes
 
 
 @pytest.mark.parametrize(

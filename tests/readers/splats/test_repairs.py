@@ -26,7 +26,7 @@ def test_broken_gaussians_are_left_out_and_told(tmp_path):
     asset = read_asset(path)
     assert len(asset.splats[0]) == 19
     assert "1 of 20 Gaussians are not finite: left out" in asset.facts.notes
-    assert "1 Gaussians have a quaternion of length 0: no rotation is assumed" in asset.facts.notes
+    assert "1 Gaussian has a quaternion of length 0: no rotation is assumed" in asset.facts.notes
     np.testing.assert_array_equal(asset.splats[0].orientations[3], [1, 0, 0, 0])
 
 
@@ -42,7 +42,7 @@ def test_coefficients_that_half_precision_cannot_hold_are_clipped_and_told(tmp_p
     assert held[4, 2, 1] == np.copysign(BRIGHTEST, value)
     # turned, they are no longer than their root of the sum of seven squares
     assert np.isfinite(np.float16(np.sqrt(7) * BRIGHTEST))
-    said = "1 spherical harmonics coefficients are beyond 10000: clipped"
+    said = "1 spherical harmonics coefficient beyond 10000: clipped"
     assert said in asset.facts.notes
     harmonics[4, 2, 1] = 0.0
     np.testing.assert_array_equal(np.where(np.abs(held) < BRIGHTEST, held, 0.0), harmonics)

@@ -19,7 +19,7 @@ from pxr import Sdf, Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.mesh import EDGE, signed_volume
 from gf_usd.readers.mesh.divide import skinned
 from gf_usd.readers.mesh.divide.cages import FIRST, RefinedCage, cage_of, refine_until, unknown_rule
@@ -79,13 +79,14 @@ def divided(
         if not (count := int(long_faces(*polygons, longest).sum())):
             continue
         if why := _refusal(prim, polygons):
-            note(f"{count} faces longer than --max-edge-length stay: {why}", surface.path)
+            faces = counted(count, "face longer", "faces longer")
+            note(f"{faces} than --max-edge-length, not divided: {why}", surface.path)
             continue
         made = _shortened(prim, polygons, longest)
         if made is None and not asked:
             note(
-                f"{count} faces stay: with edges of {longest / unit:.3g} units it would have more"
-                f" than {MOST:,} triangles; give a larger --max-edge-length",
+                f"{counted(count, 'face')} not divided: with edges of {longest / unit:.3g} units it"
+                f" would have more than {MOST:,} triangles; give a larger --max-edge-length",
                 surface.path,
             )
             continue
@@ -99,7 +100,7 @@ def divided(
             note(f"{name} does not fit the faces that were divided, and is left out", surface.path)
         skinned.author_skin(prim, made, len(surface.points))
         what = (
-            f"{count} faces of the subdivision cage have longer edges: it is refined"
+            f"longer edges in {counted(count, 'face')} of the subdivision cage: it is refined"
             if isinstance(made, RefinedCage)
             else f"{made.divided} of {len(surface.face_counts)} faces are divided"
         )

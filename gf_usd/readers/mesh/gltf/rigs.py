@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileSkeleton, FileSkin
 from gf_usd.readers.mesh.gltf.animation import frame_times, read_animation
 from gf_usd.readers.mesh.gltf.container import Gltf
@@ -86,7 +86,9 @@ class Rigs:
         index, weights = found
         weights = weights.copy()
         if free := int((weights.sum(1) == 0.0).sum()):
-            self._notes.add(f"{free} points without weights follow the first joint", name)
+            self._notes.add(
+                f"{counted(free, 'point')} without weights: moved with the first joint", name
+            )
             weights[weights.sum(1) == 0.0, 0] = 1.0
         joints = np.array([rows[node] for node in self._skins.joints(number)])
         skin = FileSkin(

@@ -147,7 +147,7 @@ def test_points_without_weights_are_said(tmp_path: Path) -> None:
     stage = converted(path)
     source = convert(path, rigged=True)
     assert source is not None
-    assert any("1 points without weights follow the first joint" in n for n in source.notes)
+    assert any("1 point without weights: moved with the first joint" in n for n in source.notes)
     np.testing.assert_allclose(skinned(stage, "Skin", 1.0)[0], posed(0.0)[0], atol=CLOSE)
 
 
