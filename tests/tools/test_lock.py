@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -22,6 +23,19 @@ def pins() -> dict[str, list[Version]]:
     for name, version, _ in PIN.findall((ROOT / "requirements.lock").read_text()):
         found.setdefault(name, []).append(Version(version))
     return found
+
+
+def test_the_container_installs_the_pinned_versions() -> None:
+    """By constraints that its own command makes of the lock: every pin, and nothing else."""
+    text = (ROOT / "Containerfile").read_text()
+    assert re.search(r"COPY .*\brequirements\.lock /src/", text)
+    (command,) = re.findall(r"sed -n '(.*)' /src/requirements\.lock > /src/constraints\.txt", text)
+    assert re.search(r"PIP_CONSTRAINT=/src/constraints\.txt \\\n +\S+/pip install ", text)
+    lock = str(ROOT / "requirements.lock")
+    made = subprocess.run(["sed", "-n", command, lock], capture_output=True, text=True, check=True)
+    lines = [Requirement(line) for line in made.stdout.splitlines()]
+    wanted = [(name, version) for name, version, _ in PIN.findall((ROOT / lock).read_text())]
+    assert [(line.name, str(line.specifier)[2:]) for line in lines] == wanted
 
 
 def test_every_line_is_a_pin_with_hashes() -> None:
