@@ -122,12 +122,14 @@ def write_splats(path: Path, target: Path, variant: str | None, splats: int, fra
 
 def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
     """Raise UsageError where a page cannot be written, or would replace one of its inputs."""
+    from gf_usd.system.atomic_files import same_place
+
     if target.suffix.lower() not in (".html", ".htm"):
         raise UsageError(
             f"{target} does not end in .html.", "report writes a web page: -o report.html"
         )
     for source in inputs:
-        if target.resolve() == source.resolve():
+        if same_place(target, source):
             raise UsageError(f"{target} is the input itself.", "choose another -o")
     if not target.parent.is_dir():
         raise UsageError(

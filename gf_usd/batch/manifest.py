@@ -264,7 +264,7 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
     except UsageError as error:
         raise UsageError(f"{where}: {error.message}", error.hint) from error
     if "colliders" in out:
-        out["colliders"] = [str((folder / name).resolve()) for name in out["colliders"]]
+        out["colliders"] = [os.path.realpath(folder / name) for name in out["colliders"]]
     return out
 
 
@@ -345,7 +345,7 @@ def _materials(text: str, folder: Path) -> str:
     for part in text.split(","):
         part = part.strip()
         if Path(part).suffix.lower() in USD:
-            parts.append(str((folder / part).resolve()))
+            parts.append(os.path.realpath(folder / part))
         else:
             parts.append(find_preset(part).name)
     return ",".join(parts)

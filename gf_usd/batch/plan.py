@@ -43,6 +43,7 @@ def make_plan(manifest: Manifest) -> BatchPlan:
 
     Raises UsageError where two jobs would write the same file, or a result would replace an asset.
     """
+    _require_folder(manifest.out)
     jobs = tuple(job for group in manifest.groups for job in _jobs(group, manifest.out))
     _require_distinct_files(jobs)
     return BatchPlan(
@@ -53,6 +54,13 @@ def make_plan(manifest: Manifest) -> BatchPlan:
         retries=manifest.retries,
         notes=tuple(dict.fromkeys(note for group in manifest.groups for note in group.notes)),
     )
+
+
+def _require_folder(out: Path) -> None:
+    """Raise UsageError where the folder of the results, or one above it, is a file."""
+    there = next((one for one in (out, *out.parents) if one.exists()), out)
+    if there.exists() and not there.is_dir():
+        raise UsageError(f"{there} is not a folder", "choose a folder for the results: --output")
 
 
 def choose(plan: BatchPlan, patterns: Sequence[str]) -> tuple[Job, ...]:
@@ -229,6 +237,7 @@ def read_jobs(path: Path) -> BatchPlan:
 
 def with_output_folder(plan: BatchPlan, out: Path) -> BatchPlan:
     """The same jobs with their results in another folder."""
+    _require_folder(out)
     jobs = tuple(replace(job, root=out / f"{job.name}.usda") for job in plan.jobs)
     return replace(plan, jobs=jobs, out=out)
 

@@ -5,6 +5,7 @@ Also sequences of splat files, one for each frame, for viewers of Gaussians.
 
 from __future__ import annotations
 
+import errno
 import json
 import tempfile
 from collections.abc import Sequence
@@ -15,7 +16,13 @@ from gf_usd.core.asset import Splats
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import SOURCE_VARIANT
 from gf_usd.readers.splats.write import WRITERS
-from gf_usd.system.atomic_files import dropped_on_failure, is_utf8, partial_path, publish
+from gf_usd.system.atomic_files import (
+    dropped_on_failure,
+    is_utf8,
+    partial_path,
+    publish,
+    same_place,
+)
 
 REPORT = ".report.json"
 SHEET = ".sheet.png"
@@ -127,7 +134,7 @@ def outputs(
         sheet=root.with_name(f"{stem}{SHEET}") if sweep else None,
     )
     for path in files.all:
-        if path.resolve() == source.resolve():
+        if same_place(path, source):
             raise UsageError(
                 f"{path} is the asset itself, which is never modified", "choose another -o"
             )
@@ -326,9 +333,13 @@ def stamps(files: Outputs) -> Stamps:
 
 
 def stamp(path: Path) -> Stamp:
-    """Identity of the file at a path now."""
+    """Identity of the file at a path now.  Raises UsageError for a link that leads to itself."""
     try:
         found = path.stat()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        raise UsageError(f"{path}: {error.strerror}", "choose another -o") from error
     return found.st_mtime_ns, found.st_ino

@@ -24,6 +24,13 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
+def same_place(one: Path, other: Path) -> bool:
+    """Whether two paths lead to the same file.  A link that leads to itself is not followed:
+    `Path.resolve` raises a RuntimeError for it up to Python 3.12.
+    """
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
 def drop_working(path: Path) -> None:
     """Delete the temporary file of USD that a killed process left next to `partial_path(path)`.
 

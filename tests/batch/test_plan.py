@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gf_usd.batch.manifest import Group, Manifest
-from gf_usd.batch.plan import BatchPlan, choose, make_plan
+from gf_usd.batch.plan import BatchPlan, choose, make_plan, with_output_folder
 from gf_usd.core.errors import UsageError
 
 PLY, SPZ = {"export_ply": "frames"}, {"export_spz": "frames"}
@@ -107,6 +107,17 @@ def test_names_that_cannot_be_are_refused(
     with pytest.raises(UsageError) as refused:
         plan(tmp_path, *groups)
     assert said in refused.value.message
+
+
+def test_results_cannot_be_in_a_file(tmp_path: Path) -> None:
+    """It is refused before anything runs, and not by every job."""
+    made = plan(tmp_path, {"files": ["a.usda"]})
+    file = tmp_path / "notes.txt"
+    file.write_text("")
+    for out in (file, file / "below"):
+        with pytest.raises(UsageError) as refused:
+            with_output_folder(made, out)
+        assert refused.value.message == f"{file} is not a folder"
 
 
 def test_jobs_of_one_mesh_file_may_share_its_layer(tmp_path: Path) -> None:

@@ -104,6 +104,7 @@ def test_a_page_is_replaced(gf_usd, work):
         (("block.soft.usda", "-o", "page.pdf"), 2, "does not end in .html"),
         (("block.soft.usda", "-o", "nowhere/page.html"), 2, "nowhere is not a folder"),
         (("block.soft.usda", "-o", "folder.html"), 2, "folder.html is a folder"),
+        (("loop.usda",), 3, "loop.usda does not exist"),
         (("block.soft.usda", "--max-frames", 1), 2, "max-frames"),
         (("block.usda",), 3, "nothing in this file moves"),
         (("gone.usda",), 3, "does not exist"),
@@ -111,6 +112,7 @@ def test_a_page_is_replaced(gf_usd, work):
 )
 def test_wrong_uses_are_refused_in_words(gf_usd, work, words, status, message):
     (work / "folder.html").mkdir()
+    (work / "loop.usda").symlink_to("loop.usda")
     before = names(work)
     done = gf_usd("report", *words)
     assert (done.status, done.out) == (status, "")

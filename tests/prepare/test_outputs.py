@@ -17,6 +17,7 @@ from gf_usd.prepare.outputs import (
     report_of_failure,
     require_free,
     require_source_free,
+    stamps,
 )
 from gf_usd.system.atomic_files import partial_path
 
@@ -146,6 +147,22 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
             f"{file} is not a folder",
             "choose a folder to write to with -o",
         )
+
+
+@pytest.mark.parametrize("name", ["loop/duck.usda", "loop.usda"])
+def test_a_link_to_itself_is_no_place_for_results(tmp_path: Path, name: str) -> None:
+    link = tmp_path / name.partition("/")[0]
+    link.symlink_to(link.name)
+    files = outputs(Path("duck.usda"), ["rubber"], str(tmp_path / name))
+    message, hint = refusal(stamps, files)
+    assert message.startswith(f"{tmp_path / name}: Too many levels of symbolic links")
+    assert hint == "choose another -o"
+
+
+def test_no_file_is_below_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("")
+    assert {stamp for _, stamp in stamps(in_folder(file))} == {None}
 
 
 def test_a_folder_that_cannot_be_written_to(sealed: Path) -> None:
