@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 UP = {"Y": 1, "Z": 2}
+AXES = "three booleans, at least one of them True"
 
 # Poses at the frames: (F, 4, 4) matrices, (F, V, 3) points, or a function of the time [s] that
 # gives one of them.
@@ -68,7 +69,7 @@ class Scene:
         floor: float | None = None,
         up: Literal["Y", "Z"] = "Y",
     ) -> None:
-        if up not in UP:
+        if not isinstance(up, str) or up not in UP:
             raise UsageError(f"up is {up!r}", "give 'Y' or 'Z'")
         self.up: str = up
         self.floor: float | None = None if floor is None else _finite("floor", floor)
@@ -119,7 +120,11 @@ class Scene:
         if isinstance(material, str):
             made: str | Material = find_preset(material).name
         else:
-            made = values.material("material", material)[0]
+            from gf_usd.core.materials.material import Material
+
+            if not isinstance(material, Material):
+                raise values.refuse("material", material, "a preset, or a gf_usd.Material")
+            made = values.checked_material(material)
         path = f"/{name}"
         self._velocities[path] = _triple("velocity", velocity), _triple("spin", spin)
         self._materials[path] = made
@@ -195,13 +200,13 @@ class Scene:
                 f"the pin {name} has no volume: its sides are {(most - least).tolist()}",
                 "give two opposite corners that differ along every axis",
             )
-        held = tuple(bool(axis) for axis in axes)
-        if len(held) != 3 or not any(held):
-            raise UsageError(f"axes is {axes!r}", "give three booleans, at least one of them True")
+        held = values.items("axes", axes, AXES)
+        if len(held) != 3 or not all(one in (False, True) for one in held) or not any(held):
+            raise values.refuse("axes", axes, AXES)
         self._pins.append(
             _Moving(
                 name=name, points=least + (most - least) * BOX_CORNERS, triangles=BOX_TRIANGLES,
-                motion=motion, axes=held,
+                motion=motion, axes=(bool(held[0]), bool(held[1]), bool(held[2])),
             )
         )  # fmt: skip
         return name
@@ -257,6 +262,8 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
                 f"{what} has points but no faces", "give both, or a mesh of trimesh: (mesh)"
             )
         points, faces = points.vertices, points.faces
+    if np.iscomplexobj(points):
+        raise values.refuse(f"{what}: points", points, "real numbers")
     try:
         xyz = np.array(points, np.float64)
     except (TypeError, ValueError):

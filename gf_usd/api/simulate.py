@@ -340,6 +340,10 @@ def _field(name: str, given: Any, at: Array) -> Array:
     return np.array(np.broadcast_to(found, at.shape))
 
 
+def _switch(name: str, value: Any) -> bool | None:
+    return None if value is None else values.switch(name, value)
+
+
 @named
 def simulate(
     scene: Scene,
@@ -397,13 +401,15 @@ def simulate(
         "particles": None if particles is None else values.whole("particles", particles),
         "spacing": None if spacing is None else values.real("spacing", spacing),
         "drag": None if drag is None else values.real("drag", drag),
-        "self_contact": self_contact,
-        "filter_rate": filter_rate,
+        "self_contact": None
+        if self_contact is None
+        else values.switch("self_contact", self_contact),
+        "filter_rate": None if filter_rate is None else values.real("filter_rate", filter_rate),
         "conversions": values.conversions("conversions", conversions),
         "start": 0.0,  # time codes of frames are their numbers
         "stress": values.switch("stress", stress),
         "no_shortcuts": not values.switch("shortcuts", shortcuts),
-        "device": device,
+        "device": values.text("device", device, "cpu or cuda"),
         "threads": None if threads is None else values.whole("threads", threads),
     }
     count = values.whole("frames", frames)

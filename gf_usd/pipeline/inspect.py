@@ -264,7 +264,8 @@ def inspect(
         )  # fmt: skip
     except InputError as refusal:
         warnings = [implausible_size(asset)]
-        if not repair and would_fill(repair_asset_for_fill(asset, request, spec)[1]):
+        mendable = not repair and not would_fill(asset)
+        if mendable and would_fill(repair_asset_for_fill(asset, request, spec)[1]):
             warnings.append("it can be baked with --repair")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
     prepared = with_shot_length(Prepared(plan=plan))

@@ -34,6 +34,12 @@ def alone(**options: Any) -> gf_usd.Scene:
     return scene
 
 
+def of_size(size: float) -> gf_usd.Scene:
+    scene = gf_usd.Scene()
+    scene.add_body(UNIT * size, FACES, material="metal")
+    return scene
+
+
 def test_a_throw_is_a_parabola() -> None:
     scene = gf_usd.Scene()
     scene.add_body(UNIT, FACES, velocity=(1.0, 2.0, 0.0))
@@ -363,6 +369,25 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: s.add_obstacle(UNIT, FACES, friction=-1.0), "friction is -1"),
     (lambda s: s.pin((0, 0, 0), (0, 1, 1)), "has no volume"),
     (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes=(False, False, False)), "axes is"),
+    (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes=True), "axes is True, of type bool"),
+    (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes="xyz"), "axes is 'xyz', of type str"),
+    (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes=("x", "y", "z")), "axes is ('x', 'y', 'z')"),
+    (lambda s: gf_usd.Scene(up=["Y"]), "up is ['Y']"),
+    (lambda s: s.add_body(UNIT, FACES, material=["clay"]), "material is ['clay'], of type list"),
+    (lambda s: s.add_body(UNIT * 1j, FACES), "body body0: points is array"),
+    (lambda s: gf_usd.simulate(s, self_contact="yes"), "self_contact is 'yes', of type str"),
+    (lambda s: gf_usd.simulate(s, filter_rate="x"), "filter_rate is 'x', of type str"),
+    (lambda s: gf_usd.simulate(s, device=None), "device is None"),
+    (
+        lambda s: (s.add_body(UNIT * 1e6, FACES), gf_usd.simulate(s, particles=100)),
+        "</block> is 1 m wide, too small to fill with cells of",
+    ),
+    (lambda s: gf_usd.simulate(of_size(1e18), particles=100), "the bodies would weigh"),
+    (lambda s: gf_usd.simulate(of_size(1e-14), particles=100), "a particle would weigh"),
+    (
+        lambda s: (s.add_body(UNIT * 1e12, FACES), gf_usd.simulate(s, particles=100)),
+        "</block> is 1 m wide, too small to fill with",
+    ),
     (lambda s: gf_usd.simulate("duck.usda"), "scene is 'duck.usda', of type str"),
     (lambda s: gf_usd.simulate(gf_usd.Scene()), "the scene has no body"),
     (lambda s: gf_usd.simulate(s, frames=0), "frames is 0"),

@@ -86,6 +86,14 @@ def test_a_refused_asset_ends_with_the_words_of_bake_and_status_3(gf_usd, sheet,
     assert done.out.splitlines()[-1] == "warning: it can be baked with --repair"
 
 
+def test_repair_is_no_answer_to_another_refusal(gf_usd, here: Path, block: Path) -> None:
+    """A sound mesh whose size is out of range is sound with --repair, too, and as large."""
+    done = gf_usd("inspect", block, "--meters-per-unit", "1e20")
+    assert done.status == 3
+    assert "the bodies would weigh" in done.err
+    assert "--repair" not in done.out + done.err
+
+
 def test_json_on_stdout_whatever_the_verdict(gf_usd, sheet, odd, tmp_path):
     refused = gf_usd("inspect", sheet, "--json")
     assert refused.status == 3

@@ -87,7 +87,11 @@ class Content:
 
 
 def find_content(solid: Solid, grid: Grid) -> Content:
-    """The content of all cells of a grid that covers a solid."""
+    """The content of all cells of a grid that covers a solid.
+
+    Raises InputError for a solid with less volume than rounding errors, such as a grain that is
+    filled at the spacing of a mountain.
+    """
     found = [_of_surface(solid, k, grid) for k in range(len(solid.surfaces))]
     full = np.unique(np.concatenate([one.full for one in found]))
     key, which = np.unique(np.concatenate([one.part for one in found]), return_inverse=True)
@@ -106,6 +110,13 @@ def find_content(solid: Solid, grid: Grid) -> Content:
     some = moments[:, 0] > NOTHING
     rest = moments[:, 0] > 1.0 - NOTHING
     moments[rest] = FULL
+    if not len(full) and not some.any():
+        wide = float((solid.high - solid.low).max())
+        raise InputError(
+            f"<{solid.surfaces[0].path}> is {wide:.3g} m wide, too small to fill with cells of"
+            f" {grid.h:.3g} m, which the size of all bodies and the number of particles give",
+            "leave it out, check its scale, or take more --particles",
+        )
     return Content(
         ijk=grid.ijk(np.concatenate([full, key[some]])),
         moments=np.concatenate([np.tile(FULL, (len(full), 1)), moments[some]]),
@@ -129,6 +140,12 @@ def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
     """The cells that a surface cuts, and the enclosed ones, which follow from these."""
     points, triangles = solid.outward(index)
     pieces = cut(grid.to_cells(points)[triangles])
+    if not len(pieces.source):  # all are too small to be seen
+        none = np.zeros(0, np.int64)
+        return _SurfaceContent(
+            full=none, part=none, moments=np.zeros((0, 10)), faces=np.zeros((0, 2, 3)),
+            doubtful=np.zeros(0, bool),
+        )  # fmt: skip
     at = np.floor(pieces.corners.mean(1)).astype(np.int64)
     at = np.clip(at, 0, grid.count - 1)  # rounding may put a piece outside the grid
     vector = pieces.area_vectors

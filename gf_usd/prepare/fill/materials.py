@@ -17,7 +17,7 @@ from gf_usd.prepare.bodies.contact import (
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
-from gf_usd.prepare.materials.checks import require_standing
+from gf_usd.prepare.materials.checks import require_standing, require_weighable
 from gf_usd.prepare.materials.conversion import with_conversions
 from gf_usd.prepare.materials.flowing import require_dispatched, require_outside
 from gf_usd.prepare.materials.over_time import with_value_keys
@@ -67,9 +67,11 @@ def assign(
             materials, changes, asset, inputs.file, inputs.spec, settings, assigned,
             repeats=repeats,
         )  # fmt: skip
+    particles = materials.particles
+    for table in materials.tables:
+        require_weighable(asset.facts.path, particles, np.asarray(particles.material), table)
     if inputs.mixed:
         flows = bodies.flows(inputs.flow.first)
-        particles = materials.particles
         require_dispatched(asset.facts.path, particles, materials.tables, solid, flows)
         require_outside(asset.facts.path, particles, flows, skins(solid, bodies.of_surface))
     return materials

@@ -86,6 +86,33 @@ def require_parameters(
                 )
 
 
+SINGLE = np.finfo(np.float32)
+
+
+def require_weighable(
+    path: Path, particles: Particles, slot: Ints, materials: Sequence[Material]
+) -> None:
+    """Raise InputError where masses are beyond the range of single precision, which solvers and
+    caches use.
+
+    slot : (N,) of each particle in materials.
+    """
+    mass = np.array([m.density for m in materials])[slot] * particles.V0
+    whole, least = float(mass.sum()), float(mass.min())
+    most, smallest = float(SINGLE.max), float(SINGLE.tiny)
+    if whole >= most or least <= smallest:
+        what = (
+            f"the bodies would weigh {whole:.3g} kg"
+            if whole >= most
+            else f"a particle would weigh {least:.3g} kg"
+        )
+        raise InputError(
+            f"{path}: {what}, and single precision holds from {smallest:.2g} to"
+            f" {most:.2g}; particles are {particles.spacing:.3g} m apart",
+            "check the unit (--meters-per-unit) and the transforms of the asset",
+        )
+
+
 SPREADS = 3.0  # times its Young's modulus: weight that presses a body flat
 
 FLAT = 100.0  # times: there is no such body
