@@ -29,6 +29,17 @@ class GfUsdError(Exception):
     def __str__(self) -> str:
         return f"{self.message}\n\nhint: {self.hint}"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Exception gives its `args`, the message alone, to the class: a pool of processes whose
+        # worker raised this would wait for ever.
+        return _unpickled, (type(self), self.message), dict(self.__dict__)
+
+
+def _unpickled(kind: type[GfUsdError], message: str) -> GfUsdError:
+    error = kind.__new__(kind, message)
+    error.args = (message,)
+    return error
+
 
 class UsageError(GfUsdError):
     """The options do not make sense (exit status 2); nothing was read or written."""

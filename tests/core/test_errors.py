@@ -1,10 +1,21 @@
-"""Numbers with their nouns in messages."""
+"""Error classes, and numbers with their nouns in messages."""
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import pytest
 
-from gf_usd.core.errors import counted
+from gf_usd.core import errors
+from gf_usd.core.errors import GfUsdError, counted
+
+RAISED = [
+    *(kind("it is wrong", "mend it") for kind in (GfUsdError, errors.UsageError, errors.BakeError)),
+    errors.Unfinished("a slice is done", "go on", variant="rubber", done=3, frames=9),
+    errors.OutOfResources("no space is left", "free some", frame=4, particle=7),
+    errors.UnhealthyError("it has warnings", "heed them", warnings=("energy",), result=None),
+]
 
 
 @pytest.mark.parametrize(
@@ -19,3 +30,12 @@ from gf_usd.core.errors import counted
 )
 def test_a_noun_agrees_with_its_number(words: tuple[int, str], said: str) -> None:
     assert counted(*words) == said
+
+
+@pytest.mark.parametrize("error", RAISED, ids=[type(error).__name__ for error in RAISED])
+def test_an_error_passes_between_processes(error: GfUsdError) -> None:
+    """As the pools of `multiprocessing` and `concurrent.futures` pass it, with all its fields."""
+    for same in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
+        assert type(same) is type(error)
+        assert vars(same) == vars(error)
+        assert (str(same), same.args) == (str(error), error.args)
