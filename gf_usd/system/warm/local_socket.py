@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import stat
 import struct
 import tempfile
 from collections.abc import Iterator
@@ -91,10 +92,13 @@ def _make_private(folder: Path) -> None:
             f"{folder} cannot be created: {error.strerror}", "give another --socket PATH"
         ) from error
     if found.st_uid != os.getuid() or found.st_mode & 0o077:
+        another = "give another --socket in a folder that belongs to you alone"
+        # a folder for everybody, such as /tmp, has the sticky bit and must stay as it is
+        own = found.st_uid == os.getuid() and not found.st_mode & stat.S_ISVTX
         raise UsageError(
-            f"{folder} belongs to user {found.st_uid} and has mode {found.st_mode & 0o777:o}:"
+            f"{folder} belongs to user {found.st_uid} and has mode {found.st_mode & 0o7777:o}:"
             " other users could replace the socket in it",
-            f"chmod 700 {folder}, or give another --socket in a folder that belongs to you",
+            f"chmod 700 {folder}, or {another}" if own else another,
         )
 
 

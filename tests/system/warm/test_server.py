@@ -200,3 +200,18 @@ def test_the_path_is_named_or_the_users(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert str(os.getuid()) in str(socket_path())
     with pytest.raises(UsageError, match="at most 100 bytes"), listening_socket(Path("a" * 101)):
         pass
+
+
+@pytest.mark.parametrize(("mode", "mended"), [(0o755, True), (0o1777, False)])
+def test_a_folder_for_everybody_is_not_to_be_made_private(
+    tmp_path: Path, mode: int, mended: bool
+) -> None:
+    """`chmod 700 /tmp` would break the machine; a folder of the user's own may have it."""
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    folder.chmod(mode)
+    with pytest.raises(UsageError) as refused, listening_socket(folder / "s"):
+        pass
+    assert f"has mode {mode:o}: other users" in refused.value.message
+    assert (f"chmod 700 {folder}" in refused.value.hint) == mended
+    assert "give another --socket" in refused.value.hint
