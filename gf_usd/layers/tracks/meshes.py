@@ -204,9 +204,13 @@ class MeshTrack:
             return
         self._normals = mine
         if primvar.HasAuthoredValue() and primvar.IsIndexed():
-            # the surface's normals are no longer indexed
+            # the surface's normals are no longer indexed; nor may those of the default time be,
+            # of which the source's value without its indices is too short
             name = f"{named.GetName()}:indices"
             over.CreateAttribute(name, Types.IntArray, False).Block()
+            flat = primvar.ComputeFlattened(Usd.TimeCode.Default())
+            if flat is not None:
+                mine.Set(flat)
 
 
 def _widths(prim: Usd.Prim, time: Usd.TimeCode) -> np.ndarray | None:

@@ -29,6 +29,8 @@ def test_normals_come_back_and_their_indices_are_gone(tmp_path: Path) -> None:
     assert primvar.GetInterpolation() == "vertex"
     assert not prim.GetAttribute("normals").HasAuthoredValue()
     assert prim.GetAttribute("accelerations").Get(1) is None
+    at_rest = np.array(primvar.Get(Usd.TimeCode.Default()))
+    np.testing.assert_array_equal(at_rest, [(0, 0, 1), (0, 1, 0)] * 4)
     for frame in frames_of(asset, particles, info):
         xforms = UsdGeom.XformCache(frame.time_code)
         matrix = np.array(xforms.GetLocalToWorldTransform(prim))[:3, :3]
