@@ -169,8 +169,9 @@ def _run_locked(
         if result is not None and variant is not None:
             results.append(result)
             baked.append(variant)
-        notes += (*more, *forecast.take_remarks())
+        notes += more
         if error is not None:
+            notes += forecast.take_remarks()
             baked = [replace(one, cache=partial_path(one.cache)) for one in baked]
             results = [replace(r, cache=one.cache) for r, one in zip(results, baked)]
             if not isinstance(error, OutOfResources):
@@ -191,7 +192,7 @@ def _run_locked(
     notes += delivery.publish(baked, earlier)
     stages.begin(CHECKING)
     findings = review(files.root, plan.source)
-    notes += warned.lines(prepared.warned)
+    notes += (*warned.lines(prepared.warned), *forecast.take_outcome())
     seconds = time.perf_counter() - began
     report = report_json(describe(plan), plan.settings, results, seconds, notes, findings)
     publish_text(files.report, json.dumps(report, indent=1) + "\n")

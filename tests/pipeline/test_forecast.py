@@ -74,6 +74,38 @@ def test_a_shrinking_step_is_told_with_its_reason_once() -> None:
     assert made.take_remarks() == ()
 
 
+def test_a_bake_that_may_end_at_rest_takes_at_most_that_long() -> None:
+    clock = Clock()
+    made = Forecast({**cost(100.0), "ends_early": True}, 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 10 + [400] * 40, 0.01)
+    (line,) = made.take_remarks()
+    assert line.startswith("the bake will take at most ")
+
+
+@pytest.mark.parametrize(("after", "told"), [(20, False), (90, True)])
+def test_a_complete_bake_is_told_what_it_took_and_not_what_was_expected(
+    after: int, told: bool
+) -> None:
+    """A table came to rest after 64 s, and its last lines said that it will take 6 minutes."""
+    clock = Clock()
+    made = Forecast({**cost(100.0), "ends_early": True}, 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 10 + [400] * after, 0.01)
+    expected = (
+        "the bake took 6.17 minutes, not at most 100 s: strained, clay took 400 substeps where it"
+        " took 100 at rest",
+    )
+    assert made.take_outcome() == (expected if told else ())
+    assert made.take_remarks() == ()
+
+
+def test_a_complete_bake_as_long_as_estimated_is_told_nothing() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 100, 0.01)
+    clock.now += 200.0  # of writing
+    assert made.take_outcome() == ()
+
+
 def test_it_is_told_again_when_it_doubles_again() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 100.0, clock=clock)

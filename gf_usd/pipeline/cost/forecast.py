@@ -100,7 +100,8 @@ class Forecast:
         self._samples, self._limit, self._resume_hint = samples, max_hours * 3600.0, resume_hint
         self._clock = clock
         self._began = self._last = clock()
-        self._announced = max(float(cost["estimated_seconds"]), 1e-9)
+        self._announced = self._estimate = max(float(cost["estimated_seconds"]), 1e-9)
+        self._at_most = bool(cost.get("ends_early"))  # the frames, and so the time, are a limit
         self._recent: deque[_SampleCost] = deque(maxlen=WINDOW)
         self._idle: deque[float] = deque(maxlen=WINDOW)  # [s] of samples without substeps
         self._material, self._index = -1, -1  # number of the material and of the last sample
@@ -110,12 +111,28 @@ class Forecast:
         self._longer_since: tuple[int, float] | None = None
         self._remark = remark
         self._remarks: list[str] = []
+        self._cause: tuple[str, str] | None = None  # of the last remark: now, and when it is over
         self.left = float(cost["estimated_seconds"])  # [s] current forecast
 
     def take_remarks(self) -> tuple[str, ...]:
         """The remarks since the last call."""
         taken, self._remarks = tuple(self._remarks), []
         return taken
+
+    def take_outcome(self) -> tuple[str, ...]:
+        """Instead of the remarks, after a complete bake: that it took longer than estimated.
+
+        A bake that ended at rest may have taken less than the remarks expected.
+        """
+        self.take_remarks()
+        spent = self._clock() - self._began
+        if self._cause is None or spent < ANNOUNCED * self._estimate:
+            return ()
+        about = "at most " if self._at_most else ""
+        return (
+            f"the bake took {duration(spent)}, not {about}{duration(self._estimate)}:"
+            f" {self._cause[1]}",
+        )
 
     def compile(self, compiles: bool) -> None:
         """Kernels are being compiled, or no longer: for `taichi_runtime.watching`."""
@@ -214,14 +231,20 @@ class Forecast:
     def _message(self, material: int, whole: float, before: float, many: float) -> str:
         row = self._rows[material]
         rest = float(row["substeps_per_sample"])
+        slow = "substeps {} longer than estimated: other programs may {} this machine"
+        self._cause = slow.format("take", "be using"), slow.format("took", "have used")
         if many > MORE * rest:
-            why = (
+            self._cause = (
                 f"in its current strain {row['name']} takes {many:.0f} substeps where it took"
-                f" {rest:.0f} at rest"
+                f" {rest:.0f} at rest",
+                f"strained, {row['name']} took {many:.0f} substeps where it took {rest:.0f} at"
+                " rest",
             )
-        else:
-            why = "substeps take longer than estimated: other programs may be using this machine"
         limit = ""
         if whole > OVERRUN * self._limit:
             limit = f"; it ends after {duration(OVERRUN * self._limit)}, twice --max-hours"
-        return f"the bake will take about {duration(whole)}, not {duration(before)}: {why}{limit}"
+        about = "at most" if self._at_most else "about"
+        return (
+            f"the bake will take {about} {duration(whole)}, not {duration(before)}:"
+            f" {self._cause[0]}{limit}"
+        )
