@@ -33,6 +33,8 @@ DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in s
 # Three particles across are two grid cells or nearly so: a part then has a middle and two sides.
 ACROSS = 3.0
 FINEST = 4  # times as many at most, for thin parts
+SHORT = 0.98  # times ACROSS: from here on more particles would not be seen
+LONGER = 1.05  # times as long: less is not worth a note
 SAME = 1e-3  # relative: spacings that differ by less are one
 SENSIBLE = 2_000_000  # particles: more is no advice
 DEFAULT_FPS = 24.0
@@ -378,12 +380,14 @@ def by_thickness(volume: float, thick: Thickness | None) -> Resolution:
         return Resolution(spacing=None, particles=base)
     count = int(np.ceil(min(wanted, FINEST * base)))
     longer = (count / base) ** (4.0 / 3.0)
+    if longer < LONGER:
+        return Resolution(spacing=None, particles=count)
     note = (
         f"5 % of the surface is at most {thick.thin:.3g} m thick: {count} particles put {ACROSS:g}"
         f" across it and take about {longer:.1f} times as long as {base}"
     )
-    if wanted > count:
-        across = thick.across(float(np.cbrt(volume / count)))
+    across = thick.across(float(np.cbrt(volume / count)))
+    if wanted > count and across < SHORT * ACROSS:
         digit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)
         more = int(np.ceil(wanted / digit) * digit)
         note = (

@@ -43,6 +43,19 @@ def test_the_budget_ends_it_and_says_so() -> None:
     assert made.note.endswith("as long as 8000; --particles 220000 would put 3 across")
 
 
+def test_numbers_that_differ_by_nothing_are_not_told() -> None:
+    # 8101 particles would take "1.0 times as long"
+    made = by_thickness(1.0, thick(3.0 / 8101 ** (1.0 / 3.0)))
+    assert made.particles in (8101, 8102)
+    assert made.note == ""
+    # 32000 put 2.98 across it: that 33000 would put 3 is no advice
+    made = by_thickness(1.0, thick(3.0 / 32600 ** (1.0 / 3.0)))
+    assert made.particles == 32000
+    assert made.note.endswith(
+        "32000 particles put 3 across it and take about 6.3 times as long as 8000"
+    )
+
+
 def test_what_no_sensible_number_fills_gets_no_advice() -> None:
     made = by_thickness(1.0, thick(0.01))
     assert made.note.endswith("; 3 across would need more than 2000000 particles")
