@@ -220,10 +220,13 @@ def _inside(h: HealthSummary) -> Said:
     share = h["inside_at_end_share"]
     if share is None or share <= INSIDE:
         return None
+    # the faces of a coarse mesh cut through what its body bends around
+    coarse = (h.get("outside_mesh_max_share") or 0.0) > OUTSIDE
+    first = "divide the faces of the coarse mesh (--max-edge-length auto); then " if coarse else ""
     return (
         f"{100.0 * share:.2g} % of the surface is half a spacing or more inside a body at the"
         f" end, up to {_length(h['inside_at_end_m'])} deep",
-        "take more --particles or a stiffer material,"
+        f"{first}take more --particles or a stiffer material,"
         f" {_gentler(h)}, and do not use --no-self-contact",
     )
 
