@@ -69,7 +69,7 @@ class BodyContact:
         assert body.contact is not None
         self._body, self.contact_setup, self.contact = body, body.contact_setup, body.contact
         samples, skins = body.contact.samples, body.contact_setup.skins
-        self._X = samples.X
+        self._X, self._origin = samples.X, layout.origin_of(samples.X)
         of = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
         self._of, self._members = of, [np.flatnonzero(of == k) for k in range(len(skins))]
         self._spacing = body.particles.spacing
@@ -525,11 +525,11 @@ class BodyContact:
     ) -> None:
         constants = self.contact.driven
         point = f.point - 0.5 * dt * f.velocity
-        point[f.partner == OBSTACLE] -= now.offset
-        X, drift = self._X, None
+        point[f.partner == OBSTACLE] -= now.offset + self._origin
+        X, drift = self._X - self._origin, None
         if constants is not None:
             c, rate = now.constants
-            X, drift = self._X + constants @ (c + 0.5 * dt * rate), constants @ rate
+            X, drift = X + constants @ (c + 0.5 * dt * rate), constants @ rate
         with state.written("pair", layout.ROW) as pair:
             layout.write_rest(pair, X, drift)
             layout.write_planes(pair, replace(f, point=point), values, self._hardening)

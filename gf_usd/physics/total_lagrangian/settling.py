@@ -168,7 +168,8 @@ class Settling:
         pushed = np.flatnonzero(f.any(1))
         of = contact.samples.body
         of = np.zeros(len(pair), int) if of is None else of
-        place = _three(pair, layout.PLACE) + state.view().offset
+        origin = layout.origin_of(contact.samples.X)
+        place = _three(pair, layout.PLACE) + state.view().offset + origin
         out = {}
         for k in np.unique(of[pushed]):
             mine = pushed[of[pushed] == k]

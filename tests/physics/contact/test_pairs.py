@@ -10,6 +10,9 @@ from contact_scenes import contact_solver, half_space
 from solids import cube
 from two_legs import legs
 
+from gf_usd.physics.contact.planes import layout
+from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE
+
 GAP = 0.5  # [m]
 FLAT = 0.05  # of its height: 0.6 spacings of 12
 
@@ -63,3 +66,45 @@ def test_a_frame_that_blows_up_ends_at_once_and_without_a_warning(monkeypatch):
         solver.advance(1, solver.substeps)
     assert len(after) == 1
     assert "finite" in solver.not_finite()[1]
+
+
+FAR = 1e5  # [m]: positions there are 1/128 m apart in single precision
+
+
+def test_contact_knows_where_samples_are_far_from_the_origin(monkeypatch):
+    """A jelly torus at 5 km never came to rest, and at 200 km its bake failed."""
+    solver = contact_solver(
+        cube((FAR, 0.0, 0.0), path="/Low"), cube((FAR, 1.2, 0.0), path="/High"),
+        colliders=(half_space(),), particles=130, frames=3, fps=8.0, gravity=(0.0, -9.81, 0.0),
+        velocity=[(0.0, 0.0, 0.0), (0.0, -2.0, 0.0)],
+    )  # fmt: skip
+    pairs, contact, settle = solver.pairs, solver.body.contact, solver.settling.frame
+    assert pairs is not None
+    assert contact is not None
+    seen = []
+
+    def look_around(state):
+        ground = pairs.planes.partner == OBSTACLE
+        offset = state.view().offset + layout.origin_of(contact.samples.X)
+        place = state.part("pair", layout.ROW, layout.PLACE, layout.RATE) + offset
+        point = state.part("pair", layout.ROW, layout.POINT, layout.NORMAL) + offset
+        below = (place - point)[ground]
+        (held,) = solver.settling._supports(state).values()
+        found = pairs.motion(state.view())[0]
+        seen.append(((place - found)[pairs.planes.partner != NOBODY], below, held.point))
+        return settle(state)
+
+    monkeypatch.setattr(solver.settling, "frame", look_around)
+    solver.advance(1, solver.substeps)
+    ((off, below, held),) = seen
+    assert np.abs(off[:, [0, 2]]).max() < 5e-4  # of half a substep
+    assert len(below)
+    np.testing.assert_allclose(below, 0.0, atol=0.5)  # planes start beneath their samples
+    assert np.abs(held - (FAR + 0.5, 0.0, 0.5))[[0, 2]].max() < 1e-3
+
+
+def test_scenes_around_the_origin_keep_it():
+    X = np.array([[-1.0, 0.0, 0.0], [3.0, 1.0, 2.0]])
+    np.testing.assert_array_equal(layout.origin_of(X), 0.0)
+    np.testing.assert_array_equal(layout.origin_of(X[:0]), 0.0)
+    np.testing.assert_allclose(layout.origin_of(X + (0.0, 1000.0, 0.0)), (0.0, 992.0, 0.0))

@@ -65,9 +65,22 @@ def write_planes(
     pair[:, HARDENING] = hardening
 
 
+def origin_of(X: Floats) -> Floats:
+    """(3,) [m] from which REST, PLACE and the POINT of obstacles are measured, with samples at X.
+
+    In single precision positions 5 km from the origin are exact to 0.5 mm only, and bodies that
+    touch would never rest. Scenes around the world's origin keep it.
+    """
+    if not len(X):
+        return np.zeros(3)
+    low, high = X.min(0), X.max(0)
+    unit = 8.0 * max(float((high - low).max()), 1e-30)
+    return unit * np.round(0.5 * (low + high) / unit)
+
+
 def write_rest(pair: Floats, X: Floats, drift: Floats | None) -> None:
-    """Write the positions of samples without displacements, X (n, 3) [m], and their rate (n, 3)
-    [m/s] by pins; None: no pin moves.
+    """Write the positions of samples without displacements, X (n, 3) [m] from `origin_of`, and
+    their rate (n, 3) [m/s] by pins; None: no pin moves.
     """
     pair[:, REST:DRIFT] = X
     pair[:, DRIFT:PLACE] = 0.0 if drift is None else drift
