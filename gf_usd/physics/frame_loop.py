@@ -274,7 +274,8 @@ class Guard:
         limited = now.clamped + now.stress_capped > 0 and np.isfinite(gain)
         if not (gain <= most or limited):
             return worst(particles), (
-                f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
+                f"energy rose by {gain:.4g} J without a cause within the frame, in which it went"
+                f" from {before:.4g} J to {after:.4g} J"
                 f" (at most {most:.2g} J can be rounding and integration error)"
             )
         # a particle's distance from its body's median is at most the diagonal of the bounding box
