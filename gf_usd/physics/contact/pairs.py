@@ -41,13 +41,13 @@ from gf_usd.physics.contact.planes.contact_planes import (
     nothing,
 )
 from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
-from gf_usd.physics.contact.planes.intervals import until_contact, until_slid
+from gf_usd.physics.contact.planes.intervals import until_contact, until_slid, until_stopped
 from gf_usd.physics.contact.rest_gaps import RestGaps
 from gf_usd.physics.contact.self_contact.search import AHEAD, FACE, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import PairSprings
 from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.time_step import StableStep
-from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
@@ -288,6 +288,7 @@ class BodyContact:
         x, v = self.motion(now)
         old = self._stored(x, time)
         search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
+        hold = min(hold, self._until_landed(x, v, floor))
         if not old.planes.any_planes and not search.planes.any_planes:
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
@@ -330,6 +331,19 @@ class BodyContact:
         own_hold = self._search_own(search, v, min(hold, span), every_sample=frame_begins)
         search.carry(self._skins, self._X)
         return search, min(hold, own_hold)
+
+    def _until_landed(self, x: Floats, v: Floats, floor: Ints | None) -> float:
+        """[s] until the floor has stopped samples for long enough that others may reach them.
+
+        floor : see `detect`.
+        """
+        s = self._body.settings
+        if s.floor is None:
+            return float("inf")
+        near = slice(None) if floor is None else floor
+        height = x[near] @ s.normal - floor_height(s)
+        pull = abs(float(np.dot(s.gravity, s.normal))) + s.pushes
+        return until_stopped(height, -(v[near] @ s.normal), pull, TRAVEL * self._spacing)
 
     def _replace_planes(
         self, search: ContactSearch, old: Stored, x: Floats, time: float

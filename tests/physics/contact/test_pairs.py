@@ -12,6 +12,7 @@ from two_legs import legs
 
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE
+from gf_usd.physics.contact.planes.intervals import until_stopped
 
 GAP = 0.5  # [m]
 FLAT = 0.05  # of its height: 0.6 spacings of 12
@@ -108,3 +109,35 @@ def test_scenes_around_the_origin_keep_it():
     np.testing.assert_array_equal(layout.origin_of(X), 0.0)
     np.testing.assert_array_equal(layout.origin_of(X[:0]), 0.0)
     np.testing.assert_allclose(layout.origin_of(X + (0.0, 1000.0, 0.0)), (0.0, 992.0, 0.0))
+
+
+@pytest.mark.parametrize("material", ["clay", "jelly"])
+def test_what_falls_along_with_a_body_meets_it_when_the_floor_stops_it(material):
+    """They had no relative velocity, so that nothing was looked for before the end of the frame.
+
+    Fruits fell through the bowl of rubber that they were in.
+    """
+    solver = contact_solver(
+        cube((0.0, 0.2, 0.0), (1.0, 0.3, 1.0), path="/Low"),
+        cube((0.3, 0.7, 0.3), 0.4, path="/High"),
+        particles=400, material=material, frames=2, fps=8.0, gravity=(0.0, -9.81, 0.0),
+        velocity=(0.0, -4.0, 0.0), floor=0.0,
+    )  # fmt: skip
+    pairs, s = solver.pairs, solver.particles.spacing
+    assert pairs is not None
+    solver.advance(1, solver.substeps)
+    place, (low, high) = pairs.motion(solver.state.view())[0], pairs.members
+    beneath = low[(np.abs(place[low][:, [0, 2]] - 0.5) < 0.25).all(1)]
+    assert place[high, 1].min() > place[beneath, 1].max() - 0.25 * s
+    assert pairs.released == 0
+
+
+def test_a_stop_is_awaited_and_then_a_distance_at_the_speed_of_it():
+    def until(height, closing, pull=0.0):
+        return until_stopped(np.array(height), np.array(closing), pull, 0.1)
+
+    assert until([2.0], [4.0]) == pytest.approx(0.5 + 0.1 / 4.0)
+    assert until([2.0, -0.01], [4.0, 10.0]) == pytest.approx(0.01)  # this one is in the floor
+    assert until([2.0], [0.0], 9.0) == pytest.approx(2.0 / 3.0 + 0.1 / 6.0)
+    assert until([0.0, 2.0], [0.0, -1.0]) > 1e9  # at rest, and upward
+    assert until([], []) == np.inf
