@@ -157,7 +157,15 @@ class CacheWriter:
             end_instancing(self._stage, prim)
         unit, rates = self._unit, choices.velocities
         self._meshes = {
-            surface.path: MeshTrack(self._stage, prim, surface, time, unit, velocities=rates)
+            surface.path: MeshTrack(
+                self._stage,
+                prim,
+                surface,
+                time,
+                unit,
+                velocities=rates,
+                clips=bool(choices.clip_frames),
+            )
             for surface, prim in zip(asset.surfaces, prims)
             if choices.drawn(surface.path) and surface.splats is None
         }

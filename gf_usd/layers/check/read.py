@@ -68,12 +68,22 @@ def times(*attributes: Usd.Attribute | None) -> list[Usd.TimeCode]:
     """When any of these attributes has a value: Default where one has, then every sample time."""
     present = [a for a in attributes if a is not None]
     codes = sorted({t for a in present for t in a.GetTimeSamples()})
-    default = [Usd.TimeCode.Default()] if any(_has_default(a) for a in present) else []
+    default = [Usd.TimeCode.Default()] if any(_shows_default(a) for a in present) else []
     return default + [Usd.TimeCode(t) for t in codes]
 
 
-def _has_default(attribute: Usd.Attribute) -> bool:
-    return attribute.HasAuthoredValue() and attribute.Get(Usd.TimeCode.Default()) is not None
+def _shows_default(attribute: Usd.Attribute) -> bool:
+    """Whether an attribute has a default that belongs to its samples.
+
+    The default of one with value clips is that of the source: a default in the layer that has the
+    clips would hide them.
+    """
+    default = Usd.TimeCode.Default()
+    if not attribute.HasAuthoredValue() or attribute.Get(default) is None:
+        return False
+    codes = attribute.GetTimeSamples()
+    source = attribute.GetResolveInfo(codes[0]).GetSource() if codes else None
+    return source != Usd.ResolveInfoSourceValueClips
 
 
 def numbers(attribute: Usd.Attribute | None, time: Usd.TimeCode) -> Array | None:

@@ -47,6 +47,7 @@ class MeshTrack:
     surface : what the reader made of it.
     clock, meters_per_unit : of the bake.
     velocities : whether they are written; else those of the source are blocked.
+    clips : whether the samples are written to value clips.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class MeshTrack:
         meters_per_unit: float,
         *,
         velocities: bool = True,
+        clips: bool = False,
     ) -> None:
         self.path = Sdf.Path(surface.path)
         self.notes: list[str] = []
@@ -77,7 +79,7 @@ class MeshTrack:
         self._normals = None
         self._shading = None
         if surface.type_name in KEPT:
-            self._replace_normals(over, prim)
+            self._replace_normals(over, prim, clips=clips)
         if surface.type_name == "Mesh":
             mesh = UsdGeom.Mesh(prim)
             topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
@@ -186,7 +188,7 @@ class MeshTrack:
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices))
 
-    def _replace_normals(self, over: Usd.Prim, prim: Usd.Prim) -> None:
+    def _replace_normals(self, over: Usd.Prim, prim: Usd.Prim, *, clips: bool) -> None:
         mesh = UsdGeom.PointBased(prim)
         primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
         named = primvar.GetAttr() if primvar.HasAuthoredValue() else mesh.GetNormalsAttr()
@@ -209,7 +211,7 @@ class MeshTrack:
             name = f"{named.GetName()}:indices"
             over.CreateAttribute(name, Types.IntArray, False).Block()
             flat = primvar.ComputeFlattened(Usd.TimeCode.Default())
-            if flat is not None:
+            if flat and not clips:  # a default would hide the samples of value clips
                 mine.Set(flat)
 
 
