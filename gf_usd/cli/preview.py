@@ -213,7 +213,7 @@ def thumbnail(root: Path) -> Path:
     """The picture of one stage.  Raises InputError for what cannot be drawn."""
     from gf_usd.api.drawing.pictures import Drawing
     from gf_usd.readers.pictures.scene import PictureStage
-    from gf_usd.view.render.render import write_png
+    from gf_usd.view.render.image import write_png
 
     source = PictureStage(root, None)
     codes = source.motion.time_codes

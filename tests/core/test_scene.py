@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.scene import RenderSplats, Scene, to_frame
 from gf_usd.readers.pictures.extent import motion_bounds
-from gf_usd.view.render.surfaces import content
+from gf_usd.view.render.packing import extent_points
 
 
 def with_strays(count: int = 8):
@@ -54,6 +54,7 @@ def test_the_box_of_the_motion_and_of_a_picture(tmp_path):
         colors=rest.colors,
         opacities=rest.opacities,
     )
-    assert np.abs(content(Scene(up=(0.0, 1.0, 0.0), splats=(cloud,)))).max() < 0.6
+    assert np.abs(extent_points(Scene(up=(0.0, 1.0, 0.0), splats=(cloud,)))).max() < 0.6
     # particles of a bake are all of the body
-    assert np.abs(content(Scene(up=(0.0, 1.0, 0.0), splats=(replace(cloud, lit=True),)))).max() > 30
+    lit = Scene(up=(0.0, 1.0, 0.0), splats=(replace(cloud, lit=True),))
+    assert np.abs(extent_points(lit)).max() > 30

@@ -264,7 +264,7 @@ def _write_pictures(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     from gf_usd.api.drawing.pictures import film_rate, thin_for_gif, write_film
-    from gf_usd.view.render.render import write_png
+    from gf_usd.view.render.image import write_png
 
     codes = found.time_codes.tolist()
     if not options.film:

@@ -187,7 +187,7 @@ def draw(
     from gf_usd.api.drawing import pictures as drawing
     from gf_usd.readers.pictures.scene import PictureStage
     from gf_usd.view.film import require_folder
-    from gf_usd.view.render.render import write_png
+    from gf_usd.view.render.image import write_png
 
     if write:
         require_folder(options.target)

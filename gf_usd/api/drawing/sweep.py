@@ -12,7 +12,7 @@ from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.view.film import contact_sheet, spread
 from gf_usd.view.legend import label
 from gf_usd.view.render.camera import fit_camera
-from gf_usd.view.render.render import write_png
+from gf_usd.view.render.image import write_png
 
 TILE = (320, 240)  # pixels
 COLUMNS = 6

@@ -1,1 +1,1 @@
-"""The renderer: a Scene becomes pixels, on a CPU without GL."""
+"""The renderer of a `Scene`: a rasterizer with shadow maps that needs neither a GPU nor OpenGL."""

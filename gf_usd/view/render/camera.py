@@ -1,4 +1,4 @@
-"""Cameras: where to stand so that the whole motion is in the picture."""
+"""Pinhole cameras: projection to image coordinates, and cameras that frame a whole motion."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from gf_usd.core.scene import Camera
 
 AZIMUTH = 32.0  # [deg] to the right of the front: a three-quarter view
 ELEVATION = 16.0  # [deg] above the horizon
-NEAR = 1e-4  # nearest depth drawn, as a fraction of the distance to the target
+NEAR = 1e-4  # depth of the near plane, as a fraction of the distance to the target
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lens:
-    """A camera resolved for a picture of width x height samples, relative to an origin."""
+class PinholeCamera:
+    """Intrinsics and extrinsics of a camera for width x height samples, relative to an origin."""
 
-    origin: NDArray[np.float64]  # (3,) [m] everything drawn is relative to it, to keep digits
+    origin: NDArray[np.float64]  # (3,) [m] subtracted from all positions, to limit cancellation
     eye: NDArray[np.float64]  # (3,) [m] from the origin
     axes: NDArray[np.float64]  # (3, 3) rows right, up, forward; orthonormal
     focal: float  # [samples]
     width: int
     height: int
     near: float  # [m]
-    center: tuple[float, float]  # [samples] where the view axis meets the picture
-    skew: float = 0.0  # [samples] see gf_usd.view.raster.sample_at
+    center: tuple[float, float]  # [samples] principal point
+    skew: float = 0.0  # [samples] see `raster.sample_position`
 
     def clip(self, points: Floats) -> NDArray[np.float64]:
-        """(V, 3) homogeneous samples (X, Y, w) of points (V, 3) relative to the origin.
+        """Homogeneous image coordinates (V, 3) = (X, Y, w) of points (V, 3) [m, from the origin].
 
-        w is the depth [m]; X / w runs to the right and Y / w down, sample centers at halves.
+        w is the depth [m]; X / w [samples] increases to the right and Y / w downward, and sample
+        centers are at half-integers.
         """
         x, y, w = self.axes @ (np.asarray(points, dtype=np.float64) - self.eye).T
         across = self.focal * x + self.center[0] * w
@@ -41,15 +42,21 @@ class Lens:
         return np.ascontiguousarray(np.stack([across, down, w], axis=1))
 
     def packed(self) -> NDArray[np.float64]:
-        """(17,) eye, right, up, forward, focal, center x and y, near, skew: as the kernels read."""
+        """(17,) eye, right, up, forward, focal, center x and y, near, skew: the kernels' layout."""
         rest = (self.focal, *self.center, self.near, self.skew)
         return np.concatenate([self.eye, self.axes.ravel(), rest])
 
 
-def lens(camera: Camera, width: int, height: int, origin: Floats, oversampling: int = 1) -> Lens:
-    """Resolve a camera for a picture of width x height pixels with n x n samples each.
+def pinhole_camera(
+    camera: Camera, width: int, height: int, origin: Floats, oversampling: int = 1
+) -> PinholeCamera:
+    """Resolve a camera for an image of width x height pixels, n x n samples each.
 
-    Raises UsageError where the camera has no direction: eye at the target, or up along the view.
+    Parameters
+    ----------
+    origin : (3,) [m].   oversampling : n.
+
+    Raises UsageError for an undefined direction: eye at the target, or up parallel to the view.
     """
     eye, target = np.array(camera.eye, dtype=np.float64), np.array(camera.target)
     forward = target - eye
@@ -66,7 +73,7 @@ def lens(camera: Camera, width: int, height: int, origin: Floats, oversampling: 
     right = right / np.linalg.norm(right)
     width, height = oversampling * width, oversampling * height
     focal = 0.5 * height / float(np.tan(np.radians(camera.fov) / 2.0))
-    return Lens(
+    return PinholeCamera(
         origin=np.array(origin, dtype=np.float64),
         eye=eye - origin,
         axes=np.stack([right, np.cross(right, forward), forward]),
@@ -80,8 +87,11 @@ def lens(camera: Camera, width: int, height: int, origin: Floats, oversampling: 
 
 
 def view_direction(up: Floats, azimuth: float = AZIMUTH, elevation: float = ELEVATION) -> Floats:
-    """Unit vector (3,) from the scene to a camera; the front is +Z with Y up and -Y with Z up."""
-    front, right = _front(np.array(up, dtype=np.float64))
+    """Unit vector (3,) from the scene to a camera at azimuth and elevation [deg].
+
+    Azimuth 0 is the front of an asset: +Z where Y is up, -Y where Z is up.
+    """
+    front, right = _front_and_right(np.array(up, dtype=np.float64))
     a, e = np.radians(azimuth), np.radians(elevation)
     return np.cos(e) * (np.cos(a) * front + np.sin(a) * right) + np.sin(e) * np.array(up)
 
@@ -96,17 +106,17 @@ def fit_camera(
     fov: float = 30.0,
     margin: float = 0.12,
 ) -> Camera:
-    """The nearest camera of a given direction that has all points in its picture.
+    """The nearest camera of a given direction whose view frustum contains all points.
 
     With t the tangent of half the field of view and (x, y, z) the points along right, up and
-    forward, the camera at depth -d and offset c sees them all where |x - c| <= t (d + z), so
+    forward, a camera at depth -d and offset c contains them where |x - c| <= t (d + z), so
     c = (max(x - t z) + min(x + t z)) / 2 and d = (max(x - t z) - min(x + t z)) / 2t; likewise y.
 
     Parameters
     ----------
     points : (K, 3) [m], e.g. the corners of the motion's bounds.
     up : unit.   aspect : width / height.   fov : [deg] vertical.
-    margin : part of the picture's half width and height to leave free.
+    margin : fraction of the image's half width and height to leave free.
     """
     points = np.asarray(points, dtype=np.float64)
     out = view_direction(np.array(up), azimuth, elevation)
@@ -116,22 +126,22 @@ def fit_camera(
     middle = points.mean(axis=0)
     x, y, z = axes @ (points - middle).T
     slope = (1.0 - margin) * np.tan(np.radians(fov) / 2.0)
-    across, back_x = _straddle(x, z, slope * aspect)
-    upward, back_y = _straddle(y, z, slope)
-    # a lone point still gets a camera: any distance shows it
+    across, back_x = _fit_frustum(x, z, slope * aspect)
+    upward, back_y = _fit_frustum(y, z, slope)
+    # for a single point any distance will do
     back = max(back_x, back_y) or 1.0
     eye = middle + axes.T @ np.array([across, upward, -back])
     target = middle + axes.T @ np.array([across, upward, 0.0])
     return Camera(eye=triple(eye), target=triple(target), up=up, fov=fov)
 
 
-def _straddle(x: Floats, z: Floats, slope: float) -> tuple[float, float]:
-    """Offset c and distance d of the nearest frustum of half slope `slope` around (x, z)."""
+def _fit_frustum(x: Floats, z: Floats, slope: float) -> tuple[float, float]:
+    """Offset c and distance d of the nearest frustum, |x - c| <= slope (d + z), around (x, z)."""
     high, low = float(np.max(x - slope * z)), float(np.min(x + slope * z))
     return 0.5 * (high + low), 0.5 * (high - low) / slope
 
 
-def _front(up: Floats) -> tuple[Floats, Floats]:
-    """The front of an asset, and the right of someone who looks at it."""
+def _front_and_right(up: Floats) -> tuple[Floats, Floats]:
+    """Unit vectors (3,): the front of an asset, and the right of a viewer in front of it."""
     front = np.array([0.0, -1.0, 0.0]) if abs(up[2]) > 0.5 else np.array([0.0, 0.0, 1.0])
     return front, np.cross(up, front)

@@ -1,7 +1,8 @@
-"""The studio: a key light, a rim light and a dome, and the directions from which they shine.
+"""The light rig: a key light, a rim or fill light and a dome, sampled by directions.
 
-Soft shadows come from many hard ones.  The key is a disc of directions, the dome a sphere of
-them; each direction has a depth map, and the part of them that a point sees is its light.
+Soft shadows are the mean of hard ones.  The key light is sampled by directions in a cone, the dome
+by directions on a sphere.  Each direction has a shadow map; the visibility of a light at a point is
+the fraction of its directions that are not occluded.
 """
 
 from __future__ import annotations
@@ -21,36 +22,36 @@ DOME_ABOVE = 64
 DOME_BELOW = 16
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
-SKY = (0.40, 0.42, 0.46)  # irradiance / pi on a surface that faces up
-BOUNCE = (0.26, 0.25, 0.24)  # on one that faces down, from a lit floor
+SKY = (0.40, 0.42, 0.46)  # irradiance / pi of a surface that faces up
+BOUNCE = (0.26, 0.25, 0.24)  # of one that faces down, from the unoccluded floor
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rig:
-    """Lights as the shading kernels read them."""
+class LightRig:
+    """The lights of a scene and their sampled directions."""
 
-    key: Light  # the one whose shadow is drawn
-    fill: Light | None  # the other, without a cast shadow
-    frames: NDArray[np.float32]  # (L, 10) right, up, to the light, weight; the key's come first
-    key_samples: int
+    key: Light  # casts shadows
+    fill: Light | None  # casts none
+    frames: NDArray[np.float32]  # (L, 10) right, up, to the light, weight; those of the key first
+    key_samples: int  # directions of the key
 
 
 def studio(view: Floats, up: Floats) -> tuple[Light, Light]:
-    """Key and rim light that suit a camera in direction `view` (3,) from the scene.
+    """Default key and rim lights for a camera in unit direction `view` (3,) from the scene.
 
-    The key stands to the left of the camera and above it, warm and broad; the rim behind the
-    subject on the other side, cool.
+    The key light is warm and large, above the camera and to its left; the rim light is cool, behind
+    the subject on the other side.
     """
-    flat = view - np.dot(view, up) * up
-    # a camera straight above has no left: any horizontal direction serves
-    if np.linalg.norm(flat) < 1e-6:
-        flat = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    flat = flat / np.linalg.norm(flat)
-    right = np.cross(up, flat)
+    horizontal = view - np.dot(view, up) * up
+    # the left of a camera straight above is undefined: any horizontal direction will do
+    if np.linalg.norm(horizontal) < 1e-6:
+        horizontal = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    horizontal = horizontal / np.linalg.norm(horizontal)
+    right = np.cross(up, horizontal)
 
     def towards(azimuth: float, elevation: float) -> tuple[float, float, float]:
         a, e = np.radians(azimuth), np.radians(elevation)
-        d = np.cos(e) * (np.cos(a) * flat + np.sin(a) * right) + np.sin(e) * up
+        d = np.cos(e) * (np.cos(a) * horizontal + np.sin(a) * right) + np.sin(e) * up
         return float(d[0]), float(d[1]), float(d[2])
 
     key = Light(direction=towards(-48.0, 50.0), radiance=(0.95, 0.91, 0.85), angle=9.0)
@@ -60,8 +61,8 @@ def studio(view: Floats, up: Floats) -> tuple[Light, Light]:
     return key, rim
 
 
-def make_rig(lights: tuple[Light, ...], view: Floats, up: Floats) -> Rig:
-    """Resolve the lights of a scene; the first that casts shadows becomes the key.
+def make_light_rig(lights: tuple[Light, ...], view: Floats, up: Floats) -> LightRig:
+    """Sample the lights of a scene, or `studio` lights; the first that casts shadows is the key.
 
     Raises UsageError for more than two lights.
     """
@@ -74,31 +75,35 @@ def make_rig(lights: tuple[Light, ...], view: Floats, up: Floats) -> Rig:
         )
     casting = [light for light in lights if light.shadows] or list(lights)
     key = casting[0]
-    directions = np.concatenate([_disc(np.array(key.direction), key.angle), _sphere(up)])
-    # a cosine-weighted direction stands for a solid angle of 1 / cosine; held near the horizon
+    directions = np.concatenate(
+        [_cone_directions(np.array(key.direction), key.angle), _dome_directions(up)]
+    )
+    # a cosine-weighted direction has a solid angle of 1 / cosine; bounded near the horizon
     height = np.abs(directions @ up)
-    return Rig(
+    return LightRig(
         key=key,
         fill=next((light for light in lights if light is not key), None),
-        frames=_frames(directions, 1.0 / (height + 0.1)),
+        frames=_light_axes(directions, 1.0 / (height + 0.1)),
         key_samples=KEY_SAMPLES,
     )
 
 
-def _disc(direction: Floats, angle: float) -> Floats:
-    """(K, 3) directions that fill a cone of half `angle` [deg] evenly: a sunflower."""
+def _cone_directions(direction: Floats, angle: float) -> Floats:
+    """Evenly distributed directions (K, 3) in a cone of half-angle `angle` [deg] (Vogel spiral)."""
     i = np.arange(KEY_SAMPLES)
     radius = np.tan(np.radians(angle)) * np.sqrt((i + 0.5) / KEY_SAMPLES)
     u, v = across(direction)
-    turn = i * GOLDEN_ANGLE
-    rays = direction + radius[:, None] * (np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v)
+    angle_around = i * GOLDEN_ANGLE
+    rays = direction + radius[:, None] * (
+        np.cos(angle_around)[:, None] * u + np.sin(angle_around)[:, None] * v
+    )
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def _sphere(up: Floats) -> Floats:
-    """(K, 3) directions of the dome: cosine-weighted above the horizon, sparser below it.
+def _dome_directions(up: Floats) -> Floats:
+    """Directions (K, 3) of the dome: cosine-weighted, with fewer samples below the horizon.
 
-    Both halves are Fibonacci lattices about `up`.
+    Both hemispheres are Fibonacci lattices about `up`.
     """
     i, j = np.arange(DOME_ABOVE), np.arange(DOME_BELOW)
     height = np.concatenate(
@@ -106,15 +111,15 @@ def _sphere(up: Floats) -> Floats:
     )
     ring = np.sqrt(1.0 - height**2)
     u, v = across(up)
-    turn = np.concatenate([i, j]) * GOLDEN_ANGLE
+    angle_around = np.concatenate([i, j]) * GOLDEN_ANGLE
     return (
-        ring[:, None] * (np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v)
+        ring[:, None] * (np.cos(angle_around)[:, None] * u + np.sin(angle_around)[:, None] * v)
         + height[:, None] * up
     )
 
 
-def _frames(directions: Floats, weights: Floats) -> NDArray[np.float32]:
-    """(L, 10) axes and weight of each map, turned so that the maps' grids do not align."""
+def _light_axes(directions: Floats, weights: Floats) -> NDArray[np.float32]:
+    """Axes and weight (L, 10) of each shadow map, rotated so that the texel grids do not align."""
     frames = np.empty((len(directions), 10), dtype=np.float32)
     for i, d in enumerate(directions):
         u, v = across(d)

@@ -1,14 +1,14 @@
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
-"""Rasterization: the surface that each sample sees, and the depth that each light sees.
+"""Rasterization into the z-buffer of the camera and the shadow maps of the lights.
 
-Both questions are depth buffers.  A minimum does not depend on the order in which threads reach
-it, so every picture is bit-identical from run to run and across thread counts.
+Both are depth buffers.  A minimum does not depend on the order in which threads compute it, so
+images are bit-identical from run to run and across thread counts.
 
 Triangles are drawn by homogeneous edge functions [Olano and Greer 1997]: with corners
 p = (X, Y, w) in clip space and the sample r = (x, y, 1), e_0 = r . (p_1 x p_2) and cyclic;
 then w = det(p_0, p_1, p_2) / sum e_i is the depth and b_i = w e_i / det are the barycentric
-coordinates in space, so interpolation is perspective-correct and nothing needs clipping.  Two
-neighbors evaluate their shared edge to exactly opposite numbers: no cracks, no double cover.
+coordinates in space, so interpolation is perspective-correct and clipping is not needed.  Adjacent
+triangles evaluate their shared edge to exactly opposite numbers: no cracks, no double coverage.
 """
 
 from gf_usd.system.taichi_runtime import import_taichi
@@ -23,8 +23,8 @@ I64_2 = ti.types.ndarray(dtype=ti.i64, ndim=2)
 vec2, vec3 = (ti.types.vector(n, ti.f32) for n in (2, 3))
 dvec3 = ti.types.vector(3, ti.f64)
 
-EMPTY = (1 << 63) - 1  # the key of a sample that sees nothing
-EMPTY_BITS = EMPTY >> 32  # the depth in it
+EMPTY = (1 << 63) - 1  # depth key of a sample without a surface
+EMPTY_BITS = EMPTY >> 32  # its depth bits
 
 
 @ti.func
@@ -34,26 +34,26 @@ def row(a: ti.template(), i):
 
 
 @ti.func
-def part(a: ti.template(), i):
-    """Three numbers of a flat array from i on."""
+def vector_at(a: ti.template(), i):
+    """The vector at offset i of a flat array."""
     return ti.Vector([a[i], a[i + 1], a[i + 2]])
 
 
 @ti.func
-def single(v):
-    """A vector in 32 bits, by component: the cast of a whole vector does not compile."""
+def to_f32(v):
+    """A vector in float32, by component: Taichi does not compile the cast of a whole vector."""
     return ti.Vector([ti.cast(v[0], ti.f32), ti.cast(v[1], ti.f32), ti.cast(v[2], ti.f32)])
 
 
 @ti.func
-def double(v):
-    """A vector in 64 bits."""
+def to_f64(v):
+    """A vector in float64."""
     return ti.Vector([ti.cast(v[0], ti.f64), ti.cast(v[1], ti.f64), ti.cast(v[2], ti.f64)])
 
 
 @ti.func
 def depth_key(depth, index):
-    """Nearest first, then lowest index: positive floats order like their bits."""
+    """64-bit key that orders by depth, then by index: positive floats order like their bits."""
     bits = ti.cast(ti.bit_cast(ti.cast(depth, ti.f32), ti.i32), ti.i64)
     return (bits << 32) | ti.cast(index, ti.i64)
 
@@ -67,11 +67,11 @@ def edge_functions(clip: ti.template(), tri: ti.template(), t):
 
 
 @ti.func
-def sample_at(x, y, skew):
-    """Where sample (x, y) looks: with skew 1/4 each 2 x 2 block is a rotated grid.
+def sample_position(x, y, skew):
+    """Position of sample (x, y); with skew 1/4 each 2 x 2 block is a rotated grid.
 
-    Its four samples then lie in four different rows and columns, which smooths upright and level
-    edges in four steps instead of two.
+    Its four samples then lie in four different rows and columns, so that vertical and horizontal
+    edges have four levels of coverage instead of two.
     """
     return (
         x + 0.5 + skew * (2.0 * (y % 2) - 1.0),
@@ -80,14 +80,14 @@ def sample_at(x, y, skew):
 
 
 @ti.func
-def owns(e, value):
-    """Inside the edge; a sample exactly on it belongs to one of its two triangles."""
+def covers(e, value):
+    """Inside an edge (fill rule); a sample exactly on it belongs to one of its two triangles."""
     return value > 0.0 or (value == 0.0 and (e[0] > 0.0 or (e[0] == 0.0 and e[1] > 0.0)))
 
 
 @ti.kernel
-def draw_triangles(clip: F64_2, tri: I32_2, near: ti.f64, skew: ti.f64, key: I64_2):
-    """Depth-test triangles (T, 3) over corners clip (V, 3) = (X, Y, w), X / w in samples."""
+def draw_triangles(clip: F64_2, tri: I32_2, near: ti.f64, skew: ti.f64, zbuffer: I64_2):
+    """Draw triangles (T, 3) with vertices clip (V, 3) = (X, Y, w) of `PinholeCamera.clip`."""
     for t in range(tri.shape[0]):
         e0, e1, e2, det = edge_functions(clip, tri, t)
         low_w = ti.min(clip[tri[t, 0], 2], clip[tri[t, 1], 2], clip[tri[t, 2], 2])
@@ -95,7 +95,7 @@ def draw_triangles(clip: F64_2, tri: I32_2, near: ti.f64, skew: ti.f64, key: I64
         if det != 0.0 and high_w > near:
             side = 1.0 if det > 0.0 else -1.0
             e0, e1, e2 = side * e0, side * e1, side * e2
-            x0, x1, y0, y1 = 0, key.shape[1] - 1, 0, key.shape[0] - 1
+            x0, x1, y0, y1 = 0, zbuffer.shape[1] - 1, 0, zbuffer.shape[0] - 1
             if low_w > near:
                 a = row(clip, tri[t, 0]) / clip[tri[t, 0], 2]
                 b = row(clip, tri[t, 1]) / clip[tri[t, 1], 2]
@@ -108,35 +108,35 @@ def draw_triangles(clip: F64_2, tri: I32_2, near: ti.f64, skew: ti.f64, key: I64
                 y1 = ti.min(y1, ti.cast(ti.ceil(ti.min(high[1], 1e6) - 0.25), ti.i32))
             for y in range(y0, y1 + 1):
                 for x in range(x0, x1 + 1):
-                    sx, sy = sample_at(x, y, skew)
+                    sx, sy = sample_position(x, y, skew)
                     r = ti.Vector([sx, sy, ti.f64(1.0)])
                     v0, v1, v2 = r.dot(e0), r.dot(e1), r.dot(e2)
-                    if owns(e0, v0) and owns(e1, v1) and owns(e2, v2):
+                    if covers(e0, v0) and covers(e1, v1) and covers(e2, v2):
                         w = side * det / (v0 + v1 + v2)
                         if w > near:
-                            ti.atomic_min(key[y, x], depth_key(w, t))
+                            ti.atomic_min(zbuffer[y, x], depth_key(w, t))
 
 
 @ti.func
-def view_ray(camera: ti.template(), x, y):
-    """World direction through sample coordinates (x, y), with unit component along the view."""
+def camera_ray(camera: ti.template(), x, y):
+    """Camera ray through image coordinates (x, y) [samples]; its component along the view is 1."""
     a = (x - camera[13]) / camera[12]
     b = (camera[14] - y) / camera[12]
-    return a * part(camera, 3) + b * part(camera, 6) + part(camera, 9)
+    return a * vector_at(camera, 3) + b * vector_at(camera, 6) + vector_at(camera, 9)
 
 
 @ti.func
-def hit_ellipsoid(camera: ti.template(), center: ti.template(), inverse: ti.template(), i, d):
-    """First s > 0 with |M (eye + s d - c)| = 1, else -1, and the point of the unit sphere."""
-    o = part(camera, 0) - double(row(center, i))
+def intersect_ellipsoid(camera: ti.template(), center: ti.template(), inverse: ti.template(), i, d):
+    """First s > 0 with |M (eye + s d - c)| = 1, else -1, and M (eye + s d - c)."""
+    offset = vector_at(camera, 0) - to_f64(row(center, i))
     q = dvec3(0.0, 0.0, 0.0)
     m = dvec3(0.0, 0.0, 0.0)
     for k in ti.static(range(3)):
         for j in ti.static(range(3)):
-            q[k] += inverse[i, 3 * k + j] * o[j]
+            q[k] += inverse[i, 3 * k + j] * offset[j]
             m[k] += inverse[i, 3 * k + j] * d[j]
     mm, mq = m.dot(m), m.dot(q)
-    # |q|^2 |m|^2 - (m.q)^2 as |q x m|^2 keeps its digits for a small, far ellipsoid
+    # |q|^2 |m|^2 - (m.q)^2 as |q x m|^2: no cancellation for a small, distant ellipsoid
     disc = mm - q.cross(m).norm_sqr()
     s = ti.f64(-1.0)
     if disc > 0.0:
@@ -146,18 +146,21 @@ def hit_ellipsoid(camera: ti.template(), center: ti.template(), inverse: ti.temp
 
 @ti.kernel
 def draw_ellipsoids(
-    center: F32_2, inverse: F32_2, reach: F32_1, camera: F64_1, first: ti.i32, key: I64_2
+    center: F32_2, inverse: F32_2, radius_bound: F32_1, camera: F64_1, first: ti.i32, zbuffer: I64_2
 ):
-    """Depth-test ellipsoids |M (x - c)| = 1, M (N, 9), within reach (N,) of c; ids from first."""
+    """Draw ellipsoids |M (x - c)| = 1, M (N, 9), of longest semi-axes radius_bound (N,).
+
+    Their indices in the z-buffer start at `first`.
+    """
     for i in range(center.shape[0]):
-        o = double(row(center, i)) - part(camera, 0)
-        z = o.dot(part(camera, 9))
+        offset = to_f64(row(center, i)) - vector_at(camera, 0)
+        z = offset.dot(vector_at(camera, 9))
         near = camera[15]
-        if z + reach[i] > near:
-            x0, x1, y0, y1 = 0, key.shape[1] - 1, 0, key.shape[0] - 1
-            if z - reach[i] > near:
-                a, b = o.dot(part(camera, 3)) / z, o.dot(part(camera, 6)) / z
-                spread = reach[i] / (z - reach[i])
+        if z + radius_bound[i] > near:
+            x0, x1, y0, y1 = 0, zbuffer.shape[1] - 1, 0, zbuffer.shape[0] - 1
+            if z - radius_bound[i] > near:
+                a, b = offset.dot(vector_at(camera, 3)) / z, offset.dot(vector_at(camera, 6)) / z
+                spread = radius_bound[i] / (z - radius_bound[i])
                 px, py = camera[13] + camera[12] * a, camera[14] - camera[12] * b
                 sx = camera[12] * spread * (1.0 + ti.abs(a)) + 1.0
                 sy = camera[12] * spread * (1.0 + ti.abs(b)) + 1.0
@@ -167,16 +170,16 @@ def draw_ellipsoids(
                 y1 = ti.min(y1, ti.cast(ti.ceil(ti.min(py + sy, 1e6)), ti.i32))
             for y in range(y0, y1 + 1):
                 for x in range(x0, x1 + 1):
-                    sx, sy = sample_at(x, y, camera[16])
-                    d = view_ray(camera, sx, sy)
-                    s, _ = hit_ellipsoid(camera, center, inverse, i, d)
+                    sx, sy = sample_position(x, y, camera[16])
+                    d = camera_ray(camera, sx, sy)
+                    s, _ = intersect_ellipsoid(camera, center, inverse, i, d)
                     if s > near:
-                        ti.atomic_min(key[y, x], depth_key(s, first + i))
+                        ti.atomic_min(zbuffer[y, x], depth_key(s, first + i))
 
 
 @ti.func
-def to_map(frames: ti.template(), light, p, radius, size):
-    """Texel coordinates and depth of p in the map of one light."""
+def to_shadow_map(frames: ti.template(), light, p, radius, size):
+    """Texel coordinates and depth of p in the shadow map of one light direction."""
     u = (frames[light, 0] * p[0] + frames[light, 1] * p[1] + frames[light, 2] * p[2]) / radius
     v = (frames[light, 3] * p[0] + frames[light, 4] * p[1] + frames[light, 5] * p[2]) / radius
     z = frames[light, 6] * p[0] + frames[light, 7] * p[1] + frames[light, 8] * p[2]
@@ -185,13 +188,13 @@ def to_map(frames: ti.template(), light, p, radius, size):
 
 @ti.kernel
 def shadow_triangles(points: F32_2, tri: I32_2, frames: F32_2, radius: ti.f32, depth: F32_3):
-    """Depth of triangles as each light l sees them; frames (L, 10): right, up, to the light."""
+    """Draw triangles into the shadow map of each light direction, frames (L, 10) of `LightRig`."""
     count, size = tri.shape[0], depth.shape[1]
     for job in range(frames.shape[0] * count):
         light, t = job // count, job % count
-        a = to_map(frames, light, row(points, tri[t, 0]), radius, size)
-        b = to_map(frames, light, row(points, tri[t, 1]), radius, size)
-        c = to_map(frames, light, row(points, tri[t, 2]), radius, size)
+        a = to_shadow_map(frames, light, row(points, tri[t, 0]), radius, size)
+        b = to_shadow_map(frames, light, row(points, tri[t, 1]), radius, size)
+        c = to_shadow_map(frames, light, row(points, tri[t, 2]), radius, size)
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if area != 0.0:
             low, high = ti.min(a, b, c), ti.max(a, b, c)
@@ -210,15 +213,18 @@ def shadow_triangles(points: F32_2, tri: I32_2, frames: F32_2, radius: ti.f32, d
 
 
 @ti.kernel
-def shadow_blobs(center: F32_2, covariance: F32_2, frames: F32_2, radius: ti.f32, depth: F32_3):
-    """Depth of ellipsoids x' C^-1 x = 1, C (N, 6) = xx xy xz yy yz zz, as tilted discs.
+def shadow_ellipsoids(
+    center: F32_2, covariance: F32_2, frames: F32_2, radius: ti.f32, depth: F32_3
+):
+    """Draw ellipsoids x' C^-1 x = 1, C (N, 6) = xx xy xz yy yz zz, into the shadow maps as discs.
 
-    A disc lies where the ellipsoid is widest along the light: at the mean of z given x and y.
+    The disc of an ellipsoid contains its silhouette as the light sees it: its depth is the
+    conditional mean of z given x and y.
     """
     count, size = center.shape[0], depth.shape[1]
     for job in range(frames.shape[0] * count):
         light, i = job // count, job % count
-        p = to_map(frames, light, row(center, i), radius, size)
+        p = to_shadow_map(frames, light, row(center, i), radius, size)
         k = 0.5 * size / radius
         u, v, w = vec3(0.0), vec3(0.0), vec3(0.0)
         towards = ti.Vector([frames[light, 6], frames[light, 7], frames[light, 8]])
@@ -230,7 +236,7 @@ def shadow_blobs(center: F32_2, covariance: F32_2, frames: F32_2, radius: ti.f32
                 u[r] += covariance[i, low * (5 - low) // 2 + high] * right[c]
                 v[r] += covariance[i, low * (5 - low) // 2 + high] * upward[c]
                 w[r] += covariance[i, low * (5 - low) // 2 + high] * towards[c]
-        # a quarter texel at least, so that a grain finer than the map still shades
+        # a radius of half a texel at least, so that smaller particles cast shadows too
         xx = ti.max(k * k * u.dot(right), 0.25)
         yy = ti.max(k * k * v.dot(upward), 0.25)
         xy = k * k * u.dot(upward)

@@ -1,12 +1,11 @@
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
-"""Anisotropic Gaussians by EWA splatting [Zwicker et al. 2001], front to back.
+"""EWA splatting of anisotropic Gaussians [Zwicker et al. 2001], composited front to back.
 
-A Gaussian with covariance Sigma at depth z is projected to the picture as
+A Gaussian with covariance Sigma at depth z is projected to the image as
     C = J W Sigma W' J' + s I,   J = f/z (1 0 -x/z; 0 1 -y/z),
 with W the rotation into the view and s the pixel filter's variance; its opacity is scaled by
-sqrt(det(C - s I) / det C), so that the filter does not fatten what is thinner than a pixel.
-
-What Gaussians with spherical harmonics show to a camera.
+sqrt(det(C - s I) / det C), so that the filter preserves the contribution of a splat that is smaller
+than a pixel.
 """
 
 from dataclasses import dataclass
@@ -18,72 +17,80 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.radiance import DEGREE, basis, srgb_to_linear
 from gf_usd.core.scene import Harmonics, RenderSplats
 from gf_usd.system.taichi_runtime import import_taichi
-from gf_usd.view.render.camera import Lens
+from gf_usd.view.render.camera import PinholeCamera
+from gf_usd.view.render.packing import splat_covariances
 from gf_usd.view.render.raster import F32_2, F32_3, I32_1, vec3
-from gf_usd.view.render.surfaces import covariances
 
 ti = import_taichi()
 
-TILE = 16  # pixels a side
+TILE = 16  # [pixels] of a side
 FILTER = 0.25  # [pixels^2] variance of the pixel filter
-FAINTEST = 1.0 / 512.0  # opacity below which a splat ends
-OPAQUE = 1e-4  # transmittance at which a pixel is finished
+MIN_OPACITY = 1.0 / 512.0  # opacity at which a splat is truncated
+MIN_TRANSMITTANCE = 1e-4  # at which compositing of a pixel stops
 
 
 @dataclass(frozen=True, kw_only=True)
 class Projected:
-    """Splats in the picture, nearest first."""
+    """Splats projected to the image, sorted by depth."""
 
     shape: NDArray[np.float32]  # (N, 7): x, y [pixels], C^-1 as xx xy yy, opacity, depth [m]
-    half: NDArray[np.float64]  # (N, 2) [pixels] half extents
-    order: NDArray[np.int64]  # (N,) into the splats as given
+    half_extent: NDArray[np.float64]  # (N, 2) [pixels] half extents
+    order: NDArray[np.int64]  # (N,) their indices in the input
 
 
-def project(splats: RenderSplats, lens: Lens) -> Projected:
-    """Splats as ellipses of a picture, those in front of the camera and not too faint to show."""
-    view = (np.asarray(splats.positions, dtype=np.float64) - lens.origin - lens.eye) @ lens.axes.T
+def project(splats: RenderSplats, pinhole: PinholeCamera) -> Projected:
+    """Project splats to ellipses: those beyond the near plane with opacity above MIN_OPACITY."""
+    view = (
+        np.asarray(splats.positions, dtype=np.float64) - pinhole.origin - pinhole.eye
+    ) @ pinhole.axes.T
     x, y, z = view.T
-    kept = np.flatnonzero((z > lens.near) & (np.asarray(splats.opacities) > FAINTEST))
-    kept = kept[np.argsort(z[kept], kind="stable")]
-    x, y, z = x[kept], y[kept], z[kept]
-    # beyond the picture's edge the linearized projection grows without bound: hold it there
-    middle = 0.5 * np.array([lens.width, lens.height])
-    limit = (1.3 * middle + np.abs(middle - lens.center)) / lens.focal
-    slope_x, slope_y = np.clip(x / z, -limit[0], limit[0]), np.clip(y / z, -limit[1], limit[1])
+    visible = np.flatnonzero((z > pinhole.near) & (np.asarray(splats.opacities) > MIN_OPACITY))
+    visible = visible[np.argsort(z[visible], kind="stable")]
+    x, y, z = x[visible], y[visible], z[visible]
+    # outside the image the linearized projection grows without bound: clamp the slopes
+    middle = 0.5 * np.array([pinhole.width, pinhole.height])
+    limit = (1.3 * middle + np.abs(middle - pinhole.center)) / pinhole.focal
+    tan_x, tan_y = np.clip(x / z, -limit[0], limit[0]), np.clip(y / z, -limit[1], limit[1])
     zero = np.zeros_like(z)
     jacobian = np.stack(
-        [np.stack([1 / z, zero, -slope_x / z], -1), np.stack([zero, -1 / z, slope_y / z], -1)], 1
+        [np.stack([1 / z, zero, -tan_x / z], -1), np.stack([zero, -1 / z, tan_y / z], -1)], 1
     )
-    turn = lens.focal * jacobian @ lens.axes
-    sigma = covariances(splats.axes[kept])
-    plane = turn @ sigma @ np.swapaxes(turn, 1, 2)
-    xx, xy, yy = plane[:, 0, 0] + FILTER, plane[:, 0, 1], plane[:, 1, 1] + FILTER
+    projection = pinhole.focal * jacobian @ pinhole.axes
+    sigma = splat_covariances(splats.axes[visible])
+    covariance_2d = projection @ sigma @ np.swapaxes(projection, 1, 2)
+    xx, xy, yy = (
+        covariance_2d[:, 0, 0] + FILTER,
+        covariance_2d[:, 0, 1],
+        covariance_2d[:, 1, 1] + FILTER,
+    )
     det = xx * yy - xy**2
-    sharp = np.maximum(plane[:, 0, 0] * plane[:, 1, 1] - xy**2, 0.0)
-    opacity = np.asarray(splats.opacities)[kept] * np.sqrt(sharp / det)
-    reach = np.sqrt(np.maximum(2.0 * np.log(np.maximum(opacity, 1e-30) / FAINTEST), 0.0))
-    px = lens.center[0] + lens.focal * x / z
-    py = lens.center[1] - lens.focal * y / z
+    unfiltered = np.maximum(covariance_2d[:, 0, 0] * covariance_2d[:, 1, 1] - xy**2, 0.0)
+    opacity = np.asarray(splats.opacities)[visible] * np.sqrt(unfiltered / det)
+    reach = np.sqrt(np.maximum(2.0 * np.log(np.maximum(opacity, 1e-30) / MIN_OPACITY), 0.0))
+    px = pinhole.center[0] + pinhole.focal * x / z
+    py = pinhole.center[1] - pinhole.focal * y / z
     shape = np.stack([px, py, yy / det, -xy / det, xx / det, opacity, z], axis=1)
-    half = reach[:, None] * np.sqrt(np.stack([xx, yy], axis=1))
-    return Projected(shape=shape.astype(np.float32), half=half, order=kept)
+    half_extent = reach[:, None] * np.sqrt(np.stack([xx, yy], axis=1))
+    return Projected(shape=shape.astype(np.float32), half_extent=half_extent, order=visible)
 
 
-def tile_lists(
+def bin_into_tiles(
     projected: Projected, width: int, height: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Splats of each tile, nearest first: `entries`, and `start` (tiles + 1,) of each tile."""
+    """Splats of each tile, sorted by depth: `entries`, and their ranges `start` (tiles + 1,)."""
     across, down = -(-width // TILE), -(-height // TILE)
     center = projected.shape[:, :2].astype(np.float64)
-    low = np.clip(np.floor((center - projected.half) / TILE), 0, (across, down)).astype(np.int64)
-    high = np.clip(np.floor((center + projected.half) / TILE) + 1, 0, (across, down))
-    span = np.maximum(high.astype(np.int64) - low, 0) * (projected.half[:, :1] > 0)
+    low = np.clip(np.floor((center - projected.half_extent) / TILE), 0, (across, down)).astype(
+        np.int64
+    )
+    high = np.clip(np.floor((center + projected.half_extent) / TILE) + 1, 0, (across, down))
+    span = np.maximum(high.astype(np.int64) - low, 0) * (projected.half_extent[:, :1] > 0)
     count = span[:, 0] * span[:, 1]
     splat = np.repeat(np.arange(len(count)), count)
     nth = np.arange(len(splat)) - np.repeat(np.cumsum(count) - count, count)
     wide = np.maximum(span[splat, 0], 1)
     tile = (low[splat, 1] + nth // wide) * across + low[splat, 0] + nth % wide
-    # stable: within a tile the order stays that of depth
+    # a stable sort keeps the order by depth within a tile
     by_tile = np.argsort(tile, kind="stable")
     start = np.searchsorted(tile[by_tile], np.arange(across * down + 1))
     return splat[by_tile].astype(np.int32), start.astype(np.int32)
@@ -92,65 +99,68 @@ def tile_lists(
 def draw_splats(
     splats: RenderSplats,
     radiance: Floats,
-    lens: Lens,
-    picture: NDArray[np.float32],
-    seen: NDArray[np.float32],
+    pinhole: PinholeCamera,
+    image: NDArray[np.float32],
+    depth: NDArray[np.float32],
 ) -> None:
-    """Composite splats over a linear picture (H, W, 3), in place.
+    """Composite splats over a linear image (H, W, 3), in place.
 
     Parameters
     ----------
-    radiance : (N, 3) linear, what each splat shows.
-    seen : (H, W) [m] depth of the opaque surface behind which splats are hidden.
+    radiance : (N, 3) linear, of each splat.
+    depth : (H, W) [m] of the opaque surface, which hides splats behind it.
     """
-    projected = project(splats, lens)
+    projected = project(splats, pinhole)
     if not len(projected.order):
         return
-    entries, start = tile_lists(projected, lens.width, lens.height)
+    entries, start = bin_into_tiles(projected, pinhole.width, pinhole.height)
     if not len(entries):
         return
     colors = np.ascontiguousarray(np.asarray(radiance)[projected.order], dtype=np.float32)
-    composite(projected.shape, colors, entries, start, seen, picture)
+    composite(projected.shape, colors, entries, start, depth, image)
 
 
 @ti.kernel
 def composite(
-    shape: F32_2, colors: F32_2, entries: I32_1, start: I32_1, seen: F32_2, picture: F32_3
+    shape: F32_2, colors: F32_2, entries: I32_1, start: I32_1, depth: F32_2, image: F32_3
 ):
     """c = sum_i c_i a_i prod_{j<i} (1 - a_j) + (1 - all) background, a = o exp(-d' C^-1 d / 2)."""
-    height, width = picture.shape[0], picture.shape[1]
+    height, width = image.shape[0], image.shape[1]
     across = (width + TILE - 1) // TILE
     for job in range((start.shape[0] - 1) * TILE * TILE):
         tile, inner = job // (TILE * TILE), job % (TILE * TILE)
         x = (tile % across) * TILE + inner % TILE
         y = (tile // across) * TILE + inner // TILE
         if x < width and y < height:
-            through = 1.0
+            transmittance = 1.0
             color = vec3(0.0)
             k, end = start[tile], start[tile + 1]
             while k < end:
                 i = entries[k]
                 k += 1
-                if shape[i, 6] > seen[y, x] or through < OPAQUE:
+                if shape[i, 6] > depth[y, x] or transmittance < MIN_TRANSMITTANCE:
                     k = end
                 else:
                     dx, dy = x + 0.5 - shape[i, 0], y + 0.5 - shape[i, 1]
                     power = dx * dx * shape[i, 2] + 2.0 * dx * dy * shape[i, 3]
                     alpha = shape[i, 5] * ti.exp(-0.5 * (power + dy * dy * shape[i, 4]))
-                    if alpha >= FAINTEST:
+                    if alpha >= MIN_OPACITY:
                         for c in ti.static(range(3)):
-                            color[c] += through * alpha * colors[i, c]
-                        through *= 1.0 - alpha
+                            color[c] += transmittance * alpha * colors[i, c]
+                        transmittance *= 1.0 - alpha
             for c in ti.static(range(3)):
-                picture[y, x, c] = color[c] + through * picture[y, x, c]
+                image[y, x, c] = color[c] + transmittance * image[y, x, c]
 
 
-def seen_from(harmonics: Harmonics, towards: Floats) -> NDArray[np.floating]:
-    """Linear color (N, 3) = 0.5 + sum_k c_k Y_k(d) of splats seen along `towards` (N, 3)."""
-    local = towards @ np.asarray(harmonics.frame).T
+def view_dependent_color(harmonics: Harmonics, directions: Floats) -> NDArray[np.floating]:
+    """Linear color (N, 3) = 0.5 + sum_k c_k Y_k(d) of splats in view directions (N, 3).
+
+    directions : from the camera to each splat, of any length.
+    """
+    local = directions @ np.asarray(harmonics.frame).T
     local = local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
-    used = min(harmonics.coefficients.shape[1], (DEGREE + 1) ** 2)
-    weights = basis(local)[:, :used]
-    value = 0.5 + np.einsum("nk,nkc->nc", weights, harmonics.coefficients[:, :used])
+    count = min(harmonics.coefficients.shape[1], (DEGREE + 1) ** 2)
+    weights = basis(local)[:, :count]
+    value = 0.5 + np.einsum("nk,nkc->nc", weights, harmonics.coefficients[:, :count])
     value = np.maximum(value, 0.0)
     return srgb_to_linear(value) if harmonics.srgb else value

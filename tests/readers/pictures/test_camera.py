@@ -8,7 +8,7 @@ from pxr import Gf, Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers.pictures.scene import PictureStage
-from gf_usd.view.render.camera import lens
+from gf_usd.view.render.camera import pinhole_camera
 
 STAGE = """#usda 1.0
 (
@@ -57,7 +57,7 @@ def test_known_points_fall_where_usd_projects_them(path, time, aspect):
     height = 400
     width = int(aspect * height)
     camera = source.camera(time, width / height)
-    clip = lens(camera, width, height, np.zeros(3)).clip(0.01 * POINTS)
+    clip = pinhole_camera(camera, width, height, np.zeros(3)).clip(0.01 * POINTS)
     shown = clip[:, :2] / clip[:, 2:]
 
     stage = Usd.Stage.Open(str(path))

@@ -10,7 +10,7 @@ import pytest
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.readers.pictures.scene import PictureStage, read_scene
-from gf_usd.view.render.surfaces import covariances
+from gf_usd.view.render.packing import splat_covariances
 
 Y_0 = 0.28209479177387814
 
@@ -152,7 +152,7 @@ def test_gaussians_are_placed_scaled_and_turned(tmp_path):
     (cloud,) = scene.splats
     # twice as large, a quarter turn about z, 5 up z; a unit is a centimeter
     assert np.allclose(cloud.positions, [(0, 0.02, 0.05), (-0.04, 0, 0.05)])
-    sigma = covariances(cloud.axes) / 0.02**2
+    sigma = splat_covariances(cloud.axes) / 0.02**2
     assert np.allclose(sigma[0], np.diag([4, 9, 1]), atol=1e-6)
     assert np.allclose(sigma[1], np.diag([9, 4, 1]), atol=1e-6)
     assert np.allclose(cloud.opacities, [0.25, 1.0])

@@ -11,10 +11,11 @@ from gf_usd.core.asset import Texture
 from gf_usd.core.errors import UsageError
 from gf_usd.core.radiance import linear_to_srgb, srgb_to_linear
 from gf_usd.core.scene import Bounds, Camera, Light
-from gf_usd.view.render.camera import fit_camera, lens, view_direction
-from gf_usd.view.render.lights import make_rig
-from gf_usd.view.render.render import tone, untone, write_png
-from gf_usd.view.render.textures import LEVELS, corner_normals, make_atlas
+from gf_usd.view.render.camera import fit_camera, pinhole_camera, view_direction
+from gf_usd.view.render.image import tone, untone, write_png
+from gf_usd.view.render.lights import make_light_rig
+from gf_usd.view.render.normals import corner_normals
+from gf_usd.view.render.textures import LEVELS, make_atlas
 
 Y_UP = (0.0, 1.0, 0.0)
 
@@ -25,7 +26,7 @@ def test_the_fitted_camera_holds_the_box_and_no_more(up, aspect):
     box = Bounds(low=(10.0, -1.0, 3.0), high=(12.0, 4.0, 4.5))
     height = 1000
     camera = fit_camera(box.corners, up, aspect, margin=0.1)
-    clip = lens(camera, int(height * aspect), height, np.zeros(3)).clip(box.corners)
+    clip = pinhole_camera(camera, int(height * aspect), height, np.zeros(3)).clip(box.corners)
     across = np.abs(2.0 * clip[:, 0] / clip[:, 2] / (height * aspect) - 1.0).max()
     down = np.abs(2.0 * clip[:, 1] / clip[:, 2] / height - 1.0).max()
     # the tighter way reaches the margin exactly, the other stays inside
@@ -47,11 +48,11 @@ def test_a_lone_point_gets_a_camera():
 def test_a_camera_without_direction_is_refused(up):
     target = (0.0, 0.0, 0.0) if up == Y_UP else (0.0, 0.0, -5.0)
     with pytest.raises(UsageError, match="no direction"):
-        lens(Camera(eye=(0.0, 0.0, 0.0), target=target, up=up), 10, 10, np.zeros(3))
+        pinhole_camera(Camera(eye=(0.0, 0.0, 0.0), target=target, up=up), 10, 10, np.zeros(3))
 
 
 def test_a_rig_has_light_even_straight_from_above():
-    rig = make_rig((), np.array(Y_UP), np.array(Y_UP))
+    rig = make_light_rig((), np.array(Y_UP), np.array(Y_UP))
     assert np.isfinite(rig.frames).all()
     axes = rig.frames[:, :9].reshape(-1, 3, 3)
     assert np.allclose(axes @ np.swapaxes(axes, 1, 2), np.eye(3), atol=1e-6)
@@ -60,7 +61,7 @@ def test_a_rig_has_light_even_straight_from_above():
 def test_more_lights_than_can_be_drawn_are_refused():
     light = Light(direction=Y_UP, radiance=(1.0, 1.0, 1.0))
     with pytest.raises(UsageError, match="has 3 lights"):
-        make_rig((light, light, light), np.array((1.0, 0.0, 0.0)), np.array(Y_UP))
+        make_light_rig((light, light, light), np.array((1.0, 0.0, 0.0)), np.array(Y_UP))
 
 
 def test_smooth_normals_of_a_ball_point_outward():

@@ -23,8 +23,8 @@ from gf_usd.layers.tracks.captured import SplatTrack
 from gf_usd.physics.output.gaussians import CarriedSplats
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.system.taichi_runtime import ensure_taichi
-from gf_usd.view.render.camera import lens
-from gf_usd.view.render.splats import draw_splats, seen_from
+from gf_usd.view.render.camera import pinhole_camera
+from gf_usd.view.render.splats import draw_splats, view_dependent_color
 
 SIZE = (200, 150)
 EYE = np.array([0.4, 0.9, 2.2])
@@ -39,11 +39,11 @@ def picture(cloud: RenderSplats, turn: np.ndarray | None = None) -> np.ndarray:
     ensure_taichi()
     turn = np.eye(3) if turn is None else turn
     eye, up = turn @ EYE, turn @ UP
-    view = lens(
+    view = pinhole_camera(
         Camera(eye=tuple(eye), target=(0.0, 0.0, 0.0), up=tuple(up), fov=40.0), *SIZE, np.zeros(3)
     )
     out = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
-    colors = seen_from(cloud.harmonics, cloud.positions - eye)
+    colors = view_dependent_color(cloud.harmonics, cloud.positions - eye)
     draw_splats(cloud, colors, view, out, np.full(out.shape[:2], np.inf, np.float32))
     return out
 

@@ -9,9 +9,10 @@ from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import basis
 from gf_usd.core.scene import Camera, Harmonics, RenderSplats, Scene
 from gf_usd.system.taichi_runtime import ensure_taichi
-from gf_usd.view.render.camera import lens
-from gf_usd.view.render.render import encode, render
-from gf_usd.view.render.splats import FAINTEST, FILTER, draw_splats, seen_from
+from gf_usd.view.render.camera import pinhole_camera
+from gf_usd.view.render.image import encode
+from gf_usd.view.render.render import render
+from gf_usd.view.render.splats import FILTER, MIN_OPACITY, draw_splats, view_dependent_color
 
 UP = (0.0, 1.0, 0.0)
 WIDTH, HEIGHT = 160, 120
@@ -40,7 +41,9 @@ def over_black(cloud: RenderSplats, depth: float = np.inf) -> np.ndarray:
     ensure_taichi()
     picture = np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32)
     seen = np.full((HEIGHT, WIDTH), depth, dtype=np.float32)
-    draw_splats(cloud, cloud.colors, lens(CAMERA, WIDTH, HEIGHT, np.zeros(3)), picture, seen)
+    draw_splats(
+        cloud, cloud.colors, pinhole_camera(CAMERA, WIDTH, HEIGHT, np.zeros(3)), picture, seen
+    )
     return picture
 
 
@@ -56,9 +59,9 @@ def test_an_isotropic_splat_is_a_gaussian(sigma):
     own = (FOCAL * sigma / DISTANCE) ** 2
     wide = own + FILTER
     expected = 0.8 * (own / wide) * np.exp(-0.5 * (x * x + y * y) / wide)
-    # opacity below FAINTEST is left out; the rest is single-precision rounding
-    assert np.abs(picture - expected).max() < FAINTEST
-    shown = expected > 1.01 * FAINTEST
+    # opacity below MIN_OPACITY is left out; the rest is single-precision rounding
+    assert np.abs(picture - expected).max() < MIN_OPACITY
+    shown = expected > 1.01 * MIN_OPACITY
     assert np.abs(picture - expected)[shown].max() < 1e-5
 
 
@@ -70,7 +73,7 @@ def test_a_long_splat_lies_along_its_axis():
     mass = picture.sum()
     xx, xy, yy = (picture * x * x).sum(), (picture * x * y).sum(), (picture * y * y).sum()
     angle = np.degrees(0.5 * np.arctan2(2 * xy, xx - yy))
-    # the cut at FAINTEST trims both axes alike: a tenth of a degree
+    # the cut at MIN_OPACITY trims both axes alike: a tenth of a degree
     assert abs(angle - 30.0) < 0.1
     moments = np.linalg.eigvalsh(np.array([[xx, xy], [xy, yy]]) / mass)
     lengths = np.sqrt(np.maximum(moments - FILTER, 0.0)) * DISTANCE / FOCAL
@@ -175,8 +178,8 @@ def test_harmonics_turn_with_their_frame():
     tilt = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])  # world y to local z
     turned = Harmonics(coefficients=coefficients, frame=tilt, srgb=False)
     rate = np.sqrt(3 / (4 * np.pi))
-    assert np.allclose(seen_from(turned, np.array([[0.0, 2.0, 0.0]])), 0.5 + rate)
-    assert np.allclose(seen_from(turned, np.array([[3.0, 0.0, 0.0]])), 0.5)
+    assert np.allclose(view_dependent_color(turned, np.array([[0.0, 2.0, 0.0]])), 0.5 + rate)
+    assert np.allclose(view_dependent_color(turned, np.array([[3.0, 0.0, 0.0]])), 0.5)
 
 
 def test_encode_keeps_black_and_is_monotone():

@@ -10,7 +10,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.scene import Camera, RenderEllipsoids, RenderMesh, Scene
 from gf_usd.system.taichi_runtime import ensure_taichi, init_taichi
 from gf_usd.view.render import raster
-from gf_usd.view.render.camera import lens
+from gf_usd.view.render.camera import pinhole_camera
 from gf_usd.view.render.render import render, render_linear
 from gf_usd.view.render.surfaces import BACKDROP, BACKDROP_EDGE
 
@@ -49,7 +49,7 @@ def ball(height: float = 0.0) -> RenderEllipsoids:
 def covered(points, triangles, width=200, height=150, camera=FRONT) -> np.ndarray:
     """(H, W) index of the triangle that each sample sees, -1 none."""
     ensure_taichi()
-    view = lens(camera, width, height, np.zeros(3))
+    view = pinhole_camera(camera, width, height, np.zeros(3))
     key = np.full((height, width), raster.EMPTY, dtype=np.int64)
     clip = view.clip(np.array(points, dtype=float))
     raster.draw_triangles(clip, np.array(triangles, dtype=np.int32), view.near, 0.0, key)
@@ -58,7 +58,7 @@ def covered(points, triangles, width=200, height=150, camera=FRONT) -> np.ndarra
 
 def test_a_red_triangle_covers_its_area():
     corners = np.array([(-1.0, -0.7, 0.0), (1.1, -0.4, 0.0), (0.2, 0.9, 0.0)])
-    view = lens(FRONT, 200, 150, np.zeros(3))
+    view = pinhole_camera(FRONT, 200, 150, np.zeros(3))
     clip = view.clip(corners)
     flat = clip[:, :2] / clip[:, 2:]
     edges = np.roll(flat, -1, axis=0) - flat
