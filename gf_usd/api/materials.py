@@ -15,7 +15,7 @@ from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
     from gf_usd.core.materials.presets import Preset
-    from gf_usd.fitting.fit import Wanted
+    from gf_usd.fitting.fit import FitRequest
     from gf_usd.fitting.result import FitResult
 
 PICTURES = (".png",)
@@ -123,7 +123,7 @@ def fit(
             overwrite=overwrite,
             options=taken(options, "fit"),
         )
-        asked = {"wanted": wanted}
+        asked = {"request": wanted}
         return here_or_away("gf_usd.fitting.fit:fit_counted", asked, progress)[0]
 
 
@@ -140,10 +140,10 @@ def prepared_fit(
     jobs: int | None,
     overwrite: bool,
     options: Mapping[str, Any],
-) -> Wanted:
+) -> FitRequest:
     """A fit with its texts taken apart.  Raises UsageError where they make no sense."""
     from gf_usd.core.units import number
-    from gf_usd.fitting.fit import Wanted
+    from gf_usd.fitting.fit import FitRequest
     from gf_usd.system.taichi_runtime import cores
 
     form = "NAME=LOW:HIGH [SI], such as E=1e4:1e6"
@@ -171,7 +171,7 @@ def prepared_fit(
     known = {name: value for name, value in options.items() if value not in (None, [], ())}
     one = known.get("device") == "cuda"
     limited = {**known, "limits": options.get("limits")}
-    return Wanted(
+    return FitRequest(
         asset=asset, targets=list(targets), unknowns=list(unknowns), bounds=limits, layer=output,
         picture=picture, evaluations=evaluations, max_minutes=max_minutes,
         processes=jobs or (1 if one else cores()), options=limited,

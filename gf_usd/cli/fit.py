@@ -201,10 +201,10 @@ def show_result(result: FitResult) -> None:
 
 def change(name: str) -> str:
     """The change that a sensitivity is given for."""
-    from gf_usd.fitting.unknowns import LITTLE
+    from gf_usd.fitting.unknowns import RATIO_CHANGE
 
     ratio = name in ("poissons_ratio", "friction", "restitution")
-    return f"+{LITTLE:g}" if ratio else "+10 %"
+    return f"+{RATIO_CHANGE:g}" if ratio else "+10 %"
 
 
 def _values(result: FitResult) -> list[list[str]]:

@@ -1,7 +1,7 @@
-"""Simulations of one asset with other material values: it is read and filled once.
+"""Simulations of one asset with varying material values; it is read and sampled once.
 
-The process of `workers`: a request and its reply are lines of JSON over a socket; what is large
-goes through files.
+`serve` is the main function of the processes of `workers`: requests and replies are lines of JSON
+over a socket, and large data is exchanged in files.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import GfUsdError, InputError, SolverError
 from gf_usd.core.materials.material import Material
-from gf_usd.fitting.observation import Followed, Observation, Scene, rest_points, save
+from gf_usd.fitting.observation import Observation, Scene, TrackedPoints, rest_points, save
 from gf_usd.fitting.unknowns import with_values
 from gf_usd.pipeline.checkpoint import identity
 from gf_usd.pipeline.measures.figures import Recorder
@@ -35,11 +35,11 @@ NO_POINTS = np.zeros((0, 3))
 
 
 class Simulator:
-    """Simulates an asset, each time with other values of its material.
+    """Simulates an asset with given values of its material.
 
     asset, options : of ``gf-usd bake``.
 
-    Raises what preparing a bake raises, and InputError where bodies differ in their material.
+    Raises the errors of preparing a bake, and InputError where materials vary within the asset.
     """
 
     def __init__(self, asset: Path, options: Mapping[str, Any]) -> None:
@@ -64,16 +64,16 @@ class Simulator:
         )
         self._notes = plan.notes
         if len(table) > 1:
-            said = f"all bodies must have one material, but {material.name} gives {len(table)}"
-            self._notes = (*plan.notes, said)
+            note = f"all bodies must have one material, but {material.name} gives {len(table)}"
+            self._notes = (*plan.notes, note)
 
     def scene(self) -> Scene:
-        """What all its simulations have in common."""
+        """The data that all simulations have in common."""
         plan = self._plan
         settings, lift = plan.settings, np.array(plan.settings.lift)
-        moving = [s for s in plan.asset.surfaces if s.path in plan.points]
+        surfaces = [s for s in plan.asset.surfaces if s.path in plan.points]
         variant = plan.variants[0]
-        same = identity(
+        identity_values = identity(
             settings, variant.table, plan.choices, plan.particles,
             plan.contact_setup.colliders if plan.contact_setup else (),
             asset=plan.asset.facts.path, command=plan.command,
@@ -89,15 +89,17 @@ class Simulator:
             unit=plan.asset.facts.units.length,
             up=np.array(settings.up),
             floor=settings.floor if settings.floor_normal is None else None,
-            surfaces={s.path: rest_points(s) + lift for s in moving},
-            triangles={s.path: np.asarray(s.triangles) for s in moving},
+            surfaces={s.path: rest_points(s) + lift for s in surfaces},
+            triangles={s.path: np.asarray(s.triangles) for s in surfaces},
             lift=lift,
             notes=self._notes,
-            identity=hashlib.sha256(json.dumps(same, sort_keys=True).encode()).hexdigest(),
+            identity=hashlib.sha256(
+                json.dumps(identity_values, sort_keys=True).encode()
+            ).hexdigest(),
         )
 
-    def run(self, values: Mapping[str, float], followed: Sequence[Followed]) -> Observation:
-        """Simulate with these values [SI].  Raises SolverError where it fails."""
+    def run(self, values: Mapping[str, float], tracked: Sequence[TrackedPoints]) -> Observation:
+        """Simulate with material values [SI].  Raises SolverError where the solver fails."""
         plan = self._plan
         material: Material = with_values(plan.materials[0], values)
         plan = replace(plan, materials=(material,), tables=((material,),))
@@ -122,8 +124,8 @@ class Simulator:
                 inverted=health.inverted,
             )
             seconds.append(frame.index / settings.fps)
-            x.append(np.concatenate([NO_POINTS, *(f.of(poses[f.path].x) for f in followed)]))
-            v.append(np.concatenate([NO_POINTS, *(f.of(poses[f.path].v) for f in followed)]))
+            x.append(np.concatenate([NO_POINTS, *(f.of(poses[f.path].x) for f in tracked)]))
+            v.append(np.concatenate([NO_POINTS, *(f.of(poses[f.path].v) for f in tracked)]))
         return Observation(
             seconds=np.array(seconds),
             x=np.array(x),
@@ -133,29 +135,29 @@ class Simulator:
 
 
 def serve(descriptor: str) -> NoReturn:
-    """The process: answer requests until the other end is closed."""
+    """Answer requests until the socket is closed, then exit the process."""
     end_with_parent()
-    os.dup2(2, 1)  # what libraries print is no part of an answer
-    gc.set_threshold(100_000, 20, 20)  # as the command line has it
+    os.dup2(2, 1)  # stdout to stderr: libraries may print
+    gc.set_threshold(100_000, 20, 20)  # as in the command line
     simulator: Simulator | None = None
-    followed: Sequence[Followed] = ()
+    tracked: Sequence[TrackedPoints] = ()
     with socket.socket(fileno=int(descriptor)) as end:
-        while (asked := receive(end)) is not None:
-            request = asked[0]
+        while (received := receive(end)) is not None:
+            request = received[0]
             answer: dict[str, Any] = {"error": None}
             try:
                 if request["task"] == "prepare":
-                    told = exchange.read(Path(request["file"]).read_bytes())
-                    simulator = Simulator(told["asset"], told["options"])
-                    followed = told["followed"]
+                    message = exchange.read(Path(request["file"]).read_bytes())
+                    simulator = Simulator(message["asset"], message["options"])
+                    tracked = message["followed"]
                     with Path(request["reply"]).open("wb") as file:
                         exchange.write(simulator.scene(), file)
                 else:
                     assert simulator is not None
-                    save(Path(request["reply"]), simulator.run(request["values"], followed))
+                    save(Path(request["reply"]), simulator.run(request["values"], tracked))
             except GfUsdError as error:
-                more = {k: v for k, v in vars(error).items() if k not in ("message", "hint")}
-                answer["error"] = [type(error).__name__, error.message, error.hint, more]
+                details = {k: v for k, v in vars(error).items() if k not in ("message", "hint")}
+                answer["error"] = [type(error).__name__, error.message, error.hint, details]
                 answer["failed"] = isinstance(error, SolverError)
             gc.collect()  # the solver's arrays
             send(end, answer)

@@ -1,9 +1,8 @@
-"""Numbers of a motion that can be targets: one row each.
+"""Measured quantities of a motion ("figures") that can be targets, one row of a table each.
 
-Figures of a moment are taken between the frames (`pipeline/measures`).  Those of rest are means
-over the later half of the simulated time with the weights of Hann, 1 - cos(2 pi s), in which a
-vibration cancels: they need no frame at which all has come to rest, and change smoothly with the
-material.
+Quantities at a time are interpolated between frames.  Those at rest are means over the second half
+of the simulated time with Hann weights 1 - cos(2 pi s), which average vibrations out: the body need
+not be at rest in any frame, and the values are smooth functions of the material.
 """
 
 from __future__ import annotations
@@ -16,117 +15,129 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
-from gf_usd.fitting.observation import Followed, Observation, Scene, corner
-from gf_usd.fitting.targets import SIGMA, Asked
+from gf_usd.fitting.observation import Observation, Scene, TrackedPoints, vertices_as_points
+from gf_usd.fitting.targets import SIGMA, TargetSpec
 from gf_usd.pipeline.measures.figures import figures
 
-NONE = float("nan")  # a simulation does not show it
-SETTLED = 0.05  # of the largest deviation from the height at rest: what is less has settled
-PADDING = 16  # times the length: the spectrum between its samples
+UNDEFINED = float("nan")  # the quantity does not occur in a simulation
+SETTLED_SHARE = 0.05  # of the largest deviation from the height at rest
+ZERO_PADDING = 16  # length of the zero-padded signal over its own, to interpolate the spectrum
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """A number that a target can be."""
+    """A measured quantity that can be a target."""
 
     words: str
     unit: str  # SI; "" for a pure number
-    # (simulation, number of its point, [s] of playback at which it is asked for) to the number
+    # f(observation, index of its point, playback time [s] or None) -> value
     of: Callable[[Observation, int, float | None], float]
-    place: bool = False  # of a point, which has to be named
-    moment: bool = False  # at a time code, the last frame where none is named
+    position: bool = False  # requires a point
+    moment: bool = False  # accepts a time code; default: the last frame
 
 
-def _shown(name: str) -> Callable[[Observation, int, float | None], float]:
-    def of(seen: Observation, point: int, seconds: float | None) -> float:
+def _measured_figure(name: str) -> Callable[[Observation, int, float | None], float]:
+    def of(observation: Observation, point: int, seconds: float | None) -> float:
         del point, seconds
-        found = figures(seen.series)[name]
+        found = figures(observation.series)[name]
         if found is None:
-            # what lands and does not leave the floor rises by nothing
-            return 0.0 if name == "rebound" and seen.series.landing is not None else NONE
+            # a body that lands and stays on the floor has a rebound of 0
+            return (
+                0.0 if name == "rebound" and observation.series.landing is not None else UNDEFINED
+            )
         return float(found[0])
 
     return of
 
 
-def _height(seen: Observation, point: int, seconds: float | None) -> float:
+def _height(observation: Observation, point: int, seconds: float | None) -> float:
     del point
-    series = seen.series
-    return _between(seen, series.high - series.low, series.high_rate - series.low_rate, seconds)
+    series = observation.series
+    return _interpolate_at(
+        observation, series.high - series.low, series.high_rate - series.low_rate, seconds
+    )
 
 
-def _sag(seen: Observation, point: int, seconds: float | None) -> float:
+def _sag(observation: Observation, point: int, seconds: float | None) -> float:
     del point
-    series = seen.series
-    return _between(seen, series.low[0] - series.low, -series.low_rate, seconds)
+    series = observation.series
+    return _interpolate_at(observation, series.low[0] - series.low, -series.low_rate, seconds)
 
 
-def _deflection(seen: Observation, point: int, seconds: float | None) -> float:
-    up = seen.series.up
-    rate = -(seen.v[:, point] @ up)
+def _deflection(observation: Observation, point: int, seconds: float | None) -> float:
+    up = observation.series.up
+    rate = -(observation.v[:, point] @ up)
     if seconds is None:
-        return _at_rest((seen.x[0, point] - seen.x[:, point]) @ up)
-    return _between(seen, (seen.x[0, point] - seen.x[:, point]) @ up, rate, seconds)
+        return _mean_at_rest((observation.x[0, point] - observation.x[:, point]) @ up)
+    return _interpolate_at(
+        observation, (observation.x[0, point] - observation.x[:, point]) @ up, rate, seconds
+    )
 
 
-def _settled_height(seen: Observation, point: int, seconds: float | None) -> float:
+def _settled_height(observation: Observation, point: int, seconds: float | None) -> float:
     del point, seconds
-    return _at_rest(seen.series.high - seen.series.low)
+    return _mean_at_rest(observation.series.high - observation.series.low)
 
 
-def _settled_sag(seen: Observation, point: int, seconds: float | None) -> float:
+def _settled_sag(observation: Observation, point: int, seconds: float | None) -> float:
     del point, seconds
-    return _at_rest(seen.series.low[0] - seen.series.low)
+    return _mean_at_rest(observation.series.low[0] - observation.series.low)
 
 
-def _settling_time(seen: Observation, point: int, seconds: float | None) -> float:
-    """The last time at which the height is farther than SETTLED from that at rest.
+def _settling_time(observation: Observation, point: int, seconds: float | None) -> float:
+    """The last time at which the height deviates from that at rest by SETTLED_SHARE or more.
 
-    By straight lines between the frames' deviations, whose envelope falls exponentially.
+    Linear interpolation of the deviations between frames.
     """
     del point, seconds
-    height = seen.series.high - seen.series.low
-    away = np.abs(height - _at_rest(height))
-    limit = SETTLED * away.max()
-    over = np.flatnonzero(away > limit)
+    height = observation.series.high - observation.series.low
+    deviation = np.abs(height - _mean_at_rest(height))
+    limit = SETTLED_SHARE * deviation.max()
+    over = np.flatnonzero(deviation > limit)
     last = int(over[-1])
-    if last == len(away) - 1:
-        return NONE
-    share = (away[last] - limit) / (away[last] - away[last + 1])
-    return float(seen.series.times[last] + share * np.diff(seen.series.times)[last])
+    if last == len(deviation) - 1:
+        return UNDEFINED
+    fraction = (deviation[last] - limit) / (deviation[last] - deviation[last + 1])
+    return float(
+        observation.series.times[last] + fraction * np.diff(observation.series.times)[last]
+    )
 
 
-def _frequency(seen: Observation, point: int, seconds: float | None) -> float:
-    """The peak of the spectrum of the point's motion along up, from a time on.
+def _frequency(observation: Observation, point: int, seconds: float | None) -> float:
+    """Frequency of the spectral peak of a point's motion along up, from a time on.
 
-    With the window of Hann and a parabola through the logarithms around the peak, whose error is
-    below 1 % of a line's distance for two periods and more [Gasior and Gonzalez 2004].
+    Hann window, and a parabola through the logarithms around the peak: the error is below 1 % of
+    the line spacing for two periods or more [Gasior and Gonzalez 2004].
     """
-    t = seen.series.times
-    part = t >= t[0] + (seconds or 0.0) - 1e-9
-    y = (seen.x[:, point] @ seen.series.up)[part]
+    t = observation.series.times
+    after_start = t >= t[0] + (seconds or 0.0) - 1e-9
+    y = (observation.x[:, point] @ observation.series.up)[after_start]
     if len(y) < 8:
-        return NONE
+        return UNDEFINED
     y = y - np.polyval(np.polyfit(np.arange(len(y)), y, 1), np.arange(len(y)))
-    power = np.abs(np.fft.rfft(y * np.hanning(len(y)), PADDING * len(y))) ** 2
+    power = np.abs(np.fft.rfft(y * np.hanning(len(y)), ZERO_PADDING * len(y))) ** 2
     k = int(np.argmax(power[1:-1])) + 1
     a, b, c = np.log(power[k - 1 : k + 2] + np.finfo(float).tiny)
     peak = k + 0.5 * (a - c) / (a - 2.0 * b + c)
-    return float(peak / (PADDING * len(y) * (t[1] - t[0])))
+    return float(peak / (ZERO_PADDING * len(y) * (t[1] - t[0])))
 
 
-def _between(seen: Observation, y: Floats, rate: Floats, seconds: float | None) -> float:
-    """A curve of the frames at a time of playback: cubic Hermite; the last frame's for None."""
+def _interpolate_at(
+    observation: Observation, y: Floats, rate: Floats, seconds: float | None
+) -> float:
+    """Cubic Hermite interpolation of y with its rate at a playback time; None: the last frame."""
     if seconds is None:
         return float(y[-1])
     from scipy.interpolate import CubicHermiteSpline
 
-    scale = (seen.series.times[-1] - seen.series.times[0]) / (seen.seconds[-1] - seen.seconds[0])
-    at = min(max(seconds, seen.seconds[0]), seen.seconds[-1])
-    return float(CubicHermiteSpline(seen.seconds, y, rate * scale)(at))
+    scale = (observation.series.times[-1] - observation.series.times[0]) / (
+        observation.seconds[-1] - observation.seconds[0]
+    )
+    at = min(max(seconds, observation.seconds[0]), observation.seconds[-1])
+    return float(CubicHermiteSpline(observation.seconds, y, rate * scale)(at))
 
 
-def _at_rest(y: Floats) -> float:
+def _mean_at_rest(y: Floats) -> float:
     half = y[len(y) // 2 :]
     weights = 1.0 - np.cos(2.0 * np.pi * (np.arange(len(half)) + 0.5) / len(half))
     return float(weights @ half / weights.sum())
@@ -134,19 +145,20 @@ def _at_rest(y: Floats) -> float:
 
 FIGURES: Mapping[str, Figure] = {
     "first_contact_time": Figure(
-        words="time of the first contact", unit="s", of=_shown("first_contact_time")
+        words="time of the first contact", unit="s", of=_measured_figure("first_contact_time")
     ),
     "least_height": Figure(
-        words="least height in the first contact", unit="m", of=_shown("least_height")
+        words="least height in the first contact", unit="m", of=_measured_figure("least_height")
     ),
     "squash": Figure(
-        words="peak squash: 1 - least height / height", unit="", of=_shown("squash")
+        words="peak squash: 1 - least height / height", unit="", of=_measured_figure("squash")
     ),
     "rebound": Figure(
-        words="rise of the center of mass after the first contact", unit="m", of=_shown("rebound")
+        words="rise of the center of mass after the first contact",
+        unit="m", of=_measured_figure("rebound"),
     ),
     "peak_strain": Figure(
-        words="largest strain of a particle", unit="", of=_shown("peak_strain")
+        words="largest strain of a particle", unit="", of=_measured_figure("peak_strain")
     ),
     "height": Figure(words="height at a time code", unit="m", of=_height, moment=True),
     "sag": Figure(
@@ -165,39 +177,39 @@ FIGURES: Mapping[str, Figure] = {
     "deflection": Figure(
         words="downward displacement of a point, at rest or at a time code",
         unit="m", of=_deflection,
-        place=True, moment=True,
+        position=True, moment=True,
     ),
     "frequency": Figure(
         words="frequency at which a point vibrates, after a time code", unit="Hz", of=_frequency,
-        place=True, moment=True,
+        position=True, moment=True,
     ),
 }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Number:
-    """A figure as a target."""
+    """A measured quantity as a target."""
 
-    name: str  # as it was asked for
+    name: str  # the text of the target
     figure: str  # of FIGURES
     value: float  # [SI]
     sigma: float  # [SI]
     stated: bool
     seconds: float | None  # of playback since the first frame
-    point: Followed | None
+    point: TrackedPoints | None
 
     @property
-    def followed(self) -> tuple[Followed, ...]:
+    def tracked(self) -> tuple[TrackedPoints, ...]:
         """See `targets.Target`."""
         return () if self.point is None else (self.point,)
 
-    def simulated(self, seen: Observation, first: int) -> float:
-        """[SI] not a number where the simulation does not show it."""
-        return FIGURES[self.figure].of(seen, first, self.seconds)
+    def simulated(self, observation: Observation, first: int) -> float:
+        """The value [SI] in a simulation; NaN where the quantity does not occur."""
+        return FIGURES[self.figure].of(observation, first, self.seconds)
 
-    def residual(self, seen: Observation, first: int) -> Floats:
+    def residual(self, observation: Observation, first: int) -> Floats:
         """See `targets.Target`."""
-        return np.array([(self.simulated(seen, first) - self.value) / self.sigma])
+        return np.array([(self.simulated(observation, first) - self.value) / self.sigma])
 
     def clusters(self) -> tuple[Ints, Ints]:
         """See `targets.Target`."""
@@ -205,7 +217,7 @@ class Number:
 
 
 def figure_named(name: str) -> Figure:
-    """The figure of that name.  Raises UsageError with the nearest where there is none."""
+    """The figure of a name.  Raises UsageError for an unknown name."""
     if name in FIGURES:
         return FIGURES[name]
     close = difflib.get_close_matches(name, FIGURES, n=1)
@@ -213,66 +225,69 @@ def figure_named(name: str) -> Figure:
     raise UsageError(f"unknown figure {name!r}", f"{guess}choose one of {', '.join(FIGURES)}")
 
 
-def check_number(asked: Asked) -> None:
-    """Raise UsageError where a target lacks what its figure needs, or has what it does not know."""
-    figure = figure_named(asked.figure)
-    if figure.place != (asked.place is not None):
-        verb, hint = ("needs", "add") if figure.place else ("has no", "leave out")
+def check_number(spec: TargetSpec) -> None:
+    """Raise UsageError where a target lacks an argument of its figure, or has one too many."""
+    figure = figure_named(spec.figure)
+    if figure.position != (spec.position is not None):
+        verb, hint = ("needs", "add") if figure.position else ("has no", "leave out")
         raise UsageError(
-            f"--target {asked.text!r}: {asked.figure} {verb} a point",
+            f"--target {spec.text!r}: {spec.figure} {verb} a point",
             f"{hint} :at=X,Y,Z, a point on the mesh at rest [stage units]",
         )
-    if asked.time_code is not None and not figure.moment:
+    if spec.time_code is not None and not figure.moment:
         raise UsageError(
-            f"--target {asked.text!r}: {asked.figure} does not take a time code",
-            f"leave out @{asked.time_code:g}",
+            f"--target {spec.text!r}: {spec.figure} does not take a time code",
+            f"leave out @{spec.time_code:g}",
         )
-    if asked.share and not asked.value:
+    if spec.share and not spec.value:
         raise UsageError(
-            f"--target {asked.text!r}: a standard deviation cannot be a share of 0",
-            f"give a number: {asked.figure}=0+-0.01",
+            f"--target {spec.text!r}: a standard deviation cannot be a share of 0",
+            f"give a number: {spec.figure}=0+-0.01",
         )
 
 
-def number(asked: Asked, scene: Scene) -> Number:
-    """The target of a text.  Raises UsageError for a time code before the first frame."""
-    figure = FIGURES[asked.figure]
+def number(spec: TargetSpec, scene: Scene) -> Number:
+    """The target of a parsed text.  Raises UsageError for a time code before the first frame."""
+    figure = FIGURES[spec.figure]
     scale = scene.unit if figure.unit == "m" else 1.0
-    sigma = SIGMA * abs(asked.value) or SIGMA
-    if asked.sigma is not None:
-        sigma = asked.sigma * (abs(asked.value) if asked.share else 1.0)
+    sigma = SIGMA * abs(spec.value) or SIGMA
+    if spec.sigma is not None:
+        sigma = spec.sigma * (abs(spec.value) if spec.share else 1.0)
     seconds = None
-    if asked.time_code is not None:
-        seconds = (asked.time_code - scene.start) / scene.time_codes_per_second
+    if spec.time_code is not None:
+        seconds = (spec.time_code - scene.start) / scene.time_codes_per_second
         if seconds < 0.0:
             raise UsageError(
-                f"--target {asked.text!r}: time code {asked.time_code:g} is before the first"
+                f"--target {spec.text!r}: time code {spec.time_code:g} is before the first"
                 f" frame, {scene.start:g}",
                 "--start sets the time code of the first frame",
             )
     return Number(
-        name=asked.text,
-        figure=asked.figure,
-        value=scale * asked.value,
+        name=spec.text,
+        figure=spec.figure,
+        value=scale * spec.value,
         sigma=scale * sigma,
-        stated=asked.sigma is not None,
+        stated=spec.sigma is not None,
         seconds=seconds,
-        point=None if asked.place is None else _nearest(asked, scene),
+        point=None if spec.position is None else _nearest_vertex(spec, scene),
     )
 
 
-def _nearest(asked: Asked, scene: Scene) -> Followed:
-    """The vertex nearest to a place of the asset as it is in its file."""
-    place = scene.unit * np.array(asked.place)
-    best, least = None, np.inf
+def _nearest_vertex(spec: TargetSpec, scene: Scene) -> TrackedPoints:
+    """The vertex nearest to a position, in the frame of the asset file."""
+    position = scene.unit * np.array(spec.position)
+    nearest, distance = None, np.inf
     for path, x in scene.surfaces.items():
-        away = np.linalg.norm(x - scene.lift - place, axis=1)
-        if away.min() < least:
-            best, least = corner(path, np.array([int(away.argmin())])), float(away.min())
-    if best is None or least > scene.radius:
+        deviation = np.linalg.norm(x - scene.lift - position, axis=1)
+        if deviation.min() < distance:
+            nearest, distance = (
+                vertices_as_points(path, np.array([int(deviation.argmin())])),
+                float(deviation.min()),
+            )
+    if nearest is None or distance > scene.radius:
         raise UsageError(
-            f"--target {asked.text!r}: the nearest vertex is {least:.3g} m away, but the body "
+            f"--target {spec.text!r}: the nearest vertex is {distance:.3g} m away, but the body "
             f"has a radius of {scene.radius:.3g} m",
             "give a point on the mesh of the asset, in units of the asset",
         )
-    return best
+    return nearest

@@ -1,4 +1,4 @@
-"""A fit from its targets to its result: simulations, search, intervals, the layer."""
+"""The fit of material values to targets: simulations, least squares, intervals and output files."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from gf_usd.fitting.read_targets import read_motion
 from gf_usd.fitting.result import (
     FitResult,
     Reproduced,
-    about,
     at_bounds,
     estimates,
+    fit_metadata,
     not_identifiable,
     reproduced,
 )
-from gf_usd.fitting.search import DESIGN, PRIOR, Minimum, NothingRuns, search
-from gf_usd.fitting.targets import Asked, Motion, Target, clusters, parse, residuals
+from gf_usd.fitting.search import DESIGN, PRIOR, AllSimulationsFailed, Minimum, search
+from gf_usd.fitting.targets import Motion, Target, TargetSpec, clusters, parse, residuals
 from gf_usd.fitting.uncertainty import uncertainty
 from gf_usd.fitting.unknowns import (
     ELASTIC,
-    SHORT,
+    SHORT_NAMES,
     Unknown,
     starts,
     unknowns,
@@ -41,96 +41,110 @@ from gf_usd.fitting.unknowns import (
 from gf_usd.fitting.workers import Simulations, simulations
 from gf_usd.layers.materials import write_material_file
 
-USUAL_STEPS = 14  # of a search, with a Jacobian each
-MISFIT = 2.0  # times their standard deviations: targets that are not reproduced
-HELD = ("damping_time", "friction", "restitution")  # options that give a value
+TYPICAL_STEPS = 14  # of a search, each with a Jacobian
+MISFIT = 2.0  # [standard deviations] larger residuals are reported
+FIXED_BY_OPTION = (
+    "damping_time",
+    "friction",
+    "restitution",
+)  # values that have an option of their own
 
-# (simulations so far, scatter of the best over the standard deviations)
+# (number of simulations so far, rms of the best whitened residuals)
 Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
-    """A fit as asked for."""
+class FitRequest:
+    """The arguments of a fit."""
 
     asset: Path
     targets: Sequence[str]
-    unknowns: Sequence[str] = ()  # none: those of `unknowns.ELASTIC`
+    unknowns: Sequence[str] = ()  # empty: those of `unknowns.ELASTIC`
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # [SI]
-    layer: Path | None = None  # where the material is written
+    layer: Path | None = None  # output file of the material
     picture: Path | None = None
-    evaluations: Path | None = None  # folder in which simulations are kept
+    evaluations: Path | None = None  # folder of the cache of simulations
     max_minutes: float = 10.0
     processes: int = 2
-    options: Mapping[str, Any] = field(default_factory=dict)  # of a bake: what decides the motion
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the simulated bake
 
 
-def fit(wanted: Wanted, progress: Progress | None = None) -> FitResult:
-    """Find the material values with which the asset does what was observed.
+def fit(request: FitRequest, progress: Progress | None = None) -> FitResult:
+    """Estimate the material values for which a simulation of the asset reproduces the targets.
 
-    Raises UsageError for targets or unknowns that make no sense, InputError where the asset or a
-    target cannot be used, BakeError where no simulation runs through.
+    Raises UsageError for invalid targets or unknowns, InputError for an invalid asset or target
+    file, and BakeError where all simulations fail.
     """
-    began = time.monotonic()
-    asked = [parse(text) for text in wanted.targets]
-    if not asked:
+    start_time = time.monotonic()
+    specs = [parse(text) for text in request.targets]
+    if not specs:
         raise UsageError("no target was given", "give what was observed: --target rebound=0.6")
-    for one in asked:
-        if one.file is None:
-            check_number(one)
-    for name in wanted.unknowns:
-        held = SHORT.get(name, name)
-        if held in HELD and wanted.options.get(held) is not None:
+    for spec in specs:
+        if spec.file is None:
+            check_number(spec)
+    for name in request.unknowns:
+        full_name = SHORT_NAMES.get(name, name)
+        if full_name in FIXED_BY_OPTION and request.options.get(full_name) is not None:
             raise UsageError(
-                f"{held} is to be fitted, but it is also given with --{held.replace('_', '-')}",
+                f"{full_name} is to be fitted, but it is also given with "
+                f"--{full_name.replace('_', '-')}",
                 "leave out one of the two; --bounds sets the range of the search",
             )
-    options = {**wanted.options, "overwrite": True, "threads": 1}
-    with simulations(wanted.processes, wanted.evaluations) as processes:
-        scene = processes.prepare(wanted.asset, options)
+    options = {**request.options, "overwrite": True, "threads": 1}
+    with simulations(request.processes, request.evaluations) as processes:
+        scene = processes.prepare(request.asset, options)
         free = tuple(
             row
-            for row in unknowns(scene.material, scene.radius, wanted.unknowns, wanted.bounds)
-            if wanted.unknowns or wanted.options.get(row.name) is None
+            for row in unknowns(scene.material, scene.radius, request.unknowns, request.bounds)
+            if request.unknowns or request.options.get(row.name) is None
         )
-        targets, notes = read_targets(asked, scene)
-        frames = frames_of(targets, scene, stated=wanted.options.get("frames") is not None)
-        targets, cut = _within(targets, (frames - 1) / scene.fps)
-        followed = [point for target in targets for point in target.followed]
-        scene = processes.prepare(wanted.asset, {**options, "frames": frames}, followed)
-        processes.deadline = began + 60.0 * wanted.max_minutes
-        return _searched(
-            wanted, processes, scene, free, targets, (*scene.notes, *notes, *cut), began, progress
+        targets, notes = read_targets(specs, scene)
+        frames = frames_of(targets, scene, stated=request.options.get("frames") is not None)
+        targets, cut = _cut_at_end(targets, (frames - 1) / scene.fps)
+        tracked = [point for target in targets for point in target.tracked]
+        scene = processes.prepare(request.asset, {**options, "frames": frames}, tracked)
+        processes.deadline = start_time + 60.0 * request.max_minutes
+        return _search_and_report(
+            request,
+            processes,
+            scene,
+            free,
+            targets,
+            (*scene.notes, *notes, *cut),
+            start_time,
+            progress,
         )
 
 
-def fit_counted(wanted: Wanted, progress: Callable[[int, int], None] | None = None) -> FitResult:
-    """See `fit`; progress : is told how many simulations there were, and how many are usual."""
+def fit_counted(
+    request: FitRequest, progress: Callable[[int, int], None] | None = None
+) -> FitResult:
+    """As `fit`; progress : receives the number of simulations and their typical total."""
     if progress is None:
-        return fit(wanted)
-    count = len(wanted.unknowns) or len(ELASTIC)
-    usual = DESIGN * count + USUAL_STEPS * (count + 1)
-    return fit(wanted, lambda done, best: progress(done, max(done, usual)))
+        return fit(request)
+    count = len(request.unknowns) or len(ELASTIC)
+    typical = DESIGN * count + TYPICAL_STEPS * (count + 1)
+    return fit(request, lambda done, best: progress(done, max(done, typical)))
 
 
-def read_targets(asked: Sequence[Asked], scene: Scene) -> tuple[list[Target], tuple[str, ...]]:
-    """The targets, and notes on what was assumed of them."""
+def read_targets(specs: Sequence[TargetSpec], scene: Scene) -> tuple[list[Target], tuple[str, ...]]:
+    """The targets of parsed texts, and notes on assumptions about them."""
     targets: list[Target] = []
     notes: list[str] = []
-    for one in asked:
-        if one.file is None:
-            targets.append(number(one, scene))
+    for spec in specs:
+        if spec.file is None:
+            targets.append(number(spec, scene))
         else:
-            motion, said = read_motion(one, scene)
+            motion, assumptions = read_motion(spec, scene)
             targets.append(motion)
-            notes += said
+            notes += assumptions
     return targets, tuple(notes)
 
 
 def frames_of(targets: Sequence[Target], scene: Scene, *, stated: bool) -> int:
-    """How many frames are simulated: as stated, or up to the last moment that a target looks at.
+    """The number of frames to simulate: as stated, or up to the latest time of a target.
 
-    A number without a moment of its own is looked for in all frames that a bake has.
+    A number without a time needs all frames of the bake.
     """
     if stated:
         return scene.frames
@@ -138,19 +152,19 @@ def frames_of(targets: Sequence[Target], scene: Scene, *, stated: bool) -> int:
     for target in targets:
         if isinstance(target, Motion):
             last = max(last, math.ceil(target.seconds[-1] * scene.fps - 1e-6))
-        elif isinstance(target, Number) and target.seconds is not None and _ends(target):
+        elif isinstance(target, Number) and target.seconds is not None and _is_at_its_time(target):
             last = max(last, math.ceil(target.seconds * scene.fps - 1e-6))
         else:
             last = max(last, scene.frames - 1)
     return max(last, 1) + 1
 
 
-def _ends(target: Number) -> bool:
-    return target.figure != "frequency"  # which is that after the moment
+def _is_at_its_time(target: Number) -> bool:
+    return target.figure != "frequency"  # a frequency is that of the motion after its time
 
 
-def _within(targets: Sequence[Target], end: float) -> tuple[list[Target], tuple[str, ...]]:
-    """The targets without points after the last frame [s], and notes on those."""
+def _cut_at_end(targets: Sequence[Target], end: float) -> tuple[list[Target], tuple[str, ...]]:
+    """The targets without times after the last frame, at `end` [s], and notes on those."""
     kept: list[Target] = []
     notes = []
     for target in targets:
@@ -165,132 +179,132 @@ def _within(targets: Sequence[Target], end: float) -> tuple[list[Target], tuple[
     return kept, tuple(notes)
 
 
-def _searched(
-    wanted: Wanted,
+def _search_and_report(
+    request: FitRequest,
     processes: Simulations,
     scene: Scene,
     rows: Sequence[Unknown],
     targets: Sequence[Target],
     notes: tuple[str, ...],
-    began: float,
+    start_time: float,
     progress: Progress | None,
 ) -> FitResult:
     best = np.inf
 
     def evaluate(points: Sequence[Floats], late: bool) -> list[Floats | None]:
         nonlocal best
-        found = []
-        for seen in processes.run([values_at(rows, z) for z in points], late=late):
-            row = None if seen is None else residuals(targets, seen)
-            found.append(row if row is not None and np.isfinite(row).all() else None)
-        for row in found:
+        rows_or_none = []
+        for observation in processes.run([values_at(rows, z) for z in points], late=late):
+            row = None if observation is None else residuals(targets, observation)
+            rows_or_none.append(row if row is not None and np.isfinite(row).all() else None)
+        for row in rows_or_none:
             if row is not None:
                 best = min(best, float(np.sqrt(np.mean(row**2))))
         if progress:
             progress(processes.simulated + processes.read, best)
-        return found
+        return rows_or_none
 
     try:
         minimum = search(evaluate, starts(rows))
-    except NothingRuns as error:
+    except AllSimulationsFailed as error:
         raise BakeError(
-            f"{wanted.asset}: in no simulation with values within the bounds do the targets "
+            f"{request.asset}: in no simulation with values within the bounds do the targets "
             f"occur: {', '.join(target.name for target in targets)}",
             "look at a bake with --material first; try more --frames, another --drop or other "
             "--bounds",
         ) from error
-    told = uncertainty(
+    intervals = uncertainty(
         minimum.jacobian, minimum.residual, clusters(targets), prior=PRIOR,
         stated=all(target.stated for target in targets),
     )  # fmt: skip
     points = [values_at(rows, z) for z in (minimum.z, starts(rows))]
-    seen, start = processes.run(points, late=True)
-    assert seen is not None
-    shown = reproduced(targets, rows, minimum.jacobian, seen, start)
+    observation, start = processes.run(points, late=True)
+    assert observation is not None
+    reproduced_targets = reproduced(targets, rows, minimum.jacobian, observation, start)
     name = f"{scene.material.name}_fit"
     result = FitResult(
         material=replace(with_values(scene.material, points[0]), name=name),
-        estimates=estimates(rows, minimum, told),
-        targets=shown,
-        not_identifiable=not_identifiable(rows, told),
-        correlation=tuple(tuple(map(float, row)) for row in told.correlation),
+        estimates=estimates(rows, minimum, intervals),
+        targets=reproduced_targets,
+        not_identifiable=not_identifiable(rows, intervals),
+        correlation=tuple(tuple(map(float, row)) for row in intervals.correlation),
         noise=float(np.sqrt(np.mean(minimum.residual**2))),
         converged=minimum.converged,
         simulations=processes.simulated,
         read=processes.read,
-        seconds=time.monotonic() - began,
+        seconds=time.monotonic() - start_time,
         particles=scene.particles,
         frames=scene.frames,
-        layer=wanted.layer,
-        picture=wanted.picture,
-        notes=(*notes, *_remarks(wanted, targets, shown, rows, minimum)),
+        layer=request.layer,
+        picture=request.picture,
+        notes=(*notes, *_result_notes(request, targets, reproduced_targets, rows, minimum)),
     )
-    return _written(wanted, result, targets, seen, start)
+    return _write_files(request, result, targets, observation, start)
 
 
-def _remarks(
-    wanted: Wanted,
+def _result_notes(
+    request: FitRequest,
     targets: Sequence[Target],
-    found: Sequence[Reproduced],
+    reproduced_targets: Sequence[Reproduced],
     rows: Sequence[Unknown],
     minimum: Minimum,
 ) -> list[str]:
-    said = list(at_bounds(rows, minimum.z))
+    notes = list(at_bounds(rows, minimum.z))
     assumed = [target.name for target in targets if not target.stated]
     if assumed:
-        said.append(
+        notes.append(
             f"no standard deviation is stated for {', '.join(assumed)}: 1 % was used as their "
             f"relative weight, and the intervals are computed from the residuals"
         )
-    said += [
-        f"{one.name} is {abs(away):.3g} standard deviations off: it contradicts the other targets,"
-        " or no material within the bounds reaches it"
-        for one, target in zip(found, targets)
+    notes += [
+        f"{fitted.name} is {abs(deviation):.3g} standard deviations off: it contradicts the other "
+        "targets, or no material within the bounds reaches it"
+        for fitted, target in zip(reproduced_targets, targets)
         if isinstance(target, Number)
-        and abs(away := (one.fitted - one.target) / one.sigma) > MISFIT
+        and abs(deviation := (fitted.fitted - fitted.target) / fitted.sigma) > MISFIT
     ]
     scatter = float(np.sqrt(np.mean(minimum.residual**2)))
     if all(target.stated for target in targets) and scatter > MISFIT:
-        said.append(
+        notes.append(
             f"the targets are not reproduced within their standard deviations: the residuals "
             f"are {scatter:.3g} times as large, and the intervals were enlarged by this factor"
         )
     if not minimum.converged:
-        said.append(
-            f"the search ended after {wanted.max_minutes:g} minutes before it converged; a "
+        notes.append(
+            f"the search ended after {request.max_minutes:g} minutes before it converged; a "
             f"larger --max-minutes continues it"
-            + (" from what was simulated" if wanted.evaluations else "")
+            + (" from what was simulated" if request.evaluations else "")
         )
-    return said
+    return notes
 
 
-def _written(
-    wanted: Wanted,
+def _write_files(
+    request: FitRequest,
     result: FitResult,
     targets: Sequence[Target],
-    seen: Observation,
+    observation: Observation,
     start: Observation | None,
 ) -> FitResult:
-    if wanted.layer is not None:
-        said = about(result, command_of(wanted))
-        write_material_file(wanted.layer, result.material, said, source=wanted.asset)
-    if wanted.picture is not None:
-        from gf_usd.fitting.picture import draw
+    if request.layer is not None:
+        metadata = fit_metadata(result, command_of(request))
+        write_material_file(request.layer, result.material, metadata, source=request.asset)
+    if request.picture is not None:
+        from gf_usd.fitting.picture import draw_fit
 
-        draw(wanted.picture, result, targets, seen, start)
+        draw_fit(request.picture, result, targets, observation, start)
     return result
 
 
-def command_of(wanted: Wanted) -> str:
-    """The ``gf-usd fit`` that asks for the same."""
+def command_of(request: FitRequest) -> str:
+    """The equivalent ``gf-usd fit`` command."""
     from gf_usd.prepare.options.table import arguments
 
-    words = ["gf-usd", "fit", wanted.asset.name]
-    for text in wanted.targets:
+    words = ["gf-usd", "fit", request.asset.name]
+    for text in request.targets:
         words += ["--target", text]
-    if wanted.unknowns:
-        words += ["--unknowns", ",".join(wanted.unknowns)]
-    for name, (low, high) in wanted.bounds.items():
+    if request.unknowns:
+        words += ["--unknowns", ",".join(request.unknowns)]
+    for name, (low, high) in request.bounds.items():
         words += ["--bounds", f"{name}={low:g}:{high:g}"]
-    options = {k: v for k, v in wanted.options.items() if k != "limits"}
+    options = {k: v for k, v in request.options.items() if k != "limits"}
     return shlex.join([*words, *arguments(options)])

@@ -1,4 +1,4 @@
-"""What is kept of a simulation to be compared with targets, and its values between frames."""
+"""The data of a simulation that targets are compared with, and its interpolation in time."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from gf_usd.system.atomic_files import dropped_on_failure, publish
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What the simulations of a fit have in common; SI, world frame of the stage."""
+    """The data that all simulations of a fit have in common; SI, world frame of the stage."""
 
-    material: Material  # that the search starts from, of all bodies
+    material: Material  # initial material of all bodies
     radius: float  # [m] r = (3 V / 4 pi)^(1/3) of the largest body
     particles: int
     fps: float  # frames per second of playback
@@ -29,30 +29,30 @@ class Scene:
     time_codes_per_second: float
     unit: float  # [m] of the stage
     up: Floats  # (3,) unit
-    floor: float | None  # [m] height along up; None: there is none
+    floor: float | None  # [m] height along up; None: no floor
     surfaces: Mapping[str, Floats]  # (V, 3) [m] at the first frame, by prim path
     triangles: Mapping[str, Ints]  # (T, 3) of each
-    lift: Floats  # (3,) [m] from where the file has them
+    lift: Floats  # (3,) [m] displacement from their position in the file
     notes: tuple[str, ...]
-    identity: str  # of the simulation but for its material
+    identity: str  # hash of the inputs of a simulation except the material
 
 
 @dataclass(frozen=True, kw_only=True)
-class Followed:
-    """Points of surfaces whose motion is kept: sums of three vertices each."""
+class TrackedPoints:
+    """Points on a surface whose motion is recorded, as barycentric combinations of vertices."""
 
     path: str  # of the surface
     vertices: Ints  # (p, 3)
     weights: Floats  # (p, 3), sum 1
 
     def of(self, x: Floats) -> Floats:
-        """(p, 3) of what vertices (V, 3) have."""
+        """Values (p, 3) at the points, from values (V, 3) at vertices."""
         return np.einsum("pk,pkc->pc", self.weights, np.asarray(x, float)[self.vertices])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """A simulation as far as targets look at it: F frames, P points that are followed."""
+    """The observed quantities of a simulation: F frames, P tracked points."""
 
     seconds: Floats  # (F,) [s] of playback since the first frame
     x: Floats  # (F, P, 3) [m]
@@ -60,10 +60,8 @@ class Observation:
     series: Series  # heights, center of mass, strains
 
     def at(self, seconds: Floats) -> Floats:
-        """(S, P, 3) [m] of the points at these times, by cubic Hermite interpolation.
-
-        Exact to fourth order of the frame's length where the motion is smooth; times before the
-        first frame or after the last are held to it.
+        """Positions (S, P, 3) [m] of the points at playback times (S,) [s], by cubic Hermite
+        interpolation of fourth order.  Times are clamped to the range of frames.
         """
         t = np.clip(seconds, self.seconds[0], self.seconds[-1])
         i = np.clip(np.searchsorted(self.seconds, t, side="right") - 1, 0, len(self.seconds) - 2)
@@ -77,19 +75,19 @@ class Observation:
         )
 
 
-def corner(path: str, vertices: Ints) -> Followed:
-    """Vertices (p,) of a surface, to be followed."""
+def vertices_as_points(path: str, vertices: Ints) -> TrackedPoints:
+    """Tracked points at vertices (p,) of a surface."""
     of = np.repeat(np.asarray(vertices, np.int64)[:, None], 3, axis=1)
-    return Followed(path=path, vertices=of, weights=np.tile([1.0, 0.0, 0.0], (len(of), 1)))
+    return TrackedPoints(path=path, vertices=of, weights=np.tile([1.0, 0.0, 0.0], (len(of), 1)))
 
 
 def rest_points(surface: Surface) -> Floats:
-    """(n, 3) [m] of a surface that move with the body."""
+    """Points (n, 3) [m] of a surface that are embedded in the body."""
     return surface.points if surface.splats is None else surface.splats.embedded_points
 
 
 def save(path: Path, observation: Observation) -> None:
-    """Write it under its name in one step."""
+    """Write an observation to a file, atomically."""
     with dropped_on_failure(path) as partial:
         with partial.open("wb") as file:
             exchange.write(observation, file)
@@ -97,5 +95,5 @@ def save(path: Path, observation: Observation) -> None:
 
 
 def load(path: Path) -> Observation:
-    """What `save` wrote.  Raises OSError and ValueError for another file."""
+    """Read an observation of `save`.  Raises OSError or ValueError for an invalid file."""
     return exchange.read(path.read_bytes())

@@ -1,4 +1,4 @@
-"""The picture of a fit: the targets, the motion of the fitted material, and that of the start."""
+"""Plots of a fit: the targets, and the motions of the fitted and of the initial material."""
 
 from __future__ import annotations
 
@@ -15,32 +15,35 @@ from gf_usd.fitting.targets import Motion, Target
 from gf_usd.view.curve_picture import Curve, Panel, Rows, write_panels
 
 
-def draw(
+def draw_fit(
     path: Path,
     result: FitResult,
     targets: Sequence[Target],
-    seen: Observation,
+    observation: Observation,
     start: Observation | None,
 ) -> Path:
-    """Write the picture (.png); start : None where that simulation failed."""
+    """Write the plots (.png) and return the path.
+
+    start : the observation of the initial material; None where its simulation failed.
+    """
     panels: list[Panel | Rows] = []
     first = 0
     for target in targets:
         if isinstance(target, Motion):
-            panels += _motion(target, first, seen, start)
-        first += sum(len(one.vertices) for one in target.followed)
-    if numbers := _numbers(result, targets):
+            panels += _motion_panels(target, first, observation, start)
+        first += sum(len(reproduced.vertices) for reproduced in target.tracked)
+    if numbers := _number_rows(result, targets):
         panels.append(numbers)
     return write_panels(path, panels)
 
 
-def _motion(
-    target: Motion, first: int, seen: Observation, start: Observation | None
+def _motion_panels(
+    target: Motion, first: int, observation: Observation, start: Observation | None
 ) -> list[Panel]:
-    up = seen.series.up
+    up = observation.series.up
     points = slice(first, first + target.x.shape[1])
     runs = [("start", start)] if start is not None else []
-    runs.append(("fit", seen))
+    runs.append(("fit", observation))
 
     def heights(run: Observation) -> Floats:
         return run.x[:, points] @ up
@@ -57,22 +60,27 @@ def _motion(
             y=np.nanmax(observed, axis=1) - np.nanmin(observed, axis=1), dots=True,
         ),
     ]  # fmt: skip
-    away = [Curve(kind=kind, x=target.seconds, y=target.distance(run, first)) for kind, run in runs]
+    deviations = [
+        Curve(kind=kind, x=target.seconds, y=target.distance(run, first)) for kind, run in runs
+    ]
     return [
         Panel(title=f"{target.name}: mean height of the points", unit="m", curves=mean),
         Panel(title="extent of the points along up", unit="m", curves=extent),
-        Panel(title="rms distance to the target", unit="m", curves=away),
+        Panel(title="rms distance to the target", unit="m", curves=deviations),
     ]
 
 
-def _numbers(result: FitResult, targets: Sequence[Target]) -> Rows | None:
+def _number_rows(result: FitResult, targets: Sequence[Target]) -> Rows | None:
     rows, words = [], []
-    for one, target in zip(result.targets, targets):
+    for reproduced, target in zip(result.targets, targets):
         if not isinstance(target, Number):
             continue
-        away = [(value - one.target) / one.sigma for value in (one.start, one.fitted)]
-        rows.append((target.figure, 1.0, *away))
+        deviations = [
+            (value - reproduced.target) / reproduced.sigma
+            for value in (reproduced.start, reproduced.fitted)
+        ]
+        rows.append((target.figure, 1.0, *deviations))
         unit = FIGURES[target.figure].unit
-        words.append(f"{one.target:.4g}, fitted {one.fitted:.4g} {unit}".rstrip())
+        words.append(f"{reproduced.target:.4g}, fitted {reproduced.fitted:.4g} {unit}".rstrip())
     title = "numbers: distances from their targets, in standard deviations"
     return Rows(title=title, rows=rows, words=words) if rows else None

@@ -18,7 +18,7 @@ from gf_usd.fitting.targets import Motion, Target
 from gf_usd.fitting.uncertainty import LEVEL, Uncertainty
 from gf_usd.fitting.unknowns import Unknown
 
-AT_BOUND = 1e-3  # of what lies between the bounds
+AT_BOUND = 1e-3  # of the range: distance at which a value counts as being at its bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,32 +70,32 @@ class FitResult:
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        told = {
+        """The result as JSON-compatible values."""
+        fields = {
             name: value
             for name, value in vars(self).items()
             if name not in ("material", "estimates", "targets", "layer", "picture")
         }
         return {
             "material": self.material.values,
-            "estimates": [asdict(one) for one in self.estimates],
-            "targets": [asdict(one) for one in self.targets],
-            **{k: list(v) if isinstance(v, tuple) else v for k, v in told.items()},
+            "estimates": [asdict(entry) for entry in self.estimates],
+            "targets": [asdict(entry) for entry in self.targets],
+            **{k: list(v) if isinstance(v, tuple) else v for k, v in fields.items()},
             "layer": None if self.layer is None else str(self.layer),
             "picture": None if self.picture is None else str(self.picture),
         }
 
 
 def estimates(
-    rows: Sequence[Unknown], minimum: Minimum, found: Uncertainty
+    rows: Sequence[Unknown], minimum: Minimum, intervals: Uncertainty
 ) -> tuple[Estimate, ...]:
-    """The values at the minimum, with intervals that end at the bounds."""
-    low, high = np.clip([minimum.z - found.half, minimum.z + found.half], 0.0, 1.0)
+    """The estimates at the minimum; intervals are clipped to the bounds."""
+    low, high = np.clip([minimum.z - intervals.half, minimum.z + intervals.half], 0.0, 1.0)
     return tuple(
         Estimate(
             name=row.name, unit=row.unit, value=row.value(float(minimum.z[k])),
             low=row.value(float(low[k])), high=row.value(float(high[k])),
-            identifiable=found.identifiable[k], start=row.start, bounds=(row.low, row.high),
+            identifiable=intervals.identifiable[k], start=row.start, bounds=(row.low, row.high),
         )
         for k, row in enumerate(rows)
     )  # fmt: skip
@@ -105,74 +105,77 @@ def reproduced(
     targets: Sequence[Target],
     rows: Sequence[Unknown],
     jacobian: Floats,
-    seen: Observation,
+    observation: Observation,
     start: Observation | None,
 ) -> tuple[Reproduced, ...]:
-    """The targets and their values with the fitted material; start : None where it failed."""
-    made, row, first = [], 0, 0
-    steps = np.array([one.change_of_z for one in rows])
+    """The targets and their values with the fitted material.
+
+    start : the observation of the initial material; None where its simulation failed.
+    """
+    results, row, first = [], 0, 0
+    steps = np.array([entry.change_of_z for entry in rows])
     for target in targets:
         before = row
-        row += len(target.residual(seen, first))
-        change = jacobian[before:row] * steps
+        row += len(target.residual(observation, first))
+        rows_change = jacobian[before:row] * steps
         if isinstance(target, Number):
-            moved = change[0] * target.sigma
+            change = rows_change[0] * target.sigma
             unit, value = FIGURES[target.figure].unit, target.value
-            now = target.simulated(seen, first)
-            then = float("nan") if start is None else target.simulated(start, first)
+            fitted = target.simulated(observation, first)
+            initial = float("nan") if start is None else target.simulated(start, first)
         else:
             assert isinstance(target, Motion)
-            # three coordinates of a point make its distance
-            moved = np.sqrt(3.0 * np.mean((change * target.sigma) ** 2, axis=0))
+            # rms over points of the distance, which has three coordinates
+            change = np.sqrt(3.0 * np.mean((rows_change * target.sigma) ** 2, axis=0))
             unit, value = "m", 0.0
-            now = _rms(target.distance(seen, first))
-            then = float("nan") if start is None else _rms(target.distance(start, first))
-        made.append(
+            fitted = _rms(target.distance(observation, first))
+            initial = float("nan") if start is None else _rms(target.distance(start, first))
+        results.append(
             Reproduced(
                 name=target.name, unit=unit, target=value, sigma=target.sigma,
-                stated=target.stated, start=then, fitted=now,
-                sensitivity={one.name: float(m) for one, m in zip(rows, moved)},
+                stated=target.stated, start=initial, fitted=fitted,
+                sensitivity={entry.name: float(m) for entry, m in zip(rows, change)},
             )
         )  # fmt: skip
-        first += sum(len(one.vertices) for one in target.followed)
-    return tuple(made)
+        first += sum(len(entry.vertices) for entry in target.tracked)
+    return tuple(results)
 
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def not_identifiable(rows: Sequence[Unknown], found: Uncertainty) -> tuple[str, ...]:
-    """What the targets do not tell, in sentences."""
-    said: list[str] = []
+def not_identifiable(rows: Sequence[Unknown], intervals: Uncertainty) -> tuple[str, ...]:
+    """Sentences on unknowns that the targets do not determine."""
+    sentences: list[str] = []
     groups: dict[tuple[int, ...], list[Floats]] = {}
-    for members, direction in found.undetermined:
+    for members, direction in intervals.undetermined:
         groups.setdefault(members, []).append(direction)
     for members, directions in groups.items():
         names = [rows[k].name for k in members]
-        told = len(members) - len(directions)
-        if told <= 0:
-            said += [f"{name} is not identifiable from these targets" for name in names]
+        fields = len(members) - len(directions)
+        if fields <= 0:
+            sentences += [f"{name} is not identifiable from these targets" for name in names]
             continue
-        listed = (
+        joint = (
             f"{', '.join(names[:-1])} and {names[-1]} are not separately identifiable from these"
             " targets"
         )
         if len(directions) == 1:
-            said.append(f"{listed}: {_balance(rows, directions[0], members)}")
+            sentences.append(f"{joint}: {_describe_direction(rows, directions[0], members)}")
         else:
-            said.append(f"{listed}: they determine only {told} combination of them")
-    named = {k for members in groups for k in members}
-    said += [
+            sentences.append(f"{joint}: they determine only {fields} combination of them")
+    listed_members = {k for members in groups for k in members}
+    sentences += [
         f"{rows[k].name} is not identifiable from these targets"
-        for k, one in enumerate(found.identifiable)
-        if not one and k not in named
+        for k, entry in enumerate(intervals.identifiable)
+        if not entry and k not in listed_members
     ]
-    return tuple(dict.fromkeys(said))
+    return tuple(dict.fromkeys(sentences))
 
 
-def _balance(rows: Sequence[Unknown], direction: Floats, members: Sequence[int]) -> str:
-    """The changes along a direction that is not determined, in words."""
+def _describe_direction(rows: Sequence[Unknown], direction: Floats, members: Sequence[int]) -> str:
+    """Text of the changes along an undetermined direction."""
     share = 0.1 / max(direction[list(members)], key=abs)
     words = []
     for k in members:
@@ -185,18 +188,18 @@ def _balance(rows: Sequence[Unknown], direction: Floats, members: Sequence[int])
 
 
 def at_bounds(rows: Sequence[Unknown], z: Floats) -> tuple[str, ...]:
-    """Which values ended at a bound, in sentences."""
+    """Sentences on estimates that ended at a bound."""
     return tuple(
-        f"{row.name} ended at its {'lower' if one < 0.5 else 'upper'} bound,"
-        f" {row.value(float(one)):.4g} {row.unit}".rstrip()
+        f"{row.name} ended at its {'lower' if entry < 0.5 else 'upper'} bound,"
+        f" {row.value(float(entry)):.4g} {row.unit}".rstrip()
         + f": --bounds {row.name}=LOW:HIGH changes it"
-        for row, one in zip(rows, z)
-        if min(one, 1.0 - one) < AT_BOUND
+        for row, entry in zip(rows, z)
+        if min(entry, 1.0 - entry) < AT_BOUND
     )
 
 
-def about(result: FitResult, command: str) -> dict[str, Any]:
-    """What the layer says of the fit, as metadata."""
+def fit_metadata(result: FitResult, command: str) -> dict[str, Any]:
+    """Metadata of the fit for the material layer."""
     return {
         "fit": {
             "command": command,
@@ -205,18 +208,19 @@ def about(result: FitResult, command: str) -> dict[str, Any]:
             "converged": result.converged,
             "notIdentifiable": list(result.not_identifiable),
             "values": {
-                one.name: {
-                    "value": one.value, "low": one.low, "high": one.high,
-                    "identifiable": one.identifiable,
+                entry.name: {
+                    "value": entry.value, "low": entry.low, "high": entry.high,
+                    "identifiable": entry.identifiable,
                 }
-                for one in result.estimates
+                for entry in result.estimates
             },
             "targets": {
                 f"target{k}": {
-                    "name": one.name, "unit": one.unit, "target": one.target,
-                    "sigma": one.sigma, "fitted": one.fitted, "sensitivity": dict(one.sensitivity),
+                    "name": entry.name, "unit": entry.unit, "target": entry.target,
+                    "sigma": entry.sigma, "fitted": entry.fitted,
+                    "sensitivity": dict(entry.sensitivity),
                 }
-                for k, one in enumerate(result.targets)
+                for k, entry in enumerate(result.targets)
             },
         }
     }  # fmt: skip

@@ -1,14 +1,14 @@
-"""Nonlinear least squares over simulations, in coordinates of 0..1: deterministic, few evaluations.
+"""Nonlinear least squares with simulations as the model; deterministic, with few evaluations.
 
-A design of points that fill the cube (the Halton sequence without scrambling) finds where to begin.
-From the best of them the method of trust-region reflective steps (scipy.optimize.least_squares
-[Branch, Coleman and Li 1999]) minimizes
+Unknowns have coordinates z in 0..1.  A space-filling design (the Halton sequence without
+scrambling) gives the starting points.  From the best of them the trust-region reflective method
+(scipy.optimize.least_squares [Branch, Coleman and Li 1999]) minimizes
 
     1/2 |r(z)|^2 + 1/2 |(z - z0) / s|^2
 
-with the whitened residuals r and a wide prior, mean z0 and standard deviation s, that keeps in
-place what the residuals say nothing of.  No derivative is asked for: Jacobians are differences over
-steps that are longer than the noise which rounding and whole numbers of substeps make.
+with the whitened residuals r and a wide prior of mean z0 and standard deviation s, which
+regularizes unknowns that the residuals do not determine.  Jacobians are finite differences; their
+step is larger than the noise due to rounding and to integer numbers of substeps.
 """
 
 from __future__ import annotations
@@ -24,109 +24,110 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 
-STEP = 0.01  # of differences: 7 % of a modulus between bounds three decades apart
-PRIOR = 0.5  # standard deviation: half of what lies between the bounds
-DESIGN = 6  # points of the design for each unknown
-APART = 0.1  # points to begin from that are nearer to each other lead to the same minimum
-LOCAL = 2  # points to begin from
-BATCH = 8  # points of the design between two looks at the clock
-MOST = 30  # steps from each of them
-TOLERANCE = 1e-3  # of z, where a search has converged: 0.7 % of a modulus, before the last step
-ENOUGH = 0.01  # standard deviations left in the mean: nothing better can be told from it
-POLISH = 4  # last steps at most, a simulation each
-SMALL = 0.01  # of a standard deviation: such a last step is not taken
-FAILED = 1e3  # of each residual where a simulation fails: worse than any that does not
+STEP = 0.01  # of finite differences: 7 % of a modulus with bounds three decades apart
+PRIOR = 0.5  # standard deviation: half of the range between the bounds
+DESIGN = 6  # points of the design per unknown
+MIN_SEPARATION = 0.1  # of starting points: closer ones lead to the same minimum
+LOCAL_STARTS = 2  # number of starting points
+BATCH = 8  # points of the design between two checks of the time limit
+MAX_ITERATIONS = 30  # from each starting point
+TOLERANCE = 1e-3  # of z at convergence: 0.7 % of a modulus, before the Newton steps
+NEGLIGIBLE_RESIDUAL = 0.01  # [standard deviations] rms at which a search stops
+MAX_NEWTON_STEPS = 4  # after the search, each with one simulation
+MIN_NEWTON_STEP = 0.01  # [standard deviations] smaller steps are not taken
+FAILURE_RESIDUAL = 1e3  # of each residual of a failed simulation: larger than real ones
 
-# Residuals (m,) at each of several points (n,); None where a simulation failed.  It raises
-# OutOfTime when the time is over, unless the flag says that the answer is needed all the same.
+# Residuals (m,) at each of several points (n,); None where a simulation failed.  Raises OutOfTime
+# after the time limit, unless the flag is set.
 Evaluate: TypeAlias = Callable[[Sequence[Floats], bool], Sequence[Floats | None]]
 
 
 class OutOfTime(Exception):
-    """The time for the search is over."""
+    """The time limit of the search is exceeded."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Minimum:
-    """Where the search ended."""
+    """The result of a search."""
 
     z: Floats  # (n,)
-    residual: Floats  # (m,) whitened, there
+    residual: Floats  # (m,) whitened residuals at z
     jacobian: Floats  # (m, n) of the residuals, by central differences
     converged: bool  # False: the time limit was reached first
 
 
-class _Enough(Exception):
-    """What is left is far below the standard deviations."""
+class _ResidualNegligible(Exception):
+    """The residuals are far below the standard deviations."""
 
 
-class NothingRuns(Exception):
-    """Every simulation of the design failed."""
+class AllSimulationsFailed(Exception):
+    """All simulations of the design failed."""
 
 
 def search(evaluate: Evaluate, start: Floats, *, design: int | None = None) -> Minimum:
-    """Minimize the sum of the squares of the residuals, and of the prior about `start`.
+    """Minimize the objective of this module.
 
-    start : (n,) mean of the prior, and the first point of the design; design : its other points,
-    None: DESIGN for each unknown.
+    start : (n,) mean of the prior, and the first point of the design.
+    design : number of its other points; None: DESIGN per unknown.
 
-    Raises NothingRuns where no simulation succeeds.
+    Raises AllSimulationsFailed where no simulation of the design succeeds.
     """
-    known = _Known(evaluate, start)
+    evaluated = _EvaluatedPoints(evaluate, start)
     converged = True
     try:
-        known.at([start], late=True)
+        evaluated.evaluate([start], late=True)
         points = _halton(len(start), DESIGN * len(start) if design is None else design)
         for first in range(0, len(points), BATCH):
-            known.at(points[first : first + BATCH])
-        begin = known.best(LOCAL)
-        threads = ThreadPoolExecutor(len(begin))
+            evaluated.evaluate(points[first : first + BATCH])
+        starts = evaluated.best(LOCAL_STARTS)
+        threads = ThreadPoolExecutor(len(starts))
         try:
-            for done in [threads.submit(_descend, known, z) for z in begin]:
+            for done in [threads.submit(_minimize_from, evaluated, z) for z in starts]:
                 done.result()
-        finally:  # an interrupt does not wait for what the others do
+        finally:  # an interrupt does not wait for the other threads
             threads.shutdown(wait=False, cancel_futures=True)
     except OutOfTime:
         converged = False
-    return _polished(known, converged=converged)
+    return _refine(evaluated, converged=converged)
 
 
-class _Known:
-    """The points that were evaluated, in the order of their numbers."""
+class _EvaluatedPoints:
+    """A cache of residuals at the evaluated points."""
 
     def __init__(self, evaluate: Evaluate, start: Floats) -> None:
         self._evaluate, self.start = evaluate, start
         self._rows: dict[tuple[float, ...], Floats | None] = {}
         self._count = 0
 
-    def at(self, points: Sequence[Floats], *, late: bool = False) -> list[Floats | None]:
-        """Residuals (m,) of each point; None where it fails."""
+    def evaluate(self, points: Sequence[Floats], *, late: bool = False) -> list[Floats | None]:
+        """Residuals (m,) at each point; None where the simulation failed."""
         new = {key: z for z in points if (key := tuple(map(float, z))) not in self._rows}
         found = self._evaluate(list(new.values()), late) if new else []
         self._rows.update(zip(new, found, strict=True))
         self._count = max([self._count, *(len(row) for row in found if row is not None)])
         return [self._rows[tuple(map(float, z))] for z in points]
 
-    def whole(self, points: Sequence[Floats]) -> list[Floats]:
-        """Residuals with those of the prior (m + n,) of each point, large where it fails."""
-        rows = self.at(points)
+    def with_prior(self, points: Sequence[Floats]) -> list[Floats]:
+        """Residuals with those of the prior (m + n,); FAILURE_RESIDUAL for failed simulations."""
+        rows = self.evaluate(points)
+        failed = np.full(self._count, FAILURE_RESIDUAL)
         return [
-            np.concatenate([np.full(self._count, FAILED) if row is None else row, self._prior(z)])
+            np.concatenate([failed if row is None else row, self._prior_residual(z)])
             for z, row in zip(points, rows)
         ]
 
-    def _prior(self, z: Floats) -> Floats:
+    def _prior_residual(self, z: Floats) -> Floats:
         return (z - self.start) / PRIOR
 
     def best(self, count: int) -> list[Floats]:
-        """Points of least cost that are apart from each other, the best first."""
-        ran = [np.array(key) for key, row in self._rows.items() if row is not None]
-        if not ran:
-            raise NothingRuns
-        cost = {tuple(z): float(np.sum(self.whole([z])[0] ** 2)) for z in ran}
+        """Points of lowest cost with distances above MIN_SEPARATION, the best first."""
+        successful = [np.array(key) for key, row in self._rows.items() if row is not None]
+        if not successful:
+            raise AllSimulationsFailed
+        cost = {tuple(z): float(np.sum(self.with_prior([z])[0] ** 2)) for z in successful}
         chosen: list[Floats] = []
-        for z in sorted(ran, key=lambda z: (cost[tuple(z)], tuple(z))):
-            if all(np.abs(z - other).max() > APART for other in chosen):
+        for z in sorted(successful, key=lambda z: (cost[tuple(z)], tuple(z))):
+            if all(np.abs(z - other).max() > MIN_SEPARATION for other in chosen):
                 chosen.append(z)
         return chosen[:count]
 
@@ -134,75 +135,78 @@ class _Known:
 def _halton(dimensions: int, count: int) -> list[Floats]:
     from scipy.stats import qmc
 
-    # the first point of the sequence is a corner
+    # the first point of the sequence is a corner of the cube
     return list(qmc.Halton(dimensions, scramble=False).random(count + 1)[1:])
 
 
-def _descend(known: _Known, start: Floats) -> None:
+def _minimize_from(evaluated: _EvaluatedPoints, start: Floats) -> None:
     from scipy.optimize import least_squares
 
-    def left(z: Floats) -> Floats:
-        row = known.whole([z])[0]
-        if np.mean(row[: -len(z)] ** 2) < ENOUGH**2:
-            raise _Enough
+    def residual_with_prior(z: Floats) -> Floats:
+        row = evaluated.with_prior([z])[0]
+        if np.mean(row[: -len(z)] ** 2) < NEGLIGIBLE_RESIDUAL**2:
+            raise _ResidualNegligible
         return row
 
-    differences: Any = partial(_one_sided, known)  # scipy's types know its own only
-    with suppress(_Enough):
+    differences: Any = partial(_one_sided_jacobian, evaluated)  # SciPy's types exclude callables
+    with suppress(_ResidualNegligible):
         least_squares(
-            left, start, jac=differences, bounds=(0.0, 1.0), method="trf", xtol=TOLERANCE,
-            ftol=1e-5, gtol=1e-12, max_nfev=MOST,
+            residual_with_prior, start, jac=differences, bounds=(0.0, 1.0), method="trf",
+            xtol=TOLERANCE,
+            ftol=1e-5, gtol=1e-12, max_nfev=MAX_ITERATIONS,
         )  # fmt: skip
 
 
-def _one_sided(known: _Known, z: Floats) -> Floats:
-    """(m + n, n) by differences into the cube."""
+def _one_sided_jacobian(evaluated: _EvaluatedPoints, z: Floats) -> Floats:
+    """Jacobian (m + n, n) by one-sided differences that stay inside 0..1."""
     steps = np.where(z + STEP <= 1.0, STEP, -STEP)
-    here, *there = known.whole([z, *(z + np.diag(steps))])
-    return np.stack([(row - here) / step for row, step in zip(there, steps)], axis=1)
+    base, *shifted = evaluated.with_prior([z, *(z + np.diag(steps))])
+    return np.stack([(row - base) / step for row, step in zip(shifted, steps)], axis=1)
 
 
-def _central(known: _Known, z: Floats) -> Floats:
-    """(m, n) of the residuals without the prior's, by central differences where there is room."""
+def _central_jacobian(evaluated: _EvaluatedPoints, z: Floats) -> Floats:
+    """Jacobian (m, n) without the prior, by central differences, one-sided at bounds."""
     up, down = np.minimum(z + STEP, 1.0), np.maximum(z - STEP, 0.0)
-    ends = [np.where(np.arange(len(z)) == k, e, z) for k in range(len(z)) for e in (up, down)]
-    rows = known.at([z, *ends], late=True)
-    here, columns = rows[0], []
-    assert here is not None
+    shifted_points = [
+        np.where(np.arange(len(z)) == k, e, z) for k in range(len(z)) for e in (up, down)
+    ]
+    rows = evaluated.evaluate([z, *shifted_points], late=True)
+    base, columns = rows[0], []
+    assert base is not None
     for k in range(len(z)):
         above, below = rows[1 + 2 * k], rows[2 + 2 * k]
         high, low = (up[k], above), (down[k], below)
         if above is None:
-            high = (z[k], here)
+            high = (z[k], base)
         if below is None:
-            low = (z[k], here)
+            low = (z[k], base)
         span = high[0] - low[0]
         assert high[1] is not None
         assert low[1] is not None
-        columns.append((high[1] - low[1]) / span if span > 0.0 else np.zeros_like(here))
+        columns.append((high[1] - low[1]) / span if span > 0.0 else np.zeros_like(base))
     return np.stack(columns, axis=1)
 
 
-def _polished(known: _Known, *, converged: bool) -> Minimum:
-    """The best point, after Gauss-Newton steps with the central Jacobian as long as they help.
+def _refine(evaluated: _EvaluatedPoints, *, converged: bool) -> Minimum:
+    """Refine the best point by Gauss-Newton steps with the central Jacobian while they improve it.
 
-    Intervals may be narrower than TOLERANCE: the steps end where they are a small part of those.
+    Intervals may be narrower than TOLERANCE; steps end where they are small relative to these.
     """
-    (z,) = known.best(1)
-    jacobian = _central(known, z)
+    (z,) = evaluated.best(1)
+    jacobian = _central_jacobian(evaluated, z)
     normal = jacobian.T @ jacobian + np.eye(len(z)) / PRIOR**2
-    for _ in range(POLISH):
-        (residual,) = known.at([z])
-        assert residual is not None  # a minimum is a point that ran
-        gradient = jacobian.T @ residual + (z - known.start) / PRIOR**2
+    for _ in range(MAX_NEWTON_STEPS):
+        (residual,) = evaluated.evaluate([z])
+        assert residual is not None  # the best point is one that succeeded
+        gradient = jacobian.T @ residual + (z - evaluated.start) / PRIOR**2
         step = np.linalg.solve(normal, gradient)
-        if step @ normal @ step < SMALL**2 * max(1.0, float(np.mean(residual**2))):
+        if step @ normal @ step < MIN_NEWTON_STEP**2 * max(1.0, float(np.mean(residual**2))):
             break
-        known.at([np.clip(z - step, 0.0, 1.0)], late=True)
-        (better,) = known.best(1)
+        evaluated.evaluate([np.clip(z - step, 0.0, 1.0)], late=True)
+        (better,) = evaluated.best(1)
         if np.array_equal(better, z):
             break
         z = better
-    (residual,) = known.at([z])
+    (residual,) = evaluated.evaluate([z])
     assert residual is not None
     return Minimum(z=z, residual=residual, jacobian=jacobian, converged=converged)

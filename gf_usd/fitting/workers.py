@@ -1,7 +1,7 @@
-"""Simulations in a few processes at once, each of which is kept on the disk.
+"""Parallel simulations in worker processes, with a cache of their results on disk.
 
-Taichi runs once in a process, and a solver of few particles uses one core.  The name of a file is
-the hash of all that its simulation depends on: what was simulated before is read.
+There is one Taichi runtime per process, and a solver with few particles uses one core; hence
+several processes.  The file name of a cached result is a hash of all inputs of its simulation.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 
 from gf_usd.core import errors
 from gf_usd.core.errors import BakeError, UsageError
-from gf_usd.fitting.observation import Followed, Observation, Scene, load
+from gf_usd.fitting.observation import Observation, Scene, TrackedPoints, load
 from gf_usd.fitting.search import OutOfTime
 from gf_usd.system import exchange
 from gf_usd.system.processes import Process
@@ -34,44 +34,50 @@ START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
     " from gf_usd.fitting.evaluate import serve; serve(sys.argv[2])"
 )
-FORM = 1  # of what is kept of a simulation
-LAST = 2000  # characters of what a process said before it ended
+CACHE_FORMAT = 1  # version of the cached data
+MAX_OUTPUT = 2000  # [characters] of stderr in the error message of a crash
 
 
 class Worker(Process):
-    """A process of `evaluate.serve`; words : file for what it says."""
+    """A process that runs `evaluate.serve`.
 
-    def __init__(self, words: Path) -> None:
-        self._words = words
+    log : file for its stderr.
+    """
+
+    def __init__(self, log: Path) -> None:
+        self._log = log
         self._end, other = socket.socketpair()
-        with other, words.open("wb") as err:
-            number = other.fileno()
-            command = [sys.executable, "-P", "-c", START, json.dumps(sys.path), str(number)]
-            super().__init__(command, inherit=[number], err=err.fileno(), grace=0)
+        with other, log.open("wb") as err:
+            descriptor = other.fileno()
+            command = [sys.executable, "-P", "-c", START, json.dumps(sys.path), str(descriptor)]
+            super().__init__(command, inherit=[descriptor], err=err.fileno(), grace=0)
         self._ended = False
 
-    def ask(self, request: dict[str, Any]) -> bool:
-        """Have it do something; False where a simulation failed.  Raises what it raised."""
+    def send_request(self, request: dict[str, Any]) -> bool:
+        """Send a request and wait for the answer; False where a simulation failed.
+
+        Raises the error that the process reports, and BakeError where it crashed.
+        """
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             send(self._end, request)
         answer = receive(self._end)
         if answer is None:
             self._ended = True
-            self.reap()  # it has said all then
+            self.reap()  # waits for the rest of its output
             self._end.close()
-            said = self._words.read_text("utf-8", "replace")[-LAST:].strip().splitlines()
+            output = self._log.read_text("utf-8", "replace")[-MAX_OUTPUT:].strip().splitlines()
             raise BakeError(
-                f"a simulation process ended: {(said or ['it printed nothing'])[-1]}",
+                f"a simulation process ended: {(output or ['it printed nothing'])[-1]}",
                 "run gf-usd bake with the same options to see all of its output",
             )
         error = answer[0]["error"]
         if error is not None and not answer[0]["failed"]:
-            kind, message, hint, more = error
-            raise getattr(errors, kind)(message, hint, **more)
+            kind, message, hint, details = error
+            raise getattr(errors, kind)(message, hint, **details)
         return error is None
 
     def close(self) -> None:
-        """End it, whatever it does."""
+        """Stop the process."""
         if not self._ended:
             self._ended = True
             self.stop()
@@ -82,7 +88,7 @@ class Worker(Process):
 class Simulations:
     """Simulations of one asset, several at once; see `simulations`.
 
-    simulated : how many were run, the failed ones included; read : that were there already.
+    simulated : number of simulations that were run, including failed ones; read : from the cache.
     """
 
     def __init__(self, workers: Sequence[Worker], scratch: Path, folder: Path) -> None:
@@ -96,69 +102,73 @@ class Simulations:
         self.simulated = self.read = 0
 
     def prepare(
-        self, asset: Path, options: Mapping[str, Any], followed: Sequence[Followed] = ()
+        self, asset: Path, options: Mapping[str, Any], tracked: Sequence[TrackedPoints] = ()
     ) -> Scene:
-        """Read and fill the asset in each process.  Raises as preparing a bake does."""
+        """Read and sample the asset in each process.  Raises the errors of preparing a bake."""
         request = self._scratch / "request"
         with request.open("wb") as file:
-            told = {"asset": asset, "options": dict(options), "followed": list(followed)}
-            exchange.write(told, file)
+            payload = {"asset": asset, "options": dict(options), "followed": list(tracked)}
+            exchange.write(payload, file)
 
-        def one(number: int, worker: Worker) -> bytes:
-            reply = self._scratch / f"scene{number}"
-            worker.ask({"task": "prepare", "file": str(request), "reply": str(reply)})
+        def prepare_worker(index: int, worker: Worker) -> bytes:
+            reply = self._scratch / f"scene{index}"
+            worker.send_request({"task": "prepare", "file": str(request), "reply": str(reply)})
             return reply.read_bytes()
 
         with ThreadPoolExecutor(len(self._workers)) as threads:
-            answers = list(threads.map(one, range(len(self._workers)), self._workers))
+            answers = list(threads.map(prepare_worker, range(len(self._workers)), self._workers))
         scene: Scene = exchange.read(answers[0])
-        seen = hashlib.sha256(f"{FORM}{scene.identity}".encode())
-        for one_followed in followed:
-            seen.update(one_followed.path.encode())
-            seen.update(one_followed.vertices.tobytes() + one_followed.weights.tobytes())
-        self._key = seen.hexdigest()
+        digest = hashlib.sha256(f"{CACHE_FORMAT}{scene.identity}".encode())
+        for points in tracked:
+            digest.update(points.path.encode())
+            digest.update(points.vertices.tobytes() + points.weights.tobytes())
+        self._key = digest.hexdigest()
         return scene
 
     def run(
         self, values: Sequence[Mapping[str, float]], *, late: bool = False
     ) -> list[Observation | None]:
-        """Simulate with each of these values [SI]; None where the solver could not go on.
+        """Simulate with each of these values [SI]; None where the solver failed.
 
-        Raises OutOfTime where the deadline has passed, unless it is late, and BakeError where a
-        process crashed.
+        Raises OutOfTime after the deadline, unless `late` is set, and BakeError where a process
+        crashed.
         """
-        one = partial(self._one, late=late)
+        simulate = partial(self._simulate, late=late)
         with ThreadPoolExecutor(len(self._workers)) as threads:
-            return list(threads.map(one, values))
+            return list(threads.map(simulate, values))
 
-    def _one(self, values: Mapping[str, float], *, late: bool) -> Observation | None:
-        told = {name: float(value) for name, value in values.items()}
-        words = json.dumps([self._key, {name: value.hex() for name, value in told.items()}])
-        kept = self._folder / f"{hashlib.sha256(words.encode()).hexdigest()[:32]}.run"
+    def _simulate(self, values: Mapping[str, float], *, late: bool) -> Observation | None:
+        values_by_name = {name: float(value) for name, value in values.items()}
+        hexadecimal = {name: value.hex() for name, value in values_by_name.items()}
+        key = json.dumps([self._key, hexadecimal])
+        cache_file = self._folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.run"
         with contextlib.suppress(OSError, ValueError):
-            found = load(kept)
+            cached = load(cache_file)
             with self._lock:
                 self.read += 1
-            return found
+            return cached
         if time.monotonic() > self.deadline and not late:
             raise OutOfTime
         worker = self._idle.get()
         try:
-            good = worker.ask({"task": "run", "values": told, "reply": str(kept)})
+            succeeded = worker.send_request(
+                {"task": "run", "values": values_by_name, "reply": str(cache_file)}
+            )
         finally:
             self._idle.put(worker)
         with self._lock:
             self.simulated += 1
-        return load(kept) if good else None
+        return load(cache_file) if succeeded else None
 
 
 @contextlib.contextmanager
 def simulations(processes: int, folder: Path | None) -> Iterator[Simulations]:
-    """Processes for simulations, for a block.
+    """Context manager of worker processes.
 
-    folder : where simulations are kept; None: nowhere after the block.
+    folder : of the cache; None: a temporary folder.
 
-    Raises UsageError where the system has no such processes, or the folder cannot be made.
+    Raises UsageError where the system has no sockets between processes, or the folder cannot be
+    created.
     """
     if not AVAILABLE:
         raise UsageError(
@@ -168,17 +178,17 @@ def simulations(processes: int, folder: Path | None) -> Iterator[Simulations]:
     scratch = Scratch()
     workers: list[Worker] = []
     try:
-        kept = folder or scratch.path / "kept"
+        cache_folder = folder or scratch.path / "kept"
         try:
-            kept.mkdir(parents=True, exist_ok=True)
+            cache_folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UsageError(
-                f"the folder {kept} for simulations cannot be made: {error.strerror}",
+                f"the folder {cache_folder} for simulations cannot be made: {error.strerror}",
                 "give another: --evaluations FOLDER, or --evaluations none",
             ) from error
-        for number in range(processes):
-            workers.append(Worker(scratch.path / f"words{number}"))
-        yield Simulations(workers, scratch.path, kept)
+        for index in range(processes):
+            workers.append(Worker(scratch.path / f"words{index}"))
+        yield Simulations(workers, scratch.path, cache_folder)
     finally:
         for worker in workers:
             worker.close()

@@ -1,14 +1,14 @@
-"""Two motions of the same meshes, point by point over time.
+"""Distance between two motions of the same meshes, point by point over time.
 
 With x_i(t) the points of one motion and y_i(t) those of the other, in meters and in the world
 frame of the first, a comparison has for each time
 
     largest = max_i |x_i - y_i|          rms = sqrt(mean_i |x_i - y_i|^2)
 
-the volume of each motion, V = sum over triangles of a . (b x c) / 6 (divergence theorem), and the
-distance of their centers of mass, those of homogeneous solids, which are sums over the same
-tetrahedra (a + b + c) / 4.  Of an open surface, which encloses nothing, the center is the mean of
-the points.
+the volume of each motion, V = sum over triangles (a, b, c) of a . (b x c) / 6 (divergence theorem),
+and the distance of their centers of mass.  The center of mass is that of a homogeneous solid, the
+mean of the centroids (a + b + c) / 4 of the same tetrahedra weighted by their volumes; for an open
+surface, which encloses no volume, it is the mean of the points.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import MotionFrame, Recording, RenderMesh
 
 Align = Literal["time", "start"]
-# Y up to Z up: x stays, y becomes z, and z becomes -y
-TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-CLOSED = 1e-6  # of the box's volume: a surface that encloses less is taken to be open
-SAME_TIME = 1e-6  # time codes
+# rotation from Y up to Z up: (x, y, z) becomes (x, -z, y)
+Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+MIN_VOLUME_SHARE = 1e-6  # of the bounding box: a surface that encloses less counts as open
+SAME_TIME = 1e-6  # [time codes] tolerance of equal times
 
 
 class Source(Protocol):
-    """A motion that can be read at any time."""
+    """A motion that can be evaluated at any time code."""
 
     def recording(self) -> Recording: ...
 
@@ -58,12 +58,12 @@ class Comparison:
 
     @property
     def worst_frame(self) -> int:
-        """Which of the T times has the largest distance."""
+        """Index of the time with the largest distance."""
         return int(np.argmax(self.largest))
 
     @property
     def error(self) -> float:
-        """[m] the largest distance over points and times."""
+        """Largest distance [m] over all points and times."""
         return float(self.largest.max())
 
     @property
@@ -80,17 +80,17 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class Pairing:
-    """Which mesh of B is which of A, and how B's world turns into A's."""
+    """Pairs of meshes of A and B, and the rotation from B's world frame to A's."""
 
     first: tuple[int, ...]  # meshes of A
     second: tuple[int, ...]  # those of B, in the same order
-    turn: Floats  # (3, 3): x of A = turn x of B
+    rotation: Floats  # (3, 3): x of A = rotation times x of B
     notes: tuple[str, ...]
 
-    def distances(self, mine: MotionFrame, other: MotionFrame) -> list[Floats]:
-        """(V,) [m] for each pair of meshes, at one moment."""
+    def distances(self, a: MotionFrame, b: MotionFrame) -> list[Floats]:
+        """Distances (V,) [m] of the points of each pair of meshes, at one time."""
         return [
-            np.linalg.norm(mine.meshes[i] - other.meshes[j] @ self.turn.T, axis=1)
+            np.linalg.norm(a.meshes[i] - b.meshes[j] @ self.rotation.T, axis=1)
             for i, j in zip(self.first, self.second)
         ]
 
@@ -98,44 +98,46 @@ class Pairing:
 def compare_motions(a: Source, b: Source, *, align: Align = "time") -> Comparison:
     """Compare motion B with motion A at the times of A that lie in both.
 
-    B is read between its samples where it has none, as USD interpolates.
+    Between its samples B is interpolated linearly, as USD does.
 
     Parameters
     ----------
-    align : "time": equal times of the two stages [s] are the same moment; "start": their first
-        frames are.
+    align : "time": compare at equal times of both stages [s]; "start": at equal times since the
+        first frame of each.
 
     Raises
     ------
-    InputError : no mesh is in both, a mesh has another number of points, or the motions have no
-        time in common.
+    InputError : the motions have no mesh in common, a mesh has different numbers of points, or
+        the motions have no time in common.
     """
-    mine, other = a.recording(), b.recording()
-    pairing = pair_meshes(mine, other)
-    codes, partners, notes = _moments(mine, other, align)
-    first = [mine.meshes[i] for i in pairing.first]
-    second = [other.meshes[j] for j in pairing.second]
+    recording_a, recording_b = a.recording(), b.recording()
+    pairing = pair_meshes(recording_a, recording_b)
+    codes, codes_b, notes = _common_times(recording_a, recording_b, align)
+    first = [recording_a.meshes[i] for i in pairing.first]
+    second = [recording_b.meshes[j] for j in pairing.second]
     largest, rms, volumes, center = [], [], [], []
-    worst, farthest = (first[0].name, 0), -1.0
-    for frame, partner in zip(a.frames(codes), b.frames(partners)):
-        away = pairing.distances(frame, partner)
-        for mesh, distance in zip(first, away):
-            if len(distance) and distance.max() > farthest:
-                farthest, worst = float(distance.max()), (mesh.name, int(distance.argmax()))
-        joined = np.concatenate(away)
-        largest.append(joined.max())
-        rms.append(np.sqrt(np.mean(joined**2)))
-        here = _solid([frame.meshes[i] for i in pairing.first], first)
-        there = _solid([partner.meshes[j] @ pairing.turn.T for j in pairing.second], second)
-        volumes.append((here[0], there[0]))
-        center.append(np.linalg.norm(here[1] - there[1]))
+    worst, max_distance = (first[0].name, 0), -1.0
+    for frame, frame_b in zip(a.frames(codes), b.frames(codes_b)):
+        distances = pairing.distances(frame, frame_b)
+        for mesh, distance in zip(first, distances):
+            if len(distance) and distance.max() > max_distance:
+                max_distance, worst = float(distance.max()), (mesh.name, int(distance.argmax()))
+        all_distances = np.concatenate(distances)
+        largest.append(all_distances.max())
+        rms.append(np.sqrt(np.mean(all_distances**2)))
+        solid_a = _volume_and_center([frame.meshes[i] for i in pairing.first], first)
+        solid_b = _volume_and_center(
+            [frame_b.meshes[j] @ pairing.rotation.T for j in pairing.second], second
+        )
+        volumes.append((solid_a[0], solid_b[0]))
+        center.append(np.linalg.norm(solid_a[1] - solid_b[1]))
     return Comparison(
         meshes=tuple((m.name, n.name) for m, n in zip(first, second)),
         points=sum(len(m.points) for m in first),
-        radius=_radius(first),
+        radius=_equivalent_radius(first),
         time_codes=np.array(codes),
-        other_time_codes=np.array(partners),
-        seconds=np.array([mine.seconds(code) for code in codes]),
+        other_time_codes=np.array(codes_b),
+        seconds=np.array([recording_a.seconds(code) for code in codes]),
         largest=np.array(largest),
         rms=np.array(rms),
         volumes=np.array(volumes),
@@ -148,7 +150,7 @@ def compare_motions(a: Source, b: Source, *, align: Align = "time") -> Compariso
 def with_tolerance(found: Comparison, tolerance: str | float | None) -> Comparison:
     """The comparison with a tolerance: [m], a text as for `parse_tolerance`, or None.
 
-    Raises UsageError for what is neither a length nor a share.
+    Raises UsageError for a text that is neither a length nor a percentage.
     """
     if isinstance(tolerance, str):
         tolerance = parse_tolerance(tolerance, found.radius)
@@ -159,9 +161,9 @@ LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def parse_tolerance(text: str, radius: float) -> float:
-    """Meters of "2mm", "0.5cm", "0.01m", or "0.5%" of the radius [m].
+    """The length [m] of "2mm", "0.5cm", "0.01m", or "0.5%" of the radius [m].
 
-    Raises UsageError for anything else.
+    Raises UsageError for any other text.
     """
     hint = "give a length or a share of the radius: --tolerance 2mm, --tolerance 0.5%"
     number = text.strip().lower()
@@ -178,25 +180,27 @@ def parse_tolerance(text: str, radius: float) -> float:
 
 
 def pair_meshes(a: Recording, b: Recording) -> Pairing:
-    """Pair the meshes that A's bake moves with those of B: by path, else by name, else by count.
+    """Pair the baked meshes of A with those of B: by path, else by name, else by point count.
 
-    Raises InputError where none is in both, or one has another number of points.
+    Raises InputError where no pair is found, or a pair has different numbers of points.
     """
-    mine = [i for i, moves in enumerate(a.baked) if moves]
-    left = list(range(len(b.meshes)))
+    baked_a = [i for i, moves in enumerate(a.baked) if moves]
+    unpaired_b = list(range(len(b.meshes)))
     pairs: dict[int, int] = {}
-    for same in (_same_path, _same_name):
-        for i in mine:
-            found = [j for j in left if same(a.meshes[i], b.meshes[j])]
+    for matches in (_same_path, _same_name):
+        for i in baked_a:
+            found = [j for j in unpaired_b if matches(a.meshes[i], b.meshes[j])]
             if i not in pairs and len(found) == 1:
                 pairs[i] = found[0]
-                left.remove(found[0])
-    alone = [i for i in mine if i not in pairs]
-    if not pairs and len(alone) == 1:
-        found = [j for j in left if len(b.meshes[j].points) == len(a.meshes[alone[0]].points)]
+                unpaired_b.remove(found[0])
+    unpaired = [i for i in baked_a if i not in pairs]
+    if not pairs and len(unpaired) == 1:
+        found = [
+            j for j in unpaired_b if len(b.meshes[j].points) == len(a.meshes[unpaired[0]].points)
+        ]
         if len(found) == 1:
-            pairs[alone[0]] = found[0]
-            left.remove(found[0])
+            pairs[unpaired[0]] = found[0]
+            unpaired_b.remove(found[0])
     if not pairs and (a.flows or b.flows):
         flows = f"{a.path}: <{a.flows[0]}>" if a.flows else f"{b.path}: <{b.flows[0]}>"
         raise InputError(
@@ -205,8 +209,8 @@ def pair_meshes(a: Recording, b: Recording) -> Pairing:
         )
     if not pairs:
         raise InputError(
-            f"{a.path} and {b.path} have no mesh in common: the first has {_listed(a, mine)}, "
-            f"the second {_listed(b, left)}.",
+            f"{a.path} and {b.path} have no mesh in common: the first has "
+            f"{_list_names(a, baked_a)}, the second {_list_names(b, unpaired_b)}.",
             "compare two bakes of one asset, or give the meshes of both the same names",
         )
     for i, j in pairs.items():
@@ -220,8 +224,8 @@ def pair_meshes(a: Recording, b: Recording) -> Pairing:
     return Pairing(
         first=tuple(pairs),
         second=tuple(pairs.values()),
-        turn=_turn(a, b),
-        notes=tuple(_pairing_notes(a, b, pairs, mine, left)),
+        rotation=_up_axis_rotation(a, b),
+        notes=tuple(_pairing_notes(a, b, pairs, baked_a, unpaired_b)),
     )
 
 
@@ -233,7 +237,7 @@ def _same_name(a: RenderMesh, b: RenderMesh) -> bool:
     return a.name.rsplit("/", 1)[-1] == b.name.rsplit("/", 1)[-1]
 
 
-def _listed(recording: Recording, which: Sequence[int]) -> str:
+def _list_names(recording: Recording, which: Sequence[int]) -> str:
     names = [f"<{recording.meshes[i].name}>" for i in which]
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "") or (
         "none"
@@ -241,35 +245,39 @@ def _listed(recording: Recording, which: Sequence[int]) -> str:
 
 
 def _pairing_notes(
-    a: Recording, b: Recording, pairs: dict[int, int], mine: Sequence[int], left: Sequence[int]
+    a: Recording,
+    b: Recording,
+    pairs: dict[int, int],
+    baked_a: Sequence[int],
+    unpaired_b: Sequence[int],
 ) -> Iterator[str]:
     renamed = [(i, j) for i, j in pairs.items() if not _same_path(a.meshes[i], b.meshes[j])]
     if renamed:
         i, j = renamed[0]
         more = f" and {len(renamed) - 1} more" if len(renamed) > 1 else ""
         yield f"<{a.meshes[i].name}> is compared with <{b.meshes[j].name}>{more}"
-    if missing := [i for i in mine if i not in pairs]:
-        yield f"not in {b.path.name}: {_listed(a, missing)}"
-    if extra := [j for j in left if b.baked[j]]:
-        yield f"not in {a.path.name}: {_listed(b, extra)}"
+    if missing := [i for i in baked_a if i not in pairs]:
+        yield f"not in {b.path.name}: {_list_names(a, missing)}"
+    if extra := [j for j in unpaired_b if b.baked[j]]:
+        yield f"not in {a.path.name}: {_list_names(b, extra)}"
     if a.up != b.up:
         yield f"{b.path.name} has another up axis and is rotated to that of {a.path.name}"
 
 
-def _turn(a: Recording, b: Recording) -> Floats:
-    """The rotation between Y up and Z up, as importers make it."""
+def _up_axis_rotation(a: Recording, b: Recording) -> Floats:
+    """The rotation from B's up axis to A's, by the convention of importers."""
     if a.up == b.up:
         return np.eye(3)
-    return TO_Z if a.up[2] > 0.5 else TO_Z.T
+    return Y_UP_TO_Z_UP if a.up[2] > 0.5 else Y_UP_TO_Z_UP.T
 
 
-def _moments(
+def _common_times(
     a: Recording, b: Recording, align: Align
 ) -> tuple[list[float], list[float], tuple[str, ...]]:
-    """Time codes of A that B covers, B's at the same moments, and notes."""
-    begin = (a.time_codes[0], b.time_codes[0]) if align == "start" else (0.0, 0.0)
+    """Time codes of A within B's range, those of B at the same times, and notes."""
+    origin = (a.time_codes[0], b.time_codes[0]) if align == "start" else (0.0, 0.0)
     rate = b.time_codes_per_second / a.time_codes_per_second
-    pairs = [(code, begin[1] + (code - begin[0]) * rate) for code in a.time_codes]
+    pairs = [(code, origin[1] + (code - origin[0]) * rate) for code in a.time_codes]
     low, high = b.time_codes[0] - SAME_TIME, b.time_codes[-1] + SAME_TIME
     kept = [
         (code, min(max(at, b.time_codes[0]), b.time_codes[-1]))
@@ -282,46 +290,48 @@ def _moments(
             f" in {b.time_codes[0]:g} to {b.time_codes[-1]:g}: these ranges do not overlap.",
             "compare from the first frame of each: --align start",
         )
-    codes, partners = [code for code, _ in kept], [at for _, at in kept]
+    codes, codes_b = [code for code, _ in kept], [at for _, at in kept]
     notes = []
     if len(kept) < len(pairs):
         notes.append(
             f"{len(kept)} of {len(pairs)} frames are compared, at time codes {codes[0]:g} to "
             f"{codes[-1]:g}: {b.path.name} has only these"
         )
-    known = np.asarray(b.time_codes)
-    between = sum(float(np.abs(known - at).min()) > SAME_TIME for at in partners)
-    if between:
-        notes.append(f"{b.path.name} is interpolated at {between} of {len(kept)} frames")
-    return codes, partners, tuple(notes)
+    samples = np.asarray(b.time_codes)
+    interpolated = sum(float(np.abs(samples - at).min()) > SAME_TIME for at in codes_b)
+    if interpolated:
+        notes.append(f"{b.path.name} is interpolated at {interpolated} of {len(kept)} frames")
+    return codes, codes_b, tuple(notes)
 
 
-def _solid(points: Sequence[Floats], meshes: Sequence[RenderMesh]) -> tuple[float, Floats]:
-    """Volume [m^3] and center of mass (3,) [m] of meshes together, at these points."""
+def _volume_and_center(
+    points: Sequence[Floats], meshes: Sequence[RenderMesh]
+) -> tuple[float, Floats]:
+    """Volume [m^3] and center of mass (3,) [m] of all meshes, with vertices at `points`."""
     volume, moment = 0.0, np.zeros(3)
     low, high = (f(np.concatenate(points), axis=0) for f in (np.min, np.max))
-    middle = 0.5 * (low + high)  # far from the origin differences of large numbers would remain
+    middle = 0.5 * (low + high)  # local origin, to limit cancellation
     for x, mesh in zip(points, meshes):
-        six, sums = _tetrahedra(x - middle, mesh.triangles)
-        volume += float(six.sum()) / 6.0
-        moment += (six[:, None] * sums).sum(0) / 24.0
-    if abs(volume) <= CLOSED * float(np.prod(high - low)):
+        six_volumes, corner_sums = _tetrahedron_volumes(x - middle, mesh.triangles)
+        volume += float(six_volumes.sum()) / 6.0
+        moment += (six_volumes[:, None] * corner_sums).sum(0) / 24.0
+    if abs(volume) <= MIN_VOLUME_SHARE * float(np.prod(high - low)):
         return abs(volume), np.mean(np.concatenate(points), axis=0)
     return abs(volume), middle + moment / volume
 
 
-def _tetrahedra(x: Floats, triangles: Ints) -> tuple[Floats, Floats]:
-    """Six volumes (T,) of each tetrahedron with the origin, and the sums of its corners."""
+def _tetrahedron_volumes(x: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+    """Six times the volume (T,) of each tetrahedron (0, a, b, c), and a + b + c (T, 3)."""
     a, b, c = (x[np.asarray(triangles)[:, k]] for k in range(3))
     return np.einsum("ij,ij->i", a, np.cross(b, c)), a + b + c
 
 
-def _radius(meshes: Sequence[RenderMesh]) -> float:
-    """[m] of a sphere of their volume; half the diagonal of the box where they enclose nothing."""
+def _equivalent_radius(meshes: Sequence[RenderMesh]) -> float:
+    """Radius [m] of a sphere of equal volume; half the box diagonal of an open surface."""
     points = [np.asarray(mesh.points) for mesh in meshes]
-    volume, _ = _solid(points, meshes)
-    joined = np.concatenate(points)
-    size = joined.max(0) - joined.min(0)
-    if volume <= CLOSED * float(np.prod(size)):
+    volume, _ = _volume_and_center(points, meshes)
+    all_distances = np.concatenate(points)
+    size = all_distances.max(0) - all_distances.min(0)
+    if volume <= MIN_VOLUME_SHARE * float(np.prod(size)):
         return 0.5 * float(np.linalg.norm(size))
     return float(np.cbrt(3.0 * volume / (4.0 * np.pi)))

@@ -1,12 +1,8 @@
-"""Films as H.264 in MP4 and as animated GIF, by the ffmpeg that comes with imageio[ffmpeg].
-
-A contact sheet: many frames of one motion on one page.
-"""
+"""Films as H.264 in MP4 and as animated GIF, encoded by the ffmpeg of imageio[ffmpeg]."""
 
 from __future__ import annotations
 
 import importlib
-import math
 import subprocess
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -17,25 +13,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import BakeError, GfUsdError, UsageError
 from gf_usd.system.atomic_files import partial_path, publish
-from gf_usd.view.report.surface import spread as evenly
 
 Pixels = NDArray[np.uint8]
 
-QUALITY = "18"  # x264's constant rate factor: no loss that the eye sees
+QUALITY = "18"  # x264's constant rate factor: visually lossless
 MP4 = (
     "-c:v", "libx264", "-crf", QUALITY, "-preset", "medium", "-pix_fmt", "yuv420p",
-    # Rec. 709 throughout, and said so: a player guesses otherwise for small pictures
+    # Rec. 709 with its tags: without them players assume another matrix for small pictures
     "-vf", "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int",
     "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1",
-    # the index in front, so that a browser starts before it has all
+    # the index precedes the data, so that browsers play the film while they load it
     "-movflags", "+faststart",
 )  # fmt: skip
-FASTEST = 50.0  # frames per second: browsers slow down what is shown for less than 2/100 s
-# The first {0} frames of the stream make the palette, the others are shown.  The dither pattern
-# stands still, so that of each frame only the rectangle that changes is stored.
+MAX_FPS = 50.0  # frames per second: browsers play GIFs with shorter delays than 2/100 s slowly
+# The first {0} frames of the stream give the palette; the film consists of the others.  An ordered
+# dither pattern is constant in time, so that each frame stores only the rectangle that changes.
 PALETTE = (
     "split[a][b];[a]trim=end_frame={0},palettegen[palette];"
     "[b]trim=start_frame={0},setpts=PTS-STARTPTS[film];"
@@ -44,13 +38,13 @@ PALETTE = (
 
 
 def write_mp4(path: Path, frames: Iterable[Pixels], fps: float, size: tuple[int, int]) -> None:
-    """Write frames (H, W, 3) sRGB; the film appears whole under its name, or not at all.
+    """Write sRGB frames (H, W, 3) to an MP4 file, atomically.
 
-    The pixels are 4:2:0, as every player reads them.
+    Chroma is subsampled (4:2:0), the only format that all players support.
 
     Parameters
     ----------
-    size : (width, height) [pixels], both even.
+    fps : frames per second.   size : (width, height) [pixels], both even.
 
     Raises
     ------
@@ -67,13 +61,13 @@ def write_mp4(path: Path, frames: Iterable[Pixels], fps: float, size: tuple[int,
 
 
 def write_gif(path: Path, frames: Iterable[Pixels], fps: float, samples: Sequence[Pixels]) -> None:
-    """Write frames (H, W, 3) sRGB, playing for ever in real time; whole or not at all.
+    """Write sRGB frames (H, W, 3) to a GIF file that loops in real time, atomically.
 
-    Delays are hundredths of a second; they are rounded so that no error adds up.
+    Delays are multiples of 1/100 s, rounded so that the errors do not accumulate.
 
     Parameters
     ----------
-    samples : frames of the film whose colors make the palette.
+    fps : frames per second.   samples : frames of the film, for the palette.
 
     Raises
     ------
@@ -81,9 +75,9 @@ def write_gif(path: Path, frames: Iterable[Pixels], fps: float, samples: Sequenc
     GfUsdError : imageio[ffmpeg] is not installed.
     BakeError : ffmpeg fails; only the partial file remains.
     """
-    if fps > FASTEST:
+    if fps > MAX_FPS:
         raise UsageError(
-            f"A GIF cannot show {fps:g} frames per second.", f"give --fps {FASTEST:g} or less"
+            f"A GIF cannot show {fps:g} frames per second.", f"give --fps {MAX_FPS:g} or less"
         )
     height, width, _ = samples[0].shape
     output = ("-filter_complex", PALETTE.format(len(samples)), "-f", "gif", "-loop", "0")
@@ -91,7 +85,7 @@ def write_gif(path: Path, frames: Iterable[Pixels], fps: float, samples: Sequenc
 
 
 def require_folder(path: Path) -> None:
-    """Raise UsageError where a file of this name cannot be made."""
+    """Raise UsageError where the folder of a path does not exist, or the path is a folder."""
     if not path.parent.is_dir() or path.is_dir():
         raise UsageError(
             f"The image {path} cannot be written: "
@@ -107,15 +101,15 @@ def _encode(
     require_folder(path)
     partial = partial_path(path)
     command = [
-        _ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+        _ffmpeg_path(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
         "-s", f"{size[0]}x{size[1]}", "-r", f"{fps}", "-i", "-",
         *output, "-fflags", "+bitexact", str(partial),
     ]  # fmt: skip
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
+    with tempfile.TemporaryFile() as stderr:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=stderr)
         assert process.stdin is not None
         try:
-            with suppress(BrokenPipeError):  # its status and its words say why
+            with suppress(BrokenPipeError):  # the exit status and stderr give the reason
                 for pixels in frames:
                     process.stdin.write(np.ascontiguousarray(pixels).data)
         finally:
@@ -123,16 +117,17 @@ def _encode(
                 process.stdin.close()
             process.wait()
         if process.returncode:
-            said.seek(0)
+            stderr.seek(0)
+            reason = stderr.read().decode(errors="replace").strip()
             raise BakeError(
-                f"ffmpeg could not write {partial}: {said.read().decode(errors='replace').strip()}",
+                f"ffmpeg could not write {partial}: {reason}",
                 "check that this folder is writable and has space left",
             )
     publish(path)
 
 
-def _ffmpeg() -> str:
-    """The path of ffmpeg.  Raises GfUsdError where there is none."""
+def _ffmpeg_path() -> str:
+    """The path of ffmpeg.  Raises GfUsdError where it is not installed."""
     try:
         return importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:
@@ -140,53 +135,3 @@ def _ffmpeg() -> str:
             f"Films need ffmpeg, which is not installed: {error}",
             "python -m pip install 'imageio[ffmpeg]'",
         ) from error
-
-
-PAPER = (250, 250, 249)
-GUTTER = 1 / 60  # of a tile's height
-
-
-def columns_for(count: int, aspect: float) -> int:
-    """Columns that make a sheet of `count` tiles of this width / height about 3:2 wide.
-
-    Among those near that shape the one that leaves the fewest places empty wins.
-    """
-    ideal = math.sqrt(1.5 * count / aspect)
-    near = range(max(1, math.floor(0.75 * ideal)), min(count, math.ceil(1.35 * ideal)) + 1)
-    return min(near, key=lambda n: (-count % n, abs(n - ideal), -n), default=count)
-
-
-STILL = 0.1  # of the mean speed: what stands still has a part of a sheet too
-
-
-def spread(frames: int, count: int, speeds: Floats | None = None) -> list[int]:
-    """`count` of so many frames, at most all, the first and the last among them.
-
-    speeds : (frames,) how fast things move at each; between two that are chosen they move about as
-    far, plus STILL of the mean.  None: frames are chosen evenly.
-    """
-    if speeds is None or speeds.max(initial=0.0) == 0.0:
-        return evenly(frames, count).tolist()
-    count = min(count, frames)
-    between = 0.5 * (speeds[1:] + speeds[:-1]) + STILL * speeds.mean()
-    way = np.concatenate([[0.0], np.cumsum(between)])
-    wanted = np.linspace(0.0, way[-1], count)
-    chosen = np.round(np.interp(wanted, way, np.arange(frames))).astype(int)
-    order = np.arange(count)
-    chosen = np.maximum.accumulate(chosen - order) + order  # no frame twice
-    return list(map(int, np.minimum(chosen, frames - count + order)))
-
-
-def contact_sheet(tiles: Sequence[Pixels], columns: int) -> Pixels:
-    """Tiles (H, W, 3) of one size row by row, with gutters between and around them."""
-    height, width, _ = tiles[0].shape
-    gap = max(2, round(GUTTER * height))
-    columns = min(columns, len(tiles))
-    rows = -(-len(tiles) // columns)
-    page = np.empty((rows * (height + gap) + gap, columns * (width + gap) + gap, 3), dtype=np.uint8)
-    page[:] = PAPER
-    for i, tile in enumerate(tiles):
-        y = gap + (i // columns) * (height + gap)
-        x = gap + (i % columns) * (width + gap)
-        page[y : y + height, x : x + width] = tile
-    return page

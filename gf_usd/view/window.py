@@ -1,10 +1,8 @@
-"""A window that plays a bake, by open3d: an extra, for it is large and wants system libraries.
+"""A window that plays a bake, drawn by open3d.
 
-Which frame is on the screen: playing in real time, over and over, or stepped by hand.
-
-What a window needs of the machine, looked for before it is opened.
-
-What a window draws, as triangles and lines: mesh, Gaussians and floor.
+`Window` draws the frame of a playback `Clock`: the mesh or the Gaussians as triangles, the floor as
+lines.  open3d is an optional dependency, because it is large and needs system libraries;
+`import_open3d` and `require_display` check for them before a window opens.
 """
 
 from __future__ import annotations
@@ -28,19 +26,20 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.radiance import linear_to_srgb
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
 from gf_usd.view.render.camera import fit_camera
-from gf_usd.view.report.surface import make_skin, sample, spread
+from gf_usd.view.report.surface import make_display_mesh
+from gf_usd.view.report.thinning import evenly_spaced, random_subset
 
-SIZE = (1280, 800)  # pixels of the window
-SAMPLED_FRAMES = 48  # frames of a longer motion that the camera is fitted to
-PAPER = (0.93, 0.94, 0.96)
-LINES = (0.76, 0.78, 0.81)
-IDLE = 0.004  # [s] between readings of the clock: shorter than a frame of any screen
-SPACE, RIGHT, LEFT = 32, 262, 263  # GLFW's codes of keys
+SIZE = (1280, 800)  # [pixels] of the window
+SAMPLED_FRAMES = 48  # number of frames for the bounding box of a longer motion
+BACKGROUND = (0.93, 0.94, 0.96)
+LINE_COLOR = (0.76, 0.78, 0.81)
+POLL_INTERVAL = 0.004  # [s] shorter than the refresh interval of a screen
+SPACE, RIGHT, LEFT = 32, 262, 263  # key codes of GLFW
 KEYS = "space plays and pauses, arrows step, G mesh or Gaussians, R resets, Q quits"
 
 
 class Source(Protocol):
-    """One variant that can be read."""
+    """One variant of a bake, read frame by frame."""
 
     def recording(self) -> Recording: ...
 
@@ -48,12 +47,12 @@ class Source(Protocol):
 
 
 class Window:
-    """One variant, played until the window is closed; a frame is read when it is shown.
+    """A window that plays one variant; frames are read when they are displayed.
 
     Raises
     ------
     UsageError : open3d, a system library, a display or OpenGL is missing.
-    InputError : a frame is broken.
+    InputError : the data of a frame is invalid.
     """
 
     def __init__(self, source: Source) -> None:
@@ -61,27 +60,27 @@ class Window:
         require_display()
         self._source, self._recording = source, source.recording()
         recording = self._recording
-        self._skin = Skin(recording.meshes) if recording.meshes or recording.flows else None
-        self._balls = Balls(recording.gaussians) if recording.gaussians else None
+        self._mesh = ShadedMesh(recording.meshes) if recording.meshes or recording.flows else None
+        self._ellipsoids = EllipsoidMesh(recording.gaussians) if recording.gaussians else None
         self._shapes: dict[str, Any] = {}
-        for kind, made in (("mesh", self._skin), ("gaussians", self._balls)):
-            if made is not None:
+        for kind, source_mesh in (("mesh", self._mesh), ("gaussians", self._ellipsoids)):
+            if source_mesh is not None:
                 self._shapes[kind] = self._o3d.geometry.TriangleMesh()
-                self._shapes[kind].triangles = self._ints(made.triangles)
-                self._shapes[kind].vertex_colors = self._floats(made.colors)
+                self._shapes[kind].triangles = self._ints(source_mesh.triangles)
+                self._shapes[kind].vertex_colors = self._floats(source_mesh.colors)
         self.shown = next(iter(self._shapes))
         low, high = self._bounds()
         times = [recording.seconds(code) for code in recording.time_codes]
         self.clock = Clock(times, time.perf_counter)
-        self._window = self._open()
-        self._pose()
+        self._window = self._open_window()
+        self._update_shape()
         if recording.ground is not None:
             self._add_floor(low, high, recording.ground)
         self._window.add_geometry(self._shapes[self.shown])
         corners = [[(low, high)[b][i] for i, b in enumerate(bits)] for bits in np.ndindex(2, 2, 2)]
         self._corners = np.array(corners)
-        self._look()
-        self._listen()
+        self._frame_motion()
+        self._register_keys()
         self.clock.rewind()
 
     def run(self) -> None:
@@ -89,8 +88,8 @@ class Window:
         self._window.run()
         self._window.destroy_window()
 
-    def _open(self) -> Any:
-        # what open3d would print is said by the errors here
+    def _open_window(self) -> Any:
+        # the errors below replace the messages of open3d
         self._o3d.utility.set_verbosity_level(self._o3d.utility.VerbosityLevel.Error)
         window = self._o3d.visualization.VisualizerWithKeyCallback()
         title = f"{self._recording.name} {self._recording.variant}".strip()
@@ -98,48 +97,52 @@ class Window:
         option = window.get_render_option() if opened else None
         if option is None:
             raise UsageError(
-                "The display offers no OpenGL window.", f"{PACKAGES}; without OpenGL, {INSTEAD}"
+                "The display offers no OpenGL window.", f"{PACKAGES}; without OpenGL, {ALTERNATIVE}"
             )
-        option.background_color = np.array(PAPER)
+        option.background_color = np.array(BACKGROUND)
         option.mesh_show_back_face = True
-        # open3d's Python name of smooth shading
+        # open3d's name of smooth shading
         option.mesh_shade_option = self._o3d.visualization.MeshShadeOption.Color
         return window
 
-    def _pose(self) -> None:
-        """Put the clock's frame into the shape that is shown."""
+    def _update_shape(self) -> None:
+        """Set the displayed shape to the current frame of the clock."""
         code = self._recording.time_codes[self.clock.frame]
         frame = next(iter(self._source.frames([code])))
         shape = self._shapes[self.shown]
-        if self.shown == "mesh" and self._skin is not None:
-            skin = skin_at(self._recording, self._skin, frame)
-            points, normals = skin.pose((*frame.meshes, *(mesh.points for mesh in frame.flows)))
-            if skin is not self._skin:
-                shape.triangles = self._ints(skin.triangles)
-                shape.vertex_colors = self._floats(skin.colors)
-        elif self._balls is not None and frame.positions is not None and frame.axes is not None:
-            points, normals = self._balls.pose(frame.positions, frame.axes)
+        if self.shown == "mesh" and self._mesh is not None:
+            mesh = mesh_at_frame(self._recording, self._mesh, frame)
+            points, normals = mesh.pose((*frame.meshes, *(mesh.points for mesh in frame.flows)))
+            if mesh is not self._mesh:
+                shape.triangles = self._ints(mesh.triangles)
+                shape.vertex_colors = self._floats(mesh.colors)
+        elif (
+            self._ellipsoids is not None and frame.positions is not None and frame.axes is not None
+        ):
+            points, normals = self._ellipsoids.pose(frame.positions, frame.axes)
         else:
             return
         shape.vertices, shape.vertex_normals = self._floats(points), self._floats(normals)
         if not shape.has_triangle_normals() or self._recording.flows:
-            # open3d lights only meshes that have these as well, though it shades by the others
+            # open3d requires triangle normals for lighting, although it shades by vertex normals
             shape.compute_triangle_normals()
 
     def _add_floor(self, low: Floats, high: Floats, ground: float) -> None:
         lines = floor_lines(low, high, np.array(self._recording.up), ground)
         pairs = np.arange(2 * len(lines)).reshape(-1, 2)
-        drawn = self._o3d.geometry.LineSet(
+        line_set = self._o3d.geometry.LineSet(
             self._floats(lines.reshape(-1, 3)), self._o3d.utility.Vector2iVector(pairs)
         )
-        drawn.paint_uniform_color(LINES)
-        self._window.add_geometry(drawn)
+        line_set.paint_uniform_color(LINE_COLOR)
+        self._window.add_geometry(line_set)
 
     def _bounds(self) -> tuple[Floats, Floats]:
-        """Box [m] of all that is shown, over the motion."""
+        """Bounding box [m] of all shapes over the motion."""
         codes = self._recording.time_codes
         boxes = []
-        for frame in self._source.frames([codes[i] for i in spread(len(codes), SAMPLED_FRAMES)]):
+        for frame in self._source.frames(
+            [codes[i] for i in evenly_spaced(len(codes), SAMPLED_FRAMES)]
+        ):
             cloud = [] if frame.positions is None else [frame.positions]
             flows = [mesh.points for mesh in frame.flows]
             points = np.concatenate([np.zeros((0, 3)), *frame.meshes, *flows, *cloud])
@@ -148,14 +151,14 @@ class Window:
             boxes.append((points.min(axis=0), points.max(axis=0)))
         return np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
 
-    def _look(self) -> None:
-        """Stand where the whole motion is in the picture."""
+    def _frame_motion(self) -> None:
+        """Set the camera so that the view contains the whole motion."""
         control = self._window.get_view_control()
         pinhole = control.convert_to_pinhole_camera_parameters()
-        lens = pinhole.intrinsic
-        fov = 2.0 * np.degrees(np.arctan(0.5 * lens.height / lens.intrinsic_matrix[1, 1]))
+        intrinsic = pinhole.intrinsic
+        fov = 2.0 * np.degrees(np.arctan(0.5 * intrinsic.height / intrinsic.intrinsic_matrix[1, 1]))
         camera = fit_camera(
-            self._corners, self._recording.up, lens.width / lens.height, fov=float(fov)
+            self._corners, self._recording.up, intrinsic.width / intrinsic.height, fov=float(fov)
         )
         eye, target = np.array(camera.eye), np.array(camera.target)
         forward = (target - eye) / np.linalg.norm(target - eye)
@@ -167,42 +170,42 @@ class Window:
         pinhole.extrinsic = extrinsic
         control.convert_from_pinhole_camera_parameters(pinhole, allow_arbitrary=True)
 
-    def _listen(self) -> None:
-        def on(key: int, act: Any) -> None:
-            def pressed(window: Any) -> bool:
-                act()
+    def _register_keys(self) -> None:
+        def bind(key: int, action: Any) -> None:
+            def on_press(window: Any) -> bool:
+                action()
                 self._redraw()
                 return True
 
-            self._window.register_key_callback(key, pressed)
+            self._window.register_key_callback(key, on_press)
 
-        on(SPACE, self.clock.toggle)
-        on(RIGHT, lambda: self.clock.step(1))
-        on(LEFT, lambda: self.clock.step(-1))
-        on(ord("G"), self._switch)
-        on(ord("R"), self._reset)
+        bind(SPACE, self.clock.toggle)
+        bind(RIGHT, lambda: self.clock.step(1))
+        bind(LEFT, lambda: self.clock.step(-1))
+        bind(ord("G"), self._switch_shape)
+        bind(ord("R"), self._reset)
         self._window.register_animation_callback(self._tick)
 
     def _tick(self, window: Any) -> bool:
         if not self.clock.tick():
-            time.sleep(IDLE)
+            time.sleep(POLL_INTERVAL)
             return False
         self._redraw()
         return True
 
     def _redraw(self) -> None:
-        self._pose()
+        self._update_shape()
         self._window.update_geometry(self._shapes[self.shown])
 
-    def _switch(self) -> None:
+    def _switch_shape(self) -> None:
         kinds = list(self._shapes)
         self._window.remove_geometry(self._shapes[self.shown], reset_bounding_box=False)
         self.shown = kinds[(kinds.index(self.shown) + 1) % len(kinds)]
-        self._pose()
+        self._update_shape()
         self._window.add_geometry(self._shapes[self.shown], reset_bounding_box=False)
 
     def _reset(self) -> None:
-        self._look()
+        self._frame_motion()
         self.clock.rewind()
 
     def _floats(self, values: Floats) -> Any:
@@ -212,62 +215,62 @@ class Window:
         return self._o3d.utility.Vector3iVector(np.ascontiguousarray(values, dtype=np.int32))
 
 
-ROUNDING = 1e-9  # [s] a time computed a little before a frame's own shows that frame
+ROUNDING = 1e-9  # [s] tolerance of the time of a frame
 
 
 class Clock:
     """Playback of frames at given times.
 
-    times : [s] of playback, ascending.   now : a clock [s], e.g. `time.perf_counter`.
+    times : playback times [s], ascending.   now : current time [s], e.g. `time.perf_counter`.
     """
 
     def __init__(self, times: Sequence[float], now: Callable[[], float]) -> None:
         self._times, self._now = list(times), now
-        # the last frame is held as long as the one before it
-        self._length = times[-1] - times[0] + (times[-1] - times[-2] if len(times) > 1 else 0.0)
+        # the last frame has the duration of the one before
+        self._duration = times[-1] - times[0] + (times[-1] - times[-2] if len(times) > 1 else 0.0)
         self.frame = 0
         self.playing = True
         self._start = now()
 
     def tick(self) -> bool:
-        """Move on to the frame that is due; True where that is another one."""
-        if not self.playing or self._length <= 0.0:
+        """Advance to the frame of the current time; True if it changes."""
+        if not self.playing or self._duration <= 0.0:
             return False
-        at = self._times[0] + (self._now() - self._start) % self._length
+        at = self._times[0] + (self._now() - self._start) % self._duration
         frame = max(0, bisect_right(self._times, at + ROUNDING) - 1)
         changed, self.frame = frame != self.frame, frame
         return changed
 
     def toggle(self) -> None:
-        """Play from the frame that is shown, or stop there."""
+        """Play from the current frame, or pause at it."""
         self.playing = not self.playing
         self._start = self._now() - (self._times[self.frame] - self._times[0])
 
     def step(self, by: int) -> None:
-        """Stop, and show the frame before or after; it goes round."""
+        """Pause, and step by a number of frames, modulo their number."""
         self.playing = False
         self.frame = (self.frame + by) % len(self._times)
 
     def rewind(self) -> None:
-        """Back to the first frame."""
+        """Return to the first frame."""
         self.frame, self._start = 0, self._now()
 
 
 PACKAGES = "on Debian and Ubuntu: apt-get install libx11-6 libgl1 libegl1 libusb-1.0-0 libgomp1"
-INSTEAD = "gf-usd report writes a page that plays in a browser"
+ALTERNATIVE = "gf-usd report writes a page that plays in a browser"
 
 
 def import_open3d() -> Any:
-    """The module open3d.
+    """Import open3d.
 
-    Raises UsageError where it, or a system library that it needs, is not installed.
+    Raises UsageError where open3d or a system library that it needs is not installed.
     """
     try:
         return importlib.import_module("open3d")
     except ModuleNotFoundError as error:
         raise UsageError(
             f"A window needs the Python module {error.name}, which is not installed.",
-            f"pip install open3d; without it, {INSTEAD}",
+            f"pip install open3d; without it, {ALTERNATIVE}",
         ) from error
     except (ImportError, OSError) as error:
         raise UsageError(
@@ -276,9 +279,9 @@ def import_open3d() -> Any:
 
 
 def require_display() -> None:
-    """Raise UsageError where no X display can be opened; elsewhere than on Linux all is well.
+    """Raise UsageError where no X display can be opened, on Linux.
 
-    Without a display open3d crashes at the first use of its window.
+    Without a display, open3d crashes at the first use of its window.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -286,7 +289,7 @@ def require_display() -> None:
     if not name:
         raise UsageError(
             "There is no display: the environment variable DISPLAY is not set.",
-            f"run it on a desktop, or under xvfb-run; without a display, {INSTEAD}",
+            f"run it on a desktop, or under xvfb-run; without a display, {ALTERNATIVE}",
         )
     try:
         x11 = ctypes.CDLL("libX11.so.6")
@@ -301,61 +304,64 @@ def require_display() -> None:
     if not display:
         raise UsageError(
             f"The display DISPLAY={name} cannot be opened.",
-            f"check that it is running and that you may use it; without a display, {INSTEAD}",
+            f"check that it is running and that you may use it; without a display, {ALTERNATIVE}",
         )
     x11.XCloseDisplay(display)
 
 
-MOST_BALLS = 20_000  # more would not be moved in real time
-CELLS = 10  # of the floor's grid, each way from the middle
+MAX_ELLIPSOIDS = 20_000  # limit of playback in real time
+GRID_CELLS = 10  # of the floor grid, from the center in each direction
 
 
-class Skin:
-    """All meshes as one, with vertices split at creases and where the color changes."""
+class ShadedMesh:
+    """All meshes as one, with the split vertices of `make_display_mesh`."""
 
     def __init__(self, meshes: tuple[RenderMesh, ...]) -> None:
-        self._skin = make_skin(meshes, sum(len(mesh.points) for mesh in meshes))
-        self.triangles = self._skin.corners
-        self.colors = self._skin.colors / 255.0
+        self._mesh = make_display_mesh(meshes, sum(len(mesh.points) for mesh in meshes))
+        self.triangles = self._mesh.corners
+        self.colors = self._mesh.colors / 255.0
 
     def pose(self, meshes: tuple[Floats, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Vertices and unit normals (D, 3) of the meshes' points; n = sum of a x b over faces."""
+        """Vertices and unit normals (D, 3) at points of the meshes; n ~ sum of a x b over faces."""
         joined = np.concatenate([np.zeros((0, 3)), *meshes])
-        points = joined[self._skin.kept][self._skin.source]
+        points = joined[self._mesh.kept][self._mesh.source]
         corners = points[self.triangles]
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        shade = self._skin.shade
-        into = shade[self.triangles].reshape(-1)
-        each = np.repeat(face, 3, axis=0)
-        count = int(shade.max(initial=-1)) + 1
-        total = np.stack([np.bincount(into, each[:, i], minlength=count) for i in range(3)], axis=1)
-        normals = total[shade]
+        groups = self._mesh.shade
+        corner_groups = groups[self.triangles].reshape(-1)
+        corner_normals = np.repeat(face, 3, axis=0)
+        count = int(groups.max(initial=-1)) + 1
+        normal_sums = np.stack(
+            [np.bincount(corner_groups, corner_normals[:, i], minlength=count) for i in range(3)],
+            axis=1,
+        )
+        normals = normal_sums[groups]
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         return points, normals / np.where(length > 0.0, length, 1.0)
 
 
-def skin_at(recording: Recording, skin: Skin, frame: MotionFrame) -> Skin:
-    """The skin of a frame: another one where meshes are there whose faces change."""
-    return Skin((*recording.meshes, *frame.flows)) if recording.flows else skin
+def mesh_at_frame(recording: Recording, mesh: ShadedMesh, frame: MotionFrame) -> ShadedMesh:
+    """The mesh of a frame: a new one for recordings with meshes of varying topology."""
+    return ShadedMesh((*recording.meshes, *frame.flows)) if recording.flows else mesh
 
 
-class Balls:
-    """Gaussians as ellipsoids of one standard deviation, a few faces each."""
+class EllipsoidMesh:
+    """Gaussians as icosahedra scaled to ellipsoids of one standard deviation."""
 
     def __init__(self, cloud: GaussianSet) -> None:
-        self._chosen = sample(len(cloud), MOST_BALLS)
+        self._indices = random_subset(len(cloud), MAX_ELLIPSOIDS)
         self._corners, faces = icosahedron()
-        count = len(self._chosen)
+        count = len(self._indices)
         first = len(self._corners) * np.arange(count)[:, None, None]
         self.triangles = (faces + first).reshape(-1, 3)
-        colors = linear_to_srgb(np.clip(cloud.colors[self._chosen], 0.0, 1.0))
+        colors = linear_to_srgb(np.clip(cloud.colors[self._indices], 0.0, 1.0))
         self.colors = np.repeat(colors, len(self._corners), axis=0)
 
     def pose(self, positions: Floats, axes: Floats) -> tuple[Floats, Floats]:
         """Vertices x = c + A s and normals along A^-T s, both (12 n, 3)."""
-        A = np.asarray(axes)[self._chosen]
-        points = np.asarray(positions)[self._chosen][:, None, :] + self._corners @ A.mT
-        # cofactors are A^-T but for a factor, and exist where A is flat as well
+        A = np.asarray(axes)[self._indices]
+        points = np.asarray(positions)[self._indices][:, None, :] + self._corners @ A.mT
+        # the cofactor matrix is det(A) A^-T, and exists for singular A too
         cofactor = np.stack(
             [np.cross(A[:, :, (i + 1) % 3], A[:, :, (i + 2) % 3]) for i in range(3)], axis=2
         )
@@ -367,7 +373,10 @@ class Balls:
 
 
 def icosahedron() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Corners (12, 3) on the unit ball and faces (20, 3), outward: the hull of (0, ±1, ±phi)."""
+    """Corners (12, 3) on the unit sphere and outward faces (20, 3) of an icosahedron.
+
+    It is the convex hull of the cyclic permutations of (0, ±1, ±phi), phi the golden ratio.
+    """
     phi = 0.5 * (1.0 + math.sqrt(5.0))
     corners = np.array(
         [np.roll((0.0, a, b * phi), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)]
@@ -381,18 +390,18 @@ def icosahedron() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def floor_lines(low: Floats, high: Floats, up: Floats, ground: float) -> NDArray[np.float64]:
-    """(n, 2, 3) [m] lines of a grid under a box, at a height along up."""
+    """Lines (n, 2, 3) [m] of a grid below a box, at a height [m] along up."""
     axis = int(np.argmax(np.abs(up)))
     across = [i for i in range(3) if i != axis]
     middle = 0.5 * (np.asarray(low) + np.asarray(high))
-    reach = 0.75 * float(np.max(np.asarray(high) - low)) or 1.0
-    ticks = np.linspace(-reach, reach, 2 * CELLS + 1)
+    half_size = 0.75 * float(np.max(np.asarray(high) - low)) or 1.0
+    ticks = np.linspace(-half_size, half_size, 2 * GRID_CELLS + 1)
     lines = []
     for along, other in (across, across[::-1]):
         ends = np.tile(middle, (len(ticks), 2, 1))
         ends[:, :, axis] = ground
         ends[:, :, other] += ticks[:, None]
-        ends[:, 0, along] -= reach
-        ends[:, 1, along] += reach
+        ends[:, 0, along] -= half_size
+        ends[:, 1, along] += half_size
         lines.append(ends)
     return np.concatenate(lines)

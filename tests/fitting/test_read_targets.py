@@ -82,8 +82,8 @@ def test_another_up_axis_is_turned(tmp_path: Path) -> None:
 
 def test_tracks_lie_on_the_surface_at_the_first_frame(tmp_path: Path) -> None:
     found, notes = read_motion(parse(written(tmp_path, CURVES % "9")), scene())
-    (followed,) = found.followed
-    assert followed.of(CORNERS + LIFT) == pytest.approx(found.x[0])
+    (tracked,) = found.tracked
+    assert tracked.of(CORNERS + LIFT) == pytest.approx(found.x[0])
     assert found.x[:, 0, 1] == pytest.approx([2.25, 2.0, 1.5])
     assert np.isnan(found.x[2, 1]).all()
     assert notes == ("film.usda: 1 track off the surface: left out",)

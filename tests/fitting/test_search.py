@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.arrays import Floats
-from gf_usd.fitting.search import PRIOR, Minimum, NothingRuns, OutOfTime, search
+from gf_usd.fitting.search import PRIOR, AllSimulationsFailed, Minimum, OutOfTime, search
 from gf_usd.fitting.uncertainty import LEVEL, Uncertainty, uncertainty
 
 TIMES = np.linspace(0.0, 3.0, 40)  # [s]
@@ -116,7 +116,7 @@ def test_failed_simulations_are_walked_around() -> None:
         return [None if z[0] > 0.7 else ((motion(z) - target) / NOISE).ravel() for z in points]
 
     assert search(evaluate, START).z[:2] == pytest.approx(TRUTH[:2], abs=1e-3)
-    with pytest.raises(NothingRuns):
+    with pytest.raises(AllSimulationsFailed):
         search(lambda points, late: [None for _ in points], START)
 
 

@@ -10,8 +10,15 @@ import pytest
 from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.fitting.figures import FIGURES, Number, check_number, number
-from gf_usd.fitting.observation import Followed, Observation, Scene, corner, load, save
-from gf_usd.fitting.read_targets import spread
+from gf_usd.fitting.observation import (
+    Observation,
+    Scene,
+    TrackedPoints,
+    load,
+    save,
+    vertices_as_points,
+)
+from gf_usd.fitting.read_targets import farthest_points
 from gf_usd.fitting.targets import Motion, clusters, parse, residuals
 from gf_usd.pipeline.measures.figures import Recorder
 
@@ -49,7 +56,7 @@ def scene(unit: float = 1.0) -> Scene:
     )  # fmt: skip
 
 
-def asked(text: str) -> Number:
+def target_of(text: str) -> Number:
     found = parse(text)
     check_number(found)
     return number(found, scene())
@@ -63,7 +70,7 @@ def asked(text: str) -> Number:
         ("film.usd±0.003", {"file": Path("film.usd"), "sigma": 0.003, "share": False}),
         ("rebound=0.6", {"figure": "rebound", "value": 0.6, "time_code": None}),
         ("height=.15+-2e-3@12", {"value": 0.15, "sigma": 2e-3, "time_code": 12.0}),
-        ("deflection=1:at=0,-1,2.5@3", {"place": (0.0, -1.0, 2.5), "time_code": 3.0}),
+        ("deflection=1:at=0,-1,2.5@3", {"position": (0.0, -1.0, 2.5), "time_code": 3.0}),
     ],
 )
 def test_a_text_is_taken_apart(text: str, expected: dict[str, object]) -> None:
@@ -89,7 +96,7 @@ def test_a_text_is_taken_apart(text: str, expected: dict[str, object]) -> None:
 )
 def test_a_text_that_makes_no_sense_is_refused(text: str, said: str) -> None:
     with pytest.raises(UsageError) as refused:
-        asked(text)
+        target_of(text)
     assert said in str(refused.value)
 
 
@@ -103,76 +110,77 @@ def test_lengths_are_in_stage_units_and_deviations_in_shares() -> None:
 
 
 def test_numbers_of_a_vibrating_bar() -> None:
-    seen = observation()
+    simulation = observation()
     # cubic Hermite: w^4 h^4 / 384 of the amplitude, with h = 1 / 24 s
     between = SINK * (2.0 * np.pi * FREQUENCY / FPS) ** 4 / 384.0
     place, _ = bar(np.array([0.27]))
-    shown = asked("height=0.4@7.48").simulated(seen, 0)  # 0.27 s after time code 1
+    shown = target_of("height=0.4@7.48").simulated(simulation, 0)  # 0.27 s after time code 1
     assert shown == pytest.approx(place[0, 1, 1], abs=between)
     # half an amplitude e^(-3) remains on the later half, of which the window keeps little
-    top = asked("deflection=0.05:at=0,0.4,0")
-    assert top.simulated(seen, 1) == pytest.approx(SINK, abs=0.01 * SINK)
-    assert asked("settled_height=0.3").simulated(seen, 0) == pytest.approx(
+    top = target_of("deflection=0.05:at=0,0.4,0")
+    assert top.simulated(simulation, 1) == pytest.approx(SINK, abs=0.01 * SINK)
+    assert target_of("settled_height=0.3").simulated(simulation, 0) == pytest.approx(
         TALL - SINK, abs=0.01 * SINK
     )
     # damping broadens the line by DAMPED / 2 pi = 0.5 Hz; its peak stays within a tenth of that
-    wave = asked("frequency=2:at=0,0.4,0").simulated(seen, 1)
+    wave = target_of("frequency=2:at=0,0.4,0").simulated(simulation, 1)
     assert wave == pytest.approx(FREQUENCY, abs=0.05)
     # the envelope is 5 % after ln(20) / DAMPED, and a last swing may end up to half a period early
-    settled = asked("settling_time=1").simulated(seen, 0)
+    settled = target_of("settling_time=1").simulated(simulation, 0)
     assert np.log(20.0) / DAMPED - 0.5 / FREQUENCY <= settled <= np.log(20.0) / DAMPED + 1.0 / FPS
 
 
 def test_what_a_motion_does_not_show_is_no_number() -> None:
-    seen = observation()  # which never lands
+    simulation = observation()  # which never lands
     for name in ("rebound", "first_contact_time"):
-        assert np.isnan(FIGURES[name].of(seen, 0, None)), name
+        assert np.isnan(FIGURES[name].of(simulation, 0, None)), name
 
 
 def test_points_between_frames_and_residuals_of_what_was_seen() -> None:
-    seen = observation()
+    simulation = observation()
     times = np.array([0.1, 0.27, 1.5])
     x, _ = bar(times)
     x[1, 0] = np.nan  # the foot is hidden once
     target = Motion(
-        name="film", followed=(corner("/bar", np.array([0, 1])),), seconds=times, x=x, sigma=1e-3,
+        name="film", tracked=(vertices_as_points("/bar", np.array([0, 1])),),
+        seconds=times, x=x, sigma=1e-3,
         stated=True,
     )  # fmt: skip
-    found = residuals([target, asked("height=0.4@13")], seen)
+    found = residuals([target, target_of("height=0.4@13")], simulation)
     assert len(found) == 3 * 2 * 3 - 3 + 1
     between = SINK * (2.0 * np.pi * FREQUENCY / FPS) ** 4 / 384.0
     assert np.abs(found[:-1]).max() < between / 1e-3
-    points, at = clusters([target, asked("height=0.4@13")])
+    points, at = clusters([target, target_of("height=0.4@13")])
     assert len(np.unique(points)) == 3
     assert len(np.unique(at)) == 4
-    assert clusters([asked("height=0.4@13"), asked("squash=0.4")]) == []
-    assert target.distance(seen, 0) == pytest.approx(0.0, abs=between)
+    assert clusters([target_of("height=0.4@13"), target_of("squash=0.4")]) == []
+    assert target.distance(simulation, 0) == pytest.approx(0.0, abs=between)
 
 
 def test_a_followed_point_lies_within_its_triangle() -> None:
     third = np.full((1, 3), 1.0 / 3.0)
-    point = Followed(path="/a", vertices=np.array([[0, 2, 3]]), weights=third)
+    point = TrackedPoints(path="/a", vertices=np.array([[0, 2, 3]]), weights=third)
     corners = np.array([[0.0, 0, 0], [9, 9, 9], [3, 0, 0], [0, 3, 0]])
     assert point.of(corners)[0] == pytest.approx([1.0, 1.0, 0.0])
 
 
 def test_points_are_spread() -> None:
     grid = np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3)
-    chosen = grid[spread(grid, 8)]
+    chosen = grid[farthest_points(grid, 8)]
     apart = np.linalg.norm(chosen[:, None] - chosen, axis=2)
     gap = apart[~np.eye(8, dtype=bool)].min()
     farthest = np.linalg.norm(grid[:, None] - chosen, axis=2).min(1).max()
     assert len(chosen) == 8
     assert farthest <= gap  # of points that are each the farthest from those before it
-    assert len(spread(grid[:5], 8)) == 5
+    assert len(farthest_points(grid[:5], 8)) == 5
 
 
 def test_an_observation_is_kept_to_the_bit(tmp_path: Path) -> None:
-    seen = observation()
-    save(tmp_path / "one.run", seen)
+    simulation = observation()
+    save(tmp_path / "one.run", simulation)
     again = load(tmp_path / "one.run")
-    assert np.array_equal(again.x, seen.x)
-    assert np.array_equal(again.series.high, seen.series.high)
+    assert np.array_equal(again.x, simulation.x)
+    assert np.array_equal(again.series.high, simulation.series.high)
     (tmp_path / "cut.run").write_bytes((tmp_path / "one.run").read_bytes()[:900])
     with pytest.raises(ValueError):
         load(tmp_path / "cut.run")

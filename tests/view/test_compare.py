@@ -12,7 +12,7 @@ from recordings import BOX, FRAMES, SIDE, FallingBox, MeltingBox
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import MotionFrame, Recording
-from gf_usd.view.compare import TO_Z, compare_motions, parse_tolerance, with_tolerance
+from gf_usd.view.compare import Y_UP_TO_Z_UP, compare_motions, parse_tolerance, with_tolerance
 
 EPS = np.finfo(np.float64).eps
 
@@ -164,7 +164,7 @@ def test_no_time_in_common_is_refused() -> None:
 
 
 def test_another_up_axis_is_turned() -> None:
-    upright = Changed(lambda x, frame: x @ TO_Z.T, up=(0.0, 0.0, 1.0))
+    upright = Changed(lambda x, frame: x @ Y_UP_TO_Z_UP.T, up=(0.0, 0.0, 1.0))
     found = compare_motions(Changed(), upright)
     assert found.error <= 8 * EPS
     assert any("another up axis" in note for note in found.notes)

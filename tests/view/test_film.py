@@ -13,7 +13,8 @@ from PIL import Image
 
 from gf_usd.core.errors import BakeError, GfUsdError, UsageError
 from gf_usd.view import film as movie
-from gf_usd.view.film import columns_for, contact_sheet, spread, write_gif, write_mp4
+from gf_usd.view.contact_sheet import choose_frames, contact_sheet, sheet_columns
+from gf_usd.view.film import write_gif, write_mp4
 
 WIDTH, HEIGHT = 96, 64
 
@@ -150,20 +151,20 @@ def test_a_gif_has_the_same_bytes_each_time(tmp_path):
 
 
 def test_frames_of_a_sheet_are_spread_evenly_or_by_what_moves() -> None:
-    assert spread(11, 3) == [0, 5, 10]
-    assert spread(3, 6) == [0, 1, 2]
-    assert spread(1, 4) == [0]
+    assert choose_frames(11, 3) == [0, 5, 10]
+    assert choose_frames(3, 6) == [0, 1, 2]
+    assert choose_frames(1, 4) == [0]
     speeds = np.zeros(101)
     speeds[:20] = 1.0
-    chosen = spread(101, 6, speeds)
+    chosen = choose_frames(101, 6, speeds)
     assert (chosen[0], chosen[-1]) == (0, 100)
     assert chosen == sorted(set(chosen))
     # 19.5 of way by the motion and 100 x 0.1 x 0.198 besides: all but the last are in the motion
     assert sum(i <= 20 for i in chosen) == 5
     jump = np.zeros(9)
     jump[4] = 1.0
-    assert len(set(spread(9, 8, jump))) == 8, "no frame twice"
-    assert spread(5, 3, np.zeros(5)) == [0, 2, 4]
+    assert len(set(choose_frames(9, 8, jump))) == 8, "no frame twice"
+    assert choose_frames(5, 3, np.zeros(5)) == [0, 2, 4]
 
 
 def test_a_sheet_has_its_tiles_in_reading_order():
@@ -180,7 +181,7 @@ def test_a_sheet_has_its_tiles_in_reading_order():
 
 @pytest.mark.parametrize(("count", "columns"), [(1, 1), (2, 2), (6, 3), (12, 4), (20, 5)])
 def test_a_sheet_is_about_three_to_two(count, columns):
-    assert columns_for(count, 4 / 3) == columns
+    assert sheet_columns(count, 4 / 3) == columns
 
 
 def test_importing_the_films_loads_no_codec():

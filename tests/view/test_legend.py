@@ -7,19 +7,9 @@ import pytest
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.scene import Quantity, RenderEllipsoids, RenderMesh, RenderSplats, Scene
-from gf_usd.view.legend import (
-    SMALLEST_PICTURE,
-    Legend,
-    colors,
-    fraction,
-    label,
-    paint,
-    prefix,
-    ramp,
-    rounded_up,
-    ticks,
-    written,
-)
+from gf_usd.view.colormap import color_by_value, color_map, colors, fraction
+from gf_usd.view.legend import MIN_PICTURE_SIZE, Legend, label
+from gf_usd.view.ticks import format_number, round_up, si_prefix, ticks
 
 # CIE XYZ of linear Rec. 709 (IEC 61966-2-1)
 XYZ_OF_RGB = np.array(
@@ -38,14 +28,14 @@ def lab(linear: np.ndarray) -> np.ndarray:
 
 
 def test_the_ramp_grows_lighter_in_even_steps():
-    seen = lab(ramp())
+    seen = lab(color_map())
     assert (np.diff(seen[:, 0]) > 0.0).all()
     steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
     # straight lines in sRGB between the stops, whose codes are rounded
     assert np.percentile(steps, 5) > 0.8 * np.median(steps)
     assert steps.max() < 1.2 * np.median(steps)
-    assert ramp().min() >= 0.0
-    assert ramp().max() <= 1.0
+    assert color_map().min() >= 0.0
+    assert color_map().max() <= 1.0
 
 
 def test_values_beyond_the_range_have_its_ends_and_what_is_no_number_the_low_one():
@@ -53,7 +43,7 @@ def test_values_beyond_the_range_have_its_ends_and_what_is_no_number_the_low_one
         [0.0, 0.0, 0.5, 1.0, 0.0]
     )
     shown = colors(np.array([0.0, 0.5, 1.0]), 0.0, 1.0)
-    assert np.allclose(shown[[0, 2]], ramp()[[0, -1]])
+    assert np.allclose(shown[[0, 2]], color_map()[[0, -1]])
     assert fraction(np.array([3.0]), 3.0, 3.0) == [0.0]
 
 
@@ -93,7 +83,7 @@ def scene() -> Scene:
 
 
 def test_what_has_values_is_painted_and_the_rest_is_not():
-    painted = paint(scene(), 0.0, 1.0)
+    painted = color_by_value(scene(), 0.0, 1.0)
     mesh, prop = painted.meshes
     assert prop is not None
     assert prop.textures == ()
@@ -103,7 +93,7 @@ def test_what_has_values_is_painted_and_the_rest_is_not():
     assert texel.tolist() == [0, 128, 255]
     assert float(mesh.metallic) == 0.0
     for cloud in (painted.splats[0], painted.ellipsoids[0]):
-        assert np.allclose(cloud.colors, ramp()[[0, -1]])
+        assert np.allclose(cloud.colors, color_map()[[0, -1]])
 
 
 @pytest.mark.parametrize(
@@ -120,12 +110,12 @@ def test_ticks_are_round(low, high, expected):
 
 
 def test_numbers_are_written_short():
-    assert [written(v) for v in (0.0, 0.123456, 12.0, 2500.0, -0.5)] == [
+    assert [format_number(v) for v in (0.0, 0.123456, 12.0, 2500.0, -0.5)] == [
         "0", "0.123", "12", "2500", "-0.5",
     ]  # fmt: skip
-    assert prefix(12_300.0, "Pa") == (1e3, "kPa")
-    assert prefix(0.3, "") == (1.0, "")
-    assert [rounded_up(v) for v in (0.4567, 12.0, 123_400.0, 0.0)] == pytest.approx(
+    assert si_prefix(12_300.0, "Pa") == (1e3, "kPa")
+    assert si_prefix(0.3, "") == (1.0, "")
+    assert [round_up(v) for v in (0.4567, 12.0, 123_400.0, 0.0)] == pytest.approx(
         [0.46, 12.0, 130_000.0, 0.0]
     )
 
@@ -135,7 +125,7 @@ def test_the_legend_shows_the_ramp_with_the_high_end_at_the_top():
     blank = np.full((480, 640, 3), 128, dtype=np.uint8)
     quantity = Quantity(title="stress", measure="von Mises", unit="Pa", high=4e4, largest=5e4)
     legend = Legend(quantity, size)
-    shown = legend.over(blank)
+    shown = legend.overlay(blank)
     assert shown.shape == blank.shape
     # nothing beyond what it reserves, and that is less than a quarter of the picture
     assert np.array_equal(shown[:, legend.reserved :], blank[:, legend.reserved :])
@@ -153,7 +143,8 @@ def test_the_legend_shows_the_ramp_with_the_high_end_at_the_top():
 def test_other_numbers_give_another_legend():
     blank = np.full((480, 640, 3), 128, dtype=np.uint8)
     one, two = (
-        Legend(Quantity(title="strain", high=high), (640, 480)).over(blank) for high in (0.5, 0.7)
+        Legend(Quantity(title="strain", high=high), (640, 480)).overlay(blank)
+        for high in (0.5, 0.7)
     )
     assert not np.array_equal(one, two)
 
@@ -161,7 +152,7 @@ def test_other_numbers_give_another_legend():
 def test_a_picture_too_small_for_words_is_refused():
     with pytest.raises(UsageError, match="100x80 pixels is too small for a legend"):
         Legend(Quantity(title="strain"), (100, 80))
-    assert Legend(Quantity(title="strain"), SMALLEST_PICTURE).reserved < SMALLEST_PICTURE[0] // 2
+    assert Legend(Quantity(title="strain"), MIN_PICTURE_SIZE).reserved < MIN_PICTURE_SIZE[0] // 2
 
 
 def test_a_label_stays_in_its_corner():

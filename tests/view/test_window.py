@@ -11,7 +11,14 @@ from recordings import BOX, TRIANGLES, FallingBox, MeltingBox
 
 from gf_usd.core.errors import UsageError
 from gf_usd.view import window
-from gf_usd.view.window import Balls, Clock, Skin, floor_lines, icosahedron, skin_at
+from gf_usd.view.window import (
+    Clock,
+    EllipsoidMesh,
+    ShadedMesh,
+    floor_lines,
+    icosahedron,
+    mesh_at_frame,
+)
 
 
 class Now:
@@ -56,7 +63,7 @@ def test_a_balls_normals_stand_on_its_ellipsoid():
     corners, faces = icosahedron()
     assert (corners.shape, faces.shape) == ((12, 3), (20, 3))
     cloud = FallingBox(gaussians=5).recording().gaussians
-    balls = Balls(cloud)
+    balls = EllipsoidMesh(cloud)
     rng = np.random.default_rng(2)
     positions, axes = rng.standard_normal((5, 3)), rng.standard_normal((5, 3, 3))
     points, normals = balls.pose(positions, axes)
@@ -72,7 +79,7 @@ def test_a_balls_normals_stand_on_its_ellipsoid():
 
 
 def test_a_box_has_flat_sides():
-    skin = Skin(FallingBox().recording().meshes)
+    skin = ShadedMesh(FallingBox().recording().meshes)
     points, normals = skin.pose((BOX,))
     assert points[skin.triangles] == pytest.approx(BOX[TRIANGLES])
     assert np.sort(np.abs(normals), axis=1) == pytest.approx(np.tile([0, 0, 1], (24, 1)))
@@ -81,10 +88,10 @@ def test_a_box_has_flat_sides():
 def test_a_surface_whose_faces_change_has_the_faces_of_its_frame():
     box = MeltingBox()
     recording = box.recording()
-    whole = Skin(recording.meshes)
+    whole = ShadedMesh(recording.meshes)
     counts = []
     for frame in box.frames(recording.time_codes):
-        skin = skin_at(recording, whole, frame)
+        skin = mesh_at_frame(recording, whole, frame)
         points, _ = skin.pose(tuple(mesh.points for mesh in frame.flows))
         (mesh,) = frame.flows
         assert points[skin.triangles] == pytest.approx(mesh.points[mesh.triangles])
@@ -92,8 +99,8 @@ def test_a_surface_whose_faces_change_has_the_faces_of_its_frame():
     assert counts == [11, 12, 11, 12, 11, 12, 11]
     assert len(whole.pose(())[0]) == 0
     solid = FallingBox().recording()
-    skin = Skin(solid.meshes)
-    assert skin_at(solid, skin, next(iter(FallingBox().frames([1.0])))) is skin
+    skin = ShadedMesh(solid.meshes)
+    assert mesh_at_frame(solid, skin, next(iter(FallingBox().frames([1.0])))) is skin
 
 
 def test_the_floor_lies_under_the_box():

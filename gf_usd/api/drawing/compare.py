@@ -186,7 +186,8 @@ class SideBySide:
         options: Options,
     ) -> None:
         from gf_usd.readers.pictures.scene import PictureStage
-        from gf_usd.view.legend import Legend, rounded_up
+        from gf_usd.view.legend import Legend
+        from gf_usd.view.ticks import round_up
 
         self._size, self._pairing = options.size, pairing
         self._paths = paths
@@ -195,7 +196,7 @@ class SideBySide:
         ]
         self._names = found.meshes
         self._partner = dict(zip(found.time_codes.tolist(), found.other_time_codes.tolist()))
-        top = rounded_up(found.error) or found.radius * 1e-6
+        top = round_up(found.error) or found.radius * 1e-6
         self._quantity = Quantity(
             title="Distance", measure=f"to {paths[0].stem}", unit="m", high=top,
             largest=found.error, source=("largest of all", "frames,"),
@@ -205,22 +206,27 @@ class SideBySide:
 
     def __call__(self, time_code: float) -> NDArray[np.uint8]:
         """The picture (H, 3 W, 3) sRGB at a time code of A."""
-        from gf_usd.view.legend import label, paint
+        from gf_usd.view.colormap import color_by_value
+        from gf_usd.view.legend import label
         from gf_usd.view.render.render import render
 
         mine = self._stages[0].scene(time_code)
         other = self._turned(self._stages[1].scene(self._partner[time_code]))
-        colored = paint(self._valued(mine, other), 0.0, self._quantity.high)
+        colored = color_by_value(self._valued(mine, other), 0.0, self._quantity.high)
         parts = [render(scene, self._camera, self._size) for scene in (mine, other, colored)]
         names = [path.stem for path in self._paths]
         if names[0] == names[1]:
             names = ["A", "B"]
-        parts = [label(parts[0], names[0]), label(parts[1], names[1]), self._legend.over(parts[2])]
+        parts = [
+            label(parts[0], names[0]),
+            label(parts[1], names[1]),
+            self._legend.overlay(parts[2]),
+        ]
         return np.concatenate(parts, axis=1)
 
     def _turned(self, scene: Scene) -> Scene:
         """B's scene in the world of A; the floor is drawn where A has it."""
-        turn = self._pairing.turn.T
+        turn = self._pairing.rotation.T
         meshes = tuple(
             replace(
                 mesh,
@@ -249,7 +255,7 @@ class SideBySide:
 
         corners = [
             stage.motion.bounds.corners @ turn.T
-            for stage, turn in zip(self._stages, (np.eye(3), self._pairing.turn))
+            for stage, turn in zip(self._stages, (np.eye(3), self._pairing.rotation))
             if stage.motion.bounds is not None
         ]
         aspect = self._size[0] / self._size[1]

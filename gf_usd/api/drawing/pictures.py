@@ -13,11 +13,14 @@ from gf_usd.api.drawing.options import Options
 from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Camera, Light, Quantity
 from gf_usd.readers.pictures.scene import PictureStage
-from gf_usd.view.film import FASTEST, columns_for, contact_sheet, spread, write_gif, write_mp4
-from gf_usd.view.legend import Legend, label, paint, rounded_up
+from gf_usd.view.colormap import color_by_value
+from gf_usd.view.contact_sheet import choose_frames, contact_sheet, sheet_columns
+from gf_usd.view.film import MAX_FPS, write_gif, write_mp4
+from gf_usd.view.legend import Legend, label
 from gf_usd.view.render.camera import fit_camera
 from gf_usd.view.render.lights import studio
 from gf_usd.view.render.render import render
+from gf_usd.view.ticks import round_up
 
 Pixels = NDArray[np.uint8]
 
@@ -53,10 +56,10 @@ class Drawing:
         scene = self._source.scene(time_code)
         self.notes.update(dict.fromkeys(scene.notes))
         if self._quantity is not None:
-            scene = paint(scene, self._quantity.low, self._quantity.high)
+            scene = color_by_value(scene, self._quantity.low, self._quantity.high)
         camera = self._source.camera(time_code, self._aspect) or self._fitted
         pixels = render(replace(scene, lights=self._lights), camera, self._size)
-        return self._legend.over(pixels) if self._legend and legend else pixels
+        return self._legend.overlay(pixels) if self._legend and legend else pixels
 
     def speeds(self, codes: Sequence[float]) -> Floats | None:
         """See `PictureStage.speeds`."""
@@ -92,7 +95,7 @@ def _quantity(source: PictureStage, limits: tuple[float, float] | None) -> Quant
     if limits is not None:
         return replace(found, low=limits[0], high=limits[1], chosen=True)
     # a body that never strains still gets a bar
-    return replace(found, high=rounded_up(found.high) or 1.0)
+    return replace(found, high=round_up(found.high) or 1.0)
 
 
 def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixels:
@@ -101,12 +104,12 @@ def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixe
     They are spread evenly where the codes were asked for, else by how much moves between them.
     """
     speeds = draw.speeds(codes) if options.span is None else None
-    chosen = [codes[i] for i in spread(len(codes), options.sheet or 1, speeds)]
+    chosen = [codes[i] for i in choose_frames(len(codes), options.sheet or 1, speeds)]
     tiles = [
         label(draw(code, legend=i == 0), f"time code {code:g}") for i, code in enumerate(chosen)
     ]
     aspect = options.size[0] / options.size[1]
-    return contact_sheet(tiles, options.columns or columns_for(len(tiles), aspect))
+    return contact_sheet(tiles, options.columns or sheet_columns(len(tiles), aspect))
 
 
 def film_rate(codes: Sequence[float], per_second: float, options: Options) -> float:
@@ -117,7 +120,7 @@ def film_rate(codes: Sequence[float], per_second: float, options: Options) -> fl
 
 def thin_for_gif(codes: list[float], fps: float) -> tuple[list[float], float]:
     """Every n-th time code, and the rate, so that a GIF can keep up."""
-    every = int(np.ceil(fps / FASTEST - 1e-9)) or 1
+    every = int(np.ceil(fps / MAX_FPS - 1e-9)) or 1
     return codes[::every], fps / every
 
 
@@ -132,7 +135,7 @@ def write_film(
     gif = options.target.suffix.lower() == ".gif"
     early: dict[int, Pixels] = {}
     if gif:
-        early = {i: draw(codes[i]) for i in spread(len(codes), PALETTE_FRAMES)}
+        early = {i: draw(codes[i]) for i in choose_frames(len(codes), PALETTE_FRAMES)}
 
     def frames() -> Iterator[Pixels]:
         for i, code in enumerate(codes):

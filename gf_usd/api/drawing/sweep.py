@@ -9,7 +9,7 @@ import numpy as np
 from gf_usd.api.drawing.pictures import Drawing
 from gf_usd.pipeline.result import BakeResult
 from gf_usd.readers.pictures.scene import PictureStage
-from gf_usd.view.film import contact_sheet, spread
+from gf_usd.view.contact_sheet import choose_frames, contact_sheet
 from gf_usd.view.legend import label
 from gf_usd.view.render.camera import fit_camera
 from gf_usd.view.render.image import write_png
@@ -30,7 +30,7 @@ def draw_sweep(result: BakeResult, target: Path) -> None:
     known = motion.time_codes
     rates = [rate for one in sources if (rate := one.speeds(known)) is not None and rate.any()]
     speeds = np.sum([rate / rate.max() for rate in rates], axis=0) if rates else None
-    codes = [known[i] for i in spread(len(known), COLUMNS, speeds)]
+    codes = [known[i] for i in choose_frames(len(known), COLUMNS, speeds)]
     tiles = []
     for bake, source in zip(result.bakes, sources):
         draw = Drawing(source, TILE, fitted=camera)

@@ -17,40 +17,40 @@ ENERGIES = ((1e6, "MJ"), (1e3, "kJ"), (1.0, "J"), (1e-3, "mJ"), (1e-6, "µJ"), (
 
 
 def plots(motion: Motion, record: Record) -> list[Plot]:
-    """Every plot that there is data for; each has a title, a unit and curves with x [s] and y."""
-    made = [
-        _height(motion, record),
-        _stretch(motion, record),
-        _volume(motion, record),
-        _energy(motion, record),
-        _contact(motion, record),
-        *_drift(motion, record),
+    """All plots with data.  Each has a title, a unit, and curves of y over x, playback time [s]."""
+    all_plots = [
+        _height_plot(motion, record),
+        _stretch_plot(motion, record),
+        _volume_plot(motion, record),
+        _energy_plot(motion, record),
+        _penetration_plot(motion, record),
+        *_drift_plots(motion, record),
     ]
-    return [plot for plot in made if plot["curves"]]
+    return [plot for plot in all_plots if plot["curves"]]
 
 
-def comparison_plots(found: Comparison, names: tuple[str, str]) -> list[Plot]:
-    """How far two motions are apart over time; names : of the two."""
-    x = found.seconds.tolist()
-    distance = _plot(
+def comparison_plots(comparison: Comparison, names: tuple[str, str]) -> list[Plot]:
+    """Plots of the distance and the volumes of two motions over time; names : of the two."""
+    x = comparison.seconds.tolist()
+    distance = _make_plot(
         "Distance",
         "between the same points in the two files",
         [
-            {"name": "largest", "x": [*x], "y": found.largest.tolist()},
-            {"name": "rms", "x": [*x], "y": found.rms.tolist()},
-            {"name": "centers of mass", "x": [*x], "y": found.center.tolist()},
+            {"name": "largest", "x": [*x], "y": comparison.largest.tolist()},
+            {"name": "rms", "x": [*x], "y": comparison.rms.tolist()},
+            {"name": "centers of mass", "x": [*x], "y": comparison.center.tolist()},
         ],
         LENGTHS,
     )
     factor = distance.pop("factor")
-    if found.tolerance is not None:
-        distance["line"], distance["line_name"] = found.tolerance / factor, "tolerance"
-    first = found.volumes[0, 0] or 1.0
-    volume = _plot(
+    if comparison.tolerance is not None:
+        distance["line"], distance["line_name"] = comparison.tolerance / factor, "tolerance"
+    first = comparison.volumes[0, 0] or 1.0
+    volume = _make_plot(
         "Volume",
         f"relative to that of {names[0]} in the first frame",
         [
-            {"name": name, "x": [*x], "y": (found.volumes[:, i] / first).tolist()}
+            {"name": name, "x": [*x], "y": (comparison.volumes[:, i] / first).tolist()}
             for i, name in enumerate(names)
         ],
     )
@@ -58,120 +58,123 @@ def comparison_plots(found: Comparison, names: tuple[str, str]) -> list[Plot]:
 
 
 def unit_for(values: Sequence[float | None], units: Sequence[tuple[float, str]]) -> float:
-    """The factor of the unit in which the largest value is at least 1, or the smallest unit's."""
+    """The factor of the largest unit in which the largest value is 1 or more, else the smallest."""
     top = max((abs(v) for v in values if v is not None), default=0.0)
     return next((factor for factor, _ in units if top >= factor), units[-1][0])
 
 
-def _height(motion: Motion, record: Record) -> Plot:
+def _height_plot(motion: Motion, record: Record) -> Plot:
     up = motion.recording.up
-    known = motion.curves
+    values_by_name = motion.curves
     center = [
         None
         if (c := frame.get("center", frame.get("centre"))) is None
         else sum(a * b for a, b in zip(c, up))
         for frame in record.frames
     ]
-    path = _health(motion, record, "center of mass", center)
-    path["band"] = _band(record, path)
+    center_curve = _health_curve(motion, record, "center of mass", center)
+    center_curve["band"] = _certified_band(record, center_curve)
     curves = [
-        _geometry(motion, "highest", known.get("highest")),
-        path
+        _geometry_curve(motion, "highest", values_by_name.get("highest")),
+        center_curve
         if any(c is not None for c in center)
-        else _geometry(motion, "center", known.get("center")),
-        _geometry(motion, "lowest", known.get("lowest")),
+        else _geometry_curve(motion, "center", values_by_name.get("center")),
+        _geometry_curve(motion, "lowest", values_by_name.get("lowest")),
     ]
-    plot = _plot("Height", "along the up axis", curves, LENGTHS)
+    plot = _make_plot("Height", "along the up axis", curves, LENGTHS)
     if motion.recording.ground is not None:
         plot["line"] = motion.recording.ground / plot.pop("factor")
         plot["line_name"] = "floor"
     return plot
 
 
-def _band(record: Record, curve: Curve) -> list[float | None]:
-    """Half width [m] of what is known about a curve of every frame; None where it is not known."""
-    known = record.certificate.get("center", {}).get("half_width", ())
-    if not known or len(curve["y"]) < len(record.frames):
+def _certified_band(record: Record, curve: Curve) -> list[float | None]:
+    """Half width [m] of the certified interval in each frame of a curve; None: unknown."""
+    half_widths = record.certificate.get("center", {}).get("half_width", ())
+    if not half_widths or len(curve["y"]) < len(record.frames):
         return []
-    return [*known, *[None] * (len(curve["y"]) - len(known))][: len(curve["y"])]
+    return [*half_widths, *[None] * (len(curve["y"]) - len(half_widths))][: len(curve["y"])]
 
 
-def _stretch(motion: Motion, record: Record) -> Plot:
-    known = motion.curves
-    return _plot(
+def _stretch_plot(motion: Motion, record: Record) -> Plot:
+    values_by_name = motion.curves
+    return _make_plot(
         "Stretch",
         "of particles and of the surface; 1 is undeformed",
         [
-            _health(motion, record, "largest", _column(record, "max_stretch")),
-            _geometry(motion, "surface, largest", known.get("surface_max")),
-            _geometry(motion, "surface, smallest", known.get("surface_min")),
-            _health(motion, record, "smallest", _column(record, "min_stretch")),
+            _health_curve(motion, record, "largest", _health_column(record, "max_stretch")),
+            _geometry_curve(motion, "surface, largest", values_by_name.get("surface_max")),
+            _geometry_curve(motion, "surface, smallest", values_by_name.get("surface_min")),
+            _health_curve(motion, record, "smallest", _health_column(record, "min_stretch")),
         ],
     )
 
 
-def _volume(motion: Motion, record: Record) -> Plot:
-    high, low = _column(record, "max_J"), _column(record, "min_J")
+def _volume_plot(motion: Motion, record: Record) -> Plot:
+    high, low = _health_column(record, "max_J"), _health_column(record, "min_J")
     if any(v is not None for v in high):
         curves = [
-            _health(motion, record, "largest", high),
-            _health(motion, record, "smallest", low),
+            _health_curve(motion, record, "largest", high),
+            _health_curve(motion, record, "smallest", low),
         ]
     else:
         curves = [
-            _geometry(motion, "largest", motion.curves.get("ratio_max")),
-            _geometry(motion, "smallest", motion.curves.get("ratio_min")),
+            _geometry_curve(motion, "largest", motion.curves.get("ratio_max")),
+            _geometry_curve(motion, "smallest", motion.curves.get("ratio_min")),
         ]
-    return _plot("Volume ratio J", "1 is undeformed; below 0 is inverted", curves)
+    return _make_plot("Volume ratio J", "1 is undeformed; below 0 is inverted", curves)
 
 
-def _energy(motion: Motion, record: Record) -> Plot:
+def _energy_plot(motion: Motion, record: Record) -> Plot:
     names = ("kinetic", "elastic", "potential", "contact")
-    columns = [_column(record, name) for name in names]
+    columns = [_health_column(record, name) for name in names]
     total = [None if None in row else sum(row) for row in zip(*columns)]  # type: ignore[arg-type]
-    curves = [_health(motion, record, name, values) for name, values in zip(names, columns)]
-    return _plot(
+    curves = [_health_curve(motion, record, name, values) for name, values in zip(names, columns)]
+    return _make_plot(
         "Energy",
         "only pins and moving obstacles may increase the total",
-        [_health(motion, record, "total", total), *curves],
+        [_health_curve(motion, record, "total", total), *curves],
         ENERGIES,
     )
 
 
-def _contact(motion: Motion, record: Record) -> Plot:
-    depth = _column(record, "penetration")
-    return _plot(
+def _penetration_plot(motion: Motion, record: Record) -> Plot:
+    depth = _health_column(record, "penetration")
+    return _make_plot(
         "Depth in the floor",
         "of the deepest point of the surface",
-        [_health(motion, record, "penetration", depth)],
+        [_health_curve(motion, record, "penetration", depth)],
         LENGTHS,
     )
 
 
-def _drift(motion: Motion, record: Record) -> list[Plot]:
+def _drift_plots(motion: Motion, record: Record) -> list[Plot]:
     names = sorted({key for frame in record.frames for key in frame if key.startswith("drift")})
     curves = [
-        _health(motion, record, name.replace("_", " "), _column(record, name)) for name in names
+        _health_curve(motion, record, name.replace("_", " "), _health_column(record, name))
+        for name in names
     ]
-    return [_plot("Drift", "of the mesh from its Gaussians", curves, LENGTHS)] if names else []
+    return [_make_plot("Drift", "of the mesh from its Gaussians", curves, LENGTHS)] if names else []
 
 
-def _column(record: Record, name: str) -> list[float | None]:
+def _health_column(record: Record, name: str) -> list[float | None]:
     return [finite(frame.get(name)) for frame in record.frames]
 
 
-def _health(motion: Motion, record: Record, name: str, values: Sequence[float | None]) -> Curve:
-    """A curve over the frames of the bake that are in the recording."""
+def _health_curve(
+    motion: Motion, record: Record, name: str, values: Sequence[float | None]
+) -> Curve:
+    """A curve of health values over the frames of the bake within the recording."""
     recording = motion.recording
     codes = [finite(frame.get("time_code")) for frame in record.frames]
     if len(codes) == len(values) and None not in codes:
-        # a range, handles and samples between frames part the two
+        # the recording differs from the frames by a range, handles or samples between frames
         first, last = recording.time_codes[0], recording.time_codes[-1]
-        held = [(c, v) for c, v in zip(codes, values) if c is not None and first <= c <= last]
+        in_range = [(c, v) for c, v in zip(codes, values) if c is not None and first <= c <= last]
         return {
             "name": name,
-            "x": [recording.seconds(code) for code, _ in held],
-            "y": [value for _, value in held],
+            "x": [recording.seconds(code) for code, _ in in_range],
+            "y": [value for _, value in in_range],
         }
     if len(values) == len(recording.time_codes):
         x = [recording.seconds(code) for code in recording.time_codes]
@@ -181,8 +184,8 @@ def _health(motion: Motion, record: Record, name: str, values: Sequence[float | 
     return {"name": name, "x": x, "y": list(values)}
 
 
-def _geometry(motion: Motion, name: str, values: Sequence[float] | None) -> Curve:
-    """A curve over the frames that the page holds."""
+def _geometry_curve(motion: Motion, name: str, values: Sequence[float] | None) -> Curve:
+    """A curve of geometric values over the frames of the page."""
     if values is None or len(values) != len(motion.time_codes):
         return {"name": name, "x": [], "y": []}
     return {
@@ -192,22 +195,22 @@ def _geometry(motion: Motion, name: str, values: Sequence[float] | None) -> Curv
     }
 
 
-def _plot(
+def _make_plot(
     title: str, meaning: str, curves: Sequence[Curve], units: Sequence[tuple[float, str]] = ()
 ) -> Plot:
-    there = [curve for curve in curves if any(y is not None for y in curve["y"])]
+    with_data = [curve for curve in curves if any(y is not None for y in curve["y"])]
     plot: Plot = {"title": title, "meaning": meaning, "unit": "", "factor": 1.0}
     if units:
-        factor = unit_for([y for curve in there for y in curve["y"]], units)
+        factor = unit_for([y for curve in with_data for y in curve["y"]], units)
         plot |= {"unit": dict(units)[factor], "factor": factor}
-        for curve in there:
+        for curve in with_data:
             curve["y"] = [None if y is None else y / factor for y in curve["y"]]
             curve["band"] = [None if y is None else y / factor for y in curve.get("band", ())]
-    for curve in there:
-        # six digits are more than a screen shows
+    for curve in with_data:
+        # six digits are beyond the resolution of a screen
         curve["x"] = [float(f"{x:.6g}") for x in curve["x"]]
         for key in ("y", "band"):
             curve[key] = [None if y is None else float(f"{y:.6g}") for y in curve.get(key, ())]
         if not curve["band"]:
             del curve["band"]
-    return {**plot, "curves": there}
+    return {**plot, "curves": with_data}

@@ -1,7 +1,4 @@
-"""HTML in which every text is escaped unless it was made here.
-
-The page around the data: its frame, tables and controls as HTML.
-"""
+"""HTML of the report: elements with escaped text, and the header, controls and tables of a page."""
 
 from __future__ import annotations
 
@@ -23,11 +20,11 @@ from gf_usd.view.report.labels import (
 )
 from gf_usd.view.report.record import Record
 
-VOID = {"input", "img", "meta", "link"}  # elements without an end
+VOID = {"input", "img", "meta", "link"}  # elements without an end tag
 
 
 class Html(str):
-    """Text that is HTML already."""
+    """Text that is HTML and must not be escaped."""
 
     __slots__ = ()
 
@@ -36,7 +33,7 @@ def tag(name_: str, /, *children: str, **attributes: str | bool) -> Html:
     """``<name_ attributes>children</name_>``; plain strings are escaped.
 
     A trailing underscore is dropped and others become dashes: ``class_``, ``data_variant``.
-    True is an attribute without a value, False none at all.
+    True gives an attribute without a value, False omits it.
     """
     parts = [name_]
     for key, value in attributes.items():
@@ -50,18 +47,18 @@ def tag(name_: str, /, *children: str, **attributes: str | bool) -> Html:
 
 
 def join(parts: Iterable[str]) -> Html:
-    """The parts after each other, escaped where they are plain."""
+    """Concatenate HTML and plain strings, which are escaped."""
     return Html("".join(p if isinstance(p, Html) else escape(p, quote=True) for p in parts))
 
 
 def script(text: str) -> Html:
-    """A script of ours; its hash goes into the page's policy."""
+    """A script element; its text must be in the `policy` of the page."""
     return Html(f"<script>{text}</script>")
 
 
 def data_script(name: str, text: str) -> Html:
-    """Data that no browser runs: JSON, or base64."""
-    # "</script>" within the text would end the element, "<!--" would hide its end
+    """A script element with data, JSON or base64, which browsers do not run."""
+    # "</script>" in the text would end the element, and "<!--" would hide its end
     return Html(
         f'<script type="text/plain" id="{escape(name, quote=True)}">'
         + text.replace("<", "\\u003c")
@@ -70,12 +67,12 @@ def data_script(name: str, text: str) -> Html:
 
 
 def json_text(value: Any) -> str:
-    """Compact JSON by the standard: no NaN."""
+    """Compact standard JSON.  Raises ValueError for NaN and infinity."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
 def policy(scripts: Iterable[str]) -> str:
-    """A content security policy: these scripts run and no other, and nothing is fetched."""
+    """A content security policy that allows these scripts only, and no network access."""
     hashes = (
         "'sha256-" + base64.b64encode(hashlib.sha256(s.encode("utf-8")).digest()).decode() + "'"
         for s in scripts
@@ -93,7 +90,7 @@ ICONS = {
     "next": "M4 3v10l6-5zM10.5 3h2v10h-2z",
 }
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2")
-SHORT = 2.0  # [s] a motion as short as that starts at half speed
+SHORT = 2.0  # [s] shorter motions play at half speed at first
 MODES = {
     "color": "own color",
     "strain": "strain",
@@ -105,7 +102,7 @@ MODES = {
 
 
 def header(name: str, variants: Sequence[str], records: Sequence[Record]) -> Html:
-    """Asset, variants to choose from, the command of each and what is missing."""
+    """The header: asset name, tabs of variants, and per variant the command and missing data."""
     title = tag("h1", name)
     if len(variants) > 1:
         tabs = join(
@@ -124,21 +121,24 @@ def header(name: str, variants: Sequence[str], records: Sequence[Record]) -> Htm
         title = join([title, tag("span", variants[0], class_="soft")])
     parts = [tag("div", title, class_="title")]
     for i, record in enumerate(records):
-        inside: list[str] = []
+        content: list[str] = []
         if record.command:
-            inside.append(tag("code", record.command, class_="command"))
+            content.append(tag("code", record.command, class_="command"))
         if record.failure:
             text = tag("p", f"The bake ended early: {record.failure}")
-            inside.append(tag("div", text, class_="banner"))
+            content.append(tag("div", text, class_="banner"))
         if record.missing:
             text = join(tag("p", f"Missing: {line}.") for line in record.missing)
-            inside.append(tag("div", text, class_="banner"))
-        parts.append(_of(i, *inside))
+            content.append(tag("div", text, class_="banner"))
+        parts.append(_for_variant(i, *content))
     return tag("header", *parts)
 
 
 def viewer(pictures: Sequence[Sequence[tuple[int, str, str]]], seconds: float, cell: str) -> Html:
-    """Canvas and controls; for each variant (frame, text, data URI) of its pictures."""
+    """Canvas and controls.
+
+    pictures : (frame, label, data URI) of each key frame, for each variant.
+    """
     speed = "0.5" if seconds < SHORT else "1"
     screen = tag(
         "div",
@@ -165,7 +165,7 @@ def viewer(pictures: Sequence[Sequence[tuple[int, str, str]]], seconds: float, c
         "section",
         screen,
         _controls(speed),
-        *(_of(i, _strip(rows)) for i, rows in enumerate(pictures)),
+        *(_for_variant(i, _picture_strip(rows)) for i, rows in enumerate(pictures)),
         class_="card viewer",
     )
 
@@ -200,50 +200,57 @@ def _controls(speed: str) -> Html:
 
 
 def tables(i: int, record: Record, shown: Sequence[str], notes: Sequence[str]) -> Html:
-    """Health, settings, materials, and what else there is to say of variant number i."""
-    material = [row for m in record.materials for row in _material(m)]
+    """The tables of variant i: health, settings, materials, notes and findings."""
+    material = [row for m in record.materials for row in _material_rows(m)]
     columns = (
-        [_health(record), _card("Certainty", _pairs(_certain(record)))],
-        [_card("Settings", _pairs(named_rows(record.settings, SETTINGS)))],
+        [_health_card(record), _card("Certainty", _two_column_table(_certified_rows(record)))],
+        [_card("Settings", _two_column_table(named_rows(record.settings, SETTINGS)))],
         [
-            _card("Material", _pairs(material)),
-            _card("Body", _pairs(named_rows(record.facts, FACTS))),
+            _card("Material", _two_column_table(material)),
+            _card("Body", _two_column_table(named_rows(record.facts, FACTS))),
             _card("Shown on this page", _list(shown)),
             _card("Notes", _list([*record.notes, *notes])),
-            _card("Findings of the check", _list([_finding(f) for f in record.findings])),
+            _card("Findings of the check", _list([_format_finding(f) for f in record.findings])),
         ],
     )
-    return _of(i, tag("div", *(tag("div", *c) for c in columns if any(c)), class_="tables"))
+    return _for_variant(
+        i, tag("div", *(tag("div", *c) for c in columns if any(c)), class_="tables")
+    )
 
 
-def _certain(record: Record) -> list[tuple[str, str]]:
-    """The figures with their intervals, or why they have none."""
-    found = record.certificate
-    rows = [(one["words"].capitalize(), one["told"]) for one in found.get("figures", {}).values()]
-    if "center" in found:
-        rows.append(("Path", found["center"]["told"].removeprefix("path of the ")))
+def _certified_rows(record: Record) -> list[tuple[str, str]]:
+    """The measured quantities with their intervals."""
+    certificate = record.certificate
+    rows = [
+        (entry["words"].capitalize(), entry["told"])
+        for entry in certificate.get("figures", {}).values()
+    ]
+    if "center" in certificate:
+        rows.append(("Path", certificate["center"]["told"].removeprefix("path of the ")))
     if rows:
-        rows.append(("From", f"bakes with {', '.join(map(str, found['particles']))} particles"))
+        rows.append(
+            ("From", f"bakes with {', '.join(map(str, certificate['particles']))} particles")
+        )
     return rows
 
 
-def _card(title: str, inside: Html) -> Html:
-    """A titled box; nothing for what is empty."""
-    return tag("section", tag("h2", title), inside, class_="card") if inside else Html("")
+def _card(title: str, content: Html) -> Html:
+    """A box with a title; empty HTML for empty content."""
+    return tag("section", tag("h2", title), content, class_="card") if content else Html("")
 
 
 def _list(lines: Sequence[str]) -> Html:
     return tag("ul", *(tag("li", line) for line in lines)) if lines else Html("")
 
 
-def _health(record: Record) -> Html:
+def _health_card(record: Record) -> Html:
     rows = health_rows(record.health, {warning.about for warning in record.warnings})
     if not rows:
         return Html("")
-    many = len(record.warnings)
+    count = len(record.warnings)
     verdict = tag("p", "No warnings.", class_="verdict")
-    if many:
-        text = "One warning:" if many == 1 else f"{many} warnings:"
+    if count:
+        text = "One warning:" if count == 1 else f"{count} warnings:"
         items = (
             tag("li", w.message, tag("span", f" {w.hint}") if w.hint else "")
             for w in record.warnings
@@ -269,18 +276,18 @@ def _health_table(rows: Sequence[Line]) -> Html:
     return tag("table", tag("tbody", *body))
 
 
-def _material(material: Any) -> list[tuple[str, str]]:
+def _material_rows(material: Any) -> list[tuple[str, str]]:
     name = str(material.get("name", ""))
     rest = {key: value for key, value in material.items() if key != "name"}
     return [("Name", name), *named_rows(rest, material_labels())]
 
 
-def _finding(finding: Any) -> str:
+def _format_finding(finding: Any) -> str:
     where = f"{finding.get('rule', '')} <{finding.get('prim', '')}>"
     return f"{where}: {finding.get('message', '')} Fix: {finding.get('fix', '')}"
 
 
-def _pairs(rows: Sequence[tuple[str, str]]) -> Html:
+def _two_column_table(rows: Sequence[tuple[str, str]]) -> Html:
     if not rows:
         return Html("")
     lines = (
@@ -290,7 +297,7 @@ def _pairs(rows: Sequence[tuple[str, str]]) -> Html:
     return tag("table", tag("tbody", join(lines)))
 
 
-def _strip(pictures: Sequence[tuple[int, str, str]]) -> Html:
+def _picture_strip(pictures: Sequence[tuple[int, str, str]]) -> Html:
     return tag(
         "div",
         *(
@@ -309,16 +316,16 @@ def _strip(pictures: Sequence[tuple[int, str, str]]) -> Html:
 
 
 def _button(name: str, text: str, *icons: str) -> Html:
-    """A button that shows one of ICONS, or two by its state."""
-    drawn = join(
+    """A button with one of ICONS, or with two that alternate by its state."""
+    svgs = join(
         tag("svg", tag("path", d=ICONS[icon]), viewBox="0 0 16 16", class_=icon, aria_hidden="true")
         for icon in icons
     )
-    return tag("button", drawn, type="button", id=name, class_="icon", aria_label=text)
+    return tag("button", svgs, type="button", id=name, class_="icon", aria_label=text)
 
 
 def scrub_bar() -> Html:
-    """What transport.js drives: play, single steps, the slider and the counter."""
+    """The playback controls of transport.js: play, single steps, slider and counter."""
     return tag(
         "div",
         _button("play", "play", "start", "stop"),
@@ -331,7 +338,7 @@ def scrub_bar() -> Html:
 
 
 def choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
-    """A list of (value, text) to choose from."""
+    """A select element of options (value, text)."""
     return tag(
         "select",
         *(tag("option", text, value=value, selected=value == chosen) for value, text in options),
@@ -339,8 +346,8 @@ def choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
     )
 
 
-def _of(number: int, *parts: str) -> Html:
-    """Shown only with variant number `number`."""
+def _for_variant(number: int, *parts: str) -> Html:
+    """A block that is visible only while variant `number` is selected."""
     return tag("div", *parts, data_variant=str(number), hidden=number != 0)
 
 
@@ -349,28 +356,28 @@ def document(
     body: Sequence[Html],
     page: str,
     blobs: Sequence[Html],
-    ours: Sequence[str],
-    theirs: Sequence[str] = (),
+    scripts: Sequence[str],
+    libraries: Sequence[str] = (),
 ) -> str:
     """A whole page.
 
-    page : JSON that our scripts read.  blobs : data scripts.  ours : names of our scripts, which
-    share one scope.  theirs : texts of scripts that run before.
+    page : JSON for the scripts.  blobs : data scripts.  scripts : file names of our scripts, which
+    share one scope.  libraries : texts of scripts that run before.
     """
     folder = files("gf_usd.view.report") / "page"
-    text = "\n".join((folder / name).read_text(encoding="utf-8") for name in ours)
+    text = "\n".join((folder / name).read_text(encoding="utf-8") for name in scripts)
     text = f'(() => {{\n"use strict";\n{text}\n}})();'
     style = (folder / "page.css").read_text(encoding="utf-8")
     head = join(
         [
             tag("meta", charset="utf-8"),
             tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            tag("meta", http_equiv="Content-Security-Policy", content=policy([*theirs, text])),
+            tag("meta", http_equiv="Content-Security-Policy", content=policy([*libraries, text])),
             tag("link", rel="icon", href="data:,"),
             tag("title", title),
             Html(f"<style>{style}</style>"),
         ]
     )
-    scripts = [script(one) for one in (*theirs, text)]
-    rest = join([*body, data_script("page", page), *blobs, *scripts])
+    elements = [script(source) for source in (*libraries, text)]
+    rest = join([*body, data_script("page", page), *blobs, *elements])
     return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{rest}</body></html>\n'

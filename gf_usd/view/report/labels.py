@@ -11,7 +11,7 @@ from gf_usd.core.materials.laws import law_parameters
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the health table."""
+    """A health value: its key, label and description."""
 
     key: str
     label: str
@@ -20,13 +20,13 @@ class Row:
 
 
 class Line(NamedTuple):
-    """A row with its value."""
+    """A row of the health table with its value."""
 
     label: str
     value: str
     meaning: str
-    marked: bool  # a warning is about it
-    first: bool
+    marked: bool  # a warning concerns it
+    first: bool  # visible at once; other rows are folded
 
 
 ROWS: tuple[Row, ...] = (
@@ -240,7 +240,7 @@ ROWS: tuple[Row, ...] = (
     Row("angular_momentum_drift", "Drift of angular momentum", "", "in free flight, relative"),
 )
 
-# rows that are shown at once; the others unfold
+# rows that are visible at once; the others are folded
 FIRST = {
     "frames", "substeps", "rollbacks", "restitution", "first_contact_frame",
     "deepest_penetration_m", "deepest_penetration_spacings", "resting_penetration_spacings",
@@ -248,7 +248,7 @@ FIRST = {
     "energy_start_J", "energy_end_J", "energy_gain_max_share",
 }  # fmt: skip
 
-# which rows a warning is about, by the names of gf_usd.pipeline.health.warnings.RULES
+# rows that a warning concerns, by the rules of gf_usd.pipeline.health.warnings.RULES
 MARKS: dict[str, tuple[str, ...]] = {
     "untouched": ("first_contact_frame", "shift_max_m"),
     "still": ("kinetic_max_J",),
@@ -335,18 +335,18 @@ MATERIAL: dict[str, tuple[str, str]] = {
 
 
 def material_labels() -> dict[str, tuple[str, str]]:
-    """MATERIAL, and the parameters of the laws."""
+    """Labels and units of MATERIAL and of the parameters of constitutive laws."""
     return MATERIAL | {p.name: (p.label, p.unit) for p in law_parameters()}
 
 
 def number(value: Any) -> str:
-    """A value for reading: four digits, thousands apart, lists in brackets."""
+    """A value as text: four significant digits, grouped thousands, comma-separated lists."""
     if value is None:
         return "not set"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
-        return f"{value:,}".replace(",", "\u202f")  # a narrow space
+        return f"{value:,}".replace(",", "\u202f")  # narrow no-break space
     if isinstance(value, float):
         if abs(value) < 1e9 and (value.is_integer() or abs(value) >= 1e3):
             return number(round(value))
@@ -359,20 +359,18 @@ def number(value: Any) -> str:
 
 
 def health_rows(health: Mapping[str, Any], warned: Collection[str] = ()) -> list[Line]:
-    """The lines of the health table; keys without a label come last.
+    """The rows of the health table; keys without a label come last.
 
     warned : names of rules of gf_usd.pipeline.health; rows that they concern are marked.
     """
-    marked = {key for about in warned for key in MARKS.get(about, ())}
+    marked = {key for rule in warned for key in MARKS.get(rule, ())}
     known = {row.key: row for row in ROWS}
     keys = [key for key in known if key in health] + [key for key in health if key not in known]
     out = []
     for key in keys:
-        row = known.get(key) or Row(key, _plain(key), "", "")
-        shown = "none" if health[key] is None else f"{number(health[key])} {row.unit}".strip()
-        out.append(
-            Line(row.label, shown, row.meaning, key in marked, key in FIRST or key in marked)
-        )
+        row = known.get(key) or Row(key, _label_from_key(key), "", "")
+        text = "none" if health[key] is None else f"{number(health[key])} {row.unit}".strip()
+        out.append(Line(row.label, text, row.meaning, key in marked, key in FIRST or key in marked))
     return out
 
 
@@ -381,30 +379,32 @@ def named_rows(
 ) -> list[tuple[str, str]]:
     """(label, value with its unit), in the order of the names, others last.
 
-    Each of several fields is a row.
+    Each force field is a row.
     """
     keys = [k for k in names if k in values] + [k for k in values if k not in names]
     out = []
     for key in keys:
-        label, unit = names.get(key, (_plain(key), ""))
+        label, unit = names.get(key, (_label_from_key(key), ""))
         if key == FIELDS and values[key]:
-            out += [(f"Field: {field.get('kind')}", _field(field)) for field in values[key]]
+            out += [
+                (f"Field: {field.get('kind')}", _describe_field(field)) for field in values[key]
+            ]
             continue
-        shown = number(values[key])
-        out.append((label, f"{shown} {unit}" if unit and values[key] is not None else shown))
+        text = number(values[key])
+        out.append((label, f"{text} {unit}" if unit and values[key] is not None else text))
     return out
 
 
-def _field(field: Mapping[str, Any]) -> str:
-    """What a field of the settings pushes, in words; see `gf_usd.core.frames.Field`."""
+def _describe_field(field: Mapping[str, Any]) -> str:
+    """A force field of the settings as text; see `gf_usd.core.frames.Field`."""
     if field.get("kind") == "gravity":
         times = field.get("times") or [0.0]
         span = f"time codes {number(times[0])} to {number(times[-1])}"
         return f"{len(times)} keys, {span}: " + "; ".join(
             number(value) for value in field.get("values", [])
         )
-    push = field.get("vector") if field.get("kind") == "wind" else field.get("strength")
-    words = [f"{number(push)} m/s²"]
+    acceleration = field.get("vector") if field.get("kind") == "wind" else field.get("strength")
+    words = [f"{number(acceleration)} m/s²"]
     if field.get("kind") == "noise":
         words.append(f"length {number(field.get('length'))} m")
         words.append(f"rate {number(field.get('rate'))} 1/s")
@@ -415,5 +415,5 @@ def _field(field: Mapping[str, Any]) -> str:
     return "; ".join(words)
 
 
-def _plain(key: str) -> str:
+def _label_from_key(key: str) -> str:
     return key.replace("_", " ").capitalize()

@@ -1,4 +1,4 @@
-"""The frames worth a picture: where it starts, touches, is squashed, rebounds and ends."""
+"""Key frames of a motion and their pictures: start, contact, squash, rebound and end."""
 
 from __future__ import annotations
 
@@ -17,30 +17,31 @@ from gf_usd.view.render.render import render
 from gf_usd.view.report.motion import Motion
 
 PICTURES = 6
-SIZE = (400, 300)  # pixels: sharp at 200 wide on a fine screen
-QUALITY = 82
-TOUCHING = 0.02  # of the body's height above the floor
-FLYING = 0.05  # of the body's height above the floor
+SIZE = (400, 300)  # [pixels] displayed at half of it, for high-density screens
+QUALITY = 82  # of JPEG
+TOUCHING = 0.02  # largest gap to the floor in contact, as a fraction of the body's height
+FLYING = 0.05  # smallest gap to the floor in flight, likewise
 
 
-def moments(motion: Motion, most: int = PICTURES) -> list[tuple[int, str]]:
-    """(frame of the page, words) of up to `most` frames, in order."""
+def choose_key_frames(motion: Motion, most: int = PICTURES) -> list[tuple[int, str]]:
+    """Up to `most` key frames (index, label) in order."""
     last = len(motion.time_codes) - 1
-    named = {0: "start", **_bounce(motion)}
-    named.setdefault(last, "end")
-    while len(named) < min(most, last + 1):
-        # the middle of the longest stretch without a picture
-        there = sorted(named)
-        gap = int(np.argmax(np.diff(there)))
-        named[(there[gap] + there[gap + 1]) // 2] = ""
-    return sorted(named.items())[:most]
+    labels = {0: "start", **_find_bounce(motion)}
+    labels.setdefault(last, "end")
+    while len(labels) < min(most, last + 1):
+        # the middle of the longest interval without a picture
+        frames = sorted(labels)
+        gap = int(np.argmax(np.diff(frames)))
+        labels[(frames[gap] + frames[gap + 1]) // 2] = ""
+    return sorted(labels.items())[:most]
 
 
-def _bounce(motion: Motion) -> dict[int, str]:
-    """The frames at which the body first touches the floor, is squashed, and flies highest after.
+def _find_bounce(motion: Motion) -> dict[int, str]:
+    """Frames and labels of the first contact with the floor, the squash and the apex after it.
 
-    Flattest is where its height stops falling; it flies where its lowest point is clear of the
-    floor.  Nothing where it starts on the floor, or never comes to it.
+    The squash is the first local minimum of the body's height after contact.  The body flies where
+    its lowest point is above the floor by FLYING.  Empty where it starts on the floor or never
+    reaches it.
     """
     low, high = (np.array(motion.curves.get(name, ())) for name in ("lowest", "highest"))
     ground = motion.recording.ground
@@ -51,30 +52,30 @@ def _bounce(motion: Motion) -> dict[int, str]:
     if touching[0] or not touching.any():
         return {}
     touch = int(np.argmax(touching))
-    flat = _first_turn(height, touch)
-    found = {touch: "contact", flat: "squashed"} if flat > touch else {touch: "contact"}
-    flying = np.flatnonzero(low[flat:] > ground + FLYING * height[0])
+    squash = _first_minimum(height, touch)
+    labels = {touch: "contact", squash: "squashed"} if squash > touch else {touch: "contact"}
+    flying = np.flatnonzero(low[squash:] > ground + FLYING * height[0])
     if len(flying):
-        apex = _first_turn(-low, flat + int(flying[0]))
-        found.setdefault(apex, "rebound")
-    return found
+        apex = _first_minimum(-low, squash + int(flying[0]))
+        labels.setdefault(apex, "rebound")
+    return labels
 
 
-def _first_turn(values: NDArray[np.float64], start: int) -> int:
-    """The first place from `start` on after which values do not fall."""
+def _first_minimum(values: NDArray[np.float64], start: int) -> int:
+    """Index of the first local minimum from `start` on."""
     rises = np.flatnonzero(np.diff(values[start:]) >= 0.0)
     return start + int(rises[0]) if len(rises) else len(values) - 1
 
 
-def pictures(
+def render_pictures(
     recording: Recording, frames: Iterable[MotionFrame], camera: Camera | None
 ) -> list[str]:
-    """A data URI of a JPEG for each frame."""
-    return [_uri(_scene(recording, frame), camera) for frame in frames]
+    """Render each frame to a JPEG, as a data URI."""
+    return [_render_data_uri(_scene(recording, frame), camera) for frame in frames]
 
 
 def camera_for(motion: Motion) -> Camera:
-    """A camera that has the whole motion in its picture."""
+    """A camera that frames the whole motion."""
     low, high = bounds(motion)
     corners = [[(low, high)[b][i] for i, b in enumerate(bits)] for bits in np.ndindex(2, 2, 2)]
     up = motion.recording.up
@@ -82,7 +83,7 @@ def camera_for(motion: Motion) -> Camera:
 
 
 def bounds(motion: Motion) -> tuple[Sequence[float], Sequence[float]]:
-    """Low and high corner [m] of all that moves, over all frames."""
+    """Low and high corner [m] of the bounding box over all frames."""
     points = np.concatenate([motion.points.reshape(-1, 3), motion.positions.reshape(-1, 3)])
     if motion.flow is not None:
         points = np.concatenate([points, motion.flow.points])
@@ -91,15 +92,15 @@ def bounds(motion: Motion) -> tuple[Sequence[float], Sequence[float]]:
 
 def _scene(recording: Recording, frame: MotionFrame) -> Scene:
     meshes = tuple(
-        # the authored normals are those of the first frame
+        # recorded normals are valid in the first frame only
         replace(mesh, points=points, normals=None)
         for mesh, points in zip(recording.meshes, frame.meshes)
     )
     meshes += frame.flows
-    solid: tuple[RenderEllipsoids, ...] = ()
+    ellipsoids: tuple[RenderEllipsoids, ...] = ()
     cloud = recording.gaussians
     if not meshes and cloud and frame.positions is not None and frame.axes is not None:
-        solid = (
+        ellipsoids = (
             RenderEllipsoids(
                 name=cloud.name,
                 positions=frame.positions,
@@ -107,10 +108,10 @@ def _scene(recording: Recording, frame: MotionFrame) -> Scene:
                 colors=cloud.colors,
             ),
         )
-    return Scene(up=recording.up, meshes=meshes, ellipsoids=solid, ground=recording.ground)
+    return Scene(up=recording.up, meshes=meshes, ellipsoids=ellipsoids, ground=recording.ground)
 
 
-def _uri(scene: Scene, camera: Camera | None) -> str:
+def _render_data_uri(scene: Scene, camera: Camera | None) -> str:
     data = io.BytesIO()
     Image.fromarray(render(scene, camera, SIZE)).save(data, "JPEG", quality=QUALITY)
     return "data:image/jpeg;base64," + base64.b64encode(data.getvalue()).decode("ascii")

@@ -1,6 +1,6 @@
-"""The frames of one variant as a page keeps them: thinned arrays, and curves over all of the body.
+"""The motion of one variant for a page: thinned arrays per frame, and curves of the whole body.
 
-How far a surface and its Gaussians are stretched, from their shapes alone.
+Stretches of the surface and volume ratios of Gaussians are computed from their geometry.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.matrices import ellipsoids
 from gf_usd.core.radiance import linear_to_srgb
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording
-from gf_usd.view.report.surface import Skin, cluster, corner_colors, make_skin, sample
+from gf_usd.view.report.surface import DisplayMesh, corner_colors, make_display_mesh
+from gf_usd.view.report.thinning import cluster_vertices, random_subset
 
-FLOW_VERTICES = 400_000  # of meshes whose faces change, over all frames: some 6 MB of a page
-FEWEST_OF_FLOW = 1000  # of a frame
+FLOW_VERTICES = 400_000  # of meshes of varying topology, over all frames: about 6 MB of a page
+MIN_FLOW_VERTICES = 1000  # of a frame
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """Meshes whose faces change, thinned; all frames end to end."""
+    """Meshes of varying topology, thinned; the frames are concatenated."""
 
-    starts: NDArray[np.int64]  # (F + 1, 2) where the vertices and triangles of each frame begin
+    starts: NDArray[np.int64]  # (F + 1, 2) first vertex and first triangle of each frame
     points: NDArray[np.float32]  # (V, 3) [m]
     corners: NDArray[np.int64]  # (T, 3) into the vertices of the frame
     colors: NDArray[np.uint8]  # (V, 3) sRGB
@@ -37,18 +38,18 @@ class Motion:
     """One variant, thinned; F frames, K vertices, G Gaussians."""
 
     recording: Recording
-    time_codes: tuple[float, ...]  # (F,) of the frames that are kept
-    skin: Skin
+    time_codes: tuple[float, ...]  # (F,)
+    mesh: DisplayMesh
     points: NDArray[np.float32]  # (F, K, 3) [m]
-    stretch: NDArray[np.float32]  # (F, K) of the surface, furthest from 1
-    chosen: NDArray[np.int64]  # (G,) Gaussians that are kept
+    stretch: NDArray[np.float32]  # (F, K) principal stretch of the surface that is furthest from 1
+    gaussian_indices: NDArray[np.int64]  # (G,) into all Gaussians of the recording
     positions: NDArray[np.float32]  # (F, G, 3) [m]
-    turns: NDArray[np.float32]  # (F, G, 4) (x, y, z, w) unit, continuous in time
+    rotations: NDArray[np.float32]  # (F, G, 4) unit quaternions (x, y, z, w), continuous in time
     scales: NDArray[np.float32]  # (F, G, 3) [m]
     ratio: NDArray[np.float32]  # (F, G) volume ratio |J|
-    measured: Mapping[str, NDArray[np.float32]]  # (F, G) by name, as `MotionFrame` has it
+    measured: Mapping[str, NDArray[np.float32]]  # (F, G) by name, see `MotionFrame.measured`
     curves: dict[str, list[float]] = field(default_factory=dict)  # (F,) each, over the whole body
-    flow: Flow | None = None  # None: no faces change
+    flow: Flow | None = None  # None: the topology of all meshes is constant
 
     @property
     def gaussians(self) -> GaussianSet | None:
@@ -58,37 +59,48 @@ class Motion:
 def collect(
     recording: Recording, frames: Iterable[MotionFrame], vertices: int, gaussians: int
 ) -> Motion:
-    """Thin a motion while it is read; one whole frame is held at a time.
+    """Read and thin a motion frame by frame.
 
-    vertices, gaussians : how many to keep at most.
+    vertices, gaussians : upper limits of their numbers.
     """
-    skin = make_skin(recording.meshes, vertices)
+    mesh = make_display_mesh(recording.meshes, vertices)
     count = len(recording.gaussians or ())
-    chosen = sample(count, gaussians)
+    gaussian_indices = random_subset(count, gaussians)
     bodies = [i for i, is_body in enumerate(recording.baked) if is_body]
     surfaces = [SurfaceStretch(mesh.points, mesh.triangles) for mesh in recording.meshes]
-    kept = _Kept()
-    flow = _Flows(min(vertices, max(FEWEST_OF_FLOW, FLOW_VERTICES // len(recording.time_codes))))
-    curves = _Curves(recording, bodies)
+    kept = _FrameArrays()
+    flow = _FlowBuilder(
+        min(vertices, max(MIN_FLOW_VERTICES, FLOW_VERTICES // len(recording.time_codes)))
+    )
+    curves = _GeometryCurves(recording, bodies)
     for frame in frames:
         joined = np.concatenate([np.zeros((0, 3)), *frame.meshes])
         faces = [s.faces(points) for s, points in zip(surfaces, frame.meshes)]
-        felt = [s.at_vertices(stretches) for s, stretches in zip(surfaces, faces)]
+        vertex_stretches = [s.at_vertices(stretches) for s, stretches in zip(surfaces, faces)]
         ratio = None
         if recording.gaussians is not None and frame.axes is not None:
             ratio = volume_ratio(frame.axes, recording.gaussians.rest_scales)
-        kept.add(frame, joined[skin.kept], np.concatenate([[], *felt])[skin.kept], chosen, ratio)
+        kept.add(
+            frame,
+            joined[mesh.kept],
+            np.concatenate([[], *vertex_stretches])[mesh.kept],
+            gaussian_indices,
+            ratio,
+        )
         curves.add(frame, faces, ratio)
         flow.add(frame)
-    motion = kept.finish(recording, skin, chosen, curves.values)
+    motion = kept.finish(recording, mesh, gaussian_indices, curves.values)
     return replace(motion, flow=flow.finish()) if recording.flows else motion
 
 
-class _Flows:
-    """Grows a `Flow`; most : vertices of a frame."""
+class _FlowBuilder:
+    """Builds a `Flow` frame by frame.
+
+    most : vertices of a frame at most.
+    """
 
     def __init__(self, most: int) -> None:
-        self._most, self._whole = most, 0
+        self._most, self._vertices_before = most, 0
         self._starts = [(0, 0)]
         self._points: list[Floats] = []
         self._corners: list[Ints] = []
@@ -98,15 +110,15 @@ class _Flows:
         before, faces = self._starts[-1]
         count = 0
         for mesh in frame.flows:
-            kept, corners, _ = cluster(
+            kept, corners, _ = cluster_vertices(
                 mesh.points, mesh.triangles, np.zeros(len(mesh.points), int), self._most
             )
-            tints = np.zeros((len(mesh.points), 3))
-            tints[np.asarray(mesh.triangles)] = corner_colors(mesh)
+            vertex_colors = np.zeros((len(mesh.points), 3))
+            vertex_colors[np.asarray(mesh.triangles)] = corner_colors(mesh)
             self._points.append(np.asarray(mesh.points)[kept])
-            self._colors.append(tints[kept])
+            self._colors.append(vertex_colors[kept])
             self._corners.append(corners + count)
-            self._whole += len(mesh.points)
+            self._vertices_before += len(mesh.points)
             count += len(kept)
             faces += len(corners)
         self._starts.append((before + count, faces))
@@ -119,38 +131,40 @@ class _Flows:
             points=np.concatenate([np.zeros((0, 3)), *self._points]).astype(np.float32),
             corners=np.concatenate([np.zeros((0, 3), np.int64), *self._corners]),
             colors=np.round(code * 255.0).astype(np.uint8),
-            vertices=self._whole,
+            vertices=self._vertices_before,
         )
 
 
-class _Kept:
-    """Grows the thinned arrays, frame by frame."""
+class _FrameArrays:
+    """Collects the thinned arrays of all frames."""
 
     def __init__(self) -> None:
         self.codes: list[float] = []
         self.rows: dict[str, list[NDArray[np.float32]]] = {}
         self.measured: set[str] = set()
-        self._last: Floats | None = None
+        self._last_rotations: Floats | None = None
 
     def add(
         self,
         frame: MotionFrame,
         points: Floats,
         stretch: Floats,
-        chosen: NDArray[np.int64],
+        gaussian_indices: NDArray[np.int64],
         ratio: Floats | None,
     ) -> None:
         self.codes.append(frame.time_code)
         row: dict[str, Floats] = {"points": points, "stretch": stretch}
         if frame.positions is not None and frame.axes is not None and ratio is not None:
-            turns, scales = ellipsoids(frame.axes[chosen])
-            if self._last is not None:
-                # q and -q are one rotation: the nearer to the last frame's packs better
-                turns *= np.where((turns * self._last).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-            self._last = turns
-            row["positions"] = frame.positions[chosen]
-            row |= {"turns": turns, "scales": scales, "ratio": ratio[chosen]}
-            row |= {name: values[chosen] for name, values in frame.measured.items()}
+            rotations, scales = ellipsoids(frame.axes[gaussian_indices])
+            if self._last_rotations is not None:
+                # q and -q are one rotation; continuity in time compresses better
+                rotations *= np.where(
+                    (rotations * self._last_rotations).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0
+                )
+            self._last_rotations = rotations
+            row["positions"] = frame.positions[gaussian_indices]
+            row |= {"rotations": rotations, "scales": scales, "ratio": ratio[gaussian_indices]}
+            row |= {name: values[gaussian_indices] for name, values in frame.measured.items()}
             self.measured |= set(frame.measured)
         for name, values in row.items():
             self.rows.setdefault(name, []).append(np.asarray(values, dtype=np.float32))
@@ -158,38 +172,40 @@ class _Kept:
     def finish(
         self,
         recording: Recording,
-        skin: Skin,
-        chosen: NDArray[np.int64],
+        mesh: DisplayMesh,
+        gaussian_indices: NDArray[np.int64],
         curves: dict[str, list[float]],
     ) -> Motion:
-        whole = {name: np.stack(rows) for name, rows in self.rows.items()}
+        stacked = {name: np.stack(rows) for name, rows in self.rows.items()}
         n = len(self.codes)
 
-        def of(name: str, *shape: int) -> NDArray[np.float32]:
-            return whole.get(name, np.zeros((n, 0, *shape), dtype=np.float32))
+        def array_or_empty(name: str, *shape: int) -> NDArray[np.float32]:
+            return stacked.get(name, np.zeros((n, 0, *shape), dtype=np.float32))
 
-        # a bake writes them at all of its frames or at none
-        measured = {name: whole[name] for name in sorted(self.measured) if len(whole[name]) == n}
+        # a bake writes a measured quantity in all frames or in none
+        measured = {
+            name: stacked[name] for name in sorted(self.measured) if len(stacked[name]) == n
+        }
         return Motion(
             recording=recording,
             time_codes=tuple(self.codes),
-            skin=skin,
-            points=of("points", 3),
-            stretch=of("stretch"),
-            chosen=chosen,
-            positions=of("positions", 3),
-            turns=of("turns", 4),
-            scales=of("scales", 3),
-            ratio=of("ratio"),
+            mesh=mesh,
+            points=array_or_empty("points", 3),
+            stretch=array_or_empty("stretch"),
+            gaussian_indices=gaussian_indices,
+            positions=array_or_empty("positions", 3),
+            rotations=array_or_empty("rotations", 4),
+            scales=array_or_empty("scales", 3),
+            ratio=array_or_empty("ratio"),
             measured=measured,
             curves=curves,
         )
 
 
-class _Curves:
-    """What the geometry alone says of each frame; over all vertices and Gaussians of the body.
+class _GeometryCurves:
+    """Heights, stretches and volume ratios of each frame, over all vertices and Gaussians.
 
-    Where particles stand for a mesh from some frame on, it is what they say, in all frames.
+    Where particles replace a mesh from some frame on, they are used in all frames.
     """
 
     def __init__(self, recording: Recording, bodies: list[int]) -> None:
@@ -204,7 +220,7 @@ class _Curves:
         body = [frame.meshes[i] for i in self._bodies]
         if not body and frame.positions is not None:
             body = [frame.positions]
-        elif not body:  # nothing but surfaces of what flows, and meshes that are there
+        elif not body:  # only surfaces of flowing material, and meshes that are not converted yet
             left = [points for points in frame.meshes if np.ptp(points, axis=0).any()]
             body = [mesh.points for mesh in frame.flows] + left * bool(self._recording.vanishing)
         points = np.concatenate([np.zeros((0, 3)), *body])
@@ -240,10 +256,10 @@ class SurfaceStretch:
         a, b = self._edges(points, triangles)
         length = np.linalg.norm(a, axis=1)
         area = np.linalg.norm(np.cross(a, b), axis=1)
-        # slivers have no usable plane: their own stretch is noise
-        good = area > 1e-6 * np.maximum(length**2, np.einsum("ij,ij->i", b, b))
-        self._triangles = np.asarray(triangles)[good]
-        a, b, length, area = a[good], b[good], length[good], area[good]
+        # the plane of a sliver is ill-conditioned, and so is its stretch
+        valid = area > 1e-6 * np.maximum(length**2, np.einsum("ij,ij->i", b, b))
+        self._triangles = np.asarray(triangles)[valid]
+        a, b, length, area = a[valid], b[valid], length[valid], area[valid]
         along = np.einsum("ij,ij->i", a, b) / length
         self._inverse = np.zeros((len(a), 2, 2))
         self._inverse[:, 0, 0] = 1.0 / length
@@ -251,29 +267,32 @@ class SurfaceStretch:
         self._inverse[:, 1, 1] = length / area
         self._area = np.repeat(area, 3)
         self._vertices = len(points)
-        flat = self._triangles.reshape(-1)
-        self._weight = np.bincount(flat, self._area, minlength=self._vertices)
+        corner_vertices = self._triangles.reshape(-1)
+        self._weight = np.bincount(corner_vertices, self._area, minlength=self._vertices)
 
     def faces(self, points: Floats) -> NDArray[np.float64]:
-        """(T', 2) smaller and larger stretch of each triangle that is no sliver."""
+        """Smaller and larger principal stretch (T', 2) of each triangle except for slivers."""
         a, b = self._edges(points, self._triangles)
         F = np.stack([a, b], axis=2) @ self._inverse
         C = np.einsum("nij,nik->njk", F, F)
-        middle = 0.5 * (C[:, 0, 0] + C[:, 1, 1])
-        reach = np.hypot(0.5 * (C[:, 0, 0] - C[:, 1, 1]), C[:, 0, 1])
-        squared = np.stack([middle - reach, middle + reach], axis=1)
+        mean = 0.5 * (C[:, 0, 0] + C[:, 1, 1])
+        radius = np.hypot(0.5 * (C[:, 0, 0] - C[:, 1, 1]), C[:, 0, 1])
+        squared = np.stack([mean - radius, mean + radius], axis=1)
         return np.sqrt(np.maximum(squared, 0.0))
 
     def at_vertices(self, faces: Floats) -> NDArray[np.float64]:
-        """(V,) the stretch that is furthest from 1, of the mean over the triangles around.
+        """Stretch (V,) at vertices: that of the two mean principal stretches furthest from 1.
 
-        Means are geometric and weighted by rest area; 1 where a vertex has no triangle.
+        Means over the adjacent triangles are geometric and weighted by rest area; 1 where there is
+        no triangle.
         """
-        flat = self._triangles.reshape(-1)
+        corner_vertices = self._triangles.reshape(-1)
         log = np.log(np.maximum(faces, 1e-9))
         mean = np.stack(
             [
-                np.bincount(flat, self._area * np.repeat(log[:, k], 3), minlength=self._vertices)
+                np.bincount(
+                    corner_vertices, self._area * np.repeat(log[:, k], 3), minlength=self._vertices
+                )
                 for k in range(2)
             ]
         ) / np.where(self._weight > 0.0, self._weight, 1.0)
@@ -287,6 +306,6 @@ class SurfaceStretch:
 
 def volume_ratio(axes: Floats, rest_scales: Floats) -> NDArray[np.float64]:
     """(N,) |J| of Gaussians: det Sigma = J^2 det Sigma0, so |J| = |det A| / (s1 s2 s3 at rest)."""
-    rest = np.prod(rest_scales, axis=1)
-    now = np.abs(np.linalg.det(axes))
-    return np.divide(now, rest, out=np.ones_like(now), where=rest > 0.0)
+    rest_volume = np.prod(rest_scales, axis=1)
+    volume = np.abs(np.linalg.det(axes))
+    return np.divide(volume, rest_volume, out=np.ones_like(volume), where=rest_volume > 0.0)

@@ -13,43 +13,41 @@ from gf_usd.core.scene import Recording
 
 
 @dataclass(frozen=True, kw_only=True)
-class Warned:
+class BakeWarning:
     """One warning of a bake."""
 
     message: str
     hint: str = ""
-    about: str = (
-        ""  # the rule of pipeline.health.warnings that it came from; "" where that is not said
-    )
+    about: str = ""  # its rule in `pipeline.health.warnings`; "" where the record has none
 
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """The numbers of one variant; whatever is missing is empty, and `missing` says so."""
+    """The recorded numbers of one variant; fields without data are empty."""
 
     command: str = ""
     version: str = ""
     source: str = ""
     health: Mapping[str, Any] = field(default_factory=dict)
-    certificate: Mapping[str, Any] = field(default_factory=dict)  # intervals of figures
+    certificate: Mapping[str, Any] = field(default_factory=dict)  # intervals of measured quantities
     frames: tuple[Mapping[str, Any], ...] = ()  # health of every frame
     settings: Mapping[str, Any] = field(default_factory=dict)
     materials: tuple[Mapping[str, Any], ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)  # particles, spacing_m, seconds, ...
     notes: tuple[str, ...] = ()
-    warnings: tuple[Warned, ...] = ()
-    failure: str = ""  # why the bake ended early; "" where it did not
+    warnings: tuple[BakeWarning, ...] = ()
+    failure: str = ""  # why the bake ended early; "": it is complete
     findings: tuple[Mapping[str, Any], ...] = ()
-    missing: tuple[str, ...] = ()  # what is not known, and why, in words
+    missing: tuple[str, ...] = ()  # which data is unknown and why, as text
 
 
 def report_path(root: Path) -> Path:
-    """``duck.rubber.usda`` -> ``duck.rubber.report.json``, next to it."""
+    """The report next to a root layer: ``duck.rubber.usda`` -> ``duck.rubber.report.json``."""
     return root.with_name(f"{root.stem}.report.json")
 
 
 def load_report(root: Path) -> tuple[dict[str, Any], str]:
-    """The report next to a root layer, or an empty one, and why it is empty."""
+    """The report next to a root layer and ""; or an empty report and the reason."""
     path = report_path(root)
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -63,20 +61,20 @@ def load_report(root: Path) -> tuple[dict[str, Any], str]:
 
 
 def variant_of(entry: Mapping[str, Any]) -> str:
-    """The variant of a bake or a warning of a report; those of former versions call it `look`."""
+    """The variant of an entry of a report; old versions write it as `look`."""
     return str(entry.get("variant", entry.get("look", "")))
 
 
 def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str) -> Record:
-    """The numbers of a variant: of the report if it is of this bake, else of the root layer."""
-    mine = (b for b in report.get("bakes", ()) if variant_of(b) == recording.variant)
-    bake = next(mine, None)
+    """The record of a variant: from its report, or from the root layer where there is none."""
+    entries = (b for b in report.get("bakes", ()) if variant_of(b) == recording.variant)
+    bake = next(entries, None)
     about = recording.about
     if bake is not None and about.get("inputHash") not in (None, report.get("input_sha256")):
         bake, why_empty = None, "the report next to the file belongs to another bake"
     if bake is None:
-        return _from_layer(recording, why_empty or "the report does not contain this variant")
-    known = (
+        return _read_from_layer(recording, why_empty or "the report does not contain this variant")
+    fact_keys = (
         "particles", "spacing_m", "volume_m3", "radius_m", "drop_m", "pins", "seconds",
     )  # fmt: skip
     missing = (
@@ -86,43 +84,47 @@ def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str)
         command=str(report.get("command", "")),
         version=str(report.get("version", "")),
         source=str(report.get("source", "")),
-        health=_table(bake.get("health")),
-        certificate=_table(bake.get("certificate")),
+        health=_as_dict(bake.get("health")),
+        certificate=_as_dict(bake.get("certificate")),
         frames=tuple(bake.get("per_frame") or ()),
-        settings=_table(report.get("settings")),
-        materials=(_table(bake.get("material")),),
-        facts={key: report[key] for key in known if key in report},
+        settings=_as_dict(report.get("settings")),
+        materials=(_as_dict(bake.get("material")),),
+        facts={key: report[key] for key in fact_keys if key in report},
         notes=tuple(str(note) for note in report.get("notes", ())),
         warnings=tuple(
-            Warned(message=w.get("message", ""), hint=w.get("hint", ""), about=w.get("about", ""))
-            for w in map(_table, report.get("warnings", ()))
+            BakeWarning(
+                message=w.get("message", ""), hint=w.get("hint", ""), about=w.get("about", "")
+            )
+            for w in map(_as_dict, report.get("warnings", ()))
             if variant_of(w) == recording.variant
         ),
-        failure=str(_in_layer(recording).get("failure", "")),
-        findings=tuple(_table(f) for f in report.get("check", ())),
+        failure=str(_variant_in_layer(recording).get("failure", "")),
+        findings=tuple(_as_dict(f) for f in report.get("check", ())),
         missing=missing,
     )
 
 
-def _from_layer(recording: Recording, why: str) -> Record:
+def _read_from_layer(recording: Recording, why: str) -> Record:
     about = recording.about
-    told = _in_layer(recording)
-    if not told:
+    recorded = _variant_in_layer(recording)
+    if not recorded:
         return Record(
             missing=(
                 f"{recording.path.name} does not record how it was baked: settings, materials "
                 f"and health are unknown, and the curves show only the geometry",
             )
         )
-    materials = _table(told.get("materials"))
+    materials = _as_dict(recorded.get("materials"))
     return Record(
         command=str(about.get("command", "")),
         version=str(about.get("version", "")),
-        health=_table(told.get("health")),
-        settings=_table(told.get("settings")),
-        materials=tuple(_table(materials[key]) for key in sorted(materials)),
-        warnings=tuple(Warned(message=str(words)) for words in told.get("warnings", ())),
-        failure=str(told.get("failure", "")),
+        health=_as_dict(recorded.get("health")),
+        settings=_as_dict(recorded.get("settings")),
+        materials=tuple(_as_dict(materials[key]) for key in sorted(materials)),
+        warnings=tuple(
+            BakeWarning(message=str(message)) for message in recorded.get("warnings", ())
+        ),
+        failure=str(recorded.get("failure", "")),
         missing=(
             f"{why}: the energies, stretches and contact depths of individual frames, the notes "
             f"and the findings are unknown; the curves show only the geometry, and the summary "
@@ -131,17 +133,17 @@ def _from_layer(recording: Recording, why: str) -> Record:
     )
 
 
-def _in_layer(recording: Recording) -> dict[str, Any]:
-    """What the root layer says of the variant."""
-    return _table(_table(recording.about.get("looks")).get(recording.variant))
+def _variant_in_layer(recording: Recording) -> dict[str, Any]:
+    """The metadata of the variant in the root layer."""
+    return _as_dict(_as_dict(recording.about.get("looks")).get(recording.variant))
 
 
 def finite(value: Any) -> float | None:
-    """The number, or None for what is none."""
+    """The value as a float; None where it is not a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
     return float(value)
 
 
-def _table(value: Any) -> dict[str, Any]:
+def _as_dict(value: Any) -> dict[str, Any]:
     return dict(value) if isinstance(value, Mapping) else {}

@@ -1,4 +1,4 @@
-"""A bake as one page: it plays offline, and says what was measured and what was left out."""
+"""The HTML report of a bake: one self-contained page with a player, plots and tables."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from gf_usd.view.report.html import (
     tag,
     viewer,
 )
-from gf_usd.view.report.moments import bounds, camera_for, moments, pictures
+from gf_usd.view.report.moments import bounds, camera_for, choose_key_frames, render_pictures
 from gf_usd.view.report.motion import Motion, collect
 from gf_usd.view.report.pack import pack
 from gf_usd.view.report.record import Record, make_record
-from gf_usd.view.report.surface import spread
+from gf_usd.view.report.thinning import evenly_spaced
 
-LARGEST = 20_000_000  # bytes of a page: what a mail or a chat still takes
+MAX_BYTES = 20_000_000  # [bytes] of a page: the usual limit of attachments
 SCRIPTS = ("data.js", "camera.js", "steer.js", "shaders.js", "draw.js", "viewer.js", "player.js",
            "transport.js", "plots.js", "main.js")  # fmt: skip
-FEWEST = 1500  # vertices or Gaussians: below that frames are left out instead
-CELLS = 12  # about as many cells of the floor's grid across the motion
+MIN_VERTICES = 1500  # vertices or Gaussians: at this number frames are omitted instead
+CELLS = 12  # approximate number of cells of the floor grid across the motion
 
 
 class Source(Protocol):
-    """One variant that can be read."""
+    """One variant of a bake, read frame by frame."""
 
     def recording(self) -> Recording: ...
 
@@ -45,25 +45,25 @@ class Source(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a page holds at most, of each variant."""
+    """Upper limits of a page, for each variant."""
 
     frames: int = 240
-    vertices: int = 20_000  # of the meshes; and as many Gaussians
-    size: int = LARGEST  # bytes
+    vertices: int = 20_000  # of meshes, and number of Gaussians
+    size: int = MAX_BYTES  # bytes
 
 
 def build_report(
     sources: Sequence[Source], report: Mapping[str, Any], why_empty: str, limits: Limits
 ) -> str:
-    """The page as text, every variant in it, no larger than the limits say.
+    """The HTML page of all variants, within the limits.
 
     Parameters
     ----------
     sources : one for each variant.
-    report : what `record.load_report` found next to the root layer, and why it is empty.
+    report, why_empty : from `record.load_report`.
     """
     records = [make_record(source.recording(), report, why_empty) for source in sources]
-    return _page(sources, records, [source.recording().variant for source in sources], limits)
+    return _build_page(sources, records, [source.recording().variant for source in sources], limits)
 
 
 def build_comparison(
@@ -73,39 +73,41 @@ def build_comparison(
     found: Comparison,
     limits: Limits,
 ) -> str:
-    """The page of two motions that were compared, with a switch between them.
+    """The HTML page of two compared motions, with a switch between them.
 
     Parameters
     ----------
     reports : of each, as for `build_report`.
-    names : of each, as the page calls them.
-    found : is drawn above the plots of both.
+    names : of each, for the page.
+    found : is plotted above the plots of both.
     """
     records = [make_record(s.recording(), *report) for s, report in zip(sources, reports)]
-    return _page(sources, records, names, limits, comparison_plots(found, names))
+    return _build_page(sources, records, names, limits, comparison_plots(found, names))
 
 
-def _page(
+def _build_page(
     sources: Sequence[Source],
     records: Sequence[Record],
     names: Sequence[str],
     limits: Limits,
-    more_plots: Sequence[Plot] = (),
+    extra_plots: Sequence[Plot] = (),
 ) -> str:
     recordings = [source.recording() for source in sources]
-    shots = []
-    plotly = _plotly()
+    pictures_of_variants = []
+    plotly = _read_plotly()
     bytes_left = limits.size - len(plotly.encode("utf-8")) - 60_000 - 150_000 * len(sources)
-    motions, packed = _fit(sources, recordings, limits, bytes_left)
+    motions, packed = _thin_to_size(sources, recordings, limits, bytes_left)
     for source, recording, motion in zip(sources, recordings, motions):
-        chosen = moments(motion)
-        codes = [motion.time_codes[frame] for frame, _ in chosen]
-        uris = pictures(recording, source.frames(codes), camera_for(motion))
-        words = [f"{code:g}" + (f" · {w}" if w else "") for code, (_, w) in zip(codes, chosen)]
-        shots.append([(f, w, uri) for (f, _), w, uri in zip(chosen, words, uris)])
-    cell = _cell(motions[0])
+        key_frames = choose_key_frames(motion)
+        codes = [motion.time_codes[frame] for frame, _ in key_frames]
+        uris = render_pictures(recording, source.frames(codes), camera_for(motion))
+        words = [f"{code:g}" + (f" · {w}" if w else "") for code, (_, w) in zip(codes, key_frames)]
+        pictures_of_variants.append(
+            [(f, w, uri) for (f, _), w, uri in zip(key_frames, words, uris)]
+        )
+    cell = _grid_cell(motions[0])
     variants = [
-        _variant(motion, name, record, table, cell, more_plots)
+        _variant_json(motion, name, record, table, cell, extra_plots)
         for motion, name, record, (table, _) in zip(motions, names, records, packed)
     ]
     seconds = max(variant["seconds"][-1] for variant in variants)
@@ -115,63 +117,69 @@ def _page(
             "main",
             tag(
                 "div",
-                viewer(shots, seconds, _words(cell) if recordings[0].ground is not None else ""),
+                viewer(
+                    pictures_of_variants,
+                    seconds,
+                    _format_length(cell) if recordings[0].ground is not None else "",
+                ),
                 tag("div", id="plots"),
                 class_="stage",
             ),
             *(
-                tables(i, record, _shown(motion), motion.recording.notes)
+                tables(i, record, _describe_content(motion), motion.recording.notes)
                 for i, (record, motion) in enumerate(zip(records, motions))
             ),
         ),
-        _footer(records),
+        _page_footer(records),
     ]
     blobs = [data_script(f"motion-{i}", blob) for i, (_, blob) in enumerate(packed)]
-    named = " and ".join(name for name in names if name)
-    title = f"{recordings[0].name}: {named}" if named else recordings[0].name
+    variant_names = " and ".join(name for name in names if name)
+    title = f"{recordings[0].name}: {variant_names}" if variant_names else recordings[0].name
     return document(title, body, json_text({"variants": variants}), blobs, SCRIPTS, [plotly])
 
 
-def _fit(
+def _thin_to_size(
     sources: Sequence[Source], recordings: Sequence[Recording], limits: Limits, bytes_left: int
 ) -> tuple[list[Motion], list[tuple[dict[str, dict[str, Any]], str]]]:
-    """Thin the variants until their blobs fit together [bytes]."""
-    now = limits
+    """Thin the variants until their packed arrays fit into `bytes_left` together."""
+    current = limits
     while True:
         motions = []
         for source, recording in zip(sources, recordings):
-            kept = spread(len(recording.time_codes), now.frames)
+            kept = evenly_spaced(len(recording.time_codes), current.frames)
             frames = source.frames([recording.time_codes[i] for i in kept])
-            motions.append(collect(recording, frames, now.vertices, now.vertices))
+            motions.append(collect(recording, frames, current.vertices, current.vertices))
         packed = [pack(motion) for motion in motions]
         used = sum(len(blob) for _, blob in packed)
-        if used <= bytes_left or (now.vertices <= FEWEST and now.frames <= 2):
+        if used <= bytes_left or (current.vertices <= MIN_VERTICES and current.frames <= 2):
             return motions, packed
-        # a little less than what would just fit, so that once more is enough
-        now = _less(motions, now, 0.93 * bytes_left / used)
+        # below the estimate, so that one repetition is usually enough
+        current = _tighter_limits(motions, current, 0.93 * bytes_left / used)
 
 
-def _less(motions: Sequence[Motion], limits: Limits, part: float) -> Limits:
-    """Limits that leave about `part` of the bytes: vertices and Gaussians first, then frames."""
-    most = max(max(len(m.skin.kept), len(m.chosen), _flow_vertices(m)) for m in motions)
-    if most > FEWEST:
-        return replace(limits, vertices=max(FEWEST, min(most - 1, int(part * most))))
+def _tighter_limits(motions: Sequence[Motion], limits: Limits, part: float) -> Limits:
+    """Limits for about `part` of the bytes: fewer vertices and Gaussians, then fewer frames."""
+    most = max(max(len(m.mesh.kept), len(m.gaussian_indices), _flow_vertices(m)) for m in motions)
+    if most > MIN_VERTICES:
+        return replace(limits, vertices=max(MIN_VERTICES, min(most - 1, int(part * most))))
     frames = max(len(m.time_codes) for m in motions)
-    return replace(limits, vertices=FEWEST, frames=max(2, min(frames - 1, int(part * frames))))
+    return replace(
+        limits, vertices=MIN_VERTICES, frames=max(2, min(frames - 1, int(part * frames)))
+    )
 
 
 def _flow_vertices(motion: Motion) -> int:
-    """Most vertices of a frame of what flows."""
+    """Largest number of vertices of flowing material in a frame."""
     return 0 if motion.flow is None else int(np.diff(motion.flow.starts[:, 0]).max(initial=0))
 
 
-def _variant(
+def _variant_json(
     motion: Motion,
     name: str,
     record: Record,
     table: dict[str, dict[str, Any]],
     cell: float,
-    more_plots: Sequence[Plot],
+    extra_plots: Sequence[Plot],
 ) -> dict[str, Any]:
     recording = motion.recording
     low, high = bounds(motion)
@@ -184,13 +192,13 @@ def _variant(
         "low": list(low),
         "high": list(high),
         "cell": cell,
-        "grow": _grow(motion),
+        "grow": _gaussian_scale(motion),
         "table": table,
-        "plots": [*more_plots, *plots(motion, record)],
+        "plots": [*extra_plots, *plots(motion, record)],
     }
 
 
-def _cell(motion: Motion) -> float:
+def _grid_cell(motion: Motion) -> float:
     """Size [m] of a cell of the floor's grid: 1, 2 or 5 times a power of ten."""
     low, high = bounds(motion)
     size = max(math.dist(low, high), 1e-9) / CELLS
@@ -198,32 +206,33 @@ def _cell(motion: Motion) -> float:
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= size * 0.999)
 
 
-def _grow(motion: Motion) -> float:
-    """How much larger Gaussians are drawn where some are left out, so that they fill the body."""
-    if not len(motion.chosen):
+def _gaussian_scale(motion: Motion) -> float:
+    """Scale factor of drawn Gaussians, which compensates for omitted ones."""
+    if not len(motion.gaussian_indices):
         return 1.0
     return round(
-        min(2.0, (len(motion.recording.gaussians or ()) / len(motion.chosen)) ** (1 / 3)), 2
+        min(2.0, (len(motion.recording.gaussians or ()) / len(motion.gaussian_indices)) ** (1 / 3)),
+        2,
     )
 
 
-def _words(length: float) -> str:
+def _format_length(length: float) -> str:
     factor = unit_for([length * (1.0 + 1e-9)], LENGTHS)
     return f"{length / factor:.3g} {dict(LENGTHS)[factor]}"
 
 
-def _shown(motion: Motion) -> list[str]:
-    """What the page holds of the bake, with the numbers."""
-    recording, skin = motion.recording, motion.skin
+def _describe_content(motion: Motion) -> list[str]:
+    """What the page contains of the bake, as lines of text."""
+    recording, mesh = motion.recording, motion.mesh
     counts = [("frames", len(motion.time_codes), len(recording.time_codes))]
-    if skin.vertices:
-        counts.append(("mesh vertices", len(skin.kept), skin.vertices))
-        counts.append(("triangles", len(skin.corners), skin.triangles))
+    if mesh.vertices:
+        counts.append(("mesh vertices", len(mesh.kept), mesh.vertices))
+        counts.append(("triangles", len(mesh.corners), mesh.triangles))
     if motion.flow is not None:
         kept, whole = len(motion.flow.points), motion.flow.vertices
         counts.append(("vertices of flowing surfaces, over all frames", kept, whole))
     if recording.gaussians is not None:
-        counts.append(("Gaussians", len(motion.chosen), len(recording.gaussians)))
+        counts.append(("Gaussians", len(motion.gaussian_indices), len(recording.gaussians)))
     thinned = any(kept < whole for _, kept, whole in counts)
     lines = [
         f"{kept} of {whole} {name}" if kept < whole else f"all {whole} {name}"
@@ -242,14 +251,14 @@ def _shown(motion: Motion) -> list[str]:
     )
     if recording.gaussians is not None:
         drawn = "A Gaussian is drawn as its ellipsoid at one standard deviation"
-        grow = _grow(motion)
+        grow = _gaussian_scale(motion)
         lines.append(
             f"{drawn}, {grow:g} times as large to fill the gaps." if grow > 1 else f"{drawn}."
         )
     return lines
 
 
-def _footer(records: Sequence[Record]) -> Html:
+def _page_footer(records: Sequence[Record]) -> Html:
     version = next((r.version for r in records if r.version), "")
     source = next((r.source for r in records if r.source), "")
     baked = f"Baked by gf-usd {version}. " if version else ""
@@ -262,8 +271,8 @@ def _footer(records: Sequence[Record]) -> Html:
     return tag("footer", f"{baked}{of}{keys}")
 
 
-def _plotly() -> str:
-    """plotly.js as it ships in the package, so that the page needs no network."""
+def _read_plotly() -> str:
+    """plotly.js from its Python package, so that the page needs no network."""
     from plotly.offline import get_plotlyjs
 
     return get_plotlyjs()

@@ -1,4 +1,4 @@
-"""A page that plays the Gaussians of a bake, sorted and blended as 3D Gaussian splats."""
+"""An HTML page that plays the Gaussians of a bake as 3D Gaussian splats."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from gf_usd.view.report.html import (
     scrub_bar,
     tag,
 )
-from gf_usd.view.report.pack import Packer, add_places, add_scales
+from gf_usd.view.report.pack import Packer, add_positions, add_scales
 from gf_usd.view.report.record import Record
-from gf_usd.view.report.surface import sample, spread
+from gf_usd.view.report.thinning import evenly_spaced, random_subset
 
-LARGEST = 20_000_000  # bytes of a page: what a mail or a chat still takes
-FEWEST = 1000  # Gaussians: below that frames are left out instead
+MAX_BYTES = 20_000_000  # [bytes] of a page: the usual limit of attachments
+MIN_SPLATS = 1000  # Gaussians: at this number frames are omitted instead
 SCRIPTS = ("data.js", "camera.js", "steer.js", "player.js", "transport.js", "splats.js")
-THIN = 0.02  # of the median longest axis: an axis that is shorter is drawn as long as that
-GROWN = 2.0  # Gaussians are drawn that much larger at most where others are left out
+MIN_AXIS = 0.02  # smallest semi-axis, as a fraction of the median longest one
+MAX_SCALE = 2.0  # largest scale factor of drawn Gaussians, which compensates for omitted ones
 
 
 class Source(Protocol):
-    """One variant that can be read."""
+    """One variant of a bake, read frame by frame."""
 
     variant: str
     name: str
@@ -53,79 +53,80 @@ class Source(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a page holds at most, of each variant."""
+    """Upper limits of a page, for each variant."""
 
     frames: int = 240
     splats: int = 100_000
-    size: int = LARGEST  # bytes
+    size: int = MAX_BYTES  # bytes
 
 
 @dataclass(frozen=True, kw_only=True)
-class Played:
-    """The Gaussians of one variant as a page keeps them; F frames, G Gaussians, meters, world."""
+class SplatRecording:
+    """The thinned Gaussians of one variant in meters, world frame; F frames, G Gaussians."""
 
     source: Source
-    time_codes: tuple[float, ...]  # (F,) of the frames that are kept
+    time_codes: tuple[float, ...]  # (F,)
     total: int  # Gaussians of the file
-    surface: bool  # they lie on a surface, else they fill a body
+    surface: bool  # True: they lie on a surface; False: they fill a body
     positions: NDArray[np.float32]  # (F, G, 3) [m]
-    turns: NDArray[np.float32]  # (F, G, 4) (x, y, z, w) unit, continuous in time
+    rotations: NDArray[np.float32]  # (F, G, 4) unit quaternions (x, y, z, w), continuous in time
     scales: NDArray[np.float32]  # (F, G, 3) [m]
     colors: NDArray[np.uint8]  # (G, 4) sRGB of degree 0, and the opacity
-    light: NDArray[np.float32]  # (G, K, 3) of the degrees above 0 in world axes, first frame
-    framed: NDArray[np.bool_]  # (G,) False for strays, which the camera does not look for
-    said: tuple[str, ...] = ()  # what was left out of the colors
+    harmonics: NDArray[np.float32]  # (G, K, 3) of degrees above 0, world axes, first frame
+    framed: NDArray[np.bool_]  # (G,) False: outliers, which the camera need not show
+    notes_on_color: tuple[str, ...] = ()  # notes on omitted radiance
 
-    def fewer(self, most: int) -> Played:
-        """At most that many Gaussians, chosen at random, the same every time."""
-        kept = sample(len(self.colors), most)
+    def with_fewer_splats(self, most: int) -> SplatRecording:
+        """A random subset of at most `most` Gaussians; deterministic."""
+        kept = random_subset(len(self.colors), most)
         return replace(
             self,
             positions=self.positions[:, kept],
-            turns=self.turns[:, kept],
+            rotations=self.rotations[:, kept],
             scales=self.scales[:, kept],
             colors=self.colors[kept],
-            light=self.light[kept],
+            harmonics=self.harmonics[kept],
             framed=self.framed[kept],
         )
 
-    def shorter(self, most: int) -> Played:
-        """At most that many frames, evenly spread."""
-        kept = spread(len(self.time_codes), most)
+    def with_fewer_frames(self, most: int) -> SplatRecording:
+        """At most `most` evenly spaced frames."""
+        kept = evenly_spaced(len(self.time_codes), most)
         return replace(
             self,
             time_codes=tuple(self.time_codes[i] for i in kept),
             positions=self.positions[kept],
-            turns=self.turns[kept],
+            rotations=self.rotations[kept],
             scales=self.scales[kept],
         )
 
     @property
-    def grow(self) -> float:
-        """How much larger Gaussians are drawn where some are left out, to fill the gaps."""
+    def scale_factor(self) -> float:
+        """Scale factor of drawn Gaussians, which compensates for omitted ones."""
         missing = self.total / max(1, len(self.colors))
-        return round(min(GROWN, missing ** (1 / 2 if self.surface else 1 / 3)), 2)
+        return round(min(MAX_SCALE, missing ** (1 / 2 if self.surface else 1 / 3)), 2)
 
 
 def build_splat_page(sources: Sequence[Source], limits: Limits) -> str:
-    """The page as text, every variant in it, no larger than the limits say.
+    """The HTML page of all variants, within the limits.
 
-    Raises InputError where a source has no Gaussians that move.
+    Raises InputError for a source without animated Gaussians.
     """
-    played = [collect(source, limits) for source in sources]
-    played, packed = _fit(played, limits)
-    names = [one.source.variant for one in played]
+    recordings = [collect(source, limits) for source in sources]
+    recordings, packed = _thin_to_size(recordings, limits)
+    names = [splats.source.variant for splats in recordings]
     variants = [
-        _variant(one, name, table) for one, name, (table, _, _) in zip(played, names, packed)
+        _variant_json(splats, name, table)
+        for splats, name, (table, _, _) in zip(recordings, names, packed)
     ]
     body = [
-        header(sources[0].name, names, [Record() for _ in played]),
+        header(sources[0].name, names, [Record() for _ in recordings]),
         tag(
             "main",
-            _viewer(max(variant["seconds"][-1] for variant in variants)),
+            _player(max(variant["seconds"][-1] for variant in variants)),
             *(
-                _shown(i, one, rounding)
-                for i, (one, (_, _, rounding)) in enumerate(zip(played, packed))
+                _describe_content(i, splats, rounding)
+                for i, (splats, (_, _, rounding)) in enumerate(zip(recordings, packed))
             ),
         ),
         tag(
@@ -141,125 +142,138 @@ def build_splat_page(sources: Sequence[Source], limits: Limits) -> str:
     return document(title, body, json_text({"variants": variants}), blobs, SCRIPTS)
 
 
-def collect(source: Source, limits: Limits) -> Played:
-    """Read a source, one whole frame at a time.
+def collect(source: Source, limits: Limits) -> SplatRecording:
+    """Read and thin a source frame by frame.
 
-    Raises InputError where it has no Gaussians that move.
+    Raises InputError for a source without animated Gaussians.
     """
     if len(source.time_codes) < 2:
         raise InputError(
             f"{source.name} contains no moving Gaussians.",
             "give the root layer of a bake, or bake again with gaussians included in --only",
         )
-    codes = [source.time_codes[i] for i in spread(len(source.time_codes), limits.frames)]
+    codes = [source.time_codes[i] for i in evenly_spaced(len(source.time_codes), limits.frames)]
     rows: list[tuple[NDArray[np.float32], ...]] = []
     first: tuple[RenderSplats, ...] = ()
     kept = np.zeros(0, np.int64)
-    last = None
+    previous = None
     for sets in source.frames(codes):
         if not first:
             first = sets
-            kept = sample(sum(len(one.positions) for one in sets), limits.splats)
-        at = np.concatenate([one.positions for one in sets])[kept]
-        turns, scales = ellipsoids(np.concatenate([one.axes for one in sets])[kept])
-        if last is not None:
-            # q and -q are one rotation: the nearer to the last frame's packs better
-            turns *= np.where((turns * last).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-        last = turns
-        rows.append(tuple(np.asarray(array, np.float32) for array in (at, turns, scales)))
-    positions, turns, scales = (np.stack(arrays) for arrays in zip(*rows))
-    colors, light, said = _radiance(first)
-    opacities = np.concatenate([one.opacities for one in first])
+            kept = random_subset(sum(len(splats.positions) for splats in sets), limits.splats)
+        positions_now = np.concatenate([splats.positions for splats in sets])[kept]
+        rotations, scales = ellipsoids(np.concatenate([splats.axes for splats in sets])[kept])
+        if previous is not None:
+            # q and -q are one rotation; continuity in time compresses better
+            rotations *= np.where(
+                (rotations * previous).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0
+            )
+        previous = rotations
+        rows.append(
+            tuple(np.asarray(array, np.float32) for array in (positions_now, rotations, scales))
+        )
+    positions, rotations, scales = (np.stack(arrays) for arrays in zip(*rows))
+    colors, harmonics, notes_on_color = _split_radiance(first)
+    opacities = np.concatenate([splats.opacities for splats in first])
     rgba = np.column_stack([np.clip(colors, 0.0, 1.0), opacities])[kept]
-    return Played(
+    return SplatRecording(
         source=source,
         time_codes=tuple(codes),
         total=len(opacities),
-        surface=not any(one.lit for one in first),
+        surface=not any(splats.lit for splats in first),
         positions=positions,
-        turns=turns,
+        rotations=rotations,
         scales=scales,
         colors=np.round(255.0 * rgba).astype(np.uint8),
-        light=light[kept].astype(np.float32),
+        harmonics=harmonics[kept].astype(np.float32),
         framed=to_frame(positions[0], opacities[kept]),
-        said=said,
+        notes_on_color=notes_on_color,
     )
 
 
-def _radiance(
+def _split_radiance(
     sets: Sequence[RenderSplats],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...]]:
     """Colors (N, 3) of degree 0, sRGB, and coefficients (N, K, 3) above it in world axes."""
-    colors, lights, said = [], [], {}
-    widest = max(1 if one.harmonics is None else one.harmonics.coefficients.shape[1]
-                 for one in sets)  # fmt: skip
-    for one in sets:
-        light = np.zeros((len(one.positions), widest - 1, 3))
-        base = linear_to_srgb(one.colors)
-        if one.harmonics is not None and one.harmonics.srgb:
-            h = np.asarray(one.harmonics.coefficients)
-            base = 0.5 + Y_0 * h[:, 0]
-            U, _, Vt = np.linalg.svd(np.linalg.inv(one.harmonics.frame))
-            light[:, : h.shape[1] - 1] = turned(h, U @ Vt)[:, 1:]
-        elif one.harmonics is not None:
-            said["View-dependent radiance is left out because it is linear."] = None
-        colors.append(base)
-        lights.append(light)
-    return np.concatenate(colors), np.concatenate(lights), tuple(said)
+    colors, harmonics_of_sets, notes_on_color = [], [], {}
+    max_coefficients = max(1 if splats.harmonics is None else splats.harmonics.coefficients.shape[1]
+                 for splats in sets)  # fmt: skip
+    for splats in sets:
+        harmonics = np.zeros((len(splats.positions), max_coefficients - 1, 3))
+        degree_0 = linear_to_srgb(splats.colors)
+        if splats.harmonics is not None and splats.harmonics.srgb:
+            h = np.asarray(splats.harmonics.coefficients)
+            degree_0 = 0.5 + Y_0 * h[:, 0]
+            U, _, Vt = np.linalg.svd(np.linalg.inv(splats.harmonics.frame))
+            harmonics[:, : h.shape[1] - 1] = turned(h, U @ Vt)[:, 1:]
+        elif splats.harmonics is not None:
+            notes_on_color["View-dependent radiance is left out because it is linear."] = None
+        colors.append(degree_0)
+        harmonics_of_sets.append(harmonics)
+    return np.concatenate(colors), np.concatenate(harmonics_of_sets), tuple(notes_on_color)
 
 
 Packed = tuple[dict[str, dict[str, Any]], str, float]
 
 
-def _fit(played: Sequence[Played], limits: Limits) -> tuple[list[Played], list[Packed]]:
-    """Thin the variants until their blobs fit together."""
-    now = list(played)
+def _thin_to_size(
+    recordings: Sequence[SplatRecording], limits: Limits
+) -> tuple[list[SplatRecording], list[Packed]]:
+    """Thin the variants until their packed arrays fit into the limit together."""
+    current = list(recordings)
     while True:
-        packed = [_pack(one) for one in now]
-        used, most = sum(len(blob) for _, blob, _ in packed), max(len(one.colors) for one in now)
-        left = limits.size - 60_000
-        longest = max(len(one.time_codes) for one in now)
-        if used <= left or (most <= FEWEST and longest <= 2):
-            return now, packed
-        part = 0.95 * left / used
-        if most > FEWEST:
-            most = max(FEWEST, min(most - 1, int(part * most)))
-            now = [one.fewer(most) for one in now]
+        packed = [_pack(splats) for splats in current]
+        used, most = (
+            sum(len(blob) for _, blob, _ in packed),
+            max(len(splats.colors) for splats in current),
+        )
+        limit = limits.size - 60_000
+        longest = max(len(splats.time_codes) for splats in current)
+        if used <= limit or (most <= MIN_SPLATS and longest <= 2):
+            return current, packed
+        part = 0.95 * limit / used
+        if most > MIN_SPLATS:
+            most = max(MIN_SPLATS, min(most - 1, int(part * most)))
+            current = [splats.with_fewer_splats(most) for splats in current]
         else:
             longest = max(2, min(longest - 1, int(part * longest)))
-            now = [one.shorter(longest) for one in now]
+            current = [splats.with_fewer_frames(longest) for splats in current]
 
 
-def _pack(one: Played) -> Packed:
-    """Table of contents, blob, and the relative error of the standard deviations."""
+def _pack(splats: SplatRecording) -> Packed:
+    """Array table, blob, and the relative rounding error of the standard deviations."""
     packer = Packer()
-    add_places(packer, "positions", one.positions)
-    packer.add("turns", np.round(one.turns * 127.0).astype(np.int8), moving=True)
-    middle = float(np.median(one.scales.max(axis=2)))
-    rounding = add_scales(packer, one.scales, THIN * middle)
-    packer.add("colors", one.colors)
-    if one.light.shape[1]:
-        step = float(np.abs(one.light).max()) / 127.0 or 1.0
-        packer.add("light", np.round(one.light / step).astype(np.int8), step=step)
+    add_positions(packer, "positions", splats.positions)
+    packer.add("turns", np.round(splats.rotations * 127.0).astype(np.int8), moving=True)
+    middle = float(np.median(splats.scales.max(axis=2)))
+    rounding = add_scales(packer, splats.scales, MIN_AXIS * middle)
+    packer.add("colors", splats.colors)
+    if splats.harmonics.shape[1]:
+        step = float(np.abs(splats.harmonics).max()) / 127.0 or 1.0
+        packer.add("light", np.round(splats.harmonics / step).astype(np.int8), step=step)
     return packer.table, packer.blob(), rounding
 
 
-def _variant(one: Played, name: str, table: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    at = one.positions[:, one.framed].reshape(-1, 3)
-    first = one.source.time_codes[0]
+def _variant_json(
+    splats: SplatRecording, name: str, table: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    positions_now = splats.positions[:, splats.framed].reshape(-1, 3)
+    first = splats.source.time_codes[0]
     return {
         "name": name,
-        "codes": [float(f"{code:.8g}") for code in one.time_codes],
-        "seconds": [float(f"{(code - first) / one.source.rate:.6g}") for code in one.time_codes],
-        "up": "Z" if one.source.up[2] > 0.5 else "Y",
-        "low": at.min(axis=0).tolist(),
-        "high": at.max(axis=0).tolist(),
-        "grow": one.grow,
+        "codes": [float(f"{code:.8g}") for code in splats.time_codes],
+        "seconds": [
+            float(f"{(code - first) / splats.source.rate:.6g}") for code in splats.time_codes
+        ],
+        "up": "Z" if splats.source.up[2] > 0.5 else "Y",
+        "low": positions_now.min(axis=0).tolist(),
+        "high": positions_now.max(axis=0).tolist(),
+        "grow": splats.scale_factor,
         "table": table,
     }
 
 
-def _viewer(seconds: float) -> Html:
+def _player(seconds: float) -> Html:
     speed = "0.5" if seconds < SHORT else "1"
     screen = tag(
         "div",
@@ -284,26 +298,26 @@ def _viewer(seconds: float) -> Html:
     return tag("section", screen, controls, class_="card viewer splats")
 
 
-def _shown(number: int, one: Played, rounding: float) -> Html:
-    """What the page holds of the bake, with the numbers."""
+def _describe_content(number: int, splats: SplatRecording, rounding: float) -> Html:
+    """What the page contains of the bake."""
     counts = (
-        ("Gaussians", len(one.colors), one.total),
-        ("frames", len(one.time_codes), len(one.source.time_codes)),
+        ("Gaussians", len(splats.colors), splats.total),
+        ("frames", len(splats.time_codes), len(splats.source.time_codes)),
     )
     lines = [
         f"{kept} of {whole} {name}" if kept < whole else f"all {whole} {name}"
         for name, kept, whole in counts
     ]
-    if one.grow > 1.0:
+    if splats.scale_factor > 1.0:
         lines.append(
-            f"The rest is left out to keep the page small; the others are drawn {one.grow:g} "
-            f"times as large."
+            f"The rest is left out to keep the page small; the others are drawn "
+            f"{splats.scale_factor:g} times as large."
         )
     lines.append(
         "Positions are rounded to 1/65536 of the size of the motion, standard deviations by"
         f" {100.0 * rounding:.2g} %, orientations to half a degree."
     )
-    notes = [*lines, *one.said, *one.source.notes]
+    notes = [*lines, *splats.notes_on_color, *splats.source.notes]
     card = tag(
         "section",
         tag("h2", "Shown on this page"),

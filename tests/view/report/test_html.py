@@ -10,7 +10,7 @@ from recordings import FRAMES, FallingBox, report_of
 
 from gf_usd.view.report.curves import plots, unit_for
 from gf_usd.view.report.html import Html, data_script, join, policy, tag
-from gf_usd.view.report.moments import moments
+from gf_usd.view.report.moments import choose_key_frames
 from gf_usd.view.report.motion import collect
 from gf_usd.view.report.record import make_record
 from gf_usd.view.report.report import Limits, build_report
@@ -147,9 +147,9 @@ def test_pictures_are_taken_where_something_happens():
     source = FallingBox()
     recording = source.recording()
     motion = collect(recording, source.frames(recording.time_codes), 100, 100)
-    assert [words for _, words in moments(motion, 5)] == [
+    assert [words for _, words in choose_key_frames(motion, 5)] == [
         "start", "contact", "squashed", "rebound", "end",
     ]  # fmt: skip
-    assert [frame for frame, _ in moments(motion, 5)] == [0, 2, 3, 5, 6]
+    assert [frame for frame, _ in choose_key_frames(motion, 5)] == [0, 2, 3, 5, 6]
     # more pictures than frames are not to be had
-    assert [frame for frame, _ in moments(motion, 50)] == list(range(FRAMES))
+    assert [frame for frame, _ in choose_key_frames(motion, 50)] == list(range(FRAMES))

@@ -10,7 +10,7 @@ from recordings import FRAMES, FallingBox, unpack
 from scipy.spatial.transform import Rotation
 
 from gf_usd.view.report.motion import Motion, collect
-from gf_usd.view.report.pack import Packer, octaves, pack
+from gf_usd.view.report.pack import Packer, encode_stretch, pack
 
 
 @pytest.fixture(scope="module")
@@ -45,22 +45,22 @@ def test_positions_are_kept_to_a_step(motion):
 
 def test_gaussians_keep_their_shape(motion):
     table, blob = pack(motion)
-    turns = Rotation.from_quat(unpack(table, blob, "turns").reshape(-1, 4).astype(float))
+    rotations = Rotation.from_quat(unpack(table, blob, "turns").reshape(-1, 4).astype(float))
     scale = table["scales"]
     sizes = np.exp(scale["low"] + scale["step"] * unpack(table, blob, "scales").reshape(-1, 3))
-    R = turns.as_matrix()
+    R = rotations.as_matrix()
     sigma = (R * sizes[:, None, :] ** 2) @ R.transpose(0, 2, 1)
     squeezed = (1.0, 1.0, 0.8, 0.5, 0.9, 1.1, 1.0)
     truth = np.array([np.diag([1, s * s, 1]) for s in squeezed]) * 1e-4
     # scales in 255 steps of their logarithm, turns in 1/127
-    count = len(motion.chosen)
+    count = len(motion.gaussian_indices)
     assert sigma.reshape(FRAMES, count, 3, 3) == pytest.approx(
         np.repeat(truth[:, None], count, axis=1), abs=0.02 * 1e-4
     )
 
 
 def test_stretch_is_coded_by_its_logarithm(motion):
-    assert octaves(np.array([0.01, 0.25, 1.0, 4.0, 100.0])).tolist() == [1, 1, 128, 255, 255]
+    assert encode_stretch(np.array([0.01, 0.25, 1.0, 4.0, 100.0])).tolist() == [1, 1, 128, 255, 255]
     table, blob = pack(motion)
     back = 2.0 ** ((unpack(table, blob, "ratio") - 128.0) / 127.0 * 2.0)
     # one code is 2^(2/127): 1.1 %
@@ -77,7 +77,7 @@ def test_curves_are_of_the_whole_body(motion):
     whole = FallingBox()
     mean = np.mean([f.positions[:, 1].mean() for f in whole.frames([1.0])])
     # the center is that of all 40 Gaussians, of which the page keeps 30
-    assert len(motion.chosen) == 30
+    assert len(motion.gaussian_indices) == 30
     assert curves["center"][0] == pytest.approx(mean)
 
 
@@ -105,7 +105,7 @@ def test_what_a_bake_measured_of_its_gaussians_is_kept_in_255_steps():
     assert "elastic" not in table
     for name, values in given.items():
         top = table[name]["top"]
-        kept = values[:, motion.chosen]
+        kept = values[:, motion.gaussian_indices]
         assert top == pytest.approx(np.percentile(kept, 99.5), rel=1e-6)
         back = unpack(table, blob, name) / 255.0 * top
         np.testing.assert_allclose(back, np.minimum(kept, top), rtol=0.0, atol=0.51 * top / 255.0)

@@ -14,7 +14,7 @@ from played_splats import Splats, shell
 from scipy.spatial.transform import Rotation
 
 from gf_usd.core.errors import InputError
-from gf_usd.view.report.splats import GROWN, Limits, build_splat_page
+from gf_usd.view.report.splats import MAX_SCALE, Limits, build_splat_page
 
 
 def arrays_of(page: str) -> tuple[dict, dict[str, np.ndarray]]:
@@ -44,8 +44,8 @@ def test_it_holds_the_motion_within_the_rounding_that_it_states() -> None:
         # half a step of 1/65535, and single precision
         assert np.abs(at - truth.positions).max() <= 0.51 * max(step) + 1e-6
         scales = np.exp(table["scales"]["low"] + table["scales"]["step"] * found["scales"][frame])
-        turns = Rotation.from_quat(found["turns"][frame].astype(float)).as_matrix()
-        A = turns * scales[:, None, :]
+        rotations = Rotation.from_quat(found["turns"][frame].astype(float)).as_matrix()
+        A = rotations * scales[:, None, :]
         S = truth.axes @ truth.axes.transpose(0, 2, 1)
         assert np.abs(A @ A.transpose(0, 2, 1) - S).max() <= (2.0 * stated + 1e-3) * S.max()
     colors = found["colors"][:, :3] / 255.0
@@ -60,7 +60,7 @@ def test_what_is_left_out_is_counted_and_the_rest_is_larger() -> None:
     assert found["positions"].shape == (3, 1000, 3)
     assert "1000 of 4000 Gaussians" in page
     assert "3 of 5 frames" in page
-    assert variant["grow"] == 2.0 == GROWN  # on a surface: the square root of four
+    assert variant["grow"] == 2.0 == MAX_SCALE  # on a surface: the square root of four
 
 
 @pytest.mark.parametrize("size", [90_000, 120_000])

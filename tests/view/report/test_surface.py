@@ -9,7 +9,7 @@ from recordings import BOX, TRIANGLES, FallingBox
 from gf_usd.core.asset import Texture
 from gf_usd.core.scene import RenderMesh
 from gf_usd.view.report.motion import SurfaceStretch, volume_ratio
-from gf_usd.view.report.surface import corner_colors, make_skin, smooth_groups
+from gf_usd.view.report.surface import corner_colors, make_display_mesh, smooth_groups
 
 
 def box(colors: np.ndarray | None = None, crease: float = 50.0) -> RenderMesh:
@@ -21,10 +21,10 @@ def box(colors: np.ndarray | None = None, crease: float = 50.0) -> RenderMesh:
 
 
 def test_a_box_has_three_normals_a_corner_and_a_smooth_one_has_one():
-    sharp = make_skin([box()], 100)
+    sharp = make_display_mesh([box()], 100)
     assert len(sharp.source) == 24  # 8 corners x 3 sides
     assert len(set(sharp.shade.tolist())) == 24
-    smooth = make_skin([box(crease=95.0)], 100)
+    smooth = make_display_mesh([box(crease=95.0)], 100)
     assert len(smooth.source) == 8
     # triangles of a side share their normals
     groups = smooth_groups(BOX, TRIANGLES, np.full(12, 50.0)).reshape(12, 3)
@@ -35,7 +35,7 @@ def test_a_box_has_three_normals_a_corner_and_a_smooth_one_has_one():
 def test_vertices_split_where_the_color_changes_and_keep_their_normal():
     colors = np.full((12, 3, 3), 0.1)
     colors[::2] = 0.9  # one triangle of each side
-    skin = make_skin([box(colors, crease=180.0)], 100)
+    skin = make_display_mesh([box(colors, crease=180.0)], 100)
     assert len(skin.kept) == 8
     assert len(set(skin.shade.tolist())) == 8
     assert len(skin.source) > 8
@@ -47,10 +47,10 @@ def test_vertices_split_where_the_color_changes_and_keep_their_normal():
 
 
 def test_two_meshes_are_one_skin():
-    skin = make_skin([box(), box()], 100)
+    skin = make_display_mesh([box(), box()], 100)
     assert (skin.vertices, skin.triangles, len(skin.kept)) == (16, 24, 16)
     assert np.array_equal(skin.kept[skin.source][skin.corners][12:], TRIANGLES + 8)
-    empty = make_skin([], 100)
+    empty = make_display_mesh([], 100)
     assert (len(empty.kept), empty.corners.shape) == (0, (0, 3))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recordings import BOX, TRIANGLES
 
-from gf_usd.view.report.surface import cluster, sample, spread
+from gf_usd.view.report.thinning import cluster_vertices, evenly_spaced, random_subset
 
 
 def bumpy_sheet(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -20,23 +20,23 @@ def bumpy_sheet(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_frames_are_spread_with_the_ends():
-    assert spread(5, 10).tolist() == [0, 1, 2, 3, 4]
-    thin = spread(1000, 240)
+    assert evenly_spaced(5, 10).tolist() == [0, 1, 2, 3, 4]
+    thin = evenly_spaced(1000, 240)
     assert (thin[0], thin[-1], len(thin)) == (0, 999, 240)
     assert set(np.diff(thin)) == {4, 5}  # 999 / 239 = 4.18
 
 
 def test_gaussians_are_sampled_the_same_every_time():
-    assert sample(4, 9).tolist() == [0, 1, 2, 3]
-    few = sample(10_000, 100)
+    assert random_subset(4, 9).tolist() == [0, 1, 2, 3]
+    few = random_subset(10_000, 100)
     assert len(set(few.tolist())) == 100
-    assert np.array_equal(few, sample(10_000, 100))
+    assert np.array_equal(few, random_subset(10_000, 100))
     # a fair sample of 0..9999: its mean is within four standard errors
     assert few.mean() == pytest.approx(5000, abs=4 * 2887 / 10)
 
 
 def test_a_small_mesh_stays_as_it_is():
-    kept, corners, faces = cluster(BOX, TRIANGLES, np.zeros(8), 8)
+    kept, corners, faces = cluster_vertices(BOX, TRIANGLES, np.zeros(8), 8)
     assert np.array_equal(kept, np.arange(8))
     assert np.array_equal(corners, TRIANGLES)
     assert np.array_equal(faces, np.arange(12))
@@ -44,7 +44,7 @@ def test_a_small_mesh_stays_as_it_is():
 
 def test_a_thinned_mesh_keeps_its_shape():
     points, triangles = bumpy_sheet(60)
-    kept, corners, faces = cluster(points, triangles, np.zeros(3600), 500)
+    kept, corners, faces = cluster_vertices(points, triangles, np.zeros(3600), 500)
     assert 250 < len(kept) <= 500
     assert len(set(kept.tolist())) == len(kept)
     # every triangle is one of the mesh, moved by no more than a cell (1 / sqrt(250)) and a bit
@@ -61,6 +61,6 @@ def test_sides_of_a_thin_wall_and_different_meshes_stay_apart():
     wall = np.concatenate([points, points + (0, 1e-4, 0)])
     both = np.concatenate([triangles, triangles[:, ::-1] + len(points)])
     for part in (np.zeros(3200), np.repeat([0, 1], 1600)):
-        kept, corners, _ = cluster(wall, both, part, 400)
+        kept, corners, _ = cluster_vertices(wall, both, part, 400)
         side = kept[corners] >= len(points)
         assert (side.all(axis=1) | ~side.any(axis=1)).all()
