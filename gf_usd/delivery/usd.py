@@ -21,7 +21,7 @@ from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
 from gf_usd.delivery.variants import BakedVariant
 from gf_usd.layers.flatten import Package, export, write_placed
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.extent import sample_times, sometimes_visible
+from gf_usd.readers.pictures.extent import is_ever_visible, sample_times
 from gf_usd.readers.pictures.recording import select_variant, world_points
 from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.skeleton import Skins
@@ -220,9 +220,9 @@ def _hide_left_out_below(root: Usd.Prim, stage: Usd.Stage, variant: BakedVariant
     start = Usd.TimeCode(variant.time_codes[0])
     for there in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
         prim = stage.GetPrimAtPath(there.GetPath())
-        if not has_surface(there) or not prim or not sometimes_visible(prim, start):
+        if not has_surface(there) or not prim or not is_ever_visible(prim, start):
             continue
-        if str(there.GetPath()) in variant.left_out or not sometimes_visible(there, start):
+        if str(there.GetPath()) in variant.left_out or not is_ever_visible(there, start):
             _end_instances(stage, str(there.GetPath()))
             visibility = UsdGeom.Imageable(stage.GetPrimAtPath(there.GetPath()))
             visibility.GetVisibilityAttr().Clear()  # of samples, which a default is weaker than

@@ -20,7 +20,7 @@ from gf_usd.delivery.splats.clouds import (
     read_clouds,
     with_splats,
 )
-from gf_usd.readers.pictures.prims import LEFT_OUT
+from gf_usd.readers.pictures.prims import NOT_DRAWN
 from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
 from gf_usd.readers.pictures.splats import SplatMotion
 
@@ -118,7 +118,7 @@ def read_variants(
         recordings.append(recording)
         # a USD file keeps what stands beside the bake, instancers and curves too
         every = [note for note in (*recording.notes, *said) if not note.endswith(ONE_SET)]
-        mine = [note for note in every if whole or f": {LEFT_OUT}" not in note]
+        mine = [note for note in every if whole or f": {NOT_DRAWN}" not in note]
         notes |= dict.fromkeys(mine)
     return variants, recordings, tuple(notes)
 

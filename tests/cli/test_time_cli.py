@@ -196,13 +196,13 @@ def test_a_pin_follows_the_animation_between_frames(gf_usd, here: Path, tmp_path
 
 def test_a_report_draws_health_where_it_was(baked) -> None:
     from gf_usd.readers.pictures.recording import BakedMotion
-    from gf_usd.view.report.curves import _health
+    from gf_usd.view.report.curves import _health_curve
     from gf_usd.view.report.record import load_report, make_record
 
     root, _ = baked("part", "--range", "103:105", "--handles", "3", "--samples-per-frame", "2")
     recording = BakedMotion(root).recording()
     record = make_record(recording, *load_report(root))
-    curve = _health(
+    curve = _health_curve(
         SimpleNamespace(recording=recording),
         record,
         "energy",

@@ -9,15 +9,13 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 
 from gf_usd.core.arrays import triple
 from gf_usd.core.errors import InputError
-from gf_usd.core.scene import (
-    Camera,
-)
+from gf_usd.core.scene import Camera
 
 
 def find_camera(stage: Usd.Stage, path: Path, name: str) -> UsdGeom.Camera:
-    """The camera of that prim path.
+    """The UsdGeomCamera at a prim path.
 
-    Raises InputError where there is no such prim, or it is not a camera with perspective.
+    Raises InputError where there is no camera at this path, or its projection is orthographic.
     """
     prim = stage.GetPrimAtPath(name) if Sdf.Path.IsValidPathString(name) else None
     if not prim or not prim.IsA(UsdGeom.Camera):
@@ -25,7 +23,7 @@ def find_camera(stage: Usd.Stage, path: Path, name: str) -> UsdGeom.Camera:
             what = f"<{name}> is of type {prim.GetTypeName() or 'none'}, not Camera."
         else:
             what = f"The camera <{name}> does not exist."
-        raise InputError(f"{path}: {what}", _choice(stage))
+        raise InputError(f"{path}: {what}", _hint_of_cameras(stage))
     camera = UsdGeom.Camera(prim)
     projection = camera.GetProjectionAttr().Get()
     if projection != UsdGeom.Tokens.perspective:
@@ -37,39 +35,39 @@ def find_camera(stage: Usd.Stage, path: Path, name: str) -> UsdGeom.Camera:
     return camera
 
 
-def _choice(stage: Usd.Stage) -> str:
+def _hint_of_cameras(stage: Usd.Stage) -> str:
     walk = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
-    there = [str(prim.GetPath()) for prim in walk if prim.IsA(UsdGeom.Camera)]
-    if not there:
+    cameras = [str(prim.GetPath()) for prim in walk if prim.IsA(UsdGeom.Camera)]
+    if not cameras:
         return "the stage has no camera: leave --camera out to have one fitted to the motion"
-    return f"the cameras in the stage are {', '.join(there)}"
+    return f"the cameras in the stage are {', '.join(cameras)}"
 
 
 def read_camera(
     camera: UsdGeom.Camera, time: Usd.TimeCode, unit: float, path: Path, aspect: float
 ) -> Camera:
-    """The camera at a time for pictures of a width / height.
+    """The camera at a time, for images of an aspect ratio width / height.
 
-    The whole of its aperture is in the picture, as a viewer shows a scene's camera: where the
-    picture is narrower than the aperture its width fits and the picture shows more above and
-    below, where it is wider its height fits.  Clipping planes, depth of field and the shutter
-    are left out.
+    The image contains the whole aperture (CameraUtilFit): where the image is narrower, the widths
+    match and it extends above and below; where it is wider, the heights match.  Clipping planes,
+    depth of field and the shutter are ignored.
 
-    Raises InputError where focal length, aperture or transform make no picture.
+    Raises InputError for an invalid focal length, aperture or transform.
     """
-    seen = camera.GetCamera(time)
-    focal = float(seen.focalLength)
-    across, down = float(seen.horizontalAperture), float(seen.verticalAperture)
-    matrix = np.array(seen.transform, dtype=np.float64)
+    gf_camera = camera.GetCamera(time)
+    focal = float(gf_camera.focalLength)
+    width, height = float(gf_camera.horizontalAperture), float(gf_camera.verticalAperture)
+    matrix = np.array(gf_camera.transform, dtype=np.float64)
     up, back = matrix[1:3, :3]
-    sound = min(focal, across, down) > 0.0 and np.isfinite(matrix).all()
-    if not sound or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+    valid = min(focal, width, height) > 0.0 and np.isfinite(matrix).all()
+    if not valid or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         raise InputError(
             f"{path}: the camera {camera.GetPath()} cannot render an image at {time}: focal length "
-            f"{focal:g}, aperture {across:g} x {down:g}, transform {_short(seen.transform)}.",
+            f"{focal:g}, aperture {width:g} x {height:g}, transform "
+            f"{_format_matrix(gf_camera.transform)}.",
             "give it a focal length and apertures above 0 and a transform that can be inverted",
         )
-    half = max(down, across / aspect) / (2.0 * focal)
+    half = max(height, width / aspect) / (2.0 * focal)
     eye = matrix[3, :3] * unit
     target = eye - back / np.linalg.norm(back)
     return Camera(
@@ -78,11 +76,11 @@ def read_camera(
         up=triple(up / np.linalg.norm(up)),
         fov=float(np.degrees(2.0 * np.arctan(half))),
         shift=(
-            float(seen.horizontalApertureOffset) / focal,
-            float(seen.verticalApertureOffset) / focal,
+            float(gf_camera.horizontalApertureOffset) / focal,
+            float(gf_camera.verticalApertureOffset) / focal,
         ),
     )
 
 
-def _short(matrix: Gf.Matrix4d) -> str:
+def _format_matrix(matrix: Gf.Matrix4d) -> str:
     return " ".join(f"{value:.3g}" for row in matrix for value in row)

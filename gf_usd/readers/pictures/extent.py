@@ -16,40 +16,40 @@ from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
 
-SAMPLED_TIMES = (
-    48  # times at which a longer motion is looked at, evenly spread, first and last included
+SAMPLED_TIMES = 48  # maximal number of evenly spaced times for the boxes of a motion
+STATIC_MARGIN = (
+    0.1  # around moving prims, as a fraction of their box diagonal, in which static ones count
 )
-AROUND = 0.1  # of the diagonal of the box of what moves
 POINTS = ("points", "positions", "positionsh")
 HEALTH = "gaussianFlesh:health:kineticEnergy"  # has a sample at every frame of a bake
 
 
 def sample_times(prims: Sequence[Usd.Prim]) -> list[float]:
-    """Every time code at which points, transforms or skeletons of the prims have a sample.
+    """All time codes of samples of points, transforms or skeletons of the prims.
 
-    A bake that leaves samples out has those of its frames still, in its health.
+    A bake may omit samples of points; its health attributes have a sample at every frame.
     """
     times: set[float] = set()
-    seen: set[str] = set()
+    visited: set[str] = set()
     for prim in prims:
         for name in POINTS:
             if attribute := prim.GetAttribute(name):
                 times.update(attribute.GetTimeSamples())
-        above = prim
-        while above and str(above.GetPath()) not in seen:
-            seen.add(str(above.GetPath()))
-            if xformable := UsdGeom.Xformable(above):
+        ancestor = prim
+        while ancestor and str(ancestor.GetPath()) not in visited:
+            visited.add(str(ancestor.GetPath()))
+            if xformable := UsdGeom.Xformable(ancestor):
                 times.update(xformable.GetTimeSamples())
-            if health := above.GetAttribute(HEALTH):
+            if health := ancestor.GetAttribute(HEALTH):
                 times.update(health.GetTimeSamples())
-            if above.IsA(UsdSkel.Root):
-                times.update(_skeleton_times(above))
-            above = above.GetParent()
+            if ancestor.IsA(UsdSkel.Root):
+                times.update(_skeleton_times(ancestor))
+            ancestor = ancestor.GetParent()
     return sorted(times)
 
 
 def _skeleton_times(root: Usd.Prim) -> set[float]:
-    """Samples of what poses the skeletons of a SkelRoot, wherever in the stage that is."""
+    """Time codes of the animations and transforms of all skeletons bound below a SkelRoot."""
     times: set[float] = set()
     cache = UsdSkel.Cache()
     skel_root = UsdSkel.Root(root)
@@ -60,21 +60,21 @@ def _skeleton_times(root: Usd.Prim) -> set[float]:
         if animation:
             times.update(animation.GetJointTransformTimeSamples())
             times.update(animation.GetBlendShapeWeightTimeSamples())
-        above = skeleton.GetPrim()
-        while above and not above.IsPseudoRoot():
-            if xformable := UsdGeom.Xformable(above):
+        ancestor = skeleton.GetPrim()
+        while ancestor and not ancestor.IsPseudoRoot():
+            if xformable := UsdGeom.Xformable(ancestor):
                 times.update(xformable.GetTimeSamples())
-            above = above.GetParent()
+            ancestor = ancestor.GetParent()
     return times
 
 
-def comes_and_goes(prim: Usd.Prim) -> bool:
+def has_animated_visibility(prim: Usd.Prim) -> bool:
     """Whether the visibility of a prim changes over time."""
-    return any(one.ValueMightBeTimeVarying() for one in _visibilities(prim))
+    return any(attribute.ValueMightBeTimeVarying() for attribute in _visibilities(prim))
 
 
 def _visibilities(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
-    """The attributes that say whether a prim is visible: its own and those above."""
+    """The visibility attributes of a prim and its ancestors."""
     while prim and not prim.IsPseudoRoot():
         if visibility := UsdGeom.Imageable(prim).GetVisibilityAttr():
             yield visibility
@@ -86,46 +86,48 @@ def is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     return UsdGeom.Imageable(prim).ComputeVisibility(time) != UsdGeom.Tokens.invisible
 
 
-def is_shown(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    """Whether a prim that is to be drawn is so at a time; what never changes always is."""
-    return not comes_and_goes(prim) or is_visible(prim, time)
+def is_drawn(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether a prim to be drawn is visible at a time; True for constant visibility."""
+    return not has_animated_visibility(prim) or is_visible(prim, time)
 
 
-def sometimes_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    """Whether a prim is visible at a time, or at one at which its visibility changes."""
+def is_ever_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether a prim is visible at a time, or at any sample of its visibility."""
     if is_visible(prim, time):
         return True
-    samples = {code for one in _visibilities(prim) for code in one.GetTimeSamples()}
+    samples = {code for attribute in _visibilities(prim) for code in attribute.GetTimeSamples()}
     return any(is_visible(prim, Usd.TimeCode(code)) for code in sorted(samples))
 
 
 @dataclass(frozen=True)
 class MotionBoxes:
-    """The boxes of prims at times of a motion, and what they are of."""
+    """Bounding boxes of prims at times of a motion."""
 
     prims: Sequence[Usd.Prim]
     unit: float  # [m]
     codes: Sequence[float | None]  # None: the earliest time
-    each: Sequence[Mapping[int, Floats]]  # (2, 3) [m] of each visible prim, at each time
+    by_time: Sequence[Mapping[int, Floats]]  # (2, 3) [m] of each visible prim, at each time
 
-    def still(self) -> set[int]:
-        """The prims whose box never changes."""
-        own: dict[int, list[Floats]] = {}
-        for now in self.each:
-            for number, box in now.items():
-                own.setdefault(number, []).append(box)
-        return {k for k, of in own.items() if all(np.array_equal(box, of[0]) for box in of)}
+    def static_prims(self) -> set[int]:
+        """Indices of the prims whose box is constant."""
+        boxes_of: dict[int, list[Floats]] = {}
+        for boxes_now in self.by_time:
+            for index, box in boxes_now.items():
+                boxes_of.setdefault(index, []).append(box)
+        return {k for k, own in boxes_of.items() if all(np.array_equal(box, own[0]) for box in own)}
 
-    def points(self, number: int, which: int) -> Floats:
-        """(n, 3) [m] of a prim at one of the times."""
+    def points(self, index: int, which: int) -> Floats:
+        """Points (n, 3) [m] of a prim at time number `which`."""
         time = _time_of(self.codes[which])
         xforms = UsdGeom.XformCache(time)
-        return _finite(self.prims[number], time, xforms, Skins(time, xforms, Notes()), self.unit)
+        return _finite_points(
+            self.prims[index], time, xforms, Skins(time, xforms, Notes()), self.unit
+        )
 
     @property
     def bounds(self) -> Bounds | None:
-        """The box of all; see `motion_bounds`."""
-        whole = fitted(self.each, self.still())
+        """The box of the motion; see `motion_bounds`."""
+        whole = motion_box(self.by_time, self.static_prims())
         if whole is None:
             return None
         low, high = whole.tolist()
@@ -133,50 +135,51 @@ class MotionBoxes:
 
 
 def motion_boxes(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> MotionBoxes:
-    """The boxes of the prims' points over up to 48 of the times."""
-    chosen: list[float | None] = [None]
+    """The boxes of the prims' points at up to SAMPLED_TIMES of the times."""
+    codes: list[float | None] = [None]
     if times:
         spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
-        chosen = [times[i] for i in np.unique(np.round(spread).astype(int))]
-    changing = {number for number, prim in enumerate(prims) if comes_and_goes(prim)}
-    chosen += _missed([prims[number] for number in sorted(changing)], chosen)
+        codes = [times[i] for i in np.unique(np.round(spread).astype(int))]
+    changing = {index for index, prim in enumerate(prims) if has_animated_visibility(prim)}
+    codes += _times_of_missed_prims([prims[index] for index in sorted(changing)], codes)
     boxes: list[dict[int, Floats]] = []  # of each prim, at each time
-    for code in chosen:
+    for code in codes:
         time = _time_of(code)
         xforms = UsdGeom.XformCache(time)
         skins = Skins(time, xforms, Notes())
-        now: dict[int, Floats] = {}
-        for number, prim in enumerate(prims):
-            if number in changing and not is_visible(prim, time):
+        boxes_now: dict[int, Floats] = {}
+        for index, prim in enumerate(prims):
+            if index in changing and not is_visible(prim, time):
                 continue
-            points = _finite(prim, time, xforms, skins, unit)
+            points = _finite_points(prim, time, xforms, skins, unit)
             if len(points):
-                now[number] = np.stack([points.min(axis=0), points.max(axis=0)])
-        boxes.append(now)
-    return MotionBoxes(prims, unit, chosen, boxes)
+                boxes_now[index] = np.stack([points.min(axis=0), points.max(axis=0)])
+        boxes.append(boxes_now)
+    return MotionBoxes(prims, unit, codes, boxes)
 
 
 def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
-    """The box [m] of the prims' points over up to 48 of the times; None where there are none.
+    """The box [m] of the prims' points at up to SAMPLED_TIMES of the times; None without points.
 
-    If some prims move and others, such as a ground, do not, the box includes of the latter only
-    what is within AROUND times the size of the box of the motion, so that the image fits the
-    motion.
+    If some prims move and others, such as a ground, are static, the box is that of the moving prims
+    and includes static ones only within a margin, STATIC_MARGIN times its diagonal.
     """
     return motion_boxes(prims, times, unit).bounds
 
 
-def _missed(changing: Sequence[Usd.Prim], chosen: Sequence[float | None]) -> list[float]:
-    """The first times, in the range of the chosen, of prims that are visible at none of these."""
-    within = [code for code in chosen if code is not None]
-    low, high = (within[0], within[-1]) if within else (-np.inf, np.inf)
+def _times_of_missed_prims(
+    changing: Sequence[Usd.Prim], codes: Sequence[float | None]
+) -> list[float]:
+    """The first visible time, within the range of `codes`, of each prim visible at none of them."""
+    known = [code for code in codes if code is not None]
+    low, high = (known[0], known[-1]) if known else (-np.inf, np.inf)
     found: list[float] = []
     for prim in changing:
-        if any(is_visible(prim, _time_of(code)) for code in (*chosen, *found)):
+        if any(is_visible(prim, _time_of(code)) for code in (*codes, *found)):
             continue
-        samples = {code for one in _visibilities(prim) for code in one.GetTimeSamples()}
-        inside = (code for code in sorted(samples) if low <= code <= high)
-        found += [code for code in inside if is_visible(prim, Usd.TimeCode(code))][:1]
+        samples = {code for attribute in _visibilities(prim) for code in attribute.GetTimeSamples()}
+        candidates = (code for code in sorted(samples) if low <= code <= high)
+        found += [code for code in candidates if is_visible(prim, Usd.TimeCode(code))][:1]
     return found
 
 
@@ -184,54 +187,54 @@ def _time_of(code: float | None) -> Usd.TimeCode:
     return Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
 
 
-def fitted(boxes: Sequence[Mapping[int, Floats]], still: Collection[int]) -> Floats | None:
-    """(2, 3) box of what moves, and of what stays near it; None where there is nothing.
+def motion_box(boxes: Sequence[Mapping[int, Floats]], static: Collection[int]) -> Floats | None:
+    """Box (2, 3) of moving prims and of static ones near them; None without any boxes.
 
-    still : which of the numbers stay.
+    static : indices of the static prims.
     """
-    moving, resting = _apart(boxes, still)
+    moving, static_boxes = _split_static(boxes, static)
     if not moving:
-        return _union(resting) if resting else None
-    own, low, high = _around(moving)
-    near = [box for box in resting if (box[0] <= high).all() and (box[1] >= low).all()]
-    return _union([own, *(np.clip(box, low, high) for box in near)])
+        return _union_of_boxes(static_boxes) if static_boxes else None
+    box_of_moving, low, high = _grow_box(moving)
+    near = [box for box in static_boxes if (box[0] <= high).all() and (box[1] >= low).all()]
+    return _union_of_boxes([box_of_moving, *(np.clip(box, low, high) for box in near)])
 
 
-def near_boxes(boxes: MotionBoxes, still: Collection[int]) -> list[Floats]:
-    """(2, 3) each, the boxes of what stays near what moves; none where nothing moves."""
-    moving, resting = _apart(boxes.each, still)
+def near_boxes(boxes: MotionBoxes, static: Collection[int]) -> list[Floats]:
+    """Boxes (2, 3) of static prims near moving ones; empty where nothing moves."""
+    moving, static_boxes = _split_static(boxes.by_time, static)
     if not moving:
         return []
-    _, low, high = _around(moving)
-    return [box for box in resting if (box[0] <= high).all() and (box[1] >= low).all()]
+    _, low, high = _grow_box(moving)
+    return [box for box in static_boxes if (box[0] <= high).all() and (box[1] >= low).all()]
 
 
-def _apart(
-    boxes: Sequence[Mapping[int, Floats]], still: Collection[int]
+def _split_static(
+    boxes: Sequence[Mapping[int, Floats]], static: Collection[int]
 ) -> tuple[list[Floats], list[Floats]]:
-    """The boxes of what moves at all times, and one of each prim that stays."""
-    moving = [box for now in boxes for number, box in now.items() if number not in still]
-    resting = {k: box for now in boxes for k, box in now.items() if k in still}
-    return moving, list(resting.values())
+    """The boxes of moving prims at all times, and one box of each static prim."""
+    moving = [box for boxes_now in boxes for index, box in boxes_now.items() if index not in static]
+    static_boxes = {k: box for boxes_now in boxes for k, box in boxes_now.items() if k in static}
+    return moving, list(static_boxes.values())
 
 
-def _around(moving: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
-    """(2, 3) box of boxes, and the corners of a larger one in which others are near."""
-    own = _union(moving)
-    reach = AROUND * float(np.linalg.norm(own[1] - own[0]))
-    return own, own[0] - reach, own[1] + reach
+def _grow_box(moving: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
+    """The union (2, 3) of boxes, and its low and high corner after growth by the margin."""
+    box_of_moving = _union_of_boxes(moving)
+    margin = STATIC_MARGIN * float(np.linalg.norm(box_of_moving[1] - box_of_moving[0]))
+    return box_of_moving, box_of_moving[0] - margin, box_of_moving[1] + margin
 
 
-def _union(boxes: Sequence[Floats]) -> Floats:
-    """(2, 3) box of boxes."""
+def _union_of_boxes(boxes: Sequence[Floats]) -> Floats:
+    """The bounding box (2, 3) of boxes."""
     every = np.array(boxes)
     return np.stack([every[:, 0].min(0), every[:, 1].max(0)])
 
 
-def _finite(
+def _finite_points(
     prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins, unit: float
 ) -> Floats:
-    """(n, 3) [m] those of `_world_points` that are numbers."""
+    """The finite points (n, 3) [m] of `_world_points`."""
     points = _world_points(prim, time, xforms, skins)
     return points[np.isfinite(points).all(axis=1)] * unit
 
@@ -239,7 +242,7 @@ def _finite(
 def _world_points(
     prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins
 ) -> Floats:
-    """(n, 3) points of a prim, grown by its widths or scales; none where it is left alone."""
+    """World points (n, 3) of a prim, offset by its widths or scales; empty for a skipped prim."""
     try:
         posed = skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
         place = posed or Placement.of(xforms.GetLocalToWorldTransform(prim))
@@ -252,14 +255,14 @@ def _world_points(
         if values is not None and len(values):
             local = np.asarray(values, dtype=np.float64).reshape(-1, 3)
             if str(prim.GetTypeName()) == SPLAT_TYPE and not is_bake_particles(prim):
-                local = local[_of_the_object(prim, time, local)]
-            reach = _reach(prim, time)
-            return np.concatenate([place.points(local - reach), place.points(local + reach)])
+                local = local[_inlier_mask(prim, time, local)]
+            margin = _point_radius(prim, time)
+            return np.concatenate([place.points(local - margin), place.points(local + margin)])
     return np.zeros((0, 3))
 
 
-def _of_the_object(prim: Usd.Prim, time: Usd.TimeCode, local: Floats) -> NDArray[np.bool_]:
-    """(n,) which captured Gaussians at local (n, 3) are no strays."""
+def _inlier_mask(prim: Usd.Prim, time: Usd.TimeCode, local: Floats) -> NDArray[np.bool_]:
+    """Mask (n,) of captured Gaussians at local positions (n, 3), False for outliers."""
     opacities = np.ones(len(local))
     for name in ("opacities", "opacitiesh"):
         values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
@@ -272,8 +275,8 @@ def _of_the_object(prim: Usd.Prim, time: Usd.TimeCode, local: Floats) -> NDArray
     return out
 
 
-def _reach(prim: Usd.Prim, time: Usd.TimeCode) -> float:
-    """How far a prim extends beyond its points: a typical radius, or two standard deviations."""
+def _point_radius(prim: Usd.Prim, time: Usd.TimeCode) -> float:
+    """The extent of a prim beyond its points: median radius, or two standard deviations."""
     for name, factor in (("widths", 0.5), ("scales", 2.0), ("scalesh", 2.0)):
         values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
         if values is not None and len(values):

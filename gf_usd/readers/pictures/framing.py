@@ -17,55 +17,57 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Bounds
-from gf_usd.readers.pictures.extent import MotionBoxes, fitted, near_boxes
+from gf_usd.readers.pictures.extent import MotionBoxes, motion_box, near_boxes
 from gf_usd.readers.usd.stage import SPLAT_TYPE
 
-BELOW = 0.1  # of the longest side of the rest: so much of a fall is in the picture
-WORTH = 1.1  # times as large at least is the box of all: else the picture has all of it
-MOST = 0.5  # of the points of a prim, over all times: where more fall, the fall is what happens
-SINKS = 0.01  # of its size: what a body moves down in the last step, if it still falls
+FALL_MARGIN = 0.1  # of the longest side of the rest: part of a fall that the image contains
+MIN_RATIO = (
+    1.1  # of the diagonals of the full box and the reduced one, below which the full box is used
+)
+MAX_FALLEN_SHARE = 0.5  # of points and times of a prim: above it the fall is its main motion
+MIN_DESCENT = 0.01  # of a falling body in the last step, as a fraction of its size
 
 
-def framed(
+def frame_motion(
     prims: Sequence[Usd.Prim], boxes: MotionBoxes, whole: Bounds, up: Floats
 ) -> tuple[Bounds, tuple[str, ...]]:
-    """The box [m] to fit a picture to, and the paths of the prims that fall out of it.
+    """The box [m] that an image must contain, and the paths of prims that fall out of it.
 
-    boxes, whole : of the prims over the motion, with the box of all of it.  up : unit.
+    boxes : of the prims over the motion.   whole : their bounding box.   up : unit.
     """
     height = _Height(up)
-    still = boxes.still()
-    near = near_boxes(boxes, still)
+    static = boxes.static_prims()
+    near = near_boxes(boxes, static)
     if not near:
         return whole, ()
     floor = min(height.bottom(box) for box in near)
-    kept = [dict(now) for now in boxes.each]
-    fell = []
-    for number, prim in enumerate(prims):
-        if number in still:
+    kept = [dict(boxes_now) for boxes_now in boxes.by_time]
+    fallen = []
+    for index, prim in enumerate(prims):
+        if index in static:
             continue
-        times = [i for i, now in enumerate(kept) if number in now]
-        if _is_loose(prim):
-            left = _without_fallen_points(boxes, number, times, floor, height)
+        times = [i for i, boxes_now in enumerate(kept) if index in boxes_now]
+        if _has_loose_points(prim):
+            remaining = _without_fallen_points(boxes, index, times, floor, height)
         else:
-            left = _until_it_falls([kept[i][number] for i in times], floor, height)
-        if any(box is not boxes.each[i][number] for i, box in zip(times, left)):
-            fell.append(str(prim.GetPath()))
-        for i, box in zip(times, left):
+            remaining = _boxes_before_fall([kept[i][index] for i in times], floor, height)
+        if any(box is not boxes.by_time[i][index] for i, box in zip(times, remaining)):
+            fallen.append(str(prim.GetPath()))
+        for i, box in zip(times, remaining):
             if box is None:
-                del kept[i][number]
+                del kept[i][index]
             else:
-                kept[i][number] = box
-    if not any(number not in still for now in kept for number in now):
+                kept[i][index] = box
+    if not any(index not in static for boxes_now in kept for index in boxes_now):
         return whole, ()
-    core = fitted(kept, still)
-    assert core is not None
-    shown = height.lowered(core, BELOW * float(np.ptp(core, axis=0).max()))
-    shown = np.clip(shown, whole.low, whole.high)
-    if whole.diagonal <= WORTH * float(np.linalg.norm(shown[1] - shown[0])):
+    box = motion_box(kept, static)
+    assert box is not None
+    box_shown = height.lowered(box, FALL_MARGIN * float(np.ptp(box, axis=0).max()))
+    box_shown = np.clip(box_shown, whole.low, whole.high)
+    if whole.diagonal <= MIN_RATIO * float(np.linalg.norm(box_shown[1] - box_shown[0])):
         return whole, ()
-    low, high = shown.tolist()
-    return Bounds(low=tuple(low), high=tuple(high)), tuple(fell)
+    low, high = box_shown.tolist()
+    return Bounds(low=tuple(low), high=tuple(high)), tuple(fallen)
 
 
 class _Height:
@@ -79,7 +81,7 @@ class _Height:
         return float((self.sign * box[:, self.axis]).min())
 
     def lowered(self, box: Floats, depth: float) -> Floats:
-        """A box with its bottom so much lower."""
+        """A box extended downwards by `depth`."""
         out = np.array(box)
         out[0 if self.sign > 0.0 else 1, self.axis] -= self.sign * depth
         return out
@@ -91,53 +93,53 @@ class _Height:
         return 0.5 * (self.bottom(box) + self.top(box))
 
 
-def _is_loose(prim: Usd.Prim) -> bool:
+def _has_loose_points(prim: Usd.Prim) -> bool:
     if prim.IsA(UsdGeom.Points) or str(prim.GetTypeName()) == SPLAT_TYPE:
         return True
     mesh = UsdGeom.Mesh(prim) if prim.IsA(UsdGeom.Mesh) else None
     return mesh is not None and mesh.GetFaceVertexIndicesAttr().ValueMightBeTimeVarying()
 
 
-def _until_it_falls(
-    own: Sequence[Floats], floor: float, height: _Height
+def _boxes_before_fall(
+    own_boxes: Sequence[Floats], floor: float, height: _Height
 ) -> Sequence[Floats | None]:
-    """The boxes of a body in time, None for those at which it has fallen."""
-    end = len(own)
-    while end and height.top(own[end - 1]) < floor:
+    """The boxes of a body over time; None after it has fallen."""
+    end = len(own_boxes)
+    while end and height.top(own_boxes[end - 1]) < floor:
         end -= 1
-    if end == len(own) or len(own) < 2:
-        return own
-    if not any(height.middle(box) >= floor for box in own):
-        return own  # what stays is above it: a ceiling, which its top may touch
-    size = float(np.ptp(own[-1], axis=0).max())
-    if height.bottom(own[-2]) - height.bottom(own[-1]) <= SINKS * size:
-        return own
-    return [*own[:end], *(None for _ in own[end:])]
+    if end == len(own_boxes) or len(own_boxes) < 2:
+        return own_boxes
+    if not any(height.middle(box) >= floor for box in own_boxes):
+        return own_boxes  # the static prims are above it, like a ceiling that it touches
+    size = float(np.ptp(own_boxes[-1], axis=0).max())
+    if height.bottom(own_boxes[-2]) - height.bottom(own_boxes[-1]) <= MIN_DESCENT * size:
+        return own_boxes
+    return [*own_boxes[:end], *(None for _ in own_boxes[end:])]
 
 
 def _without_fallen_points(
-    boxes: MotionBoxes, number: int, times: Sequence[int], floor: float, height: _Height
+    boxes: MotionBoxes, index: int, times: Sequence[int], floor: float, height: _Height
 ) -> Sequence[Floats | None]:
-    """The boxes of the points of a prim that have not fallen, None where all have."""
-    own: list[Floats | None] = [boxes.each[i][number] for i in times]
-    fallen = total = 0
-    left = list(own)
-    was_above: NDArray[np.bool_] | None = np.zeros(0, bool)  # so far; None: all of them
+    """The boxes over time of the points of a prim that have not fallen; None where all have."""
+    own_boxes: list[Floats | None] = [boxes.by_time[i][index] for i in times]
+    fallen_count = total = 0
+    remaining = list(own_boxes)
+    was_above: NDArray[np.bool_] | None = np.zeros(0, bool)  # until now; None: all points
     for k, i in enumerate(times):
-        if height.bottom(boxes.each[i][number]) >= floor:
+        if height.bottom(boxes.by_time[i][index]) >= floor:
             was_above = None
             continue
-        points = boxes.points(number, i)
-        fell = height.sign * points[:, height.axis] < floor
+        points = boxes.points(index, i)
+        fallen = height.sign * points[:, height.axis] < floor
         if was_above is not None:
-            # of points that became more or fewer nobody knows which of them were above
+            # where the number of points changes, their identities are unknown
             same = len(was_above) == len(points)
-            was_above = ~fell | was_above if same else ~fell
-            fell = fell & was_above
-        fallen, total = fallen + int(fell.sum()), total + len(points)
-        if fell.all():
-            left[k] = None
-        elif fell.any():
-            rest = points[~fell]
-            left[k] = np.stack([rest.min(axis=0), rest.max(axis=0)])
-    return left if fallen <= MOST * total else own
+            was_above = ~fallen | was_above if same else ~fallen
+            fallen = fallen & was_above
+        fallen_count, total = fallen_count + int(fallen.sum()), total + len(points)
+        if fallen.all():
+            remaining[k] = None
+        elif fallen.any():
+            rest = points[~fallen]
+            remaining[k] = np.stack([rest.min(axis=0), rest.max(axis=0)])
+    return remaining if fallen_count <= MAX_FALLEN_SHARE * total else own_boxes

@@ -27,19 +27,19 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.camera import find_camera, read_camera
 from gf_usd.readers.pictures.extent import (
     HEALTH,
-    is_shown,
+    is_drawn,
+    is_ever_visible,
     motion_bounds,
     motion_boxes,
     sample_times,
-    sometimes_visible,
 )
-from gf_usd.readers.pictures.framing import framed
+from gf_usd.readers.pictures.framing import frame_motion
 from gf_usd.readers.pictures.prims import (
     as_ellipsoids,
     placed_prims,
     read_points,
     read_splats,
-    stands_for_meshes,
+    replaces_meshes,
     to_render_mesh,
 )
 from gf_usd.readers.pictures.recording import VARIANTS, displays_in
@@ -58,10 +58,10 @@ from gf_usd.readers.usd.stage import (
     stage_facts,
 )
 
-# what can be shown: kinds of prim, and the display variant of a bake that holds them
+# values of `show`: kinds of prims, and the display variant of a bake that contains them
 SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
     "mesh": (("mesh", "splats", "grains"), "mesh"),
-    "splats": (("splats", "mesh"), "mesh"),  # captured Gaussians, which are an asset's own look
+    "splats": (("splats", "mesh"), "mesh"),  # captured Gaussians of the asset
     "gaussians": (("gaussians", "splats"), "gaussians"),
     "ellipsoids": (("gaussians", "splats"), "gaussians"),
     "points": (("points",), "points"),
@@ -69,31 +69,34 @@ SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 KINDS = ("mesh", "splats", "gaussians", "points")
-# Of a bake that shows its Gaussians together with meshes, as what flows onto obstacles does.
+# for bakes with visible Gaussians and meshes, such as flowing bodies with obstacles
 WITH_MESHES = (SHOWS["both"][0], "gaussians")
 
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
 EMPTY = "pictures of times at which nothing is visible are empty"  # a note
 FALLEN = "falls out of the picture, which is fitted to the rest; --camera chooses another view"
-FLOOR_TOLERANCE = 0.05  # of the size: a body whose lowest point is this near height 0 stands there
+FLOOR_TOLERANCE = (
+    0.05  # of the size: distance of the lowest point from height 0 of a body that stands there
+)
 
 
 class PictureStage:
-    """A stage opened for pictures.
+    """A stage to render: scenes at time codes, cameras and the extent of the motion.
 
     Parameters
     ----------
     path : a USD file.
     show : "mesh", "splats", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
-        splats, gaussians and points that is there.
-    camera : prim path of a camera of the stage; None: pictures bring their own.
-    color : a row of `values.MEASURES`, given to all that a bake has it of; None: own colors.
+        splats, gaussians and points that the stage contains.
+    camera : prim path of a camera of the stage; None: the caller's camera.
+    color : a row of `values.MEASURES` for false colors of baked prims; None: own colors.
+    variant : of a bake; None: the one that is selected in the file.
 
     Raises
     ------
-    InputError : no such file, not USD, nothing of that kind is visible in it, no such camera, or
-        the bake does not hold the quantity.
+    InputError : the file does not exist, is not USD, contains no visible prim of that kind or no
+        such camera, or the bake does not contain the quantity.
     UsageError : an unknown `show` or `color`.
     """
 
@@ -109,46 +112,48 @@ class PictureStage:
         if show is not None and show not in SHOWS:
             raise UsageError(f"Unknown --show {show}.", f"choose one of: {', '.join(SHOWS)}")
         if not path.is_file():
-            what = "is a folder" if path.is_dir() else "does not exist"
-            raise InputError(f"{path} {what}.", "give the USD file to draw")
+            reason = "is a folder" if path.is_dir() else "does not exist"
+            raise InputError(f"{path} {reason}.", "give the USD file to draw")
         self._path = path
         self._stage_notes = Notes()
         with reading(path):
             self._stage = open_stage(path)
             if variant is not None:
-                _select(self._stage, path, variant)
+                _select_variant(self._stage, path, variant)
             self._facts = stage_facts(
                 self._stage, path, self._stage_notes, meters_per_unit=None, up_axis=None
             )
-            there = self._visible_kinds()
-            self.show = show or next((kind for kind in KINDS if kind in there), "mesh")
+            kinds_present = self._visible_kinds()
+            self.show = show or next((kind for kind in KINDS if kind in kinds_present), "mesh")
             kinds, display = SHOWS[self.show]
-            if show is None and {"mesh", "gaussians"} <= there:
+            if show is None and {"mesh", "gaussians"} <= kinds_present:
                 kinds, display = WITH_MESHES
             self._select_display(display)
-            self._prims = self._visible(kinds)
+            self._prims = self._drawn_prims(kinds)
             self._camera = find_camera(self._stage, path, camera) if camera else None
             pressure = self._facts.units.pressure
             self.values = Values(self._stage, color, path, pressure) if color else None
-        if not self._prims and self._hidden(kinds):
-            raise self._all_invisible()
+        if not self._prims and self._kinds_with_prims(kinds):
+            raise self._all_invisible_error()
         if not self._prims:
-            there = ", ".join(sorted({kind for kind, _ in self._all()})) or "nothing to draw"
+            kinds_present = (
+                ", ".join(sorted({kind for kind, _ in self._drawable_prims()})) or "nothing to draw"
+            )
             raise InputError(
                 f"{path}: it contains no visible {' or '.join(SHOWS[self.show][0])}.",
-                f"it contains {there}: choose with --show",
+                f"it contains {kinds_present}: choose with --show",
             )
         self._motion: Motion | None = None
         self._textures: dict[tuple[object, ...], Texture] = {}  # decoded once for a film
 
     @property
     def motion(self) -> Motion:
-        """The extent over the whole time range, looked up once.
+        """The extent over the whole time range; cached.
 
-        The box is the one to fit a picture to: see `gf_usd.readers.pictures.framing`.
-        The floor is height 0 where the body stands there, to 5 % of its size, or comes down on it
-        from above; else it is under the lowest point of the motion.  Times at which nothing is
-        visible do not count.
+        The box is the one to fit an image to: see `gf_usd.readers.pictures.framing`.
+        The floor is at height 0 where the body stands there, to 5 % of its size, or descends to it
+        from above; else at the lowest point of the motion.  Times at which nothing is visible are
+        ignored.
         """
         if self._motion is None:
             prims = [prim for _, prim in self._prims]
@@ -156,19 +161,21 @@ class PictureStage:
             with reading(self._path):
                 times = sample_times(moving)
                 boxes = motion_boxes(prims, times, self._facts.units.length)
-                whole = boxes.bounds
-                shown = (t for t in times if any(is_shown(p, Usd.TimeCode(t)) for p in prims))
-                start = [*islice(shown, 1)]
+                full_bounds = boxes.bounds
+                visible_times = (
+                    t for t in times if any(is_drawn(p, Usd.TimeCode(t)) for p in prims)
+                )
+                start = [*islice(visible_times, 1)]
                 first = motion_bounds(prims, start, self._facts.units.length)
-            up, bounds = self._facts.up, whole
-            if whole is not None and self._camera is None:
-                bounds, fallen = framed(prims, boxes, whole, up)
+            up, bounds = self._facts.up, full_bounds
+            if full_bounds is not None and self._camera is None:
+                bounds, fallen = frame_motion(prims, boxes, full_bounds, up)
                 for path in fallen:
                     self._stage_notes.add(FALLEN, path)
             self._motion = Motion(
                 bounds=bounds,
                 up=(float(up[0]), float(up[1]), float(up[2])),
-                ground=_ground(whole, first, up),
+                ground=_floor_height(full_bounds, first, up),
                 time_codes=tuple(times),
                 frames_per_second=float(self._stage.GetFramesPerSecond()),
                 time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
@@ -176,11 +183,11 @@ class PictureStage:
         return self._motion
 
     def scene(self, time_code: float | None = None) -> Scene:
-        """What is visible at a time code; None: the first of the stage.
+        """The visible prims at a time code; None: the first of the stage.
 
-        Nothing is in it where all is hidden at that time, but not always.
+        The scene is empty where all prims are invisible at that time, but not always.
 
-        Raises InputError for broken meshes, and where nothing can be drawn.
+        Raises InputError for invalid meshes, and where nothing can be drawn.
         """
         time = self._time(time_code)
         notes = Notes()
@@ -189,7 +196,7 @@ class PictureStage:
             drawn = [
                 item for kind, prim in self._prims if (item := self._read(kind, prim, context))
             ]
-            hidden = any(not is_shown(prim, time) for _, prim in self._prims)
+            hidden = any(not is_drawn(prim, time) for _, prim in self._prims)
         if not drawn:
             if hidden and self.motion.bounds is not None:
                 notes.add(EMPTY)
@@ -199,18 +206,18 @@ class PictureStage:
                     "check the file with usdview, or choose another --frame",
                 )
             else:
-                raise self._all_invisible()
+                raise self._all_invisible_error()
         clouds = [item for item in drawn if isinstance(item, RenderSplats)]
-        solid = [item for item in drawn if isinstance(item, RenderEllipsoids)]
+        ellipsoids = [item for item in drawn if isinstance(item, RenderEllipsoids)]
         if self.show == "ellipsoids":
-            clouds, solid = [], [as_ellipsoids(cloud) for cloud in clouds]
+            clouds, ellipsoids = [], [as_ellipsoids(cloud) for cloud in clouds]
         return Scene(
             up=self.motion.up,
             meshes=tuple(item for item in drawn if isinstance(item, RenderMesh)),
             splats=tuple(clouds),
-            ellipsoids=tuple(solid),
+            ellipsoids=tuple(ellipsoids),
             ground=self.motion.ground,
-            # that the motion is not simulated further is no news for a picture
+            # notes for bakes do not concern images
             notes=(
                 *self._stage_notes.lines(),
                 *notes.lines(without=FOR_BAKES),
@@ -219,7 +226,7 @@ class PictureStage:
         )
 
     def require_time(self, time_code: float | None) -> None:
-        """Raise UsageError for a time code outside the motion; a still has all times."""
+        """Raise UsageError for a time code outside the motion; never for a stage without motion."""
         times = self.motion.time_codes
         if time_code is not None and times and not times[0] <= time_code <= times[-1]:
             raise UsageError(
@@ -228,18 +235,18 @@ class PictureStage:
             )
 
     def speeds(self, codes: Sequence[float]) -> Floats | None:
-        """(n,) how fast bodies move at time codes, the root of a bake's kinetic energy.
+        """A measure of speed (n,) at time codes: the square root of the kinetic energy of bakes.
 
-        None where the stage says nothing of it.
+        None where the stage has no such attribute.
         """
         found = [a for prim in self._stage.Traverse() if (a := prim.GetAttribute(HEALTH))]
         kinetic = [[a.Get(code) or 0.0 for code in codes] for a in found]
         return np.sqrt(np.maximum(np.sum(kinetic, axis=0), 0.0)) if kinetic else None
 
     def camera(self, time_code: float | None, aspect: float) -> Camera | None:
-        """The stage's camera at a time, for pictures of a width / height; None: none was named.
+        """The camera of the stage at a time, for an aspect ratio width / height; None: not chosen.
 
-        Raises InputError for one that makes no picture.
+        Raises InputError for an invalid camera.
         """
         if self._camera is None:
             return None
@@ -265,8 +272,8 @@ class PictureStage:
     def _read(
         self, kind: str, prim: Usd.Prim, context: Reading
     ) -> RenderMesh | RenderSplats | RenderEllipsoids | None:
-        """One prim; None, and a note, for one that holds nothing; None where it is hidden then."""
-        if not is_shown(prim, context.time):
+        """Read one prim; None where it is invisible, or, with a note, where it is skipped."""
+        if not is_drawn(prim, context.time):
             return None
         try:
             if kind == "mesh":
@@ -282,18 +289,18 @@ class PictureStage:
             return None
 
     def _mesh_values(self, prim: Usd.Prim, time: Usd.TimeCode) -> np.ndarray | None:
-        """(V,) of the quantity at a mesh's vertices; None where it has none."""
+        """Values (V,) of the quantity at the vertices of a mesh; None where it has none."""
         where = str(prim.GetPath())
-        carrier = self.values.carrier_of(where) if self.values else None
-        if self.values is None or carrier is None:
+        cloud = self.values.particles_of(where) if self.values else None
+        if self.values is None or cloud is None:
             return None
-        first = self._context(carrier.first, Notes())
-        if not self.values.knows(where):
-            place = Placement.of(first.xforms.GetLocalToWorldTransform(carrier.prim))
-            cloud = np.asarray(carrier.prim.GetAttribute("positions").Get(carrier.first))
+        first = self._context(cloud.first, Notes())
+        if not self.values.is_bound(where):
+            place = Placement.of(first.xforms.GetLocalToWorldTransform(cloud.prim))
+            positions = np.asarray(cloud.prim.GetAttribute("positions").Get(cloud.first))
             vertices = read_surface(prim, first).points
-            self.values.learn(where, vertices, place.points(cloud) * first.meters_per_unit)
-        return self.values.of_mesh(carrier, where, time)
+            self.values.bind_mesh(where, vertices, place.points(positions) * first.meters_per_unit)
+        return self.values.of_mesh(cloud, where, time)
 
     def _time(self, time_code: float | None) -> Usd.TimeCode:
         if time_code is not None:
@@ -301,8 +308,8 @@ class PictureStage:
         start = self._facts.start_time_code
         return Usd.TimeCode.EarliestTime() if start is None else Usd.TimeCode(start)
 
-    def _all(self) -> list[tuple[str, Usd.Prim]]:
-        """Every prim that could be drawn with its kind, hidden ones included."""
+    def _drawable_prims(self) -> list[tuple[str, Usd.Prim]]:
+        """All drawable prims with their kinds, including invisible ones."""
         found = []
         for prim in placed_prims(self._stage, self._stage_notes):
             name = str(prim.GetTypeName())
@@ -310,46 +317,46 @@ class PictureStage:
                 found.append(("mesh", prim))
             elif name == SPLAT_TYPE:
                 found.append(("gaussians" if is_bake_particles(prim) else "splats", prim))
-            elif stands_for_meshes(prim):
+            elif replaces_meshes(prim):
                 found.append(("grains", prim))
             elif prim.IsA(UsdGeom.Points):
                 found.append(("points", prim))
         return found
 
-    def _hidden(self, kinds: tuple[str, ...]) -> set[str]:
-        """The kinds of these that prims have which only their visibility keeps out of a picture."""
+    def _kinds_with_prims(self, kinds: tuple[str, ...]) -> set[str]:
+        """Those kinds for which there are prims of a rendered purpose, visible or not."""
         return {
             kind
-            for kind, prim in self._all()
+            for kind, prim in self._drawable_prims()
             if kind in kinds and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
         }
 
-    def _all_invisible(self) -> InputError:
+    def _all_invisible_error(self) -> InputError:
         kinds = SHOWS[self.show][0]
-        hidden = sorted(self._hidden(kinds))
-        what = "every mesh is" if hidden == ["mesh"] else f"all {' and '.join(hidden)} are"
+        hidden = sorted(self._kinds_with_prims(kinds))
+        reason = "every mesh is" if hidden == ["mesh"] else f"all {' and '.join(hidden)} are"
         return InputError(
-            f"{self._path}: it contains no visible {' or '.join(kinds)}: {what} invisible.",
+            f"{self._path}: it contains no visible {' or '.join(kinds)}: {reason} invisible.",
             "make it visible, with all prims above it, or choose another kind with --show",
         )
 
-    def _visible(self, kinds: tuple[str, ...]) -> list[tuple[str, Usd.Prim]]:
-        """Prims of these kinds to draw; a bake's particles even where its display hides them."""
+    def _drawn_prims(self, kinds: tuple[str, ...]) -> list[tuple[str, Usd.Prim]]:
+        """Prims of these kinds to draw, including particles that a display variant hides."""
         time = self._time(None)
         return [
             (kind, prim)
-            for kind, prim in self._all()
+            for kind, prim in self._drawable_prims()
             if kind in kinds
             and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
-            and (sometimes_visible(prim, time) or is_bake_particles(prim))
+            and (is_ever_visible(prim, time) or is_bake_particles(prim))
         ]
 
     def _visible_kinds(self) -> set[str]:
         time = self._time(None)
-        return {kind for kind, prim in self._all() if sometimes_visible(prim, time)}
+        return {kind for kind, prim in self._drawable_prims() if is_ever_visible(prim, time)}
 
     def _select_display(self, display: str) -> None:
-        """Select a bake's display variant, in the session only."""
+        """Select a display variant of bakes in the session layer."""
         self._stage.SetEditTarget(self._stage.GetSessionLayer())
         for prim in self._stage.GetPseudoRoot().GetChildren():
             sets = prim.GetVariantSets()
@@ -359,17 +366,17 @@ class PictureStage:
 
 
 def read_scene(path: Path, time_code: float | None = None, show: str | None = None) -> Scene:
-    """What is visible in a stage at a time code; see `PictureStage`."""
+    """The visible prims of a stage at a time code; see `PictureStage`."""
     return PictureStage(path, show).scene(time_code)
 
 
-def _select(stage: Usd.Stage, path: Path, variant: str) -> None:
-    """Select a variant of a bake, in the session only.
+def _select_variant(stage: Usd.Stage, path: Path, variant: str) -> None:
+    """Select a variant of a bake in the session layer.
 
-    Raises UsageError where no root prim has it.
+    Raises UsageError where no root prim has this variant.
     """
     sets = [prim.GetVariantSet(VARIANTS) for prim in stage.GetPseudoRoot().GetChildren()]
-    known = sorted({name for one in sets for name in one.GetVariantNames()})
+    known = sorted({name for variant_set in sets for name in variant_set.GetVariantNames()})
     if variant not in known:
         close = difflib.get_close_matches(variant, known, n=1)
         guess = f"did you mean {close[0]}? " if close else ""
@@ -380,12 +387,12 @@ def _select(stage: Usd.Stage, path: Path, variant: str) -> None:
         )
         raise UsageError(f"{path} has no variant {variant!r}", f"{guess}{listed}")
     stage.SetEditTarget(stage.GetSessionLayer())
-    for one in sets:
-        if variant in one.GetVariantNames():
-            one.SetVariantSelection(variant)
+    for variant_set in sets:
+        if variant in variant_set.GetVariantNames():
+            variant_set.SetVariantSelection(variant)
 
 
-def _ground(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -> float | None:
+def _floor_height(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -> float | None:
     """Height of the floor [m]; see `PictureStage.motion`."""
     if motion is None or first is None:
         return None

@@ -1,4 +1,4 @@
-"""The Gaussians of a stage over time: captured ones, and the particles of a bake."""
+"""Gaussians of a stage over time: captured Gaussians and the particles of a bake."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 from gf_usd.core.errors import InputError
 from gf_usd.core.scene import RenderSplats
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.extent import sample_times
+from gf_usd.readers.pictures.extent import is_visible, sample_times
 from gf_usd.readers.pictures.prims import placed_prims, read_splats
 from gf_usd.readers.pictures.recording import PURPOSES, select_variant, variants_of
 from gf_usd.readers.usd.stage import (
@@ -25,18 +25,18 @@ from gf_usd.readers.usd.stage import (
 
 
 class SplatMotion:
-    """A stage opened to read the Gaussians of one variant.
+    """The animated Gaussians of one variant of a stage.
 
     Parameters
     ----------
     path : the root layer of a bake, or any USD file with Gaussians.
-    variant : to read; None: the one that is selected in the file.
-    captured, particles : those that are visible and no bake of ours wrote; those of a bake, which
-        may be hidden.
+    variant : None: the one that is selected in the file.
+    captured : include visible Gaussians that were not written by a bake.
+    particles : include those of a bake, visible or not.
 
     Raises
     ------
-    InputError : the file is not USD, or damaged.
+    InputError : the file is not valid USD.
     UsageError : the file has no such variant.
     """
 
@@ -67,24 +67,23 @@ class SplatMotion:
             self._prims = [
                 prim
                 for prim in prims
-                if (particles if is_bake_particles(prim) else captured and self._is_visible(prim))
+                if (particles if is_bake_particles(prim) else captured and _is_rendered(prim))
             ]
             self.time_codes = tuple(sample_times(self._prims))
 
     def __bool__(self) -> bool:
-        """True where there are any."""
+        """True if there are any Gaussians."""
         return bool(self._prims)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed, in words."""
+        """Notes on assumptions."""
         return self._notes.lines()
 
     def frames(self, time_codes: Sequence[float]) -> Iterator[tuple[RenderSplats, ...]]:
-        """Every set of Gaussians at these time codes, in the order of the stage.
+        """All sets of Gaussians at each time code, in stage order.
 
-        Raises InputError where a set has none, or another number of them than before, or numbers
-        that are not finite.
+        Raises InputError where a set is empty, or its number of finite Gaussians varies in time.
         """
         counts: list[int] = []
         for code in time_codes:
@@ -92,13 +91,13 @@ class SplatMotion:
             with reading(self._path):
                 xforms = UsdGeom.XformCache(time)
                 found = tuple(self._read(prim, time, xforms) for prim in self._prims)
-            now = [len(one.positions) for one in found]
-            counts = counts or now
-            for one, is_, was in zip(found, now, counts):
-                if is_ != was:
+            counts_now = [len(splats.positions) for splats in found]
+            counts = counts or counts_now
+            for splats, count, expected in zip(found, counts_now, counts):
+                if count != expected:
                     raise InputError(
-                        f"{self._path}: <{one.name}> has {is_} Gaussians that are finite at time"
-                        f" code {code:g} and {was} at the first one.",
+                        f"{self._path}: <{splats.name}> has {count} Gaussians that are finite at "
+                        f"time code {code:g} and {expected} at the first one.",
                         "run gf-usd check for details, then bake the asset again",
                     )
             yield found
@@ -113,11 +112,8 @@ class SplatMotion:
                 "run gf-usd check for details, then bake the asset again",
             ) from reason
 
-    @staticmethod
-    def _is_visible(prim: Usd.Prim) -> bool:
-        image = UsdGeom.Imageable(prim)
-        time = Usd.TimeCode.EarliestTime()
-        return (
-            image.ComputeVisibility(time) != UsdGeom.Tokens.invisible
-            and image.ComputePurpose() in PURPOSES
-        )
+
+def _is_rendered(prim: Usd.Prim) -> bool:
+    """Whether a prim is visible at the earliest time and its purpose is one of PURPOSES."""
+    visible = is_visible(prim, Usd.TimeCode.EarliestTime())
+    return visible and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES

@@ -29,8 +29,8 @@ class Measure:
 
     label: str
     unit: str = ""
-    attributes: tuple[str, ...] = ()  # of particles, the largest that is written; (): F is asked
-    option: str = ""  # of the bake that writes them
+    attributes: tuple[str, ...] = ()  # of particles, the largest one counts; (): computed from F
+    option: str = ""  # of the bake, to write the attributes
 
 
 MEASURES = {
@@ -50,23 +50,23 @@ MEASURES = {
         option="--stress",
     ),
 }  # fmt: skip
-MOST = 99.0  # [%] of the particles that the range holds in every frame
-SAMPLED_TIMES = 48  # times at which a longer motion is looked at
-NEIGHBORS = 8  # particles that a mesh vertex takes its value from
+RANGE_PERCENTILE = 99.0  # [%] of the particles within the color range in every frame
+SAMPLED_TIMES = 48  # maximal number of times to determine the range
+NEIGHBORS = 8  # particles that the value of a mesh vertex is interpolated from
 
 
 @dataclass(frozen=True, kw_only=True)
-class Carrier:
-    """One cloud of particles that a bake wrote."""
+class ParticleCloud:
+    """A prim with the particles of a bake."""
 
     prim: Usd.Prim
-    first: Usd.TimeCode  # when it lies as at rest, wherever it was lifted to
+    first: Usd.TimeCode  # time of its rest shape, apart from a rigid offset
     rest: Floats  # (N, 3) restPositions, stage units
-    meshes: frozenset[str]  # prim paths of what is embedded in it
+    meshes: frozenset[str]  # prim paths of meshes embedded in it
 
 
 class Values:
-    """A quantity of every bake in a stage, over time.
+    """A quantity of all bakes in a stage, over time.
 
     Parameters
     ----------
@@ -77,121 +77,125 @@ class Values:
     Raises
     ------
     UsageError : an unknown quantity.
-    InputError : there is no bake in the stage, or it does not hold the quantity.
+    InputError : the stage has no bake, or the bake does not contain the quantity.
     """
 
-    def __init__(self, stage: Usd.Stage, what: str, path: Path, pressure: float) -> None:
-        if what not in MEASURES:
+    def __init__(self, stage: Usd.Stage, name: str, path: Path, pressure: float) -> None:
+        if name not in MEASURES:
             raise UsageError(
-                f"Unknown --color {what}.", f"choose one of: {', '.join((*MEASURES, 'none'))}"
+                f"Unknown --color {name}.", f"choose one of: {', '.join((*MEASURES, 'none'))}"
             )
         walk = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
-        clouds = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_bake_particles(p)]
-        self._carriers = [_carrier(prim) for prim in clouds]
-        if not self._carriers:
+        prims = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_bake_particles(p)]
+        self._clouds = [_read_cloud(prim) for prim in prims]
+        if not self._clouds:
             raise InputError(
-                f"{path}: --color {what} needs the particles of a bake, and the file contains "
+                f"{path}: --color {name} needs the particles of a bake, and the file contains "
                 f"none.",
                 "give a file that gf-usd bake wrote, with a variant of gaussianFlesh other than "
                 "none",
             )
-        measure = MEASURES[what]
-        bare = [c for c in self._carriers if measure.attributes and not written(c.prim, measure)]
-        if bare:
+        measure = MEASURES[name]
+        without = [
+            c
+            for c in self._clouds
+            if measure.attributes and not authored_attributes(c.prim, measure)
+        ]
+        if without:
             raise InputError(
-                f"{path}: <{bare[0].prim.GetPath()}> holds no {what}"
+                f"{path}: <{without[0].prim.GetPath()}> holds no {name}"
                 f" ({', '.join(measure.attributes)}).",
                 f"bake with {measure.option}, or use --color strain",
             )
-        self.what, self._measure = what, measure
+        self.name, self._measure = name, measure
         self.notes: list[str] = []
         self._scale = pressure if measure.unit else 1.0
         self._fits: dict[str, NeighborFit] = {}
-        self._skins: dict[str, tuple[NDArray[np.int64], Floats]] = {}
-        for carrier in self._carriers:
-            if what == "strain" and not carrier.prim.GetAttribute(GRADIENTS).HasValue():
-                where = str(carrier.prim.GetPath())
-                self._fits[where] = NeighborFit(carrier.rest)
+        self._bindings: dict[str, tuple[NDArray[np.int64], Floats]] = {}
+        for cloud in self._clouds:
+            if name == "strain" and not cloud.prim.GetAttribute(GRADIENTS).HasValue():
+                path = str(cloud.prim.GetPath())
+                self._fits[path] = NeighborFit(cloud.rest)
                 self.notes.append(
-                    f"{where}: strain is fitted to the motion of neighboring particles because "
+                    f"{path}: strain is fitted to the motion of neighboring particles because "
                     f"the bake holds no deformation gradients (bake with --deformation-gradients)"
                 )
 
     def of_particles(self, prim: Usd.Prim, time: Usd.TimeCode) -> Floats | None:
-        """(N,) of the particles of a prim, their twins included; None for those of others."""
+        """Values (N,) of the particles of a prim or of its siblings; None for other prims."""
         count = len(prim.GetAttribute("gaussianFlesh:restPositions").Get(time) or [])
-        for carrier in self._carriers:
-            together = carrier.prim.GetParent() == prim.GetParent()
-            if together and count == len(carrier.rest):
-                return self._read(carrier, time)
+        for cloud in self._clouds:
+            siblings = cloud.prim.GetParent() == prim.GetParent()
+            if siblings and count == len(cloud.rest):
+                return self._read(cloud, time)
         return None
 
-    def carrier_of(self, mesh: str) -> Carrier | None:
-        """The particles that a mesh is embedded in; None for a mesh that no bake moved."""
-        return next((carrier for carrier in self._carriers if mesh in carrier.meshes), None)
+    def particles_of(self, mesh: str) -> ParticleCloud | None:
+        """The particles that a mesh is embedded in; None for a mesh without a bake."""
+        return next((cloud for cloud in self._clouds if mesh in cloud.meshes), None)
 
-    def knows(self, mesh: str) -> bool:
-        """True once the mesh was learned."""
-        return mesh in self._skins
+    def is_bound(self, mesh: str) -> bool:
+        """Whether `bind_mesh` was called for a mesh."""
+        return mesh in self._bindings
 
-    def learn(self, mesh: str, vertices: Floats, particles: Floats) -> None:
-        """Remember which particles lie nearest to each vertex of a mesh at rest.
+    def bind_mesh(self, mesh: str, vertices: Floats, particles: Floats) -> None:
+        """Store the nearest particles of each vertex of a mesh at rest.
 
-        vertices (V, 3), particles (N, 3) : [m], world, at the carrier's `first` time.
+        vertices (V, 3), particles (N, 3) : [m], world, at the time `ParticleCloud.first`.
         """
-        self._skins[mesh] = _nearest(vertices, particles)
+        self._bindings[mesh] = _neighbor_weights(vertices, particles)
 
-    def of_mesh(self, carrier: Carrier, mesh: str, time: Usd.TimeCode) -> Floats:
-        """(V,) of a learned mesh's vertices: a weighted mean of the nearest particles."""
-        index, weight = self._skins[mesh]
-        return np.einsum("vk,vk->v", weight, self._read(carrier, time)[index])
+    def of_mesh(self, cloud: ParticleCloud, mesh: str, time: Usd.TimeCode) -> Floats:
+        """Values (V,) at the vertices of a bound mesh: weighted means of the nearest particles."""
+        index, weight = self._bindings[mesh]
+        return np.einsum("vk,vk->v", weight, self._read(cloud, time)[index])
 
     def quantity(self, times: Sequence[float]) -> Quantity:
-        """The quantity with its range over the times, or up to 48 of them evenly spread.
+        """The quantity with its range over at most SAMPLED_TIMES of the times.
 
-        From 0 to what 99 % of the particles stay below in every frame, so that one particle gone
-        wild does not make all others look alike.
+        The range is 0 to the largest RANGE_PERCENTILE over these times, which limits the effect of
+        outliers.
         """
-        spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
-        codes = [Usd.TimeCode(times[i]) for i in np.unique(np.round(spread).astype(int))]
-        seen = [
-            np.concatenate([self._read(carrier, code) for carrier in self._carriers])
+        indices = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
+        codes = [Usd.TimeCode(times[i]) for i in np.unique(np.round(indices).astype(int))]
+        values_by_time = [
+            np.concatenate([self._read(cloud, code) for cloud in self._clouds])
             for code in codes or [Usd.TimeCode.EarliestTime()]
         ]
         return Quantity(
-            title=self.what,
+            title=self.name,
             measure=self._measure.label,
             unit=self._measure.unit,
-            high=max(float(np.percentile(values, MOST)) for values in seen),
-            largest=max(float(values.max()) for values in seen),
+            high=max(float(np.percentile(values, RANGE_PERCENTILE)) for values in values_by_time),
+            largest=max(float(values.max()) for values in values_by_time),
         )
 
-    def _read(self, carrier: Carrier, time: Usd.TimeCode) -> Floats:
-        """(N,) in SI; 0 where a number is not finite."""
-        where = str(carrier.prim.GetPath())
+    def _read(self, cloud: ParticleCloud, time: Usd.TimeCode) -> Floats:
+        """Values (N,) in SI; 0 where they are not finite."""
+        path = str(cloud.prim.GetPath())
         if self._measure.attributes:
-            stored = [a.Get(time) for a in written(carrier.prim, self._measure)]
+            stored = [a.Get(time) for a in authored_attributes(cloud.prim, self._measure)]
             values = np.asarray(stored, dtype=np.float64).max(0)
-        elif where in self._fits:
-            now = carrier.prim.GetAttribute("positions").Get(time)
-            values = largest_stretch(self._fits[where](np.asarray(now, dtype=np.float64)))
+        elif path in self._fits:
+            positions = cloud.prim.GetAttribute("positions").Get(time)
+            values = largest_stretch(self._fits[path](np.asarray(positions, dtype=np.float64)))
         else:
-            stored = carrier.prim.GetAttribute(GRADIENTS).Get(time)
+            stored = cloud.prim.GetAttribute(GRADIENTS).Get(time)
             values = largest_stretch(np.asarray(stored, dtype=np.float64).reshape(-1, 3, 3))
         return self._scale * np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def written(particles: Usd.Prim, measure: Measure) -> list[Usd.Attribute]:
-    """The attributes that particles hold it in: of several laws each has its own."""
+def authored_attributes(particles: Usd.Prim, measure: Measure) -> list[Usd.Attribute]:
+    """The authored attributes of a quantity; constitutive laws may have different ones."""
     named = (particles.GetAttribute(name) for name in measure.attributes)
     return [attribute for attribute in named if attribute.HasValue()]
 
 
-def _carrier(prim: Usd.Prim) -> Carrier:
+def _read_cloud(prim: Usd.Prim) -> ParticleCloud:
     times = prim.GetAttribute("positions").GetTimeSamples()
     rest = prim.GetAttribute("gaussianFlesh:restPositions").Get()
     targets = prim.GetRelationship("gaussianFlesh:sourceMeshes").GetTargets()
-    return Carrier(
+    return ParticleCloud(
         prim=prim,
         first=Usd.TimeCode(times[0]) if times else Usd.TimeCode.Default(),
         rest=np.asarray(rest, dtype=np.float64).reshape(-1, 3),
@@ -199,45 +203,46 @@ def _carrier(prim: Usd.Prim) -> Carrier:
     )
 
 
-def _nearest(vertices: Floats, particles: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Index and weight (V, k) of the particles that each vertex takes its value from.
+def _neighbor_weights(vertices: Floats, particles: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Indices and weights (V, k) of the nearest particles of each vertex.
 
-    Weights are 1 / (d^2 + d_k^2 / 4) with d_k the distance of the farthest, normalized: smooth,
-    without a peak at each particle.
+    Normalized inverse distance weights 1 / (d^2 + d_k^2 / 4), d_k the distance of the farthest of
+    them; the second term avoids peaks at particles.
     """
     k = min(NEIGHBORS, len(particles))
     distance, index = cKDTree(particles).query(vertices, k=k)
     distance, index = distance.reshape(-1, k), index.reshape(-1, k)
-    far = np.maximum(distance[:, -1:], 1e-30)
-    weight = 1.0 / (distance**2 + 0.25 * far**2)
+    farthest = np.maximum(distance[:, -1:], 1e-30)
+    weight = 1.0 / (distance**2 + 0.25 * farthest**2)
     return index.astype(np.int64), weight / weight.sum(axis=1, keepdims=True)
 
 
-STRAIN_NEIGHBORS = 20  # of a particle in a fit: about two shells of a lattice
-FLATTEST = 1e-2  # of the largest spread: along a thinner direction neighbors tell nothing
+STRAIN_NEIGHBORS = 20  # of a particle in the fit: about two shells of a lattice
+MIN_SPREAD = (
+    1e-2  # of the largest spread of neighbors: directions of smaller spread are not determined
+)
 
 
 def largest_stretch(gradients: Floats) -> NDArray[np.float64]:
-    """max_i |s_i - 1| (N,) of the principal stretches s of F (N, 3, 3): 0 at rest and turned.
+    """max_i |s_i - 1| (N,) of the principal stretches s of F (N, 3, 3); NaN where F is not finite.
 
-    0.3 is a part that was drawn out by 30 %, or pressed together by 30 %, in some direction.
-    NaN where F is not finite.
+    0 for rigid motion; 0.3 for extension or compression by 30 % in some direction.
     """
     out = np.full(len(gradients), np.nan)
-    sound = np.isfinite(gradients).all(axis=(1, 2))
-    stretches = np.linalg.svd(gradients[sound], compute_uv=False)
-    out[sound] = np.abs(stretches - 1.0).max(axis=1)
+    finite = np.isfinite(gradients).all(axis=(1, 2))
+    stretches = np.linalg.svd(gradients[finite], compute_uv=False)
+    out[finite] = np.abs(stretches - 1.0).max(axis=1)
     return out
 
 
 class NeighborFit:
-    """F of each particle as the best linear map of its neighbors' offsets.
+    """F of each particle by a moving least squares fit to its neighbors' offsets.
 
     With offsets dX at rest and dx now, and weights w = 1 - (|dX| / 1.1 |dX_far|)^2, the map
         F = (sum w dx dX') (sum w dX dX')^-1
-    minimizes sum w |dx - F dX|^2 [moving least squares].  It is exact for affine motion, and a
-    mean over the neighborhood otherwise.  A direction in which the neighbors hardly spread (a
-    sheet one particle thick) is taken as not stretched.
+    minimizes sum w |dx - F dX|^2.  It is exact for affine motion, and a mean over the neighborhood
+    otherwise.  The stretch is 1 in directions in which neighbors have no spread (a sheet of one
+    layer of particles).
 
     Parameters
     ----------
@@ -249,17 +254,17 @@ class NeighborFit:
         distance, self._index = cKDTree(rest).query(rest, k=k)
         self._index = self._index.reshape(-1, k)
         offsets = rest[self._index] - rest[:, None]
-        far = np.maximum(distance.reshape(-1, k)[:, -1:], 1e-30)
-        weight = 1.0 - (distance.reshape(-1, k) / (1.1 * far)) ** 2
+        farthest = np.maximum(distance.reshape(-1, k)[:, -1:], 1e-30)
+        weight = 1.0 - (distance.reshape(-1, k) / (1.1 * farthest)) ** 2
         moment = np.einsum("nk,nki,nkj->nij", weight, offsets, offsets)
         size, axes = np.linalg.eigh(moment)
-        known = size > FLATTEST**2 * size[:, -1:]
-        inverse = np.where(known, 1.0 / np.where(known, size, 1.0), 0.0)
+        determined = size > MIN_SPREAD**2 * size[:, -1:]
+        inverse = np.where(determined, 1.0 / np.where(determined, size, 1.0), 0.0)
         solve = np.einsum("nia,na,nja->nij", axes, inverse, axes)
         self._weights = np.einsum("nk,nkj,nji->nki", weight, offsets, solve)
-        self._unknown = np.einsum("nia,na,nja->nij", axes, (~known).astype(float), axes)
+        self._undetermined = np.einsum("nia,na,nja->nij", axes, (~determined).astype(float), axes)
 
     def __call__(self, positions: Floats) -> NDArray[np.float64]:
         """F (N, 3, 3) at positions (N, 3)."""
         moved = positions[self._index] - positions[:, None]
-        return np.einsum("nki,nkj->nij", moved, self._weights) + self._unknown
+        return np.einsum("nki,nkj->nij", moved, self._weights) + self._undetermined

@@ -8,7 +8,7 @@ from pxr import Usd
 from small_sources import SKINNED
 
 from gf_usd.core.scene import Bounds
-from gf_usd.readers.pictures.extent import AROUND, motion_bounds, sample_times
+from gf_usd.readers.pictures.extent import STATIC_MARGIN, motion_bounds, sample_times
 
 
 @pytest.mark.parametrize("odd", ["double radius = -1", 'uniform token axis = "up"'])
@@ -44,15 +44,15 @@ def test_what_stays_is_in_the_box_as_far_as_it_is_near_what_moves(write) -> None
     box, ground, far = stage.GetPseudoRoot().GetChildren()
     own = motion_bounds([box], (1.0, 9.0), 1.0)
     assert own == Bounds(low=(-1.0, 0.0, -1.0), high=(1.0, 4.0, 1.0))
-    reach = AROUND * (2.0**2 + 4.0**2 + 2.0**2) ** 0.5
+    reach = STATIC_MARGIN * (2.0**2 + 4.0**2 + 2.0**2) ** 0.5
     all_three = motion_bounds([box, ground, far], (1.0, 9.0), 1.0)
     assert all_three is not None
     near = max(-reach, -1.0)
     np.testing.assert_allclose(all_three.low, (-1.0 - reach, near, -1.0 - reach))
     np.testing.assert_allclose(all_three.high, (1.0 + reach, 4.0, 1.0 + reach))
     # where nothing moves all of it is shown
-    still = motion_bounds([ground, far], (), 1.0)
-    assert still == Bounds(low=(-50.0, -1.0, -50.0), high=(500.5, 0.5, 50.0))
+    static = motion_bounds([ground, far], (), 1.0)
+    assert static == Bounds(low=(-50.0, -1.0, -50.0), high=(500.5, 0.5, 50.0))
 
 
 def test_an_animation_outside_of_the_skel_root_moves_what_it_poses(tmp_path):

@@ -10,8 +10,8 @@ import pytest
 from pxr import Usd
 
 from gf_usd.core.scene import Bounds
-from gf_usd.readers.pictures.extent import AROUND, motion_boxes
-from gf_usd.readers.pictures.framing import BELOW, framed
+from gf_usd.readers.pictures.extent import STATIC_MARGIN, motion_boxes
+from gf_usd.readers.pictures.framing import FALL_MARGIN, frame_motion
 from gf_usd.readers.pictures.scene import PictureStage
 
 Y = np.array([0.0, 1.0, 0.0])
@@ -98,7 +98,7 @@ def fit(write: Callable[..., Path], body: str) -> tuple[Bounds, Bounds, tuple[st
     prims = [prim for prim in stage.GetPseudoRoot().GetChildren() if prim.GetName() != "Camera"]
     boxes = motion_boxes(prims, CODES, 1.0)
     assert boxes.bounds is not None
-    return boxes.bounds, *framed(prims, boxes, boxes.bounds, Y)
+    return boxes.bounds, *frame_motion(prims, boxes, boxes.bounds, Y)
 
 
 def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) -> None:
@@ -106,12 +106,12 @@ def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) ->
     assert fell == ("/Ball",)
     assert whole.low[1] == -16.0
     # the ball of the first two frames, and of the table what is near that
-    reach = AROUND * np.linalg.norm((3.0, 2.0, 2.0))
+    reach = STATIC_MARGIN * np.linalg.norm((3.0, 2.0, 2.0))
     low, high = (
         np.array([-1.0 - reach, -reach, -1.0 - reach]),
         np.array([2.0 + reach, 2.0, 1 + reach]),
     )
-    low[1] -= BELOW * (high - low).max()
+    low[1] -= FALL_MARGIN * (high - low).max()
     np.testing.assert_allclose(shown.low, low)
     np.testing.assert_allclose(shown.high, high)
 
@@ -147,16 +147,16 @@ def test_of_drops_those_that_fall_do_not_count(write: Callable[..., Path]) -> No
     assert fell == ("/Drops",)
     assert whole.low[1] == -15.0
     # on the table, of which a part is near, and a tenth of its width below
-    assert -1.0 - BELOW * 11.0 < shown.low[1] < 0.0
+    assert -1.0 - FALL_MARGIN * 11.0 < shown.low[1] < 0.0
     assert shown.high[1] == 1.0
 
 
 def test_a_picture_says_what_falls_out_of_it(write: Callable[..., Path]) -> None:
     path = write(TABLE + ball(FALLS) + CAMERA)
-    fitted, seen = PictureStage(path), PictureStage(path, camera="/Camera")
-    (note,) = [one for one in fitted.scene(1.0).notes if one.startswith("/Ball: falls out of")]
+    motion_box, seen = PictureStage(path), PictureStage(path, camera="/Camera")
+    (note,) = [one for one in motion_box.scene(1.0).notes if one.startswith("/Ball: falls out of")]
     assert "--camera" in note
     assert seen.scene(1.0).notes == ()
-    assert fitted.motion.bounds is not None
-    assert fitted.motion.bounds.low[1] > -3.0
-    assert fitted.motion.ground == seen.motion.ground
+    assert motion_box.motion.bounds is not None
+    assert motion_box.motion.bounds.low[1] > -3.0
+    assert motion_box.motion.ground == seen.motion.ground
