@@ -1,7 +1,4 @@
-"""The bodies and settings of the cases.
-
-Setting and reading the state of a solver from outside.
-"""
+"""Bodies, materials and settings of the cases, and access to the state of a solver."""
 
 from __future__ import annotations
 
@@ -30,13 +27,13 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.total_lagrangian.state import StateView
 
 FPS = 24.0
-MIDDLE = np.array([0.25, 0.75])  # of a cell: where strata have their middles
-GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # exact for cubics on a cell
-FINE = 16  # points along the edge of a stratum, of which its share in a figure is counted
+MIDDLE = np.array([0.25, 0.75])  # of a cell: centers of its strata
+GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # Gauss points, exact for cubics
+SUBSAMPLES = 16  # along each edge of a stratum, to compute the area inside a figure
 
 
 def sphere(radius: float = 1.0, subdivisions: int = 3) -> Surface:
-    """A geodesic sphere about the origin, its vertices at the radius [m]."""
+    """A geodesic sphere about the origin with its vertices at the radius [m]."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
     triangles = np.asarray(mesh.faces)
     return Surface(
@@ -51,9 +48,9 @@ def sphere(radius: float = 1.0, subdivisions: int = 3) -> Surface:
 
 
 def comb(teeth: int, width: float, gap: float, length: float, root: float, depth: float) -> Surface:
-    """Teeth side by side along x, which hang from a root at y = `length`; lengths [m].
+    """A comb: teeth side by side along x below a root at y = `length`; lengths [m].
 
-    The first begins at x = 0, all end at y = 0, and z goes from 0 to `depth`.
+    The first tooth begins at x = 0, the tips are at y = 0, and z is 0 to `depth`.
     """
     step = width + gap
     tooth = np.array([[0.0, length], [0.0, 0.0], [width, 0.0], [width, length]])
@@ -86,14 +83,14 @@ def ball(
     rejection: bool = False,
     subdivisions: int = 3,
 ) -> tuple[Particles, SurfaceSamples]:
-    """About so many particles of production sampling in a ball, and its contact samples."""
-    solid = solid_of(sphere(radius, subdivisions))
-    made = sample_solid(solid, particles=particles, spacing=None, seed=seed, uniform=rejection)
-    return made, sample_surface(solid, made.spacing)
+    """A ball [m] with about this number of particles, sampled as in a bake, and contact samples."""
+    solid = make_solid(sphere(radius, subdivisions))
+    body = sample_solid(solid, particles=particles, spacing=None, seed=seed, uniform=rejection)
+    return body, sample_surface(solid, body.spacing)
 
 
-def solid_of(*surfaces: Surface) -> Solid:
-    """What surfaces in meters enclose."""
+def make_solid(*surfaces: Surface) -> Solid:
+    """The solid inside closed surfaces [m]."""
     path = surfaces[0].path
     facts = StageFacts(
         path=Path(path[1:]), units=StageUnits(), up_axis="Y", time_codes_per_second=None,
@@ -103,49 +100,53 @@ def solid_of(*surfaces: Surface) -> Solid:
 
 
 def block(low: Any, cells: Any, h: float, *, places: Floats = GAUSS) -> Particles:
-    """A box of whole cells of edge h [m], eight particles in each.
+    """A box of whole cells of edge h [m] with eight particles per cell.
 
-    places : (2,) of a cell along each axis; GAUSS is where a bake has them.
+    places : (2,) coordinates in a cell along each axis; a bake has GAUSS.
     """
     low, cells = np.asarray(low, float), np.asarray(cells)
     strata = np.stack(np.unravel_index(np.arange(8 * cells.prod()), tuple(2 * cells)), -1)
     at = strata // 2 + np.asarray(places)[strata % 2]
-    return cloud(low + h * at, volume=float(cells.prod()) * h**3, lattice=0.5 * h, corner=low)
+    return particles_at(
+        low + h * at, volume=float(cells.prod()) * h**3, lattice=0.5 * h, corner=low
+    )
 
 
-def strata(inside: Callable[[Floats, Floats], Any], counts: Any, h: float) -> tuple[Floats, Floats]:
-    """Points (n, 2) [m] for the strata that a plane figure fills, and their areas (n,) [m^2].
+def sample_strata(
+    inside: Callable[[Floats, Floats], Any], counts: Any, h: float
+) -> tuple[Floats, Floats]:
+    """Points (n, 2) [m] of the strata inside a plane figure, and their areas (n,) [m^2].
 
-    A stratum is a quarter of a cell of edge h [m]; `counts` cells stand along each axis from 0.  A
-    full one has its Gauss point, one that the figure cuts the middle of what is inside.
-    inside : of x and y [m].
+    A stratum is a quarter of a cell of edge h [m]; there are `counts` cells along each axis from 0.
+    A full stratum has its Gauss point, a cut one the centroid of its part inside the figure.
+    inside : function of x and y [m].
     """
     a = 0.5 * h
-    fine = (np.arange(FINE) + 0.5) / FINE * a
-    places, share = [], []
+    fine = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES * a
+    places, fractions = [], []
     for i, j in np.ndindex(2 * counts[0], 2 * counts[1]):
         x, y = np.meshgrid(i * a + fine, j * a + fine, indexing="ij")
-        here = inside(x, y)
-        if here.all():
+        inside_here = inside(x, y)
+        if inside_here.all():
             places.append((h * (i // 2 + GAUSS[i % 2]), h * (j // 2 + GAUSS[j % 2])))
-        elif here.any():
-            places.append((x[here].mean(), y[here].mean()))
-        share.extend([here.mean()] * bool(here.any()))
-    return np.array(places), np.array(share) * a * a
+        elif inside_here.any():
+            places.append((x[inside_here].mean(), y[inside_here].mean()))
+        fractions.extend([inside_here.mean()] * bool(inside_here.any()))
+    return np.array(places), np.array(fractions) * a * a
 
 
-def slice_of(flat: Floats, area: Floats, h: float) -> Particles:
-    """The points (n, 2) of `strata` with their areas (n,) [m^2], one cell of edge h [m] thick."""
+def plane_strain_slice(flat: Floats, area: Floats, h: float) -> Particles:
+    """Particles of a slice of thickness h [m], from points and areas of `sample_strata`."""
     X = np.column_stack([np.repeat(flat, 2, axis=0), np.tile(h * GAUSS, len(flat))])
     V0 = np.repeat(area, 2) * 0.5 * h
-    body = cloud(X, volume=float(V0.sum()), lattice=0.5 * h, corner=np.zeros(3))
+    body = particles_at(X, volume=float(V0.sum()), lattice=0.5 * h, corner=np.zeros(3))
     return replace(body, V0=V0)
 
 
-def boxes(bounds: Sequence[tuple[Any, Any]], h: float, corner: Any) -> Particles:
-    """Boxes [m] that do not overlap, with particles that integrate cubics in every cell exactly.
+def box_particles(bounds: Sequence[tuple[Any, Any]], h: float, corner: Any) -> Particles:
+    """Particles of disjoint boxes [m] that integrate cubics in every cell exactly.
 
-    bounds : the lowest and the highest corner of each; corner : of the grid, cells of edge h [m].
+    bounds : low and high corner of each box.   corner : of the grid of cells of edge h [m].
     """
     X, V0 = [], []
     for low, high in bounds:
@@ -160,14 +161,14 @@ def boxes(bounds: Sequence[tuple[Any, Any]], h: float, corner: Any) -> Particles
         X.append(np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3))
         V0.append(np.einsum("i,j,k->ijk", *weights).ravel())
     volume = np.concatenate(V0)
-    made = cloud(
+    body = particles_at(
         np.concatenate(X), volume=float(volume.sum()), lattice=0.5 * h, corner=np.asarray(corner)
     )
-    return replace(made, V0=volume)
+    return replace(body, V0=volume)
 
 
-def cloud(X: Floats, *, volume: float, lattice: float, corner: Floats) -> Particles:
-    """Particles at X (n, 3) [m] that share a volume [m^3]; their Gaussians do not matter here."""
+def particles_at(X: Floats, *, volume: float, lattice: float, corner: Floats) -> Particles:
+    """Particles at X (n, 3) [m] of equal parts of a volume [m^3], with unit Gaussians."""
     n = len(X)
     return Particles(
         X=X,
@@ -186,7 +187,7 @@ def cloud(X: Floats, *, volume: float, lattice: float, corner: Floats) -> Partic
 
 
 def clamp(axis: int, at: float) -> Pin:
-    """A pin that holds all that lies under a coordinate [m]."""
+    """A pin of all points below a coordinate [m]."""
 
     def inside(X: Floats) -> Floats:
         return X[:, axis] < at
@@ -201,7 +202,7 @@ def clamp(axis: int, at: float) -> Pin:
 
 
 def mirror_plane(axis: int, at: float) -> Pin:
-    """A symmetry plane: what lies above a coordinate [m] slides along it."""
+    """A symmetry plane at a coordinate [m]: a sliding pin of one axis."""
     x, y, z = (axis == a for a in range(3))
     return replace(clamp(axis, at), name="plane", axes=(x, y, z))
 
@@ -212,35 +213,43 @@ def plane_strain(h: float) -> tuple[Pin, Pin]:
     return mirror_plane(2, 0.0), above
 
 
-FIRM = 1e9  # [Pa] of cohesion, and of what else keeps a law elastic
-BEARS = ("cohesion", "critical_compression", "critical_stretch", "cavitation", "viscosity")
+TENSION_STRENGTH = 1e9  # [Pa] of cohesion and other strength parameters
+TENSION_PARAMETERS = (
+    "cohesion",
+    "critical_compression",
+    "critical_stretch",
+    "cavitation",
+    "viscosity",
+)
 
 
-def firm(law: str) -> dict[str, float]:
-    """Parameters with which a law is elastic in tension too."""
-    return {p.name: FIRM for p in LAWS[law].parameters if p.name in BEARS}
+def tension_parameters(law: str) -> dict[str, float]:
+    """Strength parameters with which a law is elastic in tension too."""
+    return {p.name: TENSION_STRENGTH for p in LAWS[law].parameters if p.name in TENSION_PARAMETERS}
 
 
-def look(name: str, body: Particles, **changes: Any) -> Material:
-    """A preset on a body, one that bears tension; changes replace fields of the material."""
-    made = DIMENSIONLESS[name].material(body.radius)
-    own = {"parameters": {**made.parameters, **firm(changes.get("law", made.law))}}
-    return Material(**{**vars(made), **own, **changes})
+def preset_material(name: str, body: Particles, **changes: Any) -> Material:
+    """The material of a preset for a body, elastic in tension; changes replace its fields."""
+    preset = DIMENSIONLESS[name].material(body.radius)
+    parameters = {
+        "parameters": {**preset.parameters, **tension_parameters(changes.get("law", preset.law))}
+    }
+    return Material(**{**vars(preset), **parameters, **changes})
 
 
 def elastic(
     *, E: float, nu: float, density: float, law: str = "corotated", **more: Any
 ) -> Material:
-    """A material without damping that bears tension; E [Pa], density [kg/m^3]."""
-    more = {"parameters": firm(law), **more}
+    """An undamped material, elastic in tension; E [Pa], density [kg/m^3]."""
+    more = {"parameters": tension_parameters(law), **more}
     return Material(
         name="elastic", law=law, density=density, youngs_modulus=E, poissons_ratio=nu, **more
     )
 
 
 def settings(device: str, **changes: Any) -> Settings:
-    """Free flight without gravity and without any filter or damping, at 24 frames per second."""
-    said: dict[str, Any] = {
+    """Settings without gravity, floor, filter and damping, at 24 frames per second."""
+    defaults: dict[str, Any] = {
         "frames": 10,
         "fps": FPS,
         "time_codes_per_second": FPS,
@@ -250,14 +259,14 @@ def settings(device: str, **changes: Any) -> Settings:
         "floor": None,
         "device": device,
     }
-    return Settings(**{**said, **changes})
+    return Settings(**{**defaults, **changes})
 
 
-def motion(solver: TotalLagrangian) -> Iterator[tuple[float, StateView]]:
-    """Time [s] and state of a body that hardly strains, at each of its frames.
+def iterate_states(solver: TotalLagrangian) -> Iterator[tuple[float, StateView]]:
+    """Time [s] and state of a slightly strained body at each frame.
 
-    With the substeps of `frames()`, but without what a frame tells of itself, which takes as long
-    as moving a small body does.  Raises SolverError for what is no number.
+    As `frames()`, but without the data of a frame, whose evaluation takes as long as the substeps
+    of a small body.  Raises SolverError for values that are not finite.
     """
     yield solver.state.time, solver.state.view()
     for index in range(1, solver.settings.frames):
@@ -271,28 +280,28 @@ def motion(solver: TotalLagrangian) -> Iterator[tuple[float, StateView]]:
         yield solver.state.time, solver.state.view()
 
 
-def put(solver: TotalLagrangian, u: Floats, v: Floats | None = None) -> None:
+def set_state(solver: TotalLagrangian, u: Floats, v: Floats | None = None) -> None:
     """Set displacement u and velocity v (M, 3) [m], [m/s] of all nodes; v None: at rest."""
     still = np.zeros_like(u) if v is None else v
     start = {"u": u, "v": still, "offset": np.zeros(3), "time": 0.0, "done": 0}
     solver.state.load({**solver.state.save(), **start})
 
 
-def force(solver: TotalLagrangian) -> Floats:
-    """Force (free, 3) [N] on the free nodes where they are, by the kick of one substep.
+def nodal_forces(solver: TotalLagrangian) -> Floats:
+    """Forces (free, 3) [N] on the free nodes, from the momentum change of one substep.
 
-    The solver has to be at rest; it moves on by a frame.
+    The solver must be at rest; it advances by a frame.
     """
-    before = solver.state.view().v
+    v_before = solver.state.view().v
     solver.advance(1, 1)
-    kick = solver.state.view().v - before
+    kick = solver.state.view().v - v_before
     return solver.body.mass.momentum(kick) / solver.frame_time
 
 
-def virial(solver: TotalLagrangian) -> Floats:
-    """P (3, 3) [Pa] of a body that is strained evenly, from the forces on its nodes.
+def mean_stress(solver: TotalLagrangian) -> Floats:
+    """P (3, 3) [Pa] of a uniformly strained body, from its nodal forces.
 
-    With every node free sum_i X_i (x) G_ip = I, and so -sum_i f_i (x) X_i = sum_p V0_p P.
+    If all nodes are free, sum_i X_i (x) G_ip = I, hence -sum_i f_i (x) X_i = sum_p V0_p P.
     """
-    f = force(solver)
+    f = nodal_forces(solver)
     return -f.T @ solver.body.stencil.free_X / float(solver.particles.V0.sum())

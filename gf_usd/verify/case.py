@@ -1,7 +1,4 @@
-"""A verification case and its measurements.
-
-Reading orders and frequencies off figures.
-"""
+"""Verification cases, their measures, and fits of orders, frequencies and minima."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ ABSOLUTE, RELATIVE, AT_LEAST = "absolute", "relative", "at least"
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Figures that belong together, for a plot."""
+    """A series of measured values, for a plot."""
 
     title: str
     x_label: str
@@ -28,38 +25,38 @@ class Curve:
     x: tuple[float, ...]
     y: tuple[float, ...]
     logarithmic: bool = True  # both axes
-    target: float | None = None  # a level line
+    target: float | None = None  # a horizontal line
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """One figure next to its target.
+    """A measured value with its target and the tolerance of its error.
 
-    The error is |value - target|, the same over |target|, or by how much the value falls short of
-    the target, whichever `kind` says.
+    The error is |value - target| (ABSOLUTE), |value - target| / |target| (RELATIVE) or
+    max(0, target - value) (AT_LEAST).
     """
 
     name: str
     value: float
     target: float
-    bound: float  # of the error
-    why: str  # where the bound comes from: order, step, cell size, rounding
+    bound: float  # tolerance of the error
+    why: str  # justification of the bound: order, step, cell size, rounding
     kind: str = ABSOLUTE
     unit: str = ""
     curve: Curve | None = None
 
     @property
     def error(self) -> float:
-        """In the unit of the value; a ratio where the kind is relative."""
+        """The error in the unit of the value; for RELATIVE a ratio."""
         if self.kind == AT_LEAST:
-            short = float(self.target - self.value)
-            return short if math.isnan(short) else max(0.0, short)
-        off = float(abs(self.value - self.target))
-        return off / abs(self.target) if self.kind == RELATIVE else off
+            shortfall = float(self.target - self.value)
+            return shortfall if math.isnan(shortfall) else max(0.0, shortfall)
+        difference = float(abs(self.value - self.target))
+        return difference / abs(self.target) if self.kind == RELATIVE else difference
 
     @property
     def passed(self) -> bool:
-        """False for what is no number, too."""
+        """Whether the error is within the bound; False for NaN."""
         return bool(self.error <= self.bound)
 
 
@@ -68,19 +65,19 @@ Run = Callable[[str], Iterable[Measure]]  # device -> measures
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A question to the solver whose answer is known."""
+    """A verification case: a problem with a reference solution."""
 
     name: str
-    what: str  # what is set up, what is measured and what it shows
-    source: str  # where the target comes from
+    what: str  # description: set-up, measured values and their meaning
+    source: str  # of the reference solution
     quick: Run  # seconds
-    full: Run | None = None  # finer, or longer; None: the quick one says all
-    f64: bool = False  # in double precision: Taichi starts anew, so these run last
+    full: Run | None = None  # finer or longer; None: same as quick
+    f64: bool = False  # double precision: Taichi is restarted, so these cases run last
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A case that has run."""
+    """The measures of a case that has run."""
 
     case: Case
     measures: tuple[Measure, ...]
@@ -92,13 +89,13 @@ class Result:
 
 
 def rows(result: Result) -> list[dict[str, Any]]:
-    """One row a measure, with the keys of `gf-usd verify --json`; what is no number is None."""
+    """A row per measure with the keys of `gf-usd verify --json`; None for NaN and infinity."""
     return [
         {
             "name": f"{result.case.name}.{m.name}",
-            "value": _number(m.value),
-            "target": _number(m.target),
-            "error": _number(m.error),
+            "value": _finite_or_none(m.value),
+            "target": _finite_or_none(m.target),
+            "error": _finite_or_none(m.error),
             "bound": m.bound,
             "pass": m.passed,
             "kind": m.kind,
@@ -114,18 +111,20 @@ def rows(result: Result) -> list[dict[str, Any]]:
     ]
 
 
-def _number(x: float) -> float | None:
+def _finite_or_none(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
 
 
-def order(h: Floats, error: Floats) -> float:
-    """Slope of ln error over ln h, by least squares."""
+def convergence_order(h: Floats, error: Floats) -> float:
+    """Order of convergence: the slope of ln |error| over ln h, by least squares."""
     return float(np.polyfit(np.log(h), np.log(np.abs(error)), 1)[0])
 
 
-def frequency(t: Floats, q: Floats, guess: float) -> float:
-    """Angular frequency of q = a cos(w t) + b sin(w t) + c, by least squares from a guess."""
-    q = q / np.abs(q).max()  # or a small swing would have no gradient, and the guess be the answer
+def fit_frequency(t: Floats, q: Floats, guess: float) -> float:
+    """Angular frequency w of q = a cos(w t) + b sin(w t) + c, by least squares from a guess."""
+    q = (
+        q / np.abs(q).max()
+    )  # otherwise a small amplitude gives no gradient, and the fit returns the guess
 
     def basis(w: float) -> Floats:
         return np.stack([np.cos(w * t), np.sin(w * t), np.ones_like(t)], 1)
@@ -137,8 +136,8 @@ def frequency(t: Floats, q: Floats, guess: float) -> float:
     return float(least_squares(residual, [guess], x_scale=guess).x[0])
 
 
-def lowest(t: Floats, y: Floats) -> tuple[float, float]:
-    """Time and value of the least of sampled y, by a parabola through the three nearest."""
+def interpolate_minimum(t: Floats, y: Floats) -> tuple[float, float]:
+    """Time and value of the minimum of sampled y, by a parabola through three samples."""
     k = int(np.clip(np.argmin(y), 1, len(y) - 2))
     a, b, c = np.polyfit(t[k - 1 : k + 2] - t[k], y[k - 1 : k + 2], 2)
     return float(t[k] - b / (2.0 * a)), float(c - b * b / (4.0 * a))

@@ -1,8 +1,8 @@
-"""Cases side by side, each in one of a few processes.
+"""Parallel execution of cases in worker processes.
 
-Taichi runs once in a process, and most of a case's time is one thread's: reading kernels, building
-bodies, measuring frames.  Figures do not depend on the number of processes, because no case reads
-what another one wrote.
+There is one Taichi runtime per process, and most of the time of a case is spent in one thread:
+loading kernels, sampling bodies, evaluating frames.  Cases are independent, so results do not
+depend on the number of processes.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ def verify_in(
 ) -> Iterator[Result]:
     """Results of cases, in their order.
 
-    run : what runs a case by its name; a function of a module, which another process can find.
+    run : runs a case by name; a module-level function, which can be pickled.
     """
-    # A fork of a process with threads may stop in a lock; what is spawned starts clean.
+    # a fork of a process with threads can deadlock
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(
         processes, mp_context=spawn, initializer=init_taichi, initargs=(device,)
     ) as pool:
-        done = [pool.submit(run, case.name, full, device) for case in cases]
-        for case, future in zip(cases, done):
+        futures = [pool.submit(run, case.name, full, device) for case in cases]
+        for case, future in zip(cases, futures):
             measures, seconds = future.result()
             yield Result(case=case, measures=measures, seconds=seconds)

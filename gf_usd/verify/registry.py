@@ -1,7 +1,4 @@
-"""All cases, in the order of the table.
-
-Running cases one after another.
-"""
+"""The registry of cases, and functions that run them."""
 
 from __future__ import annotations
 
@@ -93,15 +90,15 @@ CASES: tuple[Case, ...] = (
 
 
 def select(names: Sequence[str] = ()) -> tuple[Case, ...]:
-    """The cases of these names, all without any, in the order of the registry.
+    """The cases of these names, or all for no names, in the order of the registry.
 
-    Raises UsageError for a name that is none.
+    Raises UsageError for an unknown name.
     """
 
-    known = {case.name: case for case in CASES}
+    cases_by_name = {case.name: case for case in CASES}
     for name in names:
-        if name not in known:
-            close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+        if name not in cases_by_name:
+            close = difflib.get_close_matches(name, cases_by_name, n=1, cutoff=0.5)
             guess = f"did you mean {close[0]}? " if close else ""
             raise UsageError(f"there is no case {name!r}", f"{guess}gf-usd verify --list shows all")
     return tuple(case for case in CASES if not names or case.name in names)
@@ -110,11 +107,11 @@ def select(names: Sequence[str] = ()) -> tuple[Case, ...]:
 def verify(
     cases: Sequence[Case], *, full: bool = False, device: str = "cpu", processes: int = 1
 ) -> Iterator[Result]:
-    """Run cases, those in double precision last: Taichi starts once for each precision.
+    """Run cases, those in double precision last, because Taichi is restarted for them.
 
-    processes : how many run at once; more than one are processes of their own.
+    processes : number of parallel worker processes; 1: this process.
 
-    Raises UsageError where the device is not there, before anything runs.
+    Raises UsageError before the first case where the device is not available.
     """
     from gf_usd.system.taichi_runtime import init_taichi
     from gf_usd.verify.parallel import verify_in
@@ -130,16 +127,16 @@ def verify(
 
 
 def run_named(name: str, full: bool, device: str) -> tuple[tuple[Measure, ...], float]:
-    """Measures and seconds of a case, for a process that is handed its name."""
+    """Measures and seconds [s] of the case of a name, for worker processes."""
     (case,) = select((name,))
     result = run_case(case, full=full, device=device)
     return result.measures, result.seconds
 
 
 def run_case(case: Case, *, full: bool = False, device: str = "cpu") -> Result:
-    """Run one case; a solver that gives up is a measure that failed."""
+    """Run one case; an error of the solver becomes a failed measure."""
     run = case.full if full and case.full else case.quick
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     try:
         measures = tuple(run(device))
     except SolverError as error:
@@ -149,4 +146,4 @@ def run_case(case: Case, *, full: bool = False, device: str = "cpu") -> Result:
                 why=f"the solver has to come to the end: {error.message}",
             ),
         )  # fmt: skip
-    return Result(case=case, measures=measures, seconds=time.perf_counter() - began)
+    return Result(case=case, measures=measures, seconds=time.perf_counter() - start_time)

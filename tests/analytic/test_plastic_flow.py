@@ -20,7 +20,7 @@ from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.energies import elastic_energy
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-from gf_usd.verify.bodies import block, elastic, put, settings
+from gf_usd.verify.bodies import block, elastic, set_state, settings
 from gf_usd.verify.cases.law import CASES as _LAW_CASES  # noqa: F401  (imported before the row)
 from gf_usd.verify.cases.patch import patch
 
@@ -190,7 +190,7 @@ def test_the_step_follows_what_is_pressed_flat_for_good():
     seen = []
     for squash in (1.0, 0.1):
         F = np.diag([squash**-0.5, squash, squash**-0.5])
-        put(solver, solver.body.stencil.node_X @ (F - np.eye(3)).T)
+        set_state(solver, solver.body.stencil.node_X @ (F - np.eye(3)).T)
         state = history(solver)
         state[:, :GRADIENT] = np.linalg.inv(F).ravel()
         lanes = layout.law_lanes(solver.body.layout, state)
@@ -209,7 +209,9 @@ def test_flow_keeps_the_volume_over_many_steps(plain):
     said = settings("cpu", fps=1e9, substeps=1, followers=False)
     solver = TotalLagrangian(body, [law], said, plain=plain)
     for a in np.linspace(0.0, 0.04, 201):
-        put(solver, solver.body.stencil.node_X @ (np.diag(np.exp([a, -a, 0.0])) - np.eye(3)).T)
+        set_state(
+            solver, solver.body.stencil.node_X @ (np.diag(np.exp([a, -a, 0.0])) - np.eye(3)).T
+        )
         solver.advance(1, 1)
     assert plastic_strain(solver).min() > 0.045
     Pi = history(solver)[:, :GRADIENT].reshape(-1, 3, 3)

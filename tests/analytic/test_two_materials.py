@@ -13,7 +13,7 @@ from gf_usd.core.materials.per_particle import of_materials
 from gf_usd.geometry.connected.bodies import smoothstep
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import MIDDLE, block, clamp, elastic, settings
-from gf_usd.verify.case import frequency
+from gf_usd.verify.case import fit_frequency
 
 CELLS, DENSITY = 24, 1000.0
 SOFT, STIFF = 2e5, 2e6  # [Pa]; the soft half is clamped, the bar is 1 m long
@@ -54,7 +54,7 @@ def measured(body: Particles, materials, exact, x, shape) -> float:
     form = np.interp(body.X[:, 0], x, shape)
     frames = list(solver.frames())
     way = [form @ (f.particles.x - body.X)[:, 0] / (form @ form) for f in frames]
-    return frequency(np.array([f.time for f in frames]), np.array(way), exact)
+    return fit_frequency(np.array([f.time for f in frames]), np.array(way), exact)
 
 
 def test_the_series_formula_of_two_halves():

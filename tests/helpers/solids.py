@@ -21,7 +21,7 @@ from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import Solid, build_solid
-from gf_usd.verify.bodies import firm
+from gf_usd.verify.bodies import tension_parameters
 
 # Corners are numbered x + 2 y + 4 z; faces look outward.
 CUBE_POINTS = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
@@ -110,7 +110,7 @@ def ball(particles: int, radius: float = 1.0, seed: int = 0) -> tuple[Particles,
 def look(name: str, particles: Particles, **changes: Any) -> Material:
     """A preset on a body; changes replace fields of the material."""
     made = DIMENSIONLESS[name].material(particles.radius)
-    own = {"parameters": {**made.parameters, **firm(changes.get("law", made.law))}}
+    own = {"parameters": {**made.parameters, **tension_parameters(changes.get("law", made.law))}}
     return Material(**{**made.__dict__, **own, **changes})
 
 

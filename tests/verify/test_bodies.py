@@ -13,16 +13,16 @@ from gf_usd.verify.bodies import (
     block,
     clamp,
     elastic,
-    force,
-    motion,
-    put,
+    iterate_states,
+    mean_stress,
+    nodal_forces,
+    set_state,
     settings,
-    virial,
 )
 from gf_usd.verify.cases.elastic import manufactured
 from gf_usd.verify.cases.elastic.cantilever import Beam
 from gf_usd.verify.cases.elastic.locking import exact
-from gf_usd.verify.cases.floor import no_pull
+from gf_usd.verify.cases.floor import restitution_without_adhesion
 
 
 @pytest.mark.parametrize("places", [GAUSS, MIDDLE])
@@ -55,15 +55,15 @@ def test_virial_and_force_of_a_strained_block() -> None:
     made = elastic(E=2.0, nu=0.0, density=3.0)
     s = settings("cpu", fps=1e9, substeps=1, followers=False)
     solver = TotalLagrangian(body, [made], s, real=np.float64)
-    put(solver, solver.body.stencil.node_X * [0.1, 0.0, 0.0])
+    set_state(solver, solver.body.stencil.node_X * [0.1, 0.0, 0.0])
     # nu = 0: P = E (F - 1) along the axis, and nothing across.
-    P = virial(solver)
+    P = mean_stress(solver)
     np.testing.assert_allclose(P, np.diag([0.2, 0.0, 0.0]), atol=1e-14)
-    put(solver, np.zeros((solver.body.stencil.node_count, 3)))
+    set_state(solver, np.zeros((solver.body.stencil.node_count, 3)))
     b = np.zeros((solver.body.stencil.free_count, 3))
     b[:, 1] = 7.0
     solver.state.accelerate(b)
-    assert force(solver)[:, 1].sum() == pytest.approx(3.0 * 7.0, rel=1e-9)
+    assert nodal_forces(solver)[:, 1].sum() == pytest.approx(3.0 * 7.0, rel=1e-9)
 
 
 def test_the_manufactured_forces_follow_from_the_solution() -> None:
@@ -86,8 +86,8 @@ def test_the_manufactured_forces_follow_from_the_solution() -> None:
 
 
 def test_references_have_their_known_limits() -> None:
-    assert no_pull(0.999999) == pytest.approx(1.0, abs=1e-5)
-    assert no_pull(0.85) == pytest.approx(0.8546, abs=5e-5)
+    assert restitution_without_adhesion(0.999999) == pytest.approx(1.0, abs=1e-5)
+    assert restitution_without_adhesion(0.85) == pytest.approx(0.8546, abs=5e-5)
     # A slender beam: 22.373 sqrt(E I / rho A) / L^2, here with 8 times its thickness: shear and
     # rotation take some 4 %.
     slender = 22.3733 * np.sqrt(1e6 / 12.0 / 1000.0) / 8.0
@@ -110,7 +110,7 @@ def swinging() -> TotalLagrangian:
 @pytest.mark.slow
 def test_motion_is_that_of_frames():
     frames = list(swinging().frames())
-    seen = [(t, now.particles.x) for t, now in motion(swinging())]
+    seen = [(t, now.particles.x) for t, now in iterate_states(swinging())]
     assert [t for t, _ in seen] == [frame.time for frame in frames]
     for (_, x), frame in zip(seen, frames):
         np.testing.assert_array_equal(x, frame.particles.x)
@@ -118,7 +118,7 @@ def test_motion_is_that_of_frames():
 
 def test_motion_ends_where_something_is_no_number():
     solver = swinging()
-    moved = motion(solver)
+    moved = iterate_states(solver)
     next(moved)
     solver.throw(np.full((solver.body.stencil.free_count, 3), np.nan))
     with pytest.raises(SolverError, match="frame 1"):

@@ -114,10 +114,10 @@ class Values:
         self._bindings: dict[str, tuple[NDArray[np.int64], Floats]] = {}
         for cloud in self._clouds:
             if name == "strain" and not cloud.prim.GetAttribute(GRADIENTS).HasValue():
-                path = str(cloud.prim.GetPath())
-                self._fits[path] = NeighborFit(cloud.rest)
+                prim_path = str(cloud.prim.GetPath())
+                self._fits[prim_path] = NeighborFit(cloud.rest)
                 self.notes.append(
-                    f"{path}: strain is fitted to the motion of neighboring particles because "
+                    f"{prim_path}: strain is fitted to the motion of neighboring particles because "
                     f"the bake holds no deformation gradients (bake with --deformation-gradients)"
                 )
 

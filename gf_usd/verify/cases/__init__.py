@@ -1,1 +1,1 @@
-"""The cases of ``gf-usd verify``, one physical question a file."""
+"""The cases of ``gf-usd verify``, one physical problem per file."""

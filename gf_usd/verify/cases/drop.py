@@ -1,4 +1,4 @@
-"""The rubber drop, finer and finer: what a bake converges to."""
+"""Convergence of a rubber ball that falls on a soft floor, over the number of particles."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def drop(particles: int, device: str) -> Squash:
     body, _ = ball(particles)
     # As in the prototype the floor acts on the particles, each with its own mass.
     samples = SurfaceSamples(X=body.X, area=body.V0 / body.spacing)
-    made = elastic(
+    material = elastic(
         E=MU * (3.0 * LAM + 2.0 * MU) / (LAM + MU), nu=0.5 * LAM / (LAM + MU), density=DENSITY
     )
     s = settings(
@@ -41,7 +41,7 @@ def drop(particles: int, device: str) -> Squash:
         contact_rate=RATE,
     )  # fmt: skip
     skin = sphere()
-    solver = TotalLagrangian(body, [made], s, samples=samples, embedded={"skin": skin.points})
+    solver = TotalLagrangian(body, [material], s, samples=samples, embedded={"skin": skin.points})
     heights, spreads, sigmas = [], [], []
     for frame in solver.frames():
         heights.append(np.ptp(frame.embedded["skin"].x[:, 1]))
@@ -60,13 +60,13 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
     """The drop at several particle counts, each twice the one before."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [drop(n, device) for n in counts]
-        finest = seen[-1]
+        results = [drop(n, device) for n in counts]
+        finest = results[-1]
 
         def curve(title: str, name: str) -> Curve:
             return Curve(
                 title=title, x_label="particles", y_label=name, x=tuple(map(float, counts)),
-                y=tuple(getattr(s, name) for s in seen), logarithmic=False,
+                y=tuple(getattr(s, name) for s in results), logarithmic=False,
                 target=SIGMA if name == "sigma" else None,
             )  # fmt: skip
 
@@ -84,7 +84,7 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
                 " particles nearest to it; h falls by a fifth from one count to the next",
             ),
         ):  # fmt: skip
-            last = abs(getattr(seen[-1], name) - getattr(seen[-2], name))
+            last = abs(getattr(results[-1], name) - getattr(results[-2], name))
             yield Measure(
                 name=f"{name}-change", value=last, target=0.0, bound=bound,
                 why=f"between the two finest: {why}",

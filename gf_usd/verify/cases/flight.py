@@ -1,4 +1,4 @@
-"""Free flight: what a body without contact must keep."""
+"""Free flight: conservation of momentum, angular momentum and energy without contact."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import LUMPED, Health
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import ball, look, put, settings
+from gf_usd.verify.bodies import ball, preset_material, set_state, settings
 from gf_usd.verify.case import AT_LEAST, Case, Measure
 
 SPIN = np.array([0.3, 2.0, -0.5])  # [rad/s]
-TURN = np.array([0.0, 3.0, 0.0])  # [rad/s]
+ROTATION_RATE = np.array([0.0, 3.0, 0.0])  # [rad/s]
 SQUASH = 0.88  # height over height at rest
-SLOWLY = np.array([0.01, 0.02, 0.03])  # [rad/s] along no axis
+SLOW_ROTATION_RATE = np.array([0.01, 0.02, 0.03])  # [rad/s] along no axis
 SQUEEZE = np.diag([0.4, -0.7, 0.3])  # [1/s]
 
 
-def spun(X: Floats) -> Floats:
+def initial_velocity(X: Floats) -> Floats:
     """Spin about the origin and a squeeze: turn and vibration together."""
     return np.cross(SPIN, X) + X @ SQUEEZE
 
@@ -31,21 +31,21 @@ def free_fall(device: str) -> Iterator[Measure]:
     body, _ = ball(300)
     g = np.array([1.0, -G0, 0.0])
     s = settings(device, frames=24, gravity=tuple(g), filter_rate=10.0)
-    place = momentum = 0.0
-    made = look("rubber", body, damping_time=0.0)
-    for frame in TotalLagrangian(body, [made], s).frames():
+    position_error = momentum = 0.0
+    material = preset_material("rubber", body, damping_time=0.0)
+    for frame in TotalLagrangian(body, [material], s).frames():
         if frame.index:
             fallen = 0.5 * g * frame.time**2
-            off = np.abs(frame.particles.x - body.X - fallen).max()
-            place = max(place, off / np.linalg.norm(fallen))
+            error = np.abs(frame.particles.x - body.X - fallen).max()
+            position_error = max(position_error, error / np.linalg.norm(fallen))
             p = frame.health.mass * g * frame.time
-            off = np.linalg.norm(np.asarray(frame.health.momentum) - p)
-            momentum = max(momentum, float(off / np.linalg.norm(p)))
+            error = np.linalg.norm(np.asarray(frame.health.momentum) - p)
+            momentum = max(momentum, float(error / np.linalg.norm(p)))
     why = (
         "position Verlet is exact under a constant force, so rounding alone is left: 6e-8 a substep"
         " in the sum of some 100 of them, of one sign at worst"
     )
-    yield Measure(name="position", value=place, target=0.0, bound=6e-6, why=why)
+    yield Measure(name="position", value=position_error, target=0.0, bound=6e-6, why=why)
     yield Measure(name="momentum", value=momentum, target=0.0, bound=6e-6, why=why)
 
 
@@ -53,9 +53,11 @@ def free_fall(device: str) -> Iterator[Measure]:
 def fly(device: str, frames: int, particles: int) -> tuple[Health, ...]:
     """A spinning, vibrating rubber ball at the Lagrangian limit."""
     body, _ = ball(particles)
-    made = look("rubber", body, damping_time=0.0)
+    material = preset_material("rubber", body, damping_time=0.0)
     s = settings(device, frames=frames)
-    return tuple(f.health for f in TotalLagrangian(body, [made], s, velocity=spun).frames())
+    return tuple(
+        f.health for f in TotalLagrangian(body, [material], s, velocity=initial_velocity).frames()
+    )
 
 
 def momentum(device: str, frames: int = 120, particles: int = 500) -> Iterator[Measure]:
@@ -109,12 +111,12 @@ def spin(device: str, frames: int = 120, particles: int = 500) -> Iterator[Measu
 def spin_apic(device: str) -> Iterator[Measure]:
     """L/L0 of a squashed, spinning ball after two seconds of APIC at every substep."""
     body, _ = ball(1000)
-    made = look("rubber", body, damping_time=0.0)
+    material = preset_material("rubber", body, damping_time=0.0)
     s = settings(device, frames=121, fps=60.0, filter_rate=np.inf, mass=LUMPED)
-    solver = TotalLagrangian(body, [made], s)
+    solver = TotalLagrangian(body, [material], s)
     X = solver.body.stencil.node_X
     F = np.diag([SQUASH**-0.5, SQUASH, SQUASH**-0.5])
-    put(solver, X @ (F - np.eye(3)), np.cross(TURN, X @ F))
+    set_state(solver, X @ (F - np.eye(3)), np.cross(ROTATION_RATE, X @ F))
     first, *_, last = (np.linalg.norm(f.health.angular_momentum) for f in solver.frames())
     yield Measure(
         name="left", value=float(last / first), target=1.0, bound=(1.0 - SQUASH) ** 2, unit="L/L0",
@@ -122,9 +124,9 @@ def spin_apic(device: str) -> Iterator[Measure]:
         " of the strain, .12, and so is what of p is not affine and can change; .12 squared",
     )  # fmt: skip
     s = settings(device, frames=2, fps=60.0, filter_rate=np.inf, mass=LUMPED)
-    solver = TotalLagrangian(body, [made], s)
+    solver = TotalLagrangian(body, [material], s)
     X = solver.body.stencil.node_X
-    put(solver, np.zeros_like(X), np.cross(SLOWLY, X))
+    set_state(solver, np.zeros_like(X), np.cross(SLOW_ROTATION_RATE, X))
     before, after = (np.array(f.health.angular_momentum) for f in solver.frames())
     yield Measure(
         name="affine", value=float(np.linalg.norm(after - before) / np.linalg.norm(before)),

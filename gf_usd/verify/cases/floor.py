@@ -1,4 +1,4 @@
-"""The floor: what a lone mass gets back, and how deep bodies go in."""
+"""Floor contact: restitution of a point mass, and penetration depth of bodies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, FILTER_RATE, G0, time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import ball, cloud, elastic, look, settings, sphere
+from gf_usd.verify.bodies import ball, elastic, particles_at, preset_material, settings, sphere
 from gf_usd.verify.case import RELATIVE, Case, Measure
 
 BOUNCING = tuple(name for name, p in DIMENSIONLESS.items() if not LAWS[p.law].unbounded)
@@ -18,7 +18,7 @@ HEIGHT, RESTITUTION = 4.0, 0.85  # [m]
 RATE = 2e5  # [1/s^2] stiffness per mass of the floor
 
 
-def no_pull(restitution: float) -> float:
+def restitution_without_adhesion(restitution: float) -> float:
     """Restitution of the damped spring where it lets go as soon as its force is zero.
 
     With the damping ratio z of the formula, exp(-z / q (pi - atan2(2 z q, 1 - 2 z^2))),
@@ -33,21 +33,21 @@ def no_pull(restitution: float) -> float:
 def bounce(device: str) -> Iterator[Measure]:
     """A point mass that falls on the floor and rises again."""
     X = np.full((8, 3), 0.5)
-    body = cloud(X, volume=1.0, lattice=0.5, corner=np.zeros(3))
-    made = elastic(E=1.0, nu=0.0, density=1.0, restitution=RESTITUTION, friction=0.0)
+    body = particles_at(X, volume=1.0, lattice=0.5, corner=np.zeros(3))
+    material = elastic(E=1.0, nu=0.0, density=1.0, restitution=RESTITUTION, friction=0.0)
     s = settings(
         device, frames=460, fps=250.0, substeps=64, gravity=(0.0, -G0, 0.0), floor=0.0,
         lift=(0.0, HEIGHT - 0.5, 0.0), contact_rate=RATE, followers=False,
     )  # fmt: skip
     # A sample of area A stands for rho A s: the whole mass.
     samples = SurfaceSamples(X=X[:1], area=np.array([body.volume / body.spacing]))
-    top, left = 0.0, False
-    for frame in TotalLagrangian(body, [made], s, samples=samples).frames():
+    top, rebounding = 0.0, False
+    for frame in TotalLagrangian(body, [material], s, samples=samples).frames():
         y, v = frame.particles.x[0, 1], frame.particles.v[0, 1]
-        left = left or (v > 0.0 and y > 0.0)
-        if left:
+        rebounding = rebounding or (v > 0.0 and y > 0.0)
+        if rebounding:
             top = max(top, float(y))
-    exact = HEIGHT * no_pull(RESTITUTION) ** 2
+    exact = HEIGHT * restitution_without_adhesion(RESTITUTION) ** 2
     yield Measure(
         name="height", value=top, target=HEIGHT * RESTITUTION**2, bound=0.015, kind=RELATIVE,
         unit="m",
@@ -70,7 +70,11 @@ def impact(name: str, radius: float, particles: int, device: str) -> float:
         filter_rate=FILTER_RATE / T, lift=(0.0, 4.0 * radius, 0.0),
     )  # fmt: skip
     solver = TotalLagrangian(
-        body, [look(name, body)], s, samples=samples, embedded={"skin": sphere(radius).points}
+        body,
+        [preset_material(name, body)],
+        s,
+        samples=samples,
+        embedded={"skin": sphere(radius).points},
     )
     deepest = 0.0
     for frame in solver.frames():
@@ -87,7 +91,7 @@ def rest(name: str, radius: float, particles: int, device: str) -> float:
         device, frames=60, fps=10.0 / T, gravity=(0.0, -G0, 0.0), floor=0.0,
         filter_rate=FILTER_RATE / T, lift=(0.0, radius, 0.0), drag=3.0 / T,
     )  # fmt: skip
-    *_, last = TotalLagrangian(body, [look(name, body)], s, samples=samples).frames()
+    *_, last = TotalLagrangian(body, [preset_material(name, body)], s, samples=samples).frames()
     return last.health.penetration / body.spacing
 
 

@@ -1,6 +1,6 @@
-"""Limbs that are near each other at rest: two teeth of a comb, less or more than a cell apart.
+"""Limbs that are close to each other at rest: two teeth of a comb, a fraction of a cell apart.
 
-Each tooth is a cantilever, held at its root, and vibrates as the same cantilever does alone.
+Each tooth is a cantilever that must vibrate as without the other.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from gf_usd.core.frames import Particles
 from gf_usd.core.stage import Pin
 from gf_usd.geometry.connected.copies import find_limbs
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import boxes, comb, elastic, motion, settings, solid_of
-from gf_usd.verify.case import RELATIVE, Case, Measure, frequency
+from gf_usd.verify.bodies import box_particles, comb, elastic, iterate_states, make_solid, settings
+from gf_usd.verify.case import RELATIVE, Case, Measure, fit_frequency
 
 E, DENSITY = 1e5, 1000.0  # [Pa], [kg/m^3]; cells are 1 m wide
 WIDTH, LENGTH, ROOT, DEPTH = 2.0, 12.0, 2.0, 2.0  # [m] of a tooth and of what it hangs from
@@ -28,19 +28,19 @@ FRAMES = 48  # a period
 OMEGA = 1.87510**2 * float(np.sqrt(E / DENSITY / 12.0)) * WIDTH / LENGTH**2
 
 
-def teeth(which: tuple[int, ...], gap: float) -> Particles:
+def comb_particles(which: tuple[int, ...], gap: float) -> Particles:
     """Teeth of a comb, or one alone, with particles that integrate every cell exactly."""
     step = WIDTH + gap
     bounds = [((k * step, 0, 0), (k * step + WIDTH, LENGTH, DEPTH)) for k in which]
     left, right = bounds[0][0][0], bounds[-1][1][0]
-    body = boxes([*bounds, ((left, LENGTH, 0), (right, LENGTH + ROOT, DEPTH))], 1.0, CORNER)
+    body = box_particles([*bounds, ((left, LENGTH, 0), (right, LENGTH + ROOT, DEPTH))], 1.0, CORNER)
     surface = comb(len(which), WIDTH, gap, LENGTH, ROOT, DEPTH)
     moved = replace(surface, points=surface.points + [left, 0.0, 0.0])
-    limbs = find_limbs(solid_of(moved), body, np.zeros(1, np.int64))
+    limbs = find_limbs(make_solid(moved), body, np.zeros(1, np.int64))
     return replace(body, copies=limbs.copies if limbs else None)
 
 
-def held_root() -> Pin:
+def root_pin() -> Pin:
     """A pin that holds all that lies over the teeth."""
 
     def nearest(X: Floats) -> Floats:
@@ -53,30 +53,30 @@ def held_root() -> Pin:
     )  # fmt: skip
 
 
-def swing(which: tuple[int, ...], gap: float, device: str) -> tuple[Floats, list[Floats]]:
+def swing_teeth(which: tuple[int, ...], gap: float, device: str) -> tuple[Floats, list[Floats]]:
     """Times [s], and how far [m] the end of each tooth is then; neighbors start opposite ways."""
-    body = teeth(which, gap)
+    body = comb_particles(which, gap)
     tooth = np.floor(body.X[:, 0] / (WIDTH + gap)).astype(int)
     solver = TotalLagrangian(
         body, [elastic(E=E, nu=0.0, density=DENSITY)],
         settings(device, frames=2 * FRAMES, fps=FRAMES * OMEGA / (2.0 * np.pi), safety=0.8),
-        pins=[held_root()],
+        pins=[root_pin()],
     )  # fmt: skip
     # Particles know which way a tooth goes: where a node stands says nothing of it.
-    way = (-1.0) ** tooth * np.maximum(0.0, 1.0 - body.X[:, 1] / LENGTH) ** 2
+    deflection = (-1.0) ** tooth * np.maximum(0.0, 1.0 - body.X[:, 1] / LENGTH) ** 2
     nodes = solver.body.stencil
     W = solver.body.rows.combined[:, : nodes.free_count]
     v = np.zeros((nodes.node_count, 3))
-    v[: nodes.free_count, 0] = SPEED * OMEGA * (W.T @ (solver.body.m * way)) / nodes.mass
+    v[: nodes.free_count, 0] = SPEED * OMEGA * (W.T @ (solver.body.m * deflection)) / nodes.mass
     v[nodes.free_count :] = nodes.follow @ v[: nodes.free_count]
     solver.state.load({**solver.state.save(), "v": v})
     ends = [(tooth == k) & (body.X[:, 1] < 1.0) for k in which]
-    t, seen = [], []
-    for time, now in motion(solver):
+    t, results = [], []
+    for time, state in iterate_states(solver):
         t.append(time)
-        moved = now.particles.x[:, 0] - body.X[:, 0]
-        seen.append([np.average(moved[end], weights=body.V0[end]) for end in ends])
-    return np.array(t), list(np.array(seen).T)
+        moved = state.particles.x[:, 0] - body.X[:, 0]
+        results.append([np.average(moved[end], weights=body.V0[end]) for end in ends])
+    return np.array(t), list(np.array(results).T)
 
 
 WHY = (
@@ -88,12 +88,12 @@ WHY = (
 def two_teeth(device: str) -> Iterator[Measure]:
     """Frequency and swing of each tooth over those of the same tooth alone."""
     for gap in GAPS:
-        t, both = swing((0, 1), gap, device)
+        t, pair = swing_teeth((0, 1), gap, device)
         for k in (0, 1):
-            _, (alone,) = swing((k,), gap, device)
+            _, (single,) = swing_teeth((k,), gap, device)
             pairs = {
-                "frequency": [frequency(t, q, OMEGA) for q in (both[k], alone)],
-                "swing": [float(np.ptp(q)) for q in (both[k], alone)],
+                "frequency": [fit_frequency(t, q, OMEGA) for q in (pair[k], single)],
+                "swing": [float(np.ptp(q)) for q in (pair[k], single)],
             }
             for name, (value, target) in pairs.items():
                 yield Measure(

@@ -1,4 +1,4 @@
-"""Even strain: the same in every particle, whatever their places, and the same on the skin."""
+"""The patch test: uniform strain in all particles, and rigid rotation of embedded meshes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gf_usd.core.materials.laws import LAWS
 from gf_usd.geometry.skinning import make_skin
 from gf_usd.physics.total_lagrangian import energies
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import ball, look, put, settings, sphere, virial
+from gf_usd.verify.bodies import ball, mean_stress, preset_material, set_state, settings, sphere
 from gf_usd.verify.case import Case, Measure
 
 A = np.array([[1.35, 0.40, -0.20], [0.10, 0.70, 0.30], [-0.15, 0.25, 1.20]])
@@ -86,13 +86,13 @@ def patch(
     def run(device: str) -> Iterator[Measure]:
         for token in laws:
             body, _ = ball(500)
-            made = look("rubber", body, law=token, damping_time=0.0)
+            material = preset_material("rubber", body, law=token, damping_time=0.0)
             s = settings(device, fps=1e6, substeps=1, followers=False)
-            solver = TotalLagrangian(body, [made], s, real=real)
-            put(solver, solver.body.stencil.node_X @ (A - np.eye(3)).T + SHIFT)
-            P = stress(token, A, made.mu, made.lam)
-            seen, expected = energies.von_mises(solver.body, solver.state), von_mises(P, A)
-            mean = virial(solver)
+            solver = TotalLagrangian(body, [material], s, real=real)
+            set_state(solver, solver.body.stencil.node_X @ (A - np.eye(3)).T + SHIFT)
+            P = stress(token, A, material.mu, material.lam)
+            results, expected = energies.von_mises(solver.body, solver.state), von_mises(P, A)
+            mean = mean_stress(solver)
             eps = "1e-7" if real is np.float32 else "2e-16"
             why = (
                 f"F is a sum of 27 terms rounded to {eps} of displacements over h; the strain is of"
@@ -100,12 +100,12 @@ def patch(
             )
             yield Measure(
                 name=f"{token}.uniform",
-                value=float(np.abs(seen / expected - 1.0).max()),
+                value=float(np.abs(results / expected - 1.0).max()),
                 target=0.0,
                 bound=bound,
                 why=f"worst particle of von Mises / exact - 1: {why}",
             )
-            relaxed = made.mu * s.frame_time / made.parameters.get("viscosity", np.inf)
+            relaxed = material.mu * s.frame_time / material.parameters.get("viscosity", np.inf)
             yield Measure(
                 name=f"{token}.force",
                 value=float(np.abs(mean - P).max() / np.abs(P).max()),
@@ -123,9 +123,9 @@ def turn(device: str) -> Iterator[Measure]:
     body, _ = ball(500)
     skin = sphere()
     solver = TotalLagrangian(
-        body, [look("rubber", body)], settings(device), embedded={"skin": skin.points}
+        body, [preset_material("rubber", body)], settings(device), embedded={"skin": skin.points}
     )
-    put(solver, solver.body.stencil.node_X @ (QUARTER - np.eye(3)).T)
+    set_state(solver, solver.body.stencil.node_X @ (QUARTER - np.eye(3)).T)
     frame = next(iter(solver.frames()))
     exact = skin.points @ QUARTER.T
     why = (

@@ -14,7 +14,7 @@ from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.solvers import make_solver
-from gf_usd.verify.bodies import look, settings, solid_of, sphere
+from gf_usd.verify.bodies import make_solid, preset_material, settings, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Measure
 
 LENGTH, WIDTH = 1.0, 0.2  # [m] of the bar
@@ -22,7 +22,7 @@ ROUNDING = 1e-12
 TRAVEL = 1e-3  # [r]
 
 
-def meshed(mesh: trimesh.Trimesh, path: str) -> Surface:
+def surface_from_mesh(mesh: trimesh.Trimesh, path: str) -> Surface:
     """A mesh of triangles as a surface."""
     triangles = np.asarray(mesh.faces)
     return replace(
@@ -36,17 +36,17 @@ def slanted_bar() -> Surface:
     """A bar that lies across the grid."""
     mesh = trimesh.creation.box((LENGTH, WIDTH, WIDTH))
     mesh.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.5, 0.7))
-    return meshed(mesh, "/Bar")
+    return surface_from_mesh(mesh, "/Bar")
 
 
 def torus() -> Surface:
     """A ring of radius 1 m and thickness .6 m, off the origin."""
     mesh = trimesh.creation.torus(1.0, 0.3)
     mesh.vertices = np.asarray(mesh.vertices) + [0.37, -0.21, 0.11]
-    return meshed(mesh, "/Ring")
+    return surface_from_mesh(mesh, "/Ring")
 
 
-def of_mesh(points: Floats, triangles: Ints) -> tuple[float, Floats, Floats]:
+def mesh_moments(points: Floats, triangles: Ints) -> tuple[float, Floats, Floats]:
     """Volume, first (3,) and second moments (3, 3) of what closed triangles hold.
 
     By tetrahedra to the origin: V = det / 6, V sum p / 4, V (sum p p^T + sum p sum p^T) / 20.
@@ -69,20 +69,20 @@ def quadrature(*counts: int) -> Callable[[str], Iterator[Measure]]:
         )
         bodies = {"ball": sphere(), "bar": slanted_bar(), "torus": torus()}
         for name, surface in bodies.items():
-            solid = solid_of(surface)
-            volume, center, second = of_mesh(*solid.outward(0))
+            solid = make_solid(surface)
+            volume, center, second = mesh_moments(*solid.outward(0))
             size = float(np.linalg.norm(solid.high - solid.low))
             worst = np.zeros(3)
             for count in counts:
-                made = sample_solid(solid, particles=count, spacing=None, seed=0)
-                first, X = made.V0 @ made.X, made.X
-                off = (
-                    abs(made.V0.sum() / volume - 1.0),
+                body = sample_solid(solid, particles=count, spacing=None, seed=0)
+                first, X = body.V0 @ body.X, body.X
+                errors = (
+                    abs(body.V0.sum() / volume - 1.0),
                     np.abs(first - center).max() / (volume * size),
-                    np.abs(np.einsum("n,ni,nj->ij", made.V0, X, X) - second).max()
+                    np.abs(np.einsum("n,ni,nj->ij", body.V0, X, X) - second).max()
                     / (volume * size**2),
                 )
-                worst = np.maximum(worst, off)
+                worst = np.maximum(worst, errors)
             for what, value in zip(("volume", "center", "inertia"), worst):
                 yield Measure(
                     name=f"{name}.{what}", value=float(value), target=0.0, bound=bound, why=why
@@ -91,10 +91,10 @@ def quadrature(*counts: int) -> Callable[[str], Iterator[Measure]]:
             replace(sphere(), path=f"/B{k}", points=sphere().points + [2.37 * k, 0.61 * k, 0.0])
             for k in range(3)
         ]
-        made = sample_solid(
-            solid_of(*balls), particles=3 * 800, spacing=None, seed=0, bodies=np.arange(3)
+        body = sample_solid(
+            make_solid(*balls), particles=3 * 800, spacing=None, seed=0, bodies=np.arange(3)
         )
-        mass = np.bincount(np.asarray(made.body), made.V0)
+        mass = np.bincount(np.asarray(body.body), body.V0)
         yield Measure(
             name="equal-balls", value=float(np.ptp(mass) / mass.mean()), target=0.0,
             bound=ROUNDING,
@@ -116,7 +116,7 @@ def sideways(count: int) -> Callable[[str], Iterator[Measure]]:
     """A body with one mirror plane falls and rebounds: where it goes across the plane."""
 
     def run(device: str) -> Iterator[Measure]:
-        solid = solid_of(pear())
+        solid = make_solid(pear())
         body = sample_solid(solid, particles=count, spacing=None, seed=0)
         T, lowest = time_scale(body.radius), float(solid.low[1])
         s = settings(
@@ -124,7 +124,7 @@ def sideways(count: int) -> Callable[[str], Iterator[Measure]]:
             filter_rate=FILTER_RATE / T, lift=(0.0, 3.0 * body.radius - lowest, 0.0),
         )  # fmt: skip
         solver = make_solver(
-            s, body, [look("rubber", body)], samples=sample_surface(solid, body.spacing),
+            s, body, [preset_material("rubber", body)], samples=sample_surface(solid, body.spacing),
             embedded={"skin": solid.surfaces[0].points},
         )  # fmt: skip
         centers = np.array([frame.health.center for frame in solver.frames()])

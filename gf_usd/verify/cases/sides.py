@@ -1,4 +1,4 @@
-"""The two solvers side by side: the same ball, floor and fall."""
+"""Comparison of the two solvers for a ball that falls on the floor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gf_usd.core.frames import LUMPED
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
-from gf_usd.verify.bodies import ball, look, settings, sphere
+from gf_usd.verify.bodies import ball, preset_material, settings, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Measure
 
 FALL = 3.0  # radii
@@ -40,9 +40,9 @@ def drop(solver: str, particles: int, device: str) -> Drop:
         filter_rate=FILTER_RATE / T, lift=(0.0, 1.0 + FALL, 0.0), solver=solver,
         mass=LUMPED,  # as the other solver has it
     )  # fmt: skip
-    made = [look("rubber", body)]
+    materials = [preset_material("rubber", body)]
     skin = sphere()
-    run = make_solver(s, body, made, samples=samples, embedded={"skin": skin.points})
+    run = make_solver(s, body, materials, samples=samples, embedded={"skin": skin.points})
     heights, sigmas, centers, energies = [], [], [], []
     for frame in run.frames():
         heights.append(np.ptp(frame.embedded["skin"].x[:, 1]))
@@ -88,9 +88,9 @@ def sides(particles: int) -> Callable[[str], Iterator[Measure]]:
             kind=AT_LEAST,
             why="UL loses to APIC in every substep what TL, with its filter's finite rate, keeps",
         )
-        for name, seen in (("tl", tl), ("ul", ul)):
+        for name, results in (("tl", tl), ("ul", ul)):
             yield Measure(
-                name=f"energy.{name}", value=max(0.0, seen.gain - 1.0), target=0.0, bound=1e-3,
+                name=f"energy.{name}", value=max(0.0, results.gain - 1.0), target=0.0, bound=1e-3,
                 why="nothing gives energy to a falling body; Verlet lets it swing by rounding and"
                 " by (w dt)^2 / 4 of what vibrates",
             )  # fmt: skip

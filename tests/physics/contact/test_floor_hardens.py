@@ -12,7 +12,7 @@ from gf_usd.core.frames import Health, SurfaceSamples
 from gf_usd.physics.contact.floor import HARD, STOPPING_DISTANCE
 from gf_usd.physics.time_step import MARGIN
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import cloud, elastic, settings
+from gf_usd.verify.bodies import elastic, particles_at, settings
 
 SPEED = 3.0  # [m/s]
 LATTICE = 0.1  # [m] which is the spacing
@@ -38,7 +38,9 @@ def collide(share: float, frame: float) -> list[Health]:
 
     Its sample stands for `share` of its mass, so that k is so much softer than the impact asks for.
     """
-    body = cloud(np.full((8, 3), 0.5), volume=8.0 * LATTICE**3, lattice=LATTICE, corner=np.zeros(3))
+    body = particles_at(
+        np.full((8, 3), 0.5), volume=8.0 * LATTICE**3, lattice=LATTICE, corner=np.zeros(3)
+    )
     made = elastic(E=1.0, nu=0.0, density=1.0, restitution=1.0, friction=0.0)
     way = body.spacing + 2.0 * np.pi * STOPPING_DISTANCE * body.spacing / np.sqrt(share)
     s = settings(

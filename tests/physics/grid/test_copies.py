@@ -18,7 +18,7 @@ from gf_usd.physics.grid.dependent_nodes import affine_fit
 from gf_usd.physics.grid.embedding import embedded_rows, pose
 from gf_usd.physics.grid.reference import build_stencil
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import ball, block, comb, elastic, put, settings
+from gf_usd.verify.bodies import ball, block, comb, elastic, set_state, settings
 from gf_usd.verify.cases import limbs as case
 
 SPACING, WIDTH, LENGTH, GAP = 0.1, 0.43, 2.2, 0.05
@@ -181,7 +181,7 @@ def test_a_quarter_turn_strains_nothing(fork) -> None:
     particles, skin, _, copy = fork
     solver = swung(particles, skin, copy)
     R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    put(solver, solver.body.stencil.node_X @ (R - np.eye(3)).T)
+    set_state(solver, solver.body.stencil.node_X @ (R - np.eye(3)).T)
     frame = solver.read(0)
     np.testing.assert_allclose(frame.particles.F, np.broadcast_to(R, frame.particles.F.shape),
                                atol=1e-5)  # fmt: skip
@@ -206,7 +206,7 @@ def test_a_pin_in_one_tooth_does_not_hold_the_other(fork) -> None:
 @pytest.mark.parametrize("cells", [2.75, 3.25])
 def test_fits_do_not_reach_across_a_gap_that_nodes_do_not_span(cells) -> None:
     """Their feet in one row: the nodes nearest to a light one may be those of the other limb."""
-    body = case.teeth((0, 1), cells)
+    body = case.comb_particles((0, 1), cells)
     assert body.copies is None
     made = build_stencil(body.X, body.V0, 1.0, body.corner)
     right = body.X[:, 0] > case.WIDTH + 0.5 * cells

@@ -16,7 +16,7 @@ from gf_usd.core.stage import Pin
 from gf_usd.physics.grid import mass as nodal_mass
 from gf_usd.physics.grid.pins import PinnedPoints, axis_factors, mirror_points, pinned_by
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import block, clamp, elastic, mirror_plane, put
+from gf_usd.verify.bodies import block, clamp, elastic, mirror_plane, set_state
 
 E, NU, RHO = 1e4, 0.3, 1000.0  # [Pa], [kg/m^3]
 H = 0.25  # [m] of a cell
@@ -183,7 +183,7 @@ def test_kernels_and_operator_have_the_same_mass_where_axes_have_springs_of_thei
         u = np.zeros((nodes.node_count, 3))
         u[:free] = np.random.default_rng(0).normal(scale=0.01 * H, size=(free, 3))
         u[free:] = nodes.factors * (nodes.follow @ u[:free])
-        put(solver, u)
+        set_state(solver, u)
         solver.advance(1, 1)
         kicks[mass] = solver.state.view().v[:free]
     operator = solver.body.mass

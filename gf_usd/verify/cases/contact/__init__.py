@@ -1,1 +1,1 @@
-"""Contact: friction, Hertz's impact, collisions, a body that meets itself."""
+"""Contact: Coulomb friction, Hertz's impact, collisions and self-contact."""

@@ -1,4 +1,4 @@
-"""Two arms of one body that close on each other: what passes, and what contact gives."""
+"""Self-contact of two closing arms: momentum, energy, released samples and overlap."""
 
 from __future__ import annotations
 
@@ -11,51 +11,53 @@ from gf_usd.core.stage import ContactSetup, Skin
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import comb, look, settings, solid_of
+from gf_usd.verify.bodies import comb, make_solid, preset_material, settings
 from gf_usd.verify.case import Case, Measure
 
-WIDTH, GAP, LENGTH = 0.5, 1.0, 3.0  # [m] of an arm, between the two, and how long they are
-LOOKS = ("rubber", "jelly")
+WIDTH, GAP, LENGTH = 0.5, 1.0, 3.0  # [m] of an arm, between the arms, of an arm
+PRESETS = ("rubber", "jelly")
 FRAMES = 20
-ROUNDING = 1e-5  # of what the two arms carry: float32 sums over some hundred substeps
-OVERLAP, GIVEN = 0.3, 1e-3  # [spacings], and of the kinetic energy at the start
+ROUNDING = 1e-5  # of the momentum of an arm: float32 sums over some hundred substeps
+OVERLAP, MAX_ENERGY_GAIN = 0.3, 1e-3  # [spacings]; of the initial kinetic energy
 
 
-def closing(name: str, speed: float, particles: int, device: str) -> Iterator[Measure]:
-    """Arms of one look whose tips come at each other at a speed [m/s] each."""
+def close_arms(name: str, speed: float, particles: int, device: str) -> Iterator[Measure]:
+    """Arms of one preset whose tips approach each other at a speed [m/s] each."""
     surface = comb(2, WIDTH, GAP, LENGTH, WIDTH, WIDTH)
-    solid = solid_of(surface)
+    solid = make_solid(surface)
     body = sample_solid(solid, particles=particles, spacing=None, seed=0)
-    middle = WIDTH + 0.5 * GAP
+    center = WIDTH + 0.5 * GAP
 
-    def close(X: Floats) -> Floats:
-        toward = np.sign(middle - X[:, 0]) * np.maximum(LENGTH - X[:, 1], 0.0)
+    def closing_velocity(X: Floats) -> Floats:
+        toward = np.sign(center - X[:, 0]) * np.maximum(LENGTH - X[:, 1], 0.0)
         return np.outer(speed / LENGTH * toward, [1.0, 0.0, 0.0])
 
     skin = Skin(points=surface.points, triangles=surface.triangles)
     solver = TotalLagrangian(
-        body, [look(name, body)], settings(device, frames=FRAMES),
-        samples=sample_surface(solid, body.spacing), velocity=close,
+        body, [preset_material(name, body)], settings(device, frames=FRAMES),
+        samples=sample_surface(solid, body.spacing), velocity=closing_velocity,
         contact_setup=ContactSetup(skins=(skin,), self_contact=frozenset({0})),
     )  # fmt: skip
-    seen = [frame.health for frame in solver.frames()]
-    of = f"{name}.{speed:g}.{particles}"
-    p = np.array([h.momentum for h in seen])
+    results = [frame.health for frame in solver.frames()]
+    suffix = f"{name}.{speed:g}.{particles}"
+    p = np.array([h.momentum for h in results])
     yield Measure(
-        name=f"momentum.{of}", value=float(np.abs(p - p[0]).max()) / (seen[0].mass * speed),
+        name=f"momentum.{suffix}", value=float(np.abs(p - p[0]).max()) / (results[0].mass * speed),
         target=0.0, bound=ROUNDING, why="forces of a pair have no sum; float32",
     )  # fmt: skip
     yield Measure(
-        name=f"let-go.{of}", value=float(max(h.let_go for h in seen)), target=0.0, bound=0.0,
+        name=f"let-go.{suffix}", value=float(max(h.let_go for h in results)), target=0.0, bound=0.0,
         unit="samples", why="a sample knows on which side of what it faces it was",
     )  # fmt: skip
-    given = np.cumsum([h.injected for h in seen])
+    energy_gain = np.cumsum([h.injected for h in results])
     yield Measure(
-        name=f"given.{of}", value=max(0.0, float(given.max())) / seen[0].kinetic, target=0.0,
-        bound=GIVEN, why="new planes store what the old ones did; a thousandth is asked for",
+        name=f"given.{suffix}", value=max(0.0, float(energy_gain.max())) / results[0].kinetic,
+        target=0.0,
+        bound=MAX_ENERGY_GAIN,
+        why="new planes store what the old ones did; a thousandth is asked for",
     )  # fmt: skip
     yield Measure(
-        name=f"overlap.{of}", value=max(h.overlap for h in seen) / body.spacing, target=0.0,
+        name=f"overlap.{suffix}", value=max(h.overlap for h in results) / body.spacing, target=0.0,
         bound=OVERLAP, unit="spacings",
         why="no outside truth: surfaces yield a little where bodies are pressed together, and less"
         " than a third of a spacing is asked for",
@@ -67,9 +69,9 @@ def arms(speeds: Sequence[float], counts: Sequence[int]) -> Callable[[str], Iter
 
     def run(device: str) -> Iterator[Measure]:
         for count in counts:
-            for name in LOOKS:
+            for name in PRESETS:
                 for speed in speeds:
-                    yield from closing(name, speed, count, device)
+                    yield from close_arms(name, speed, count, device)
 
     return run
 

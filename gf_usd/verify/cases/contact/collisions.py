@@ -1,4 +1,4 @@
-"""Balls that run into each other: what momentum, angular momentum and energy are kept."""
+"""Collisions of elastic balls: conservation of momentum, angular momentum and energy."""
 
 from __future__ import annotations
 
@@ -103,19 +103,19 @@ def crash(
     setup = ContactSetup(
         skins=tuple(Skin(points=skin.points + at, triangles=skin.triangles) for at in shift)
     )
-    made = elastic(E=YOUNG, nu=POISSON, density=DENSITY, restitution=1.0, friction=friction)
+    material = elastic(E=YOUNG, nu=POISSON, density=DENSITY, restitution=1.0, friction=friction)
     # The gaps, and some contact times (a tenth of a second each).
     seconds = (balls - 1) * ((apart - 2.0) / speed + 0.6)
     frames = 24 * (balls - 1)
     s = settings(device, frames=frames, fps=frames / seconds)
     start = [(speed, 0.0, 0.0)] + [(0.0, 0.0, 0.0)] * (balls - 1)
-    solver = TotalLagrangian(many, [made], s, samples=on, velocity=start, contact_setup=setup)
-    seen = list(solver.frames())
+    solver = TotalLagrangian(many, [material], s, samples=on, velocity=start, contact_setup=setup)
+    results = list(solver.frames())
     m = solver.body.m
     mass = np.bincount(of, m)
-    along = np.bincount(of, m * seen[-1].particles.v[:, 0]) / mass
+    along = np.bincount(of, m * results[-1].particles.v[:, 0]) / mass
     return Crash(
-        speed=speed, health=tuple(f.health for f in seen), velocity=along, mass=mass
+        speed=speed, health=tuple(f.health for f in results), velocity=along, mass=mass
     )  # fmt: skip
 
 
@@ -124,10 +124,10 @@ def copies(X: Floats, shift: Floats) -> Floats:
     return np.concatenate([X + at for at in shift])
 
 
-def kept(name: str, seen: Crash) -> Iterator[Measure]:
+def kept(name: str, results: Crash) -> Iterator[Measure]:
     """What no collision changes."""
     for what, value in (
-        ("momentum", seen.momentum_change), ("angular-momentum", seen.angular_change)
+        ("momentum", results.momentum_change), ("angular-momentum", results.angular_change)
     ):  # fmt: skip
         yield Measure(
             name=f"{what}.{name}", value=value, target=0.0, bound=ROUNDING,
@@ -135,7 +135,7 @@ def kept(name: str, seen: Crash) -> Iterator[Measure]:
             " substeps, 6e-8 each",
         )  # fmt: skip
     yield Measure(
-        name=f"planes.{name}", value=seen.put_in, target=0.0, bound=1e-3,
+        name=f"planes.{name}", value=results.put_in, target=0.0, bound=1e-3,
         why="new contact planes store what the old ones did; a thousandth is what issue 19 allows",
     )  # fmt: skip
 
@@ -145,25 +145,25 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 
     def run(device: str) -> Iterator[Measure]:
         yield from kept("aside", crash(counts[0], 2, device, aside=0.5, friction=0.5))
-        seen = [crash(count, 2, device) for count in counts]
-        yield from kept("head-on", seen[-1])
+        results = [crash(count, 2, device) for count in counts]
+        yield from kept("head-on", results[-1])
         x = tuple(map(float, counts))
         yield Measure(
-            name="energy.head-on", value=seen[-1].total, target=1.0, bound=5e-3,
+            name="energy.head-on", value=results[-1].total, target=1.0, bound=5e-3,
             why="nothing damps: position Verlet's energy swings by up to (w dt)^2 / 4 of what the"
             " stiffest vibrations hold, and those are a hundredth of what rings",
         )  # fmt: skip
-        for count, one in zip(counts, seen):
-            asked = ASKED_FINE if count >= FINE_BALL else ASKED_COARSE
-            last = one is seen[-1]
+        for count, one in zip(counts, results):
+            tolerance = ASKED_FINE if count >= FINE_BALL else ASKED_COARSE
+            last = one is results[-1]
             yield Measure(
                 name=f"restitution.head-on.{count}", value=one.restitution, target=1.0,
-                bound=1.0 - asked, kind=AT_LEAST,
-                why=f"slow balls part as fast as they met but for what rings in them: {asked} is"
-                " what is asked for",
+                bound=1.0 - tolerance, kind=AT_LEAST,
+                why=f"slow balls part as fast as they met but for what rings in them: {tolerance}"
+                " is what is asked for",
                 curve=Curve(
                     title="speed lost by two balls", x_label="particles a ball", y_label="1 - e",
-                    x=x, y=tuple(1.0 - each.restitution for each in seen),
+                    x=x, y=tuple(1.0 - each.restitution for each in results),
                 ) if last else None,
             )  # fmt: skip
             yield Measure(
@@ -175,7 +175,7 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                 curve=Curve(
                     title="energy left ringing in two balls", x_label="particles a ball",
                     y_label="of the energy at the start", x=x,
-                    y=tuple(each.ringing for each in seen),
+                    y=tuple(each.ringing for each in results),
                 ) if last else None,
             )  # fmt: skip
         yield from kept("cradle", crash(counts[0], 3, device))

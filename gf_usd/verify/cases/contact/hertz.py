@@ -1,4 +1,4 @@
-"""Hertz's impact: how long an elastic ball stays on a rigid floor."""
+"""Hertz's impact: contact time and restitution of an elastic ball on a rigid floor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.physics.contact.floor import plane_modulus
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import ball, elastic, motion, settings
+from gf_usd.verify.bodies import ball, elastic, iterate_states, settings
 from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure
 
 YOUNG, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the radius is 1 m
@@ -58,13 +58,13 @@ def impact(
         device, frames=2 * frames, fps=frames / time, floor=0.0,
         floor_normal=tuple(up), lift=tuple(height * up),
     )  # fmt: skip
-    made = elastic(E=YOUNG, nu=nu, density=DENSITY, restitution=1.0, friction=0.0)
-    solver = TotalLagrangian(body, [made], s, samples=samples, velocity=tuple(-v * up))
+    material = elastic(E=YOUNG, nu=nu, density=DENSITY, restitution=1.0, friction=0.0)
+    solver = TotalLagrangian(body, [material], s, samples=samples, velocity=tuple(-v * up))
     begins = float((height + (samples.X @ up).min()) / v)
     touched: list[tuple[float, float]] = []
     speed = -v
     mass = solver.body.stencil.mass
-    for now, state in motion(solver):
+    for now, state in iterate_states(solver):
         speed = float(mass @ (state.v @ up)) / mass.sum()
         if state.contact > 0.0:
             touched.append((now, float(np.sqrt(state.contact))))
@@ -78,10 +78,10 @@ def impact(
 def mean_impact(particles: int, approach: float, nu: float, device: str, frames: int) -> Impact:
     """The mean over the directions of NORMALS."""
     ways = [np.array(up) / np.linalg.norm(up) for up in NORMALS]
-    seen = [impact(particles, approach, nu, up, device, frames) for up in ways]
+    results = [impact(particles, approach, nu, up, device, frames) for up in ways]
     return Impact(
-        time=float(np.mean([one.time for one in seen])),
-        restitution=float(np.mean([one.restitution for one in seen])),
+        time=float(np.mean([one.time for one in results])),
+        restitution=float(np.mean([one.restitution for one in results])),
     )
 
 
@@ -93,14 +93,15 @@ def durations(
     def run(device: str) -> Iterator[Measure]:
         ratios: dict[tuple[float, float], float] = {}
         for approach, nu, bound in given:
-            seen = [mean_impact(n, approach, nu, device, frames) for n in counts]
+            results = [mean_impact(n, approach, nu, device, frames) for n in counts]
             curve = Curve(
                 title=f"contact time over Hertz's, approach {approach:g} R, nu {nu:g}",
                 x_label="particles", y_label="t / t Hertz", x=tuple(map(float, counts)),
-                y=tuple(one.time for one in seen), logarithmic=False, target=1.0,
+                y=tuple(one.time for one in results), logarithmic=False, target=1.0,
             )  # fmt: skip
             yield Measure(
-                name=f"time.{approach:g}R.nu{nu:g}", value=seen[-1].time, target=1.0, bound=bound,
+                name=f"time.{approach:g}R.nu{nu:g}", value=results[-1].time, target=1.0,
+                bound=bound,
                 kind=RELATIVE, curve=curve if len(counts) > 1 else None,
                 why=f"closed form for small strain, which neglects what is of the order approach /"
                 f" R; the contact's radius is"
@@ -108,9 +109,10 @@ def durations(
                 f" compliance the springs stand for; of a frame, {100.0 / frames:g} %, the end of"
                 " the contact is known to a quarter",
             )  # fmt: skip
-            ratios[nu, approach] = seen[-1].time
+            ratios[nu, approach] = results[-1].time
             yield Measure(
-                name=f"restitution.{approach:g}R.nu{nu:g}", value=seen[-1].restitution, target=1.0,
+                name=f"restitution.{approach:g}R.nu{nu:g}", value=results[-1].restitution,
+                target=1.0,
                 bound=0.01, kind=AT_LEAST,
                 why="nothing damps: what is missing rings in the ball, 1e-3 of the energy at a"
                 " speed of .01 c in theory (Hunter 1957), so up to 1 % of the speed",

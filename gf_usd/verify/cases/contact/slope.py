@@ -1,4 +1,4 @@
-"""A block on a slope: it sticks below the angle of friction, and slides as Coulomb says above."""
+"""A block on a slope: sticking below the angle of friction, Coulomb sliding above."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec, Skin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import FPS, GAUSS, block, elastic, motion, settings
+from gf_usd.verify.bodies import FPS, GAUSS, block, elastic, iterate_states, settings
 from gf_usd.verify.case import RELATIVE, Case, Measure
 
 FRICTION = 0.5  # its angle is 26.6 degrees
@@ -50,7 +50,7 @@ def speeds(degrees: float, cells: int, obstacle: bool, device: str, rolling: flo
         gravity=(G0 * np.sin(lean), -G0 * np.cos(lean), 0.0),
         rolling=rolling, settling=rolling > 0.0,
     )  # fmt: skip
-    made = elastic(
+    material = elastic(
         E=1e6, nu=0.3, density=1000.0, friction=FRICTION, restitution=0.1, damping_time=0.01
     )
     body = block(np.zeros(3), (cells,) * 3, 1.0 / cells, places=GAUSS)
@@ -58,10 +58,10 @@ def speeds(degrees: float, cells: int, obstacle: bool, device: str, rolling: flo
     floor = np.array([[0, 4, 5], [0, 5, 1]])  # nobody faces the block: a part of its skin will do
     setup = ContactSetup(skins=(Skin(points=cube, triangles=floor),), colliders=(plane(),))
     solver = TotalLagrangian(
-        body, [made], s, samples=base(cells), contact_setup=setup if obstacle else None
+        body, [material], s, samples=base(cells), contact_setup=setup if obstacle else None
     )
     m = solver.body.stencil.mass
-    return np.array([m @ now.v[:, 0] / m.sum() for _, now in motion(solver)])
+    return np.array([m @ now.v[:, 0] / m.sum() for _, now in iterate_states(solver)])
 
 
 def friction(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:

@@ -1,1 +1,1 @@
-"""Elastic bodies against closed forms and finite elements."""
+"""Elastic bodies, compared with closed-form and finite element solutions."""

@@ -1,6 +1,6 @@
-"""A bar that is fixed at one end and free at the other: its first longitudinal vibration.
+"""The first longitudinal vibration of a bar with one fixed end.
 
-A block that falls under its own weight while its top face is held: large, fast stretch.
+Also large, fast stretch: a block with a fixed top face under its own weight.
 """
 
 from __future__ import annotations
@@ -11,8 +11,17 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, MIDDLE, block, clamp, elastic, motion, settings
-from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, frequency, lowest, order
+from gf_usd.verify.bodies import GAUSS, MIDDLE, block, clamp, elastic, iterate_states, settings
+from gf_usd.verify.case import (
+    AT_LEAST,
+    RELATIVE,
+    Case,
+    Curve,
+    Measure,
+    convergence_order,
+    fit_frequency,
+    interpolate_minimum,
+)
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the bar is 1 m long
 EXACT = 0.5 * np.pi * np.sqrt(E / DENSITY)  # [rad/s]
@@ -37,10 +46,10 @@ def first_mode(cells: int, device: str, places: Floats = MIDDLE) -> float:
     # The part of the motion that has the shape of the mode.
     shape = np.sin(0.5 * np.pi * body.X[:, 0])
     times, amplitudes = [], []
-    for time, now in motion(solver):
+    for time, now in iterate_states(solver):
         times.append(time)
         amplitudes.append(shape @ (now.particles.x - body.X)[:, 0] / (shape @ shape))
-    return frequency(np.array(times), np.array(amplitudes), EXACT)
+    return fit_frequency(np.array(times), np.array(amplitudes), EXACT)
 
 
 def bar(*cells: int) -> Callable[[str], Iterator[Measure]]:
@@ -60,7 +69,7 @@ def bar(*cells: int) -> Callable[[str], Iterator[Measure]]:
             " as much again for the pin",
         )  # fmt: skip
         yield Measure(
-            name="order", value=order(h, error), target=2.0, bound=0.1, kind=AT_LEAST,
+            name="order", value=convergence_order(h, error), target=2.0, bound=0.1, kind=AT_LEAST,
             why="quadratic splines and a pin that mirrors across its boundary; coarse grids"
             " show a little of the next order",
             curve=Curve(
@@ -108,10 +117,10 @@ def stretch(cells: int, device: str) -> tuple[float, float]:
     """
     h = 1.0 / cells
     body = block((-0.5, -1.0, -0.5), (cells, 2 * cells, cells), h, places=GAUSS)
-    made = elastic(E=VERTICAL_E, nu=NU, density=VERTICAL_DENSITY, law="neoHookean")
+    material = elastic(E=VERTICAL_E, nu=NU, density=VERTICAL_DENSITY, law="neoHookean")
     s = settings(device, frames=FRAMES + 1, fps=FRAMES / END)
     corner = np.array([[x, -1.0, z] for x in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    solver = TotalLagrangian(body, [made], s, embedded={"corner": corner})
+    solver = TotalLagrangian(body, [material], s, embedded={"corner": corner})
     # Weight at the particles, brought to the nodes: those at the plane hang on both halves.
     pull = np.zeros((len(body), 3))
     pull[:, 1] = solver.body.m * np.where(body.X[:, 1] < 0.0, -G, G)
@@ -120,7 +129,7 @@ def stretch(cells: int, device: str) -> tuple[float, float]:
     for frame in solver.frames():
         times.append(frame.time)
         tips.append(float((frame.embedded["corner"].x - corner)[:, 1].mean()))
-    return lowest(np.array(times), np.array(tips))
+    return interpolate_minimum(np.array(times), np.array(tips))
 
 
 def hang(*cells: int) -> Callable[[str], Iterator[Measure]]:

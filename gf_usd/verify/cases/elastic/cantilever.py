@@ -1,7 +1,7 @@
-"""A slender beam bent far by a dead load at its end: Euler's elastica.
+"""Euler's elastica: large bending of a slender beam by a dead load at its end.
 
-The load is applied slowly and the motion damped critically, so that the beam is at rest whenever
-its tip is read; how fast and with which mass does not matter then.
+The load is applied slowly and the motion is critically damped, so that the beam is at rest when its
+tip is measured; the result depends on neither the rate nor the mass.
 """
 
 from __future__ import annotations
@@ -108,12 +108,12 @@ def elastica(
     """Deflection and shortening next to those of the elastica."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = bend(beam, loads, device)
+        results = bend(beam, loads, device)
         curve = Curve(
             title="elastica, deflection of the tip", x_label="P L^2 / E I", y_label="w / L",
-            x=tuple(loads), y=tuple(w for w, _ in seen), logarithmic=False,
+            x=tuple(loads), y=tuple(w for w, _ in results), logarithmic=False,
         )  # fmt: skip
-        for load, figures in zip(loads, seen):
+        for load, figures in zip(loads, results):
             for name, value, target in zip("wu", figures, ELASTICA[load]):
                 yield Measure(
                     name=f"{name}.{load:g}", value=value, target=target, bound=bound,

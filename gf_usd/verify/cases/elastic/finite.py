@@ -1,4 +1,4 @@
-"""A solution made up beforehand with large strain, shear and rotation, and the forces it needs.
+"""Method of manufactured solutions with large strain, shear and rotation.
 
     x = R(t) (X + w),    w_a = G (sin(pi X_a) s_a + sin(pi X_b + .7) s_b),
     s_a = sin(c pi t + phi_a)
@@ -22,8 +22,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.materials.material import Material
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, block, elastic, put, settings
-from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, order
+from gf_usd.verify.bodies import GAUSS, block, elastic, set_state, settings
+from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, convergence_order
 from gf_usd.verify.cases.elastic.manufactured import faces
 
 E, NU, DENSITY, G = 1e6, 0.3, 1000.0, 0.12  # [Pa], -, [kg/m^3], [m]
@@ -74,20 +74,20 @@ def gradient(X: Any, t: float) -> Any:
     return rotation(t) @ F
 
 
-def stress(X: Any, t: float, made: Material) -> Any:
+def stress(X: Any, t: float, material: Material) -> Any:
     """P (n, 3, 3) [Pa] = mu (F - F^-T) + lam ln J F^-T."""
     F = gradient(X, t)
     inverse = np.linalg.inv(F).swapaxes(1, 2)
     log_J = np.log(np.linalg.det(F))[:, None, None]
-    return made.mu * (F - inverse) + made.lam * log_J * inverse
+    return material.mu * (F - inverse) + material.lam * log_J * inverse
 
 
-def body_force(X: Floats, t: float, made: Material) -> Floats:
+def body_force(X: Floats, t: float, material: Material) -> Floats:
     """b (n, 3) [m/s^2]."""
     divergence = np.zeros_like(X)
     for axis in range(3):
         aside = X + 1j * TINY * np.eye(3)[axis]
-        divergence += np.imag(stress(aside, t, made)[:, :, axis]) / TINY
+        divergence += np.imag(stress(aside, t, material)[:, :, axis]) / TINY
     return acceleration(X, t) - divergence / DENSITY
 
 
@@ -95,23 +95,23 @@ def error(cells: int, device: str) -> float:
     """Largest L2 error of the particles over half a period, in units of G."""
     h = 1.0 / cells
     body = block(-0.5 * np.ones(3), [cells] * 3, h, places=GAUSS)
-    made = elastic(E=E, nu=NU, density=DENSITY, law="neoHookean")
+    material = elastic(E=E, nu=NU, density=DENSITY, law="neoHookean")
     # A substep a frame, so that forces change with every substep.
-    steps = int(np.ceil(END * 4.0 * STIFFER * made.wave_speed / h))
+    steps = int(np.ceil(END * 4.0 * STIFFER * material.wave_speed / h))
     solver = TotalLagrangian(
-        body, [made], settings(device, frames=steps + 1, fps=steps / END, substeps=1),
+        body, [material], settings(device, frames=steps + 1, fps=steps / END, substeps=1),
         real=np.float64,
     )  # fmt: skip
     X, normals = faces(cells)
     inner, outer = solver.body.rows.combined.T, solver.body.stencil.rows(X).W.T
     patch = 0.25 * h * h  # [m^2] a Gauss point stands for
     nodes = solver.body.stencil.node_X
-    put(solver, place(nodes, 0.0) - nodes, velocity(nodes, 0.0))
+    set_state(solver, place(nodes, 0.0) - nodes, velocity(nodes, 0.0))
     worst = 0.0
     for index in range(1, steps + 1):
         t = solver.state.time + 0.5 * solver.frame_time  # forces act in the middle of a step
-        f = inner @ (solver.body.m[:, None] * body_force(body.X, t, made))
-        f += outer @ (patch * np.einsum("nij,nj->ni", stress(X, t, made), normals))
+        f = inner @ (solver.body.m[:, None] * body_force(body.X, t, material))
+        f += outer @ (patch * np.einsum("nij,nj->ni", stress(X, t, material), normals))
         solver.state.accelerate(solver.body.mass.acceleration(f))
         solver.advance(index, 1)
         u = solver.body.rows.combined @ solver.state.view().u + solver.state.offset
@@ -138,7 +138,7 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
         h = 1.0 / np.array(cells)
         low, high = largest_stretches()
         yield Measure(
-            name="order", value=order(h, errors), target=2.0, bound=0.15, kind=AT_LEAST,
+            name="order", value=convergence_order(h, errors), target=2.0, bound=0.15, kind=AT_LEAST,
             why="quadratic splines and the step, a fixed share of h / c, are of second order;"
             f" stretches are {low:.2f} to {high:.2f}, and of a wave of 2 m the next order shows on"
             " coarse grids: C h^2 (1 - h) has the order 2 - h / (1 - h), 1.85 for h = 1/8 m",

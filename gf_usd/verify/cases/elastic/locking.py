@@ -1,8 +1,8 @@
-"""Nearly incompressible material: is bending too stiff?
+"""Locking: bending stiffness of nearly incompressible material.
 
-The first bending vibration of a free beam tells its modulus; that is how moduli of real bars are
-measured.  The formula of the standard for it (ASTM E1876) is up to .4 % off at nu = .49, more than
-the solver: the target is the frequency of the beam as a body of three dimensions.
+The first bending vibration of a free beam determines its modulus, as in measurements of real bars.
+The formula of the standard (ASTM E1876) has errors up to .4 % at nu = .49, more than the solver;
+the reference is the frequency of the three-dimensional beam (`ritz.py`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import block, elastic, motion, settings
-from gf_usd.verify.case import Case, Curve, Measure, frequency
+from gf_usd.verify.bodies import block, elastic, iterate_states, settings
+from gf_usd.verify.case import Case, Curve, Measure, fit_frequency
 from gf_usd.verify.ritz import bending_frequency
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the beam is 1 m long
@@ -53,15 +53,15 @@ def bending(nu: float, cells: int, periods: float, device: str) -> float:
         v = np.stack([-(X[:, 1] - middle) * slope, value, np.zeros(len(X))], 1)
         return AMPLITUDE * expected * v
 
-    made = elastic(E=E, nu=nu, density=DENSITY)
-    solver = TotalLagrangian(body, [made], s, velocity=mode)
+    material = elastic(E=E, nu=nu, density=DENSITY)
+    solver = TotalLagrangian(body, [material], s, velocity=mode)
     w = shape(body.X[:, 0])[0]
     w = w - w.mean()
     times, amplitudes = [], []
-    for time, now in motion(solver):
+    for time, now in iterate_states(solver):
         times.append(time)
         amplitudes.append(w @ (now.particles.x - body.X)[:, 1] / (w @ w))
-    return frequency(np.array(times), np.array(amplitudes), expected)
+    return fit_frequency(np.array(times), np.array(amplitudes), expected)
 
 
 def locking(

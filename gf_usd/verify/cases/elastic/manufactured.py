@@ -1,4 +1,4 @@
-"""A solution made up beforehand, and the forces that it needs.
+"""Method of manufactured solutions with small strain.
 
     u_a = G sin(pi X_a) sin(c pi t + phi_a),   c = sqrt(E / rho),   a = x, y, z
 
@@ -16,8 +16,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.materials.material import Material
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, block, elastic, put, settings
-from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, order
+from gf_usd.verify.bodies import GAUSS, block, elastic, set_state, settings
+from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, convergence_order
 
 E, NU, DENSITY, G = 1e7, 0.3, 1000.0, 1e-4  # [Pa], -, [kg/m^3], [m]
 RATE = np.pi * np.sqrt(E / DENSITY)  # [rad/s]
@@ -28,8 +28,8 @@ PERIODS = 0.5
 class Solution:
     """The closed form for a material."""
 
-    def __init__(self, made: Material) -> None:
-        self.mu, self.lam = made.mu, made.lam
+    def __init__(self, material: Material) -> None:
+        self.mu, self.lam = material.mu, material.lam
 
     def u(self, X: Floats, t: float) -> Floats:
         """(n, 3) [m]."""
@@ -73,17 +73,19 @@ def error(cells: int, device: str) -> float:
     """Largest L2 error of the particles over half a period, in units of G."""
     h = 1.0 / cells
     body = block(-0.5 * np.ones(3), [cells] * 3, h, places=GAUSS)
-    made = elastic(E=E, nu=NU, density=DENSITY, law="neoHookean")
-    exact = Solution(made)
+    material = elastic(E=E, nu=NU, density=DENSITY, law="neoHookean")
+    exact = Solution(material)
     period = 2.0 * np.pi / RATE
     # A substep a frame, so that forces change with every substep.
-    steps = int(np.ceil(PERIODS * period * 4.0 * made.wave_speed / h))
+    steps = int(np.ceil(PERIODS * period * 4.0 * material.wave_speed / h))
     s = settings(device, frames=steps + 1, fps=steps / (PERIODS * period), substeps=1)
     X, normals = faces(cells)
-    solver = TotalLagrangian(body, [made], s, real=np.float64)
+    solver = TotalLagrangian(body, [material], s, real=np.float64)
     inner, outer = solver.body.rows.combined.T, solver.body.stencil.rows(X).W.T
     patch = 0.25 * h * h  # [m^2] a Gauss point stands for
-    put(solver, exact.u(solver.body.stencil.node_X, 0.0), exact.v(solver.body.stencil.node_X, 0.0))
+    set_state(
+        solver, exact.u(solver.body.stencil.node_X, 0.0), exact.v(solver.body.stencil.node_X, 0.0)
+    )
     worst = 0.0
     for index in range(1, steps + 1):
         t = solver.state.time + 0.5 * solver.frame_time  # forces act in the middle of a step
@@ -104,7 +106,7 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
         errors = np.array([error(n, device) for n in cells])
         h = 1.0 / np.array(cells)
         yield Measure(
-            name="slope", value=order(h, errors), target=2.0, bound=0.15, kind=AT_LEAST,
+            name="slope", value=convergence_order(h, errors), target=2.0, bound=0.15, kind=AT_LEAST,
             why="quadratic splines with traction at their edges are second order in h, and so is"
             " the step, which is a fixed share of h / c; edge nodes that follow others cost a"
             " little",

@@ -1,4 +1,4 @@
-"""Bodies that do not lie along the grid, filled as in a bake: cells at the surface are cut.
+"""Vibrations of bodies with cut cells at the surface, sampled as in a bake.
 
 A free bar of length L with nu = 0, across the grid, vibrates along itself:
 
@@ -24,8 +24,8 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Particles
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import elastic, motion, settings, solid_of, sphere
-from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, frequency, order
+from gf_usd.verify.bodies import elastic, iterate_states, make_solid, settings, sphere
+from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, convergence_order, fit_frequency
 from gf_usd.verify.cases.sampling import LENGTH, WIDTH, slanted_bar
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]
@@ -39,22 +39,24 @@ Field = Callable[[Floats], Floats]  # places (n, 3) -> (n, 3)
 
 def vibration(body: Particles, nu: float, mode: Field, exact: float, device: str) -> float:
     """w / exact - 1 of a body that starts with the velocity of a mode, of size one."""
-    made = elastic(E=E, nu=nu, density=DENSITY)
+    material = elastic(E=E, nu=nu, density=DENSITY)
     s = settings(
         device, frames=PERIODS * SAMPLES + 1, fps=SAMPLES * exact / (2.0 * np.pi), safety=0.25
     )
-    speed = SPEED * made.wave_speed
-    solver = TotalLagrangian(body, [made], s, velocity=lambda X: speed * mode(X))
+    speed = SPEED * material.wave_speed
+    solver = TotalLagrangian(body, [material], s, velocity=lambda X: speed * mode(X))
     shape = body.V0[:, None] * mode(body.X)
-    seen = [(t, float((shape * (now.particles.x - body.X)).sum())) for t, now in motion(solver)]
-    t, q = np.transpose(seen)
-    return frequency(t, q, exact) / exact - 1.0
+    results = [
+        (t, float((shape * (now.particles.x - body.X)).sum())) for t, now in iterate_states(solver)
+    ]
+    t, q = np.transpose(results)
+    return fit_frequency(t, q, exact) / exact - 1.0
 
 
 def along(particles: int, device: str) -> tuple[float, float]:
     """Error of the frequency of the bar, and h over its thickness."""
     surface = slanted_bar()
-    body = sample_solid(solid_of(surface), particles=particles, spacing=None, seed=0)
+    body = sample_solid(make_solid(surface), particles=particles, spacing=None, seed=0)
     spread = surface.points - surface.points.mean(0)
     way = np.linalg.svd(spread, full_matrices=False)[2][0]
     wave = np.pi / LENGTH
@@ -107,13 +109,13 @@ def breathing(a: float, b: float, ratio: float) -> tuple[float, Callable[[Floats
 
 def breathe(particles: int, device: str) -> tuple[float, float, float]:
     """Error of the frequency of the hollow sphere, (k h)^2 / 8, and h over its wall."""
-    solid = solid_of(hollow())
+    solid = make_solid(hollow())
     body = sample_solid(solid, particles=particles, spacing=None, seed=0)
     # Radii of the same volume: facets lie under the spheres.
     b = float(np.cbrt(3.0 * body.V0.sum() / (4.0 * np.pi * (1.0 - (INNER / OUTER) ** 3))))
     a = b * INNER / OUTER
-    made = elastic(E=E, nu=NU, density=DENSITY)
-    k, u = breathing(a, b, made.lam / (made.lam + 2.0 * made.mu))
+    material = elastic(E=E, nu=NU, density=DENSITY)
+    k, u = breathing(a, b, material.lam / (material.lam + 2.0 * material.mu))
 
     def mode(X: Floats) -> Floats:
         r = np.linalg.norm(X, axis=1)
@@ -121,7 +123,7 @@ def breathe(particles: int, device: str) -> tuple[float, float, float]:
         return (u(near) / near)[:, None] * X
 
     h = 2.0 * body.lattice
-    error = vibration(body, NU, mode, k * made.wave_speed, device)
+    error = vibration(body, NU, mode, k * material.wave_speed, device)
     return error, (k * h) ** 2 / 8.0, h / (b - a)
 
 
@@ -131,7 +133,7 @@ def bar(*counts: int) -> Callable[[str], Iterator[Measure]]:
     def run(device: str) -> Iterator[Measure]:
         error, h = np.transpose([along(n, device) for n in counts])
         yield Measure(
-            name="order", value=order(h, error), target=2.0, bound=0.15, kind=AT_LEAST,
+            name="order", value=convergence_order(h, error), target=2.0, bound=0.15, kind=AT_LEAST,
             why="quadratic splines, and the moments of cut cells up to the second: of the order two"
             f" or better; from {1.0 / h[0]:.1f} to {1.0 / h[-1]:.1f} cells through the thickness,"
             " where the order itself scatters with how the surface cuts the cells",

@@ -1,4 +1,4 @@
-"""Rods thinner than a cell of the grid, filled as in a bake: they bend as beams do.
+"""Bending vibration of rods thinner than a grid cell, sampled as in a bake.
 
 The lowest vibration of a free slender rod of length L, k L = 4.730 (Timoshenko 1928, section 55):
 
@@ -20,9 +20,9 @@ from scipy.optimize import root_scalar
 from gf_usd.core.arrays import Floats
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import elastic, motion, settings, solid_of
-from gf_usd.verify.case import RELATIVE, Case, Measure, frequency
-from gf_usd.verify.cases.sampling import meshed
+from gf_usd.verify.bodies import elastic, iterate_states, make_solid, settings
+from gf_usd.verify.case import RELATIVE, Case, Measure, fit_frequency
+from gf_usd.verify.cases.sampling import surface_from_mesh
 
 E, NU, DENSITY = 1e6, 0.3, 1000.0  # [Pa], -, [kg/m^3]
 THICKNESS, SLENDER = 1.0, 24.0  # [m], and the length over it
@@ -48,7 +48,10 @@ def bending(across: float, tilted: bool, device: str) -> float:
     mesh.apply_transform(turn)
     along, _, up = turn[:3, :3].T
     body = sample_solid(
-        solid_of(meshed(mesh, "/Rod")), particles=None, spacing=THICKNESS / across, seed=0
+        make_solid(surface_from_mesh(mesh, "/Rod")),
+        particles=None,
+        spacing=THICKNESS / across,
+        seed=0,
     )
     radius = THICKNESS / np.sqrt(12.0)
     exact = (KL / (SLENDER * THICKNESS)) ** 2 * float(np.sqrt(E / DENSITY)) * radius
@@ -65,9 +68,11 @@ def bending(across: float, tilted: bool, device: str) -> float:
     )
     solver = TotalLagrangian(body, [elastic(E=E, nu=NU, density=DENSITY)], s, velocity=start)
     weight = body.V0 * shape(body.X @ along)
-    seen = [(t, float(weight @ ((now.particles.x - body.X) @ up))) for t, now in motion(solver)]
-    t, q = np.transpose(seen)
-    return frequency(t, q, exact) / exact
+    results = [
+        (t, float(weight @ ((now.particles.x - body.X) @ up))) for t, now in iterate_states(solver)
+    ]
+    t, q = np.transpose(results)
+    return fit_frequency(t, q, exact) / exact
 
 
 def rods(*across: float) -> Callable[[str], Iterator[Measure]]:

@@ -1,4 +1,4 @@
-"""Free vibrations and inertia of a body that nothing holds: what the mass matrix decides.
+"""Free vibrations and rotational inertia of unconstrained bodies, which test the mass matrix.
 
 Lamb's vibrations of an elastic sphere of radius R, waves of shear at c_s and of pressure at c_p
 (Lamb 1882; Love 1944, sections 194 to 196).  With j_l the spherical Bessel functions:
@@ -24,8 +24,8 @@ from scipy.special import eval_legendre, spherical_jn
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, ball, block, elastic, motion, settings, sphere
-from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, frequency, order
+from gf_usd.verify.bodies import GAUSS, ball, block, elastic, iterate_states, settings, sphere
+from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, convergence_order, fit_frequency
 
 NU, E, DENSITY = 0.25, 1e6, 1000.0  # -, [Pa], [kg/m^3]
 AMPLITUDE = 1e-3  # largest velocity over c_s: strains stay linear to 1e-3
@@ -47,7 +47,7 @@ class Mode:
 
     name: str
     degree: int  # l, of a torsional one; 0: radial
-    asked: float  # largest error of its frequency at 8000 particles
+    tolerance: float  # largest error of its frequency at 8000 particles
 
     @property
     def root(self) -> float:
@@ -89,22 +89,22 @@ def sphere_of(particles: int) -> Particles:
 def lamb_error(mode: Mode, particles: int, device: str) -> tuple[float, float]:
     """w / w_Lamb - 1, and h / R."""
     body = sphere_of(particles)
-    made = elastic(E=E, nu=NU, density=DENSITY)
-    R, shear = body.radius, float(np.sqrt(made.mu / DENSITY))
+    material = elastic(E=E, nu=NU, density=DENSITY)
+    R, shear = body.radius, float(np.sqrt(material.mu / DENSITY))
     exact = mode.root * shear / R
     s = settings(
         device, frames=PERIODS * SAMPLES + 1, fps=SAMPLES * exact / (2.0 * np.pi), safety=0.25
     )
     middle = (body.V0 @ body.X) / body.V0.sum()
     solver = TotalLagrangian(
-        body, [made], s, velocity=lambda X: AMPLITUDE * shear * mode.shape(X - middle, R)
+        body, [material], s, velocity=lambda X: AMPLITUDE * shear * mode.shape(X - middle, R)
     )
     shape = mode.shape(body.X - middle, R)
     times, amplitudes = [], []
-    for time, now in motion(solver):
+    for time, now in iterate_states(solver):
         times.append(time)
         amplitudes.append(float((shape * (now.particles.x - body.X)).sum()))
-    w = frequency(np.array(times), np.array(amplitudes), exact)
+    w = fit_frequency(np.array(times), np.array(amplitudes), exact)
     return w / exact - 1.0, solver.body.h / R
 
 
@@ -116,7 +116,7 @@ def lamb(*counts: int) -> Callable[[str], Iterator[Measure]]:
             found = np.array([lamb_error(mode, n, device) for n in counts])
             error, h = found[:, 0], found[:, 1]
             yield Measure(
-                name=mode.name, value=1.0 + float(error[-1]), target=1.0, bound=mode.asked,
+                name=mode.name, value=1.0 + float(error[-1]), target=1.0, bound=mode.tolerance,
                 why=f"what is asked for of a sphere of 8000 particles, here {counts[-1]}",
                 curve=Curve(
                     title=f"free sphere, error of {mode.name}", x_label="h / R", y_label="error",
@@ -125,7 +125,8 @@ def lamb(*counts: int) -> Callable[[str], Iterator[Measure]]:
             )  # fmt: skip
             if len(h) > 2 and mode.degree:
                 yield Measure(
-                    name=f"order.{mode.name}", value=order(h, error), target=2.0, bound=0.15,
+                    name=f"order.{mode.name}", value=convergence_order(h, error), target=2.0,
+                    bound=0.15,
                     kind=AT_LEAST,
                     why="of second order or better: cut cells are integrated up to the second"
                     " moments; from two counts to the next the order scatters",
@@ -134,7 +135,7 @@ def lamb(*counts: int) -> Callable[[str], Iterator[Measure]]:
     return run
 
 
-ASKED = 1e-3  # of the inertia
+TOLERANCE_OF_INERTIA = 1e-3  # of the inertia
 SPINS = np.eye(3)  # [rad/s] about each axis in turn
 
 
@@ -144,9 +145,9 @@ def spun(body: Particles, spin: Floats, device: str) -> tuple[float, float]:
     spin : [rad/s] of size one, about the middle of the particles.
     """
     middle = (body.V0 @ body.X) / body.V0.sum()
-    made = elastic(E=E, nu=NU, density=DENSITY)
+    material = elastic(E=E, nu=NU, density=DENSITY)
     solver = TotalLagrangian(
-        body, [made], settings(device), velocity=lambda X: np.cross(spin, X - middle)
+        body, [material], settings(device), velocity=lambda X: np.cross(spin, X - middle)
     )
     health = solver.read(0).health
     return health.kinetic, 0.5 * float(np.dot(health.angular_momentum, spin))
@@ -161,7 +162,7 @@ def inertia(*counts: int) -> Callable[[str], Iterator[Measure]]:
         closed = 0.5 * DENSITY * sides.prod() * ((sides**2).sum() - sides**2) / 12.0
         ratio = np.array([spun(box, w, device) for w in SPINS]) / closed[:, None]
         yield Measure(
-            name="box", value=off_most(ratio), target=1.0, bound=ASKED,
+            name="box", value=off_most(ratio), target=1.0, bound=TOLERANCE_OF_INERTIA,
             why="what is asked for, of a box of 4 x 3 x 2 cells of Gauss points, which have its"
             " inertia m (a^2 + b^2) / 12; the row sums would have 1 + 6 h^2 / (a^2 + b^2), up to"
             " 1.46",
@@ -176,7 +177,7 @@ def inertia(*counts: int) -> Callable[[str], Iterator[Measure]]:
             ratios.append(off_most(of_nodes / own[:, None]))
             h.append(2.0 * body.lattice / body.radius)
         yield Measure(
-            name="ball", value=ratios[0], target=1.0, bound=ASKED,
+            name="ball", value=ratios[0], target=1.0, bound=TOLERANCE_OF_INERTIA,
             why=f"what is asked for, of a ball of {counts[0]} particles against the polyhedron that"
             " they fill; the row sums would have 1 + 5/4 (h / R)^2",
             curve=Curve(

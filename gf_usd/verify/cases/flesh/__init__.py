@@ -1,1 +1,1 @@
-"""Flesh: springs, driven parts, and rigid ones."""
+"""Flesh: goal springs, driven parts and rigid regions."""

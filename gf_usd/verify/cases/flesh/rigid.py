@@ -1,4 +1,4 @@
-"""Rigid regions: a bar with a rigid end, and a body that turns freely."""
+"""Rigid regions: a bar with a rigid end mass, and free rotation of a rigid body."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import boxes, clamp, elastic, settings
-from gf_usd.verify.case import ABSOLUTE, RELATIVE, Case, Measure, frequency
-from gf_usd.verify.cases.flesh.driven import FIRM
+from gf_usd.verify.bodies import box_particles, clamp, elastic, settings
+from gf_usd.verify.case import ABSOLUTE, RELATIVE, Case, Measure, fit_frequency
+from gf_usd.verify.cases.flesh.driven import CORE_OFFSET
 
 E_BAR, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]
 PERIODS, SAMPLES = 3, 40  # and samples of each
 
 
-def beyond(axis: int, at: float) -> Pin:
+def rigid_region(axis: int, at: float) -> Pin:
     """The rigid region above a coordinate [m]."""
     plain = clamp(axis, at)
     return replace(plain, inside=lambda X: X[:, axis] > at, sharp=False, rigid=True)
 
 
-def halves(bounds: list[tuple[Floats, Floats]], h: float, at: float) -> Particles:
+def flesh_and_rigid_boxes(bounds: list[tuple[Floats, Floats]], h: float, at: float) -> Particles:
     """Boxes of flesh, material 0, below x = at [m], and of a rigid region, material 1."""
-    made = boxes(bounds, h, np.zeros(3))
-    return replace(made, material=(made.X[:, 0] > at).astype(np.int64))
+    body = box_particles(bounds, h, np.zeros(3))
+    return replace(body, material=(body.X[:, 0] > at).astype(np.int64))
 
 
 def swing(times: float, cells: int, device: str) -> tuple[float, float]:
@@ -41,10 +41,10 @@ def swing(times: float, cells: int, device: str) -> tuple[float, float]:
     root: Any = brentq(lambda b: b * np.tan(b) - 1.0 / times, 1e-6, np.pi / 2 - 1e-6)
     beta = float(root)
     # The last node of the flesh's side that the region takes lies FIRM cells before the boundary.
-    h = 1.0 / (cells + 0.5 + FIRM)
+    h = 1.0 / (cells + 0.5 + CORE_OFFSET)
     wide = 2.0 * h
     ends = np.array([[0.0, 0.0, 0.0], [1.0, wide, wide], [1.0, 0.0, 0.0], [2.0, wide, wide]])
-    body = halves([(ends[0], ends[1]), (ends[2], ends[3])], h, 1.0)
+    body = flesh_and_rigid_boxes([(ends[0], ends[1]), (ends[2], ends[3])], h, 1.0)
     c = np.sqrt(E_BAR / DENSITY)
     fps = SAMPLES * beta * c / (2.0 * np.pi)
     table = [elastic(E=E_BAR, nu=0.0, density=rho) for rho in (DENSITY, times * DENSITY)]
@@ -54,11 +54,11 @@ def swing(times: float, cells: int, device: str) -> tuple[float, float]:
 
     solver = TotalLagrangian(
         body, table, settings(device, frames=PERIODS * SAMPLES + 1, fps=fps), velocity=mode,
-        pins=[clamp(0, 0.0), beyond(0, 1.0)], embedded={"end": np.array([[1.5, h, h]])},
+        pins=[clamp(0, 0.0), rigid_region(0, 1.0)], embedded={"end": np.array([[1.5, h, h]])},
     )  # fmt: skip
-    seen = [(frame.time, frame.embedded["end"].x[0, 0] - 1.5) for frame in solver.frames()]
-    t, u = np.array(seen).T
-    return frequency(t, u, beta * c) / c, beta
+    results = [(frame.time, frame.embedded["end"].x[0, 0] - 1.5) for frame in solver.frames()]
+    t, u = np.array(results).T
+    return fit_frequency(t, u, beta * c) / c, beta
 
 
 def loaded(cells: int) -> Callable[[str], Iterator[Measure]]:
@@ -78,27 +78,27 @@ def loaded(cells: int) -> Callable[[str], Iterator[Measure]]:
 SPIN, SECONDS, EDGE = np.array([0.3, 4.0, 0.2]), 3.0, 0.2  # [1/s] nearly about the middle axis
 
 
-def reference(moments: Floats, omega: Floats, times: Floats) -> NDArray[np.float64]:
+def euler_rotations(moments: Floats, omega: Floats, times: Floats) -> NDArray[np.float64]:
     """(T, 3, 3) rotations of a body with principal moments along x, y, z, by Euler's equations."""
 
     def rate(_: float, y: Floats) -> Floats:
         w, q = y[:3], y[3:]
-        turn = np.array([
+        rotations = np.array([
             [0.0, -w[0], -w[1], -w[2]], [w[0], 0.0, w[2], -w[1]],
             [w[1], -w[2], 0.0, w[0]], [w[2], w[1], -w[0], 0.0],
         ])  # fmt: skip
-        return np.concatenate([-np.cross(w, moments * w) / moments, 0.5 * turn @ q])
+        return np.concatenate([-np.cross(w, moments * w) / moments, 0.5 * rotations @ q])
 
     start = np.concatenate([omega, [1.0, 0.0, 0.0, 0.0]])
-    found = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12)
-    return Rotation.from_quat(found.y[[4, 5, 6, 3]].T).as_matrix()
+    solution = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12)
+    return Rotation.from_quat(solution.y[[4, 5, 6, 3]].T).as_matrix()
 
 
 def tumble(device: str) -> Iterator[Measure]:
     """A block with a thin cover of light flesh at one end turns for three seconds."""
     size, light = np.array([8.0, 4.0, 3.0]) * EDGE, 1e-4
     end = size[0] - EDGE
-    body = halves(
+    body = flesh_and_rigid_boxes(
         [(np.array([0.0, 0.0, 0.0]), np.array([EDGE, *size[1:]])),
          (np.array([EDGE, 0.0, 0.0]), size)], EDGE, EDGE,
     )  # fmt: skip
@@ -111,24 +111,26 @@ def tumble(device: str) -> Iterator[Measure]:
     corner = np.array([[size[0], 0.0, 0.0], size])
     frames = int(SECONDS * 24.0) + 1
     solver = TotalLagrangian(
-        body, table, settings(device, frames=frames), pins=[beyond(0, EDGE)],
+        body, table, settings(device, frames=frames), pins=[rigid_region(0, EDGE)],
         velocity=lambda X: np.cross(SPIN, X - center), embedded={"corner": corner},
     )  # fmt: skip
-    seen = list(solver.frames())
-    times = np.array([frame.time for frame in seen])
-    turn = reference(moments, SPIN, times)
-    x = np.stack([frame.embedded["corner"].x for frame in seen])
-    exact = center + np.einsum("tab,kb->tka", turn, corner - center)
-    reach = float(np.linalg.norm(corner - center, axis=1).max())
+    results = list(solver.frames())
+    times = np.array([frame.time for frame in results])
+    rotations = euler_rotations(moments, SPIN, times)
+    x = np.stack([frame.embedded["corner"].x for frame in results])
+    exact = center + np.einsum("tab,kb->tka", rotations, corner - center)
+    half_diagonal = float(np.linalg.norm(corner - center, axis=1).max())
     yield Measure(
-        name="precession", value=float(np.abs(x - exact).max()) / reach, target=0.0, bound=0.01,
+        name="precession", value=float(np.abs(x - exact).max()) / half_diagonal, target=0.0,
+        bound=0.01,
         kind=ABSOLUTE,
         why="of the half diagonal; the flesh has 1e-4 of the density, and near the middle axis its"
         " part of the inertia grows by e^(w t); 1 % is what is asked for",
     )  # fmt: skip
     for name, values, scale in (
-        ("momentum", [f.health.momentum for f in seen], m * np.linalg.norm(SPIN) * reach),
-        ("angular momentum", [f.health.angular_momentum for f in seen],
+        ("momentum", [f.health.momentum for f in results],
+         m * np.linalg.norm(SPIN) * half_diagonal),
+        ("angular momentum", [f.health.angular_momentum for f in results],
          float(np.linalg.norm(moments * SPIN))),
     ):  # fmt: skip
         change = np.abs(np.array(values) - values[0]).max() / scale

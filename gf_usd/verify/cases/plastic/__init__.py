@@ -1,1 +1,1 @@
-"""Laws that flow: metals, paste."""
+"""Plastic laws: metals, foam, paste."""

@@ -1,4 +1,4 @@
-"""A thick cylinder is blown up until its hole is four times as wide.
+"""Plastic expansion of a thick cylinder until its hole is four times as wide.
 
 Its material is perfectly plastic and as good as incompressible, so that a point at R comes to
 r = sqrt(R^2 + a^2 - A^2) when the hole, A at rest, is a wide, and balance of forces leaves
@@ -21,8 +21,14 @@ from gf_usd.core.frames import Particles
 from gf_usd.core.materials.material import Material, young_poisson
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import mirror_plane, plane_strain, settings, slice_of, strata
-from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, order
+from gf_usd.verify.bodies import (
+    mirror_plane,
+    plane_strain,
+    plane_strain_slice,
+    sample_strata,
+    settings,
+)
+from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, convergence_order
 
 # Cardiff et al. 2016; the set-up of solids4foam's tutorial cylinderExpansion.  [m], [Pa]
 INNER, OUTER = 10e-3, 20e-3
@@ -79,8 +85,8 @@ def ring(cells: int) -> tuple[Particles, float]:
     def inside(x: Floats, y: Floats) -> Any:
         return (np.hypot(x, y) > INNER) & (np.hypot(x, y) < OUTER)
 
-    flat, area = strata(inside, [round(OUTER / h)] * 2, h)
-    return slice_of(flat, area / area.sum() * 0.25 * np.pi * (OUTER**2 - INNER**2), h), h
+    flat, area = sample_strata(inside, [round(OUTER / h)] * 2, h)
+    return plane_strain_slice(flat, area / area.sum() * 0.25 * np.pi * (OUTER**2 - INNER**2), h), h
 
 
 def widening(h: float, hole: Floats) -> Pin:
@@ -114,13 +120,13 @@ def blown_up(
     mu, kappa = SHEAR / softer, BULK / softer
     lam = kappa - 2.0 / 3.0 * mu
     E, nu = young_poisson(mu, lam)
-    made = Material(
+    material = Material(
         name="soft", law="vonMises", density=DENSITY, youngs_modulus=E, poissons_ratio=nu,
         parameters={"yield_stress": YIELD},
     )  # fmt: skip
     hole = np.arange(INNER, end + 0.5 * STEP, STEP)
     solver = TotalLagrangian(
-        body, [made], settings(device, frames=len(hole), fps=speed / STEP),
+        body, [material], settings(device, frames=len(hole), fps=speed / STEP),
         pins=[widening(h, hole), mirror_plane(0, 0.0), mirror_plane(1, 0.0), *plane_strain(h)],
         real=np.float64,
     )  # fmt: skip
@@ -148,15 +154,15 @@ def expansion(
     softer, speed, kind = (1.0, BRISK, "own-moduli.") if own else (SOFTER, SLOW, "")
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [blown_up(n, softer, speed, max(radii) + STEP, device) for n in cells]
+        results = [blown_up(n, softer, speed, max(radii) + STEP, device) for n in cells]
         why = (
             f"{cells[-1]} cells in the wall, moduli divided by {softer:g}: errors of volume, of the"
             " third order in h, have a pressure of the bulk modulus, which is many yield stresses"
         )
-        last = np.array([read(*one, max(radii)) for one in seen])
+        last = np.array([read(*one, max(radii)) for one in results])
         for a in radii:
             yield Measure(
-                name=f"{kind}stress-at-{a * 1e3:.0f}mm", value=-read(*seen[-1], a),
+                name=f"{kind}stress-at-{a * 1e3:.0f}mm", value=-read(*results[-1], a),
                 target=-float(exact(a)), bound=bound, kind=RELATIVE, unit="Pa", why=why,
                 curve=Curve(
                     title=f"thick cylinder{kind and ' of its own moduli'}, stress on the hole",
@@ -168,7 +174,8 @@ def expansion(
         if len(cells) > 2:
             error = last / exact(max(radii)) - 1.0
             yield Measure(
-                name=f"{kind}order", value=order(1.0 / np.array(cells), error), target=2.0,
+                name=f"{kind}order", value=convergence_order(1.0 / np.array(cells), error),
+                target=2.0,
                 bound=0.0, kind=AT_LEAST, why="the order of quadratic splines, or more",
             )  # fmt: skip
 

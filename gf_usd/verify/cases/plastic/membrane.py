@@ -1,4 +1,4 @@
-"""Cook's membrane of a metal that hardens, in plane strain.
+"""Cook's membrane of a hardening metal in plane strain.
 
 A tapered panel is clamped at its left edge and sheared by a dead load on its right one, far beyond
 yield.  Bending and isochoric flow in plane strain make elements that lock too stiff.  The load is
@@ -24,9 +24,9 @@ from gf_usd.verify.bodies import (
     GAUSS,
     clamp,
     plane_strain,
+    plane_strain_slice,
+    sample_strata,
     settings,
-    slice_of,
-    strata,
 )
 from gf_usd.verify.case import RELATIVE, Case, Curve, Measure
 
@@ -58,8 +58,8 @@ def panel(cells: int) -> tuple[Particles, float]:
         high = LEFT + (RISE + RIGHT - LEFT) * x / WIDTH
         return (x < WIDTH) & (y > low) & (y < high)
 
-    flat, area = strata(inside, (cells, int(np.ceil((RISE + RIGHT) / h))), h)
-    return slice_of(flat, area / area.sum() * 0.5 * (LEFT + RIGHT) * WIDTH, h), h
+    flat, area = sample_strata(inside, (cells, int(np.ceil((RISE + RIGHT) / h))), h)
+    return plane_strain_slice(flat, area / area.sum() * 0.5 * (LEFT + RIGHT) * WIDTH, h), h
 
 
 def raised(cells: int, device: str, *, current: bool = False) -> tuple[tuple[float, float], float]:
@@ -90,10 +90,10 @@ def raised(cells: int, device: str, *, current: bool = False) -> tuple[tuple[flo
     for index in range(1, round((RAMP + WAIT) * FRAMES) + 1):
         solver.state.accelerate(min(1.0, (index - 0.5) / (RAMP * FRAMES)) * unit)
         solver.advance(index, solver.substeps)
-        seen = solver.read(index).embedded
-        ways.append((seen["corner"].x - corner)[0])
+        results = solver.read(index).embedded
+        ways.append((results["corner"].x - corner)[0])
         if current:
-            unit = pulled(np.linalg.norm(seen["edge"].F[:, :, 1], axis=1))
+            unit = pulled(np.linalg.norm(results["edge"].F[:, :, 1], axis=1))
     last, before = ways[-1], ways[-1 - FRAMES // 10]
     return (float(last[0]), float(last[1])), float(abs(last[1] / before[1] - 1.0))
 
@@ -102,8 +102,8 @@ def membrane(*cells: int, bounds: tuple[float, float]) -> Callable[[str], Iterat
     """The corner at several resolutions; bounds : of its way right and up at the finest."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [raised(n, device) for n in cells]
-        (right, up), y = seen[-1][0], tuple(way[1] for way, _ in seen)
+        results = [raised(n, device) for n in cells]
+        (right, up), y = results[-1][0], tuple(way[1] for way, _ in results)
         yield Measure(
             name="corner", value=up, target=CORNER[1], bound=bounds[1], kind=RELATIVE, unit="m",
             why=f"{cells[-1]} cells over the width; flow gathers at the clamped upper corner, which"
@@ -120,15 +120,15 @@ def membrane(*cells: int, bounds: tuple[float, float]) -> Callable[[str], Iterat
             why="as corner; across, four kinds of elements of the source differ by 1.7 %",
         )  # fmt: skip
         if len(cells) > 1:
-            seen.append(raised(cells[-1], device, current=True))
+            results.append(raised(cells[-1], device, current=True))
             yield Measure(
-                name="corner-by-current-length", value=seen[-1][0][1], target=CURRENT,
+                name="corner-by-current-length", value=results[-1][0][1], target=CURRENT,
                 bound=bounds[1], kind=RELATIVE, unit="m",
                 why="published to two digits; the load grows with the edge that it pulls, so that"
                 " errors are larger than above",
             )  # fmt: skip
         yield Measure(
-            name="rest", value=max(moved for _, moved in seen), target=0.0, bound=1e-3,
+            name="rest", value=max(moved for _, moved in results), target=0.0, bound=1e-3,
             why="how far the corner still moved at the end: it has to be at rest when it is read",
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Taylor's bar on a floor that may let go of it, where its rim lifts.
+"""Taylor's bar on a floor with unilateral contact, from which its rim lifts.
 
 In the case `taylor` a pin holds the whole foot on the wall.  On a floor without friction that takes
 no pull the foot bends up around its edge, and leaves the floor there for good.  No source has this
@@ -16,7 +16,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.contact.floor import HALF_SPACE, plane_modulus
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import mirror_plane, settings, strata
+from gf_usd.verify.bodies import mirror_plane, sample_strata, settings
 from gf_usd.verify.case import RELATIVE, Case, Curve, Measure
 from gf_usd.verify.cases.plastic.taylor import (
     COPPER,
@@ -47,7 +47,9 @@ class Landing:
 
 def foot_of(cells: int) -> SurfaceSamples:
     """Contact samples of a quarter of the foot, as the particles over it stand."""
-    flat, area = strata(lambda x, z: x * x + z * z < RADIUS**2, (cells, cells), RADIUS / cells)
+    flat, area = sample_strata(
+        lambda x, z: x * x + z * z < RADIUS**2, (cells, cells), RADIUS / cells
+    )
     X = np.insert(flat, 1, 0.0, axis=1)
     return SurfaceSamples(X=X, area=area * 0.25 * np.pi * RADIUS**2 / area.sum())
 
@@ -57,9 +59,9 @@ def land(cells: int, device: str) -> Landing:
     angle = np.linspace(0.0, 0.5 * np.pi, 17)
     rim = RADIUS * np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], 1)
     ends = np.array([[0.0, 0.0, 0.0], [0.0, LENGTH, 0.0]])
-    made = replace(COPPER, friction=0.0, restitution=1.0)
+    material = replace(COPPER, friction=0.0, restitution=1.0)
     solver = TotalLagrangian(
-        quarter_rod(cells), [made],
+        quarter_rod(cells), [material],
         settings(device, frames=PARTS + 1, fps=PARTS / END, floor=0.0),
         pins=[mirror_plane(0, 0.0), mirror_plane(2, 0.0)], samples=foot_of(cells),
         embedded={"rim": rim, "ends": ends}, velocity=(0.0, -SPEED, 0.0),
@@ -80,9 +82,9 @@ def landing(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], 
     """The bar at several resolutions; bounds : of radius, length and lift at the finest."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [land(n, device) for n in cells]
-        finest = seen[-1]
-        shapes = np.array([(one.radius[-1], one.length[-1], one.lift[-1]) for one in seen])
+        results = [land(n, device) for n in cells]
+        finest = results[-1]
+        shapes = np.array([(one.radius[-1], one.length[-1], one.lift[-1]) for one in results])
         why = (
             f"{cells[-1]} cells a radius; the foot turns up within its last cell, which leaves the"
             " first order in h, to the elements as well"

@@ -1,4 +1,4 @@
-"""A column of paste slumps under its own weight on a floor without friction.
+"""Slump of a column of paste under its own weight on a frictionless floor.
 
 Slices that bear more than the yield stress Y spread until the weight above them, over their larger
 area, is what they bear.  With y = Y / (rho g H) a column of height H becomes shorter by
@@ -39,7 +39,7 @@ def slumped(cells: int, least: float, device: str) -> tuple[Floats, Floats]:
     """y, falling to `least`, and the slump s [H] of a column `cells` cells wide from its middle."""
     h = HALF / cells
     body = block((0.0, 0.0, 0.0), (cells, round(HEIGHT / h), cells), h)
-    made = Material(
+    material = Material(
         name="paste", law="vonMises", density=DENSITY, youngs_modulus=STIFF * YIELD,
         poissons_ratio=NU, parameters={"yield_stress": YIELD},
     )  # fmt: skip
@@ -47,7 +47,7 @@ def slumped(cells: int, least: float, device: str) -> tuple[Floats, Floats]:
     fps = FRAMES / (PERIODS * period)
     top = np.array([[0.0, HEIGHT, 0.0]])
     solver = TotalLagrangian(
-        body, [made], settings(device, frames=FRAMES + 1, fps=fps, drag=DRAG / period),
+        body, [material], settings(device, frames=FRAMES + 1, fps=fps, drag=DRAG / period),
         pins=[mirror_plane(axis, 0.0) for axis in range(3)], embedded={"top": top},
     )  # fmt: skip
     weight = YIELD / (least * DENSITY * HEIGHT)  # [m/s^2] at the end
@@ -65,9 +65,9 @@ def slump(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
     """Slump on the way, of the finest of several resolutions."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [slumped(n, YIELDS[-1], device) for n in cells]
+        results = [slumped(n, YIELDS[-1], device) for n in cells]
         for y in YIELDS:
-            reached = [float(np.interp(-y, -ys, s)) for ys, s in seen]
+            reached = [float(np.interp(-y, -ys, s)) for ys, s in results]
             yield Measure(
                 name=f"slump-at-{y:g}", value=reached[-1], target=float(exact(y)), bound=0.05,
                 kind=RELATIVE, unit="H",

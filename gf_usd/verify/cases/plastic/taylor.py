@@ -1,4 +1,4 @@
-"""Taylor's bar: a copper rod is thrown against a rigid wall.
+"""Taylor's bar: impact of a copper rod on a rigid wall.
 
 The wall and the rod's two planes of symmetry are pins that hold one axis and slide along the
 others.  The mass is the consistent one of bakes.
@@ -16,7 +16,7 @@ from gf_usd.core.frames import Frame, Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, cloud, mirror_plane, settings, strata
+from gf_usd.verify.bodies import GAUSS, mirror_plane, particles_at, sample_strata, settings
 from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure
 
 # Kamoulakos 1990; Zhu and Cescotto 1995.  [m], [m/s], [Pa], [kg/m^3]
@@ -55,7 +55,7 @@ def quarter_rod(cells: int) -> Particles:
     """
     h = RADIUS / cells
     along = round(LENGTH / h)
-    flat, area = strata(lambda x, z: x * x + z * z < RADIUS**2, (cells, cells), h)
+    flat, area = sample_strata(lambda x, z: x * x + z * z < RADIUS**2, (cells, cells), h)
     area *= 0.25 * np.pi * RADIUS**2 / area.sum()
     step = LENGTH / along
     y = ((np.arange(along)[:, None] + GAUSS) * step).ravel()
@@ -63,7 +63,7 @@ def quarter_rod(cells: int) -> Particles:
         [np.tile(flat[:, 0], len(y)), np.repeat(y, len(flat)), np.tile(flat[:, 1], len(y))], 1
     )
     V0 = np.tile(area, len(y)) * 0.5 * step
-    body = cloud(X, volume=float(V0.sum()), lattice=0.5 * h, corner=np.zeros(3))
+    body = particles_at(X, volume=float(V0.sum()), lattice=0.5 * h, corner=np.zeros(3))
     return replace(body, V0=V0)
 
 
@@ -116,10 +116,10 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
     """The bar at several resolutions; bounds : of radius, length and history at the finest."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [taylor(n, device, COPPER) for n in cells]
-        coarsest, finest = seen[0], seen[-1]
+        results = [taylor(n, device, COPPER) for n in cells]
+        coarsest, finest = results[0], results[-1]
         h = 1.0 / np.array(cells)
-        radii = np.array([one.at(END)[0] for one in seen])
+        radii = np.array([one.at(END)[0] for one in results])
         why = (
             f"{cells[-1]} cells a radius; the foot is pressed to {finest.least:.2f} of its height"
             " within the first, whose corner leaves the first order in h"
@@ -170,13 +170,14 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
 
 def moved(cells: int, still: Impact, device: str) -> Iterator[Measure]:
     """The same impact seen by an observer who moves with the bar: the wall does the work."""
-    seen = taylor(cells, device, COPPER, moving=True)
+    results = taylor(cells, device, COPPER, moving=True)
     yield Measure(
-        name="work", value=seen.work, target=float(seen.energy[-1]), bound=1e-3, kind=RELATIVE,
+        name="work", value=results.work, target=float(results.energy[-1]), bound=1e-3,
+        kind=RELATIVE,
         unit="J", why="the wall's work is all the energy there is; as energy above",
     )  # fmt: skip
     yield Measure(
-        name="impulse", value=seen.work / SPEED, target=seen.momentum,
+        name="impulse", value=results.work / SPEED, target=results.momentum,
         bound=0.5 * RADIUS / cells / LENGTH, kind=RELATIVE, unit="N s",
         why="the wall's force, at a constant speed its work over that, makes the bar's momentum;"
         " half of the first cell moves with the wall from the beginning",

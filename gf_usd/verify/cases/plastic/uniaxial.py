@@ -8,7 +8,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, block, elastic, put, settings, virial
+from gf_usd.verify.bodies import GAUSS, block, elastic, mean_stress, set_state, settings
 from gf_usd.verify.case import RELATIVE, Case, Measure
 
 E, NU = 1e4, 0.3  # [Pa]
@@ -18,8 +18,8 @@ OWN = {"yield_stress": YIELD, "hardening": LINEAR, "saturation": VOCE, "saturati
 
 def history(solver: TotalLagrangian, name: str) -> Floats:
     """(N,) an internal variable of the particles."""
-    seen = np.asarray(solver.state.save()["history"], float)
-    return solver.body.law.internal(seen.reshape(len(solver.particles), -1))[name]
+    results = np.asarray(solver.state.save()["history"], float)
+    return solver.body.law.internal(results.reshape(len(solver.particles), -1))[name]
 
 
 def bearable(a: float) -> float:
@@ -35,16 +35,16 @@ def pulled(a: float, stress: float) -> Floats:
 
 def uniaxial(device: str) -> Iterator[Measure]:
     """Kirchhoff stress of a block that is strained as a bar under tension is."""
-    made = elastic(E=E, nu=NU, density=1e9, law="vonMises", parameters=OWN)
+    material = elastic(E=E, nu=NU, density=1e9, law="vonMises", parameters=OWN)
     body = block((0.0, 0.0, 0.0), (1, 1, 1), 1.0, places=GAUSS)
     s = settings(device, fps=1e9, substeps=1, followers=False)
-    solver = TotalLagrangian(body, [made], s, real=np.float64)
+    solver = TotalLagrangian(body, [material], s, real=np.float64)
     why = "the return is radial along this path, and so exact: rounding, and the square of 1e-5 of"
     why += " the excess that Newton's iteration leaves"
 
     def stress(F: Floats) -> tuple[float, float]:
-        put(solver, solver.body.stencil.node_X @ (F - np.eye(3)).T)
-        tau = virial(solver) @ F.T
+        set_state(solver, solver.body.stencil.node_X @ (F - np.eye(3)).T)
+        tau = mean_stress(solver) @ F.T
         return float(tau[0, 0]), float(abs(tau[1, 1]))
 
     for a in (0.01, 0.05, 0.2):

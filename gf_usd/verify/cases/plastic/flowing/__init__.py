@@ -1,1 +1,1 @@
-"""What flows without end: sand, fluids, pastes, by the Updated Lagrangian solver."""
+"""Flowing materials: sand, fluids and pastes, with the Updated Lagrangian solver."""

@@ -1,4 +1,4 @@
-"""The same elastic drop by both solvers: what flows and what does not meet in the same physics.
+"""Comparison of both solvers for a falling elastic ball.
 
 A ball of rubber falls on the floor and bounces.  Both solvers have the same particles, contact
 samples and law, and APIC in every substep; their grids differ, one fixed in the world and the
@@ -16,7 +16,7 @@ import numpy as np
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-from gf_usd.verify.bodies import ball, look, settings
+from gf_usd.verify.bodies import ball, preset_material, settings
 from gf_usd.verify.case import ABSOLUTE, Case, Curve, Measure
 
 FPS, FRAMES = 60.0, 100
@@ -39,7 +39,7 @@ def bounce(kind: Any, particles: int, device: str) -> Bounced:
         device, frames=FRAMES, fps=FPS, gravity=(0.0, -G0, 0.0), floor=0.0, filter_rate=np.inf,
         lift=(0.0, 1.0 + DROP, 0.0),
     )  # fmt: skip
-    solver = kind(body, [look("rubber", body)], s, samples=samples)
+    solver = kind(body, [preset_material("rubber", body)], s, samples=samples)
     y = np.array([frame.health.center[1] for frame in solver.frames()])
     k = int(np.argmin(y))
     a, b, c = np.polyfit(np.arange(-1, 2), y[k - 1 : k + 2], 2)
@@ -54,7 +54,7 @@ def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
     """Both solvers at several particle counts."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [
+        results = [
             [bounce(kind, n, device) for kind in (UpdatedLagrangian, TotalLagrangian)]
             for n in counts
         ]
@@ -73,14 +73,14 @@ def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             ),
         }  # fmt: skip
         for name, (bound, unit, reason) in why.items():
-            apart = [abs(getattr(ul, name) - getattr(tl, name)) for ul, tl in seen]
+            apart = [abs(getattr(ul, name) - getattr(tl, name)) for ul, tl in results]
             yield Measure(
                 name=name, value=float(apart[-1]), target=0.0, bound=bound, kind=ABSOLUTE,
                 unit=unit, why=reason,
                 curve=Curve(
                     title=f"{name} of both solvers", x_label="particles", y_label="difference",
                     x=tuple(map(float, counts)), y=tuple(map(float, apart)),
-                ) if len(seen) > 1 else None,
+                ) if len(results) > 1 else None,
             )  # fmt: skip
 
     return run

@@ -1,4 +1,4 @@
-"""A column of grains collapses on a floor and comes to rest as a heap.
+"""Collapse of a column of grains on a floor: runout of the heap at rest.
 
 Of columns of radius r and height a r, released at once, the heap reaches further than the column
 by
@@ -22,7 +22,7 @@ from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials.material import Material
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-from gf_usd.verify.bodies import settings, solid_of
+from gf_usd.verify.bodies import make_solid, settings
 from gf_usd.verify.case import ABSOLUTE, RELATIVE, Case, Curve, Measure
 
 RADIUS, DENSITY, STIFF, NU = 0.1, 1600.0, 2e5, 0.3  # [m], [kg/m^3], [Pa]
@@ -53,7 +53,7 @@ def cylinder(height: float) -> Surface:
 
 def runout(a: float, particles: int, friction: float, device: str) -> tuple[float, float]:
     """Runout [r] at rest, and the kinetic energy left [m g r]."""
-    column = solid_of(cylinder(a * RADIUS))
+    column = make_solid(cylinder(a * RADIUS))
     made = sample_solid(column, particles=particles, spacing=None, seed=0)
     grains = Material(
         name="beads", law="druckerPrager", density=DENSITY, youngs_modulus=STIFF,
@@ -80,11 +80,11 @@ def column(ratios: Sequence[float], particles: Sequence[int]) -> Callable[[str],
 
     def run(device: str) -> Iterator[Measure]:
         for a in ratios:
-            seen = [runout(a, n, BEADS, device) for n in particles]
+            results = [runout(a, n, BEADS, device) for n in particles]
             low, high = published(a)
             middle = 0.5 * (low + high)
             yield Measure(
-                name=f"runout-at-{a:g}", value=seen[-1][0], target=middle,
+                name=f"runout-at-{a:g}", value=results[-1][0], target=middle,
                 bound=SPREAD, kind=RELATIVE, unit="r",
                 why="the two experiments differ by 12 and 21 %; a front thinner than a cell stops"
                 " too early (by 20 % with 4,000 particles at a = 1, measured), and in a fast flow"
@@ -92,11 +92,12 @@ def column(ratios: Sequence[float], particles: Sequence[int]) -> Callable[[str],
                 curve=Curve(
                     title=f"runout of a column of beads, {a:g} r high", x_label="particles^(-1/3)",
                     y_label="(r_end - r) / r", x=tuple(float(n) ** (-1.0 / 3.0) for n in particles),
-                    y=tuple(r for r, _ in seen), logarithmic=False, target=middle,
-                ) if len(seen) > 1 else None,
+                    y=tuple(r for r, _ in results), logarithmic=False, target=middle,
+                ) if len(results) > 1 else None,
             )  # fmt: skip
             yield Measure(
-                name=f"at-rest-at-{a:g}", value=seen[-1][1], target=0.0, bound=1e-3, kind=ABSOLUTE,
+                name=f"at-rest-at-{a:g}", value=results[-1][1], target=0.0, bound=1e-3,
+                kind=ABSOLUTE,
                 unit="m g r", why="a heap stands still; the collapse itself has 0.1 and more",
             )  # fmt: skip
         rough, _ = runout(ratios[-1], particles[0], ROUGH, device)

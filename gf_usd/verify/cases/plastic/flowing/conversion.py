@@ -1,4 +1,4 @@
-"""A solid that becomes sand in flight: what must not change, and where its grains go."""
+"""Conversion of a solid to sand in flight: conserved quantities and the spread of grains."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import ContactSetup, Skin
 from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
-from gf_usd.verify.bodies import ball, look, settings, sphere
+from gf_usd.verify.bodies import ball, preset_material, settings, sphere
 from gf_usd.verify.case import ABSOLUTE, RELATIVE, Case, Curve, Measure
 
 FPS, SOLID, FRAMES = 48.0, 6, 30
@@ -45,12 +45,12 @@ def flight(particles: int, device: str) -> Flight:
     shape = sphere()
     solver = make_solver(
         s, replace(body, conversions=(becomes,)),
-        [look("rubber", body), find_preset("dry-sand").material(1.0, None)],
+        [preset_material("rubber", body), find_preset("dry-sand").material(1.0, None)],
         samples=samples, velocity=lambda X: np.cross([0.0, SPIN, 0.0], X),
         contact_setup=ContactSetup(skins=(Skin(points=shape.points, triangles=shape.triangles),)),
     )  # fmt: skip
-    seen = list(solver.frames())
-    health, m = [f.health for f in seen], body.V0
+    results = list(solver.frames())
+    health, m = [f.health for f in results], body.V0
     t = np.arange(FRAMES) / FPS
     center = np.array([h.center for h in health])
     fallen = center[0] + np.outer(0.5 * t**2, [0.0, -G0, 0.0])
@@ -61,7 +61,7 @@ def flight(particles: int, device: str) -> Flight:
     ]
 
     def about_axis(k: int) -> float:
-        x = seen[k].particles.x - m @ seen[k].particles.x / m.sum()
+        x = results[k].particles.x - m @ results[k].particles.x / m.sum()
         return float(m @ (x[:, 0] ** 2 + x[:, 2] ** 2))
 
     first, last = about_axis(SOLID), about_axis(FRAMES - 1)
@@ -79,8 +79,8 @@ def conserve(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
     """Flights at several particle counts; the others for the curve."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [flight(n, device) for n in counts]
-        fine, cell = seen[-1], 2.0 * np.cbrt(4.0 / 3.0 * np.pi / counts[-1])
+        results = [flight(n, device) for n in counts]
+        fine, cell = results[-1], 2.0 * np.cbrt(4.0 / 3.0 * np.pi / counts[-1])
         yield Measure(
             name="path", value=fine.path, target=0.0, bound=1e-4, unit="r",
             why="y = y0 - g t^2 / 2 whatever the body is made of: float32 rounding of some"
@@ -105,8 +105,8 @@ def conserve(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             curve=Curve(
                 title="spread of a ball that becomes sand", x_label="particles",
                 y_label="over that of free grains", x=tuple(map(float, counts)),
-                y=tuple(one.spread for one in seen), logarithmic=False, target=1.0,
-            ) if len(seen) > 1 else None,
+                y=tuple(one.spread for one in results), logarithmic=False, target=1.0,
+            ) if len(results) > 1 else None,
         )  # fmt: skip
 
     return run

@@ -1,4 +1,4 @@
-"""A dam breaks: how fast the front of a column of water runs along a dry floor.
+"""Dam break: the front of a collapsing column of water on a dry floor.
 
 Martin and Moyce let columns of water, twice as high as wide, collapse in a channel; their figure 3
 has the front Z [a] by the time T = t sqrt(2 g / a).  Here the column stands between smooth walls, a
@@ -83,10 +83,10 @@ def dam(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
     """The finest of several columns."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [collapse(n, device) for n in cells]
-        finest = seen[-1]
+        results = [collapse(n, device) for n in cells]
+        finest = results[-1]
         for T, Z in SEEN[1:]:
-            reached = [float(np.interp(T, one.T, one.Z)) for one in seen]
+            reached = [float(np.interp(T, one.T, one.Z)) for one in results]
             yield Measure(
                 name=f"front-at-{T:g}", value=reached[-1], target=Z, bound=0.1, kind=RELATIVE,
                 unit="a",
@@ -96,7 +96,7 @@ def dam(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                 curve=Curve(
                     title="front of a dam that breaks", x_label="h / a", y_label="Z",
                     x=tuple(1.0 / n for n in cells), y=tuple(reached), logarithmic=False, target=Z,
-                ) if len(seen) > 1 else None,
+                ) if len(results) > 1 else None,
             )  # fmt: skip
         yield Measure(
             name="momentum", value=finest.momentum, target=0.0, bound=3e-5, kind=ABSOLUTE,

@@ -1,4 +1,4 @@
-"""A column of a fluid stands between walls: its pressure, its settlement, and its weight.
+"""Hydrostatics: pressure, settlement and weight of a column of fluid between walls.
 
 What lies at the height Y at rest bears what is above it, whatever the strains,
 
@@ -96,11 +96,11 @@ def hydrostatic(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
     """The finest of several columns."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [stand(n, device) for n in cells]
-        finest = seen[-1]
+        results = [stand(n, device) for n in cells]
+        finest = results[-1]
         curve = Curve(
             title="pressure of a column at rest", x_label="h / H", y_label="error [rho g H]",
-            x=tuple(1.0 / n for n in cells), y=tuple(one.pressure for one in seen),
+            x=tuple(1.0 / n for n in cells), y=tuple(one.pressure for one in results),
         )  # fmt: skip
         why = (
             "half a percent is asked for. The error of the grid is of second order, .0002 with 8"
@@ -109,7 +109,7 @@ def hydrostatic(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         )
         yield Measure(
             name="pressure", value=finest.pressure, target=0.0, bound=0.005, kind=ABSOLUTE,
-            unit="rho g H", why=why, curve=curve if len(seen) > 1 else None,
+            unit="rho g H", why=why, curve=curve if len(results) > 1 else None,
         )  # fmt: skip
         yield Measure(
             name="settlement", value=1.0 + finest.settlement, target=1.0, bound=0.005,

@@ -1,4 +1,4 @@
-"""A block of sand on a slope, and flowing matter that nothing touches.
+"""A block of sand on a slope, and free flight of flowing material.
 
 On a slope of angle theta with friction mu the block stays where tan(theta) < mu, and slides with
 
@@ -57,19 +57,21 @@ def slide(steepness: float, device: str) -> tuple[float, float]:
         ),
         samples=SurfaceSamples(X=body.X, area=body.V0 / body.spacing),
     )  # fmt: skip
-    seen = np.array([f.health.momentum for f in solver.frames()]) / float(body.V0.sum() * DENSITY)
+    results = np.array([f.health.momentum for f in solver.frames()]) / float(
+        body.V0.sum() * DENSITY
+    )
     half = frames // 2
-    gained = seen[-1] - seen[half]
-    return float(gained[0] + FRICTION * gained[1]) / ((frames - half) / FPS), float(seen[-1, 0])
+    gained = results[-1] - results[half]
+    return float(gained[0] + FRICTION * gained[1]) / ((frames - half) / FPS), float(results[-1, 0])
 
 
 def incline(device: str) -> Iterator[Measure]:
     """Rest and sliding."""
     lean = np.arctan(ABOVE * FRICTION)
     exact = G0 * (np.sin(lean) - FRICTION * np.cos(lean))
-    seen, _ = slide(ABOVE, device)
+    results, _ = slide(ABOVE, device)
     yield Measure(
-        name="acceleration", value=seen, target=float(exact), bound=0.01, kind=RELATIVE,
+        name="acceleration", value=results, target=float(exact), bound=0.01, kind=RELATIVE,
         unit="m/s^2",
         why="the sum of Coulomb's forces is mu times what presses; 1 % is what was asked for, the"
         " block's bouncing on the springs of the floor, 1.2 % of it, is taken off by the momentum",

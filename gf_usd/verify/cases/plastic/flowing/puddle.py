@@ -1,4 +1,4 @@
-"""A puddle of a yield stress fluid: where it stops on a rough floor.
+"""Final shape of a puddle of yield stress fluid on a rough floor.
 
 A paste that has spread until it bears its weight has a shape like that of a glacier [Nye 1951]: on
 the floor the shear stress is its yield stress tau, so that the thrust at a distance x from the
@@ -89,8 +89,8 @@ def puddle(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
     """The finest of several puddles."""
 
     def run(device: str) -> Iterator[Measure]:
-        seen = [spread(n, device) for n in cells]
-        slopes = [slope(one) for one in seen]
+        results = [spread(n, device) for n in cells]
+        slopes = [slope(one) for one in results]
         yield Measure(
             name="yield-stress", value=slopes[-1], target=1.0, bound=2.0 / cells[-1],
             kind=RELATIVE, unit="tau",
@@ -103,10 +103,10 @@ def puddle(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                 title="yield stress of a puddle", x_label="cell / height at the start",
                 y_label="tau by the slope / tau", x=tuple(1.0 / n for n in cells),
                 y=tuple(slopes), logarithmic=False, target=1.0,
-            ) if len(seen) > 1 else None,
+            ) if len(results) > 1 else None,
         )  # fmt: skip
         yield Measure(
-            name="at-rest", value=seen[-1].left, target=0.0, bound=1e-5, kind=ABSOLUTE,
+            name="at-rest", value=results[-1].left, target=0.0, bound=1e-5, kind=ABSOLUTE,
             unit="m g H", why="a puddle stands still; the fall of the block has 0.1 and more",
         )  # fmt: skip
 
