@@ -166,7 +166,8 @@ def attach_tracks(spec: TargetSpec, tracks: Tracks, scene: Scene) -> tuple[Motio
     notes = []
     if unpaired := int((~visible).sum()):
         notes.append(
-            f"{spec.file.name}: {counted(unpaired, 'track')} not visible at the first frame: left out"
+            f"{spec.file.name}: {counted(unpaired, 'track')} not visible at the first frame:"
+            " left out"
         )
     if off_surface := int((visible & ~on_surface).sum()):
         notes.append(f"{spec.file.name}: {counted(off_surface, 'track')} off the surface: left out")
