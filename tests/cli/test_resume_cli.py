@@ -56,7 +56,7 @@ def test_slices_come_to_the_same_bits(gf_usd, here: Path, block: Path, state: st
     runs = 1
     first = gf_usd(*words, "-o", "two/", "--slice", "1")
     assert first.status == 5
-    assert "the slice of 1 clips ends here; two/block." in first.err
+    assert "the slice of 1 clip ends here; two/block." in first.err
     assert "hint: the same command with --resume continues" in first.err
     while gf_usd(*words, "-o", "two/", "--slice", "1", "--resume").status == 5:
         require_whole(here / "two")
