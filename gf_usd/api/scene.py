@@ -201,7 +201,8 @@ class Scene:
                 "give two opposite corners that differ along every axis",
             )
         held = values.items("axes", axes, AXES)
-        if len(held) != 3 or not all(one in (False, True) for one in held) or not any(held):
+        plain = all(isinstance(one, (bool, np.bool_, int, np.integer)) for one in held)
+        if len(held) != 3 or not plain or not set(held) <= {0, 1} or not any(held):
             raise values.refuse("axes", axes, AXES)
         self._pins.append(
             _Moving(

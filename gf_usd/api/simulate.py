@@ -340,10 +340,6 @@ def _field(name: str, given: Any, at: Array) -> Array:
     return np.array(np.broadcast_to(found, at.shape))
 
 
-def _switch(name: str, value: Any) -> bool | None:
-    return None if value is None else values.switch(name, value)
-
-
 @named
 def simulate(
     scene: Scene,

@@ -372,6 +372,7 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes=True), "axes is True, of type bool"),
     (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes="xyz"), "axes is 'xyz', of type str"),
     (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes=("x", "y", "z")), "axes is ('x', 'y', 'z')"),
+    (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes=np.ones((3, 2), bool)), "axes is"),
     (lambda s: gf_usd.Scene(up=["Y"]), "up is ['Y']"),
     (lambda s: s.add_body(UNIT, FACES, material=["clay"]), "material is ['clay'], of type list"),
     (lambda s: s.add_body(UNIT * 1j, FACES), "body body0: points is array"),

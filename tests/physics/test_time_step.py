@@ -138,24 +138,37 @@ def test_no_vibration_is_damped_faster_than_the_step_allows_for(nu):
 @pytest.mark.parametrize("strained", [2.5, 10.0, 300.0])
 @pytest.mark.parametrize("contact", [30.0, 3e3, 3e5])
 def test_contact_of_a_strained_body_takes_the_substeps_of_both_frequencies(strained, contact):
-    """Frequencies add as squares: the springs of contact and the stiffness by strain."""
-    rest = step(viscous_time=1e-4, safety=0.5)
+    """Frequencies add up as squares: the springs of contact and the stiffness by strain."""
+    rest = step(safety=0.5)
     w = strained * rest.elastic
     dt = 0.99 * 2.0 / w
-
-    def springs(free: StableStep) -> StableStep:
-        return replace(free, contact=contact, contact_damping=0.0)
-
-    by = rest.substeps_with_contact(dt, springs)
+    by = rest.substeps_with_contact(dt, replace(rest, contact=contact))
     both = np.hypot(w, contact)
     assert swing(both, 0.0, dt / by) < 20.0
-    # and few more: MARGIN on the springs, .99, and the damping at rest
-    assert by < 1.02 * np.hypot(w, contact / MARGIN) / w
+    # and few more: (1 + sqrt(1 + 4 a)) / 2 is at most 1.21 sqrt(1 + a); MARGIN on the springs
+    assert by < 1.21 * np.hypot(w, contact / MARGIN) / w
+
+
+@pytest.mark.parametrize("z", [0.0, 0.1, 1.0, 20.0])
+@pytest.mark.parametrize("contact", [0.1, 1.0, 30.0])
+@pytest.mark.parametrize("damping", [0.0, 0.1, 1.0, 20.0])
+def test_contact_of_a_damped_strained_body_is_stable(z, contact, damping):
+    """z : of the strained body; contact : its frequency over that of the body; damping : ratio."""
+    rest = step(viscous_time=1e-4, safety=0.5)
+    w = 8.0 * rest.elastic
+    dt = 2.0 / w * (np.sqrt(1.0 + z * z) - z)
+    wc = contact * w
+    springs = replace(rest, contact=wc, contact_damping=2.0 * damping * wc)
+    short = dt / rest.substeps_with_contact(dt, springs)
+    c = 2.0 * z * w + 2.0 * damping * wc
+    assert 0.25 * (w * w + wc * wc) * short**2 + 0.5 * c * short <= 1.0
+    both = np.hypot(w, wc)
+    assert swing(both, 0.5 * c / both, 0.99 * short) < 20.0
 
 
 def test_contact_of_a_body_at_rest_keeps_its_safety():
     rest = step(safety=0.5)
     springs = replace(rest, contact=rest.elastic)
-    assert rest.substeps_with_contact(0.9 * rest.dt, lambda _: springs) == pytest.approx(
+    assert rest.substeps_with_contact(0.9 * rest.dt, springs) == pytest.approx(
         max(1.0, rest.dt / springs.dt)
     )

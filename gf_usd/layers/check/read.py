@@ -75,12 +75,14 @@ def times(*attributes: Usd.Attribute | None) -> list[Usd.TimeCode]:
 def _shows_default(attribute: Usd.Attribute) -> bool:
     """Whether an attribute has a default that belongs to its samples.
 
-    The default of one with value clips is that of the source: a default in the layer that has the
-    clips would hide them.
+    The default of normals with value clips is that of the source, whose indices may be blocked: a
+    default in the layer that has the clips would hide them.
     """
     default = Usd.TimeCode.Default()
     if not attribute.HasAuthoredValue() or attribute.Get(default) is None:
         return False
+    if attribute.GetName() not in ("normals", "primvars:normals"):
+        return True
     codes = attribute.GetTimeSamples()
     source = attribute.GetResolveInfo(codes[0]).GetSource() if codes else None
     return source != Usd.ResolveInfoSourceValueClips

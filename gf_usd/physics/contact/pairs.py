@@ -46,7 +46,6 @@ from gf_usd.physics.contact.rest_gaps import RestGaps
 from gf_usd.physics.contact.self_contact.search import AHEAD, FACE, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import PairSprings
 from gf_usd.physics.grid.embedding import placed
-from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
@@ -271,6 +270,7 @@ class BodyContact:
         *,
         floor: Ints | None = None,
         shorter: float = 1.0,
+        stable: float | None = None,
     ) -> tuple[int, int]:
         """Set the planes for the next substeps.
 
@@ -281,6 +281,8 @@ class BodyContact:
         index : the frame that is simulated; done : substeps of dt [s] since the frame before it.
         floor : samples that may reach the floor; None: all.
         shorter : least number of substeps for each of dt, by what else pushes the samples.
+        stable : [s] stable step of the body alone; dt is shorter where a failed frame is repeated,
+            and so are the substeps then.  None: dt.
         """
         now, elapsed = state.view(), done * dt
         frame = index - 1 + elapsed / self._body.settings.frame_time
@@ -299,7 +301,7 @@ class BodyContact:
         slide = TRAVEL * self._spacing + WAIT * np.maximum(self._gap, 0.0)
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
-        by = self._step_ratio(x, v, chunk, dt, values, floor)
+        by = self._step_ratio(x, v, chunk * dt, stable or dt, values, floor)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
         free = until_contact(self.planes, gap, v, AHEAD) / dt
         if free >= min(chunk, FEWEST) and (by - 1.0) * min(chunk, free) >= FEWEST:
@@ -374,13 +376,14 @@ class BodyContact:
         return values
 
     def _step_ratio(
-        self, x: Floats, v: Floats, chunk: int, dt: float, values: Mapping[str, Floats],
+        self, x: Floats, v: Floats, span: float, stable: float, values: Mapping[str, Floats],
         floor: Ints | None,
     ) -> float:  # fmt: skip
-        """Substeps with the springs of these planes over those of dt [s] where nothing touches.
+        """Substeps with the springs of these planes over those where nothing touches.
 
-        x, v : (n, 3) [m], [m/s] now; chunk : substeps for which the planes stay; values : of
-        `pair_values`; floor : see `detect`.  1 where the number of substeps is given.
+        x, v : (n, 3) [m], [m/s] now; span : [s] for which the planes stay; stable : [s] of the
+        substeps where nothing touches; values : of `pair_values`; floor : see `detect`.  1 where
+        the number of substeps is given.
         """
         body = self._body
         if body.settings.substeps:
@@ -392,15 +395,12 @@ class BodyContact:
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing,
         )  # fmt: skip
-        span = chunk * dt
         fall = self._speed_gain(span)
-
-        def with_springs(step: StableStep) -> StableStep:
-            if body.regions:
-                return springs.crowded_step(self.contact, step, x, v, span, fall, self._crowd)
-            return springs.step(self.contact, body.mass, step, x, v, span, fall, near)
-
-        return body.step.substeps_with_contact(dt, with_springs)
+        if body.regions:
+            contact = springs.crowded_step(self.contact, body.step, x, v, span, fall, self._crowd)
+        else:
+            contact = springs.step(self.contact, body.mass, body.step, x, v, span, fall, near)
+        return body.step.substeps_with_contact(stable, contact)
 
     def _speed_gain(self, span: float) -> float:
         """[m/s] that gravity and fields may add to a speed within a span [s]."""

@@ -164,6 +164,7 @@ class TotalLagrangian(Solver):
         if pairs:
             pairs.begin(state)
         whole, left = self.frame_time / substeps, substeps
+        stable = self.frame_time / min(substeps, max(self.coarse, self.strained))
         active = taken = 0
         last = 0.0  # [s] length of the previous substep
         while left:
@@ -174,8 +175,9 @@ class TotalLagrangian(Solver):
                 parts = int(np.ceil(chunk * shorter))
             if pairs:
                 chunk, parts = pairs.detect(
-                    state, index, whole, substeps - left, chunk, floor=near, shorter=shorter
-                )
+                    state, index, whole, substeps - left, chunk, floor=near, shorter=shorter,
+                    stable=stable,
+                )  # fmt: skip
                 low = self.active.nearer(state, near, chunk * whole)
                 paired = pairs.planes.active
             dt = chunk * whole / parts

@@ -86,9 +86,11 @@ def plan_bodies(
             f"{len(names)} {what}, which collide{when}: {_listed(names)}"
             + ("; --combine makes them one body" if can_combine else "")
         )
-    inner = [particles.X[particles.surface == k] for k in range(len(paths))]
-    rivals = len(names) > 1 and not characters
-    if rivals and (pairs := overlapping(solid, spacing, of, owned, inner)):
+    pairs: list[tuple[int, int]] = []
+    if len(names) > 1 and not characters:
+        inner = [particles.X[particles.surface == k] for k in range(len(paths))]
+        pairs = overlapping(solid, spacing, of, owned, inner)
+    if pairs:
         one, two = (f"<{paths[k]}>" for k in pairs[0])
         more = f" (and {counted(len(pairs) - 1, 'more pair')})" if len(pairs) > 1 else ""
         notes.append(

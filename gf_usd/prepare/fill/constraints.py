@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from gf_usd.core.errors import counted
 from gf_usd.core.frames import Settings, sampled, written
@@ -18,9 +17,6 @@ from gf_usd.prepare.fill.bodies import FilledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.fill.shot import Shot
 from gf_usd.prepare.pins import attachment_pins, make_pins, soft_attachment_goals
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, kw_only=True)
