@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -135,6 +136,38 @@ def test_planes_of_coarse_meshes_are_carried_beside_their_place(
     frames = list(solver.frames())
     assert max(frame.health.contact for frame in frames) > 0.0
     assert max(most) < 4.0
+
+
+def test_substeps_of_contact_halve_with_the_step_of_a_failed_frame(monkeypatch) -> None:
+    solver = contact_solver(
+        LEFT, RIGHT, particles=300, frames=4, velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]
+    )
+    # springs that are far stiffer than the bodies, so that contact alone limits the substeps
+    step = PairSprings.step
+
+    def stiff_step(springs: PairSprings, *words: Any) -> StableStep:
+        found = step(springs, *words)
+        return replace(found, contact=30.0 * found.elastic)
+
+    monkeypatch.setattr(PairSprings, "step", stiff_step)
+    list(solver.frames())
+    saved, run = solver.state.save(), solver.launches.run
+    lengths: list[float] = []
+
+    def noted(state: Any, substeps: int, dt: float, *more: Any) -> None:
+        lengths.append(dt)
+        run(state, substeps, dt, *more)
+
+    monkeypatch.setattr(solver.launches, "run", noted)
+    for halvings in range(3):
+        solver.state.load(saved)
+        solver.guard.halvings = halvings
+        first = len(lengths)
+        solver.advance(3, solver.substeps)
+        lengths[first + 1 :] = []
+    assert lengths[0] < 0.1 * solver.frame_time / solver.coarse
+    assert lengths[1] == pytest.approx(0.5 * lengths[0], rel=0.1)
+    assert lengths[2] == pytest.approx(0.25 * lengths[0], rel=0.1)
 
 
 def test_over_the_floor_alone_it_is_the_floors() -> None:
