@@ -196,10 +196,11 @@ def strained_substeps(
     """
     if body.settings.substeps:
         return 1
-    k = stiffness(law, stretch, J) * now.plastic_factor
+    plastic = now.plastic_factor
+    k = stiffness(law, stretch, J) * plastic
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
-    damping = stretch[:, 2] ** 2 * now.plastic_factor
+    damping = stretch[:, 2] ** 2 * plastic
     rest = pressed_step(body.contact, body.step, depth)
     dt = strained_step(
         rest, speed, body.h, per_cell(body.particles, body.h), body.frequency,

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from gf_usd.core.errors import counted
 from gf_usd.core.frames import Settings, sampled, written
 from gf_usd.core.stage import Goals, Pin
-from gf_usd.prepare.bodies.contact import (
-    LimbPlan,
-)
+from gf_usd.prepare.bodies.contact import LimbPlan
 from gf_usd.prepare.bodies.flesh import Flesh, flesh_of
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.bodies import FilledBodies

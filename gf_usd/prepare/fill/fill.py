@@ -52,9 +52,7 @@ from gf_usd.prepare.options.implied import with_flow, with_stage
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Plan, embedded_points
-from gf_usd.prepare.settings import (
-    Animation,
-)
+from gf_usd.prepare.settings import Animation
 from gf_usd.readers.notes import ANIMATED
 
 if TYPE_CHECKING:

@@ -13,10 +13,7 @@ from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.fill.meshes import FilledMeshes, ResolutionOf, repair_for_fill
 from gf_usd.prepare.materials.flowing import Dispatch
 from gf_usd.prepare.options.request import Request
-from gf_usd.prepare.settings import (
-    Resolution,
-    resolution,
-)
+from gf_usd.prepare.settings import Resolution, resolution
 
 if TYPE_CHECKING:
     from gf_usd.geometry.repair import Repairs

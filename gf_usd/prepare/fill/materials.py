@@ -11,9 +11,7 @@ from gf_usd.core.frames import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, StagePhysics, StageSpec
 from gf_usd.prepare import paper as paper_options
-from gf_usd.prepare.bodies.contact import (
-    skins,
-)
+from gf_usd.prepare.bodies.contact import skins
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.materials.assign import Assigned, assign_materials

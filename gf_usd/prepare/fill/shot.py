@@ -15,12 +15,7 @@ from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.options.choices import require_resolved
 from gf_usd.prepare.options.fields import upward_note
-from gf_usd.prepare.settings import (
-    Animation,
-    floor_plane,
-    resolve,
-    settled_frames,
-)
+from gf_usd.prepare.settings import Animation, floor_plane, resolve, settled_frames
 from gf_usd.readers.usd_bake.spec import read_motion
 
 if TYPE_CHECKING:
