@@ -28,6 +28,15 @@ def row_dots(a: Floats, b: Floats) -> np.ndarray:
     return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
 
 
+def cross(a: Floats, b: Floats) -> np.ndarray:
+    """a x b (..., 3) of vectors (..., 3), to the bit what `numpy.cross` says."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        out[..., axis] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
+    return out
+
+
 def nonzero_rows(rows: Floats) -> Ints:
     """Which of rows (n, 3) are not 0."""
     return np.flatnonzero((rows[:, 0] != 0.0) | (rows[:, 1] != 0.0) | (rows[:, 2] != 0.0))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.neighbors import components, pairs_within
 
 # Float32 points carry about 1e-7 of their size: ten times that is the same point.
@@ -97,7 +97,7 @@ def _edges(triangles: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Directed edges (3T, 2), three of a triangle in a row, and a (3T,) id without direction."""
     triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    low, high = edges.min(axis=1), edges.max(axis=1)
+    low, high = np.minimum(*edges.T), np.maximum(*edges.T)
     span = int(high.max()) + 1 if len(high) else 1
     return edges, np.unique(low * span + high, return_inverse=True)[1].reshape(-1)
 
@@ -139,13 +139,13 @@ def signed_volume(points: Floats, triangles: Ints) -> float:
         return 0.0
     corners = np.asarray(points, dtype=np.float64)[triangles]
     a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-    return float(np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0)
+    return float(np.einsum("ti,ti->", a, cross(b, c)) / 6.0)
 
 
 def areas(points: Floats, triangles: Ints) -> NDArray[np.float64]:
     """(T,) of the triangles."""
     a, b, c = np.moveaxis(np.asarray(points, float)[triangles], 1, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return 0.5 * np.linalg.norm(cross(b - a, c - a), axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,8 +213,11 @@ def divide_edges(points: Floats, triangles: Ints, longest: float, most: int = 0)
     corners = np.arange(3 * len(triangles)).reshape(-1, 3)
     halves: list[Ints] = []
     while not most or len(triangles) < most:
-        ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], -1), axis=-1)
-        edges, edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+        after = np.roll(triangles, -1, axis=1)
+        low, high = np.minimum(triangles, after), np.maximum(triangles, after)
+        # One number an edge: rows take `unique` several times as long.
+        keys, edge = np.unique(low * len(points) + high, return_inverse=True)
+        edges = np.stack(np.divmod(keys, len(points)), 1)
         way = points[edges[:, 1]] - points[edges[:, 0]]
         long = np.flatnonzero((way * way).sum(1) > longest * longest)
         if len(long) == 0:
@@ -305,13 +308,13 @@ def _cut(polygons: Floats, rings: NDArray[np.int64]) -> NDArray[np.int64]:
     if n == 3:
         return rings[:, fan]
     local = polygons - polygons.mean(axis=1, keepdims=True)
-    normal = np.cross(local, np.roll(local, -1, axis=1)).sum(axis=1)  # Newell: twice the area
+    normal = cross(local, np.roll(local, -1, axis=1)).sum(axis=1)  # Newell: twice the area
     size = np.einsum("mi,mi->m", normal, normal)
 
     def worst(pattern: Ints) -> Floats:
         """(m,) smallest signed area of the pattern's triangles over the polygon's area."""
         a, b, c = np.moveaxis(local[:, pattern], 2, 0)
-        area = np.einsum("mti,mi->mt", np.cross(b - a, c - a), normal)
+        area = np.einsum("mti,mi->mt", cross(b - a, c - a), normal)
         return area.min(axis=1) / np.where(size > 0.0, size, 1.0)
 
     # Relative to the polygon: below this a triangle is a line.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import counted
 from gf_usd.core.mesh import WELD_FRACTION, areas, proper, shells, weld
@@ -367,7 +367,7 @@ def slivers(points: Floats, triangles: Ints) -> Flags:
     corners = points[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     longest = np.linalg.norm(sides, axis=2).max(1)
-    twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    twice_area = np.linalg.norm(cross(sides[:, 0], sides[:, 1]), axis=1)
     return twice_area <= WELD_FRACTION * float(np.linalg.norm(np.ptp(points, axis=0))) * longest
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import igl
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.mesh import areas, boundary_edges, weld
@@ -175,7 +175,7 @@ class Shape:
             np.ascontiguousarray(X - self.center), self._points, self._triangles
         )
         a, b, c = np.moveaxis(self._points[self._triangles[np.asarray(face).reshape(-1)]], 1, 0)
-        normal = np.cross(b - a, c - a)
+        normal = cross(b - a, c - a)
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         return np.asarray(nearest) + self.center, normal / np.where(length > 0.0, length, 1.0)
 

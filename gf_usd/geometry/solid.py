@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume, weld
@@ -99,7 +99,7 @@ def hole_fraction(points: Floats, triangles: Ints) -> float:
     if len(edges) == 0:
         return 0.0
     a, b, c = np.moveaxis(points[triangles], 1, 0)
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    area = 0.5 * np.linalg.norm(cross(b - a, c - a), axis=1).sum()
     n = len(points)
     graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
     label = components(graph)[1][edges[:, 0]]
@@ -107,7 +107,7 @@ def hole_fraction(points: Floats, triangles: Ints) -> float:
     loop = np.unique(label, return_inverse=True)[1]
     count = np.bincount(loop)
     center = np.stack([np.bincount(loop, start[:, d]) / count for d in range(3)], 1)[loop]
-    fan = 0.5 * np.linalg.norm(np.cross(start - center, end - center), axis=1).sum()
+    fan = 0.5 * np.linalg.norm(cross(start - center, end - center), axis=1).sum()
     return float(fan / (area + fan))
 
 
@@ -163,7 +163,7 @@ def _welded(surface: Surface) -> tuple[Ints, Ints, str]:
             ),
         )
     a, b, c = np.moveaxis(surface.points[welded], 1, 0)
-    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    area = 0.5 * float(np.linalg.norm(cross(b - a, c - a), axis=1).sum())
     volume = abs(signed_volume(surface.points, welded))
     if volume <= FLAT_FRACTION * area**1.5:
         return welded, source, f"it is flat: volume {volume:.3g} m^3 for an area of {area:.3g} m^2"

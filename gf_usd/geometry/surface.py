@@ -9,7 +9,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import NO_COLOR, Texture
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.geometry.solid import Solid
@@ -39,7 +39,7 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
     found: Any = igl.point_mesh_squared_distance(X - center, points, faces)
     squared, at, closest = found
     a, b, c = np.moveaxis(points[faces[at]], 1, 0)
-    n = np.cross(b - a, c - a)
+    n = cross(b - a, c - a)
     length = np.linalg.norm(n, axis=1, keepdims=True)
     n = n / np.where(length > 0.0, length, 1.0)
     # The normals of a surface that is inside out as a whole are negated.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.mesh import areas
 from gf_usd.core.neighbors import components
 
@@ -76,7 +76,7 @@ def volumes(points: Floats, triangles: Ints, label: Ints) -> Floats:
     mean = corners.mean(1)
     center = np.stack([np.bincount(label, mean[:, d]) / count for d in range(3)], 1)
     a, b, c = np.moveaxis(corners - center[label][:, None, :], 1, 0)
-    return np.bincount(label, np.einsum("ti,ti->t", a, np.cross(b, c)) / 6.0)
+    return np.bincount(label, np.einsum("ti,ti->t", a, cross(b, c)) / 6.0)
 
 
 def open_fractions(points: Floats, triangles: Ints, label: Ints) -> Floats:
@@ -85,7 +85,7 @@ def open_fractions(points: Floats, triangles: Ints, label: Ints) -> Floats:
     S is zero for a closed part; |S| is a lower bound of the area that closes its holes.
     """
     a, b, c = np.moveaxis(points[triangles], 1, 0)
-    vector = 0.5 * np.cross(b - a, c - a)
+    vector = 0.5 * cross(b - a, c - a)
     gap = np.linalg.norm(
         np.stack([np.bincount(label, vector[:, d]) for d in range(3)], axis=1), axis=1
     )
@@ -269,7 +269,7 @@ def _walk(edges: Edges, leaving: dict[int, list[int]], first: int) -> list[Ints]
 def fan_area(ring: Floats) -> float:
     """[m^2] area of the triangle fan between a closed ring (n, 3) [m] and its centroid."""
     spokes = ring - ring.mean(0)
-    return float(0.5 * np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, 0)), axis=1).sum())
+    return float(0.5 * np.linalg.norm(cross(spokes, np.roll(spokes, -1, 0)), axis=1).sum())
 
 
 OVERLAP_PROBES = 50_000  # sample points: bounds time
@@ -292,7 +292,7 @@ def overlapping(points: Floats, triangles: Ints, label: Ints) -> NDArray[np.bool
     # centroids of the n (n + 1) / 2 upright triangles of a subdivided triangle
     u, v = ((np.stack([i, j])[:, i + j < n] + 1.0 / 3.0) / n)[:, None, :, None]
     a, b, c = (corner[:, None, :] for corner in np.moveaxis(points[triangles[rows]], 1, 0))
-    normal = np.cross(b - a, c - a)
+    normal = cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=2, keepdims=True)
     normal = normal / np.where(length > 0.0, length, 1.0)
     low, high = boxes(points, triangles, label)

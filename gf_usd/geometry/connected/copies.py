@@ -24,7 +24,7 @@ import igl
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.frames import CellCopies, Particles
 from gf_usd.core.neighbors import components, kd_tree, node_copies
 from gf_usd.geometry.connected.bodies import TOUCHING, spread
@@ -204,7 +204,7 @@ class _Parts:
         one, other = one[differ], other[differ]
         begin, end = largest[one], largest[other]
         a, b, c = np.moveaxis(rows.skins.points[rows.skins.triangles[rows.triangle[begin]]], 1, 0)
-        inward = -np.cross(b - a, c - a)
+        inward = -cross(b - a, c - a)
         way = rows.center[end] - rows.center[begin]
         sees = (inward * way).sum(1) > 0.0
         begin, end, one = begin[sees], end[sees], one[sees]

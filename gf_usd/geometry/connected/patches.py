@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints, lengths
+from gf_usd.core.arrays import Floats, Ints, cross, lengths
 from gf_usd.core.mesh import shells
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.sampling.pieces import cut
@@ -83,9 +83,9 @@ class Skins:
 def vertex_normals(points: Floats, triangles: Ints) -> Floats:
     """(V, 3) unit vertex normals, area-weighted; 0 where a vertex has no faces."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
-    cross = np.cross(b - a, c - a)
+    normal = cross(b - a, c - a)
     out = np.stack(
-        [np.bincount(triangles.ravel(), np.repeat(cross[:, k], 3), len(points)) for k in range(3)],
+        [np.bincount(triangles.ravel(), np.repeat(normal[:, k], 3), len(points)) for k in range(3)],
         1,
     )
     length = np.linalg.norm(out, axis=1, keepdims=True)
@@ -143,7 +143,7 @@ class Patches:
     def largest(self) -> Ints:
         """(patches,) the row of the largest triangle of each patch."""
         a, b, c = np.moveaxis(self.skins.points[self.skins.triangles], 1, 0)
-        area = lengths(np.cross(b - a, c - a))
+        area = lengths(cross(b - a, c - a))
         order = np.lexsort([-area[self.triangle], self.patch])
         return order[np.unique(self.patch[order], return_index=True)[1]]
 
@@ -208,7 +208,7 @@ class Patches:
         d = self.center[end][segment] - o
         # Moeller and Trumbore 1997
         u, v, s = b - a, c - a, o - a
-        p, q = np.cross(d, v), np.cross(s, u)
+        p, q = cross(d, v), cross(s, u)
         det = (u * p).sum(1)
         safe = np.where(det == 0.0, 1.0, det)
         x, y, t = (s * p).sum(1) / safe, (d * q).sum(1) / safe, (v * q).sum(1) / safe

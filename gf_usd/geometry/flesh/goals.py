@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import FleshLimits, Goals, Skeleton
@@ -217,9 +217,9 @@ def on_skin(solid: Solid, X: Floats) -> list[OnSkin]:
 def _barycentric(at: Floats, corners: Floats) -> NDArray[np.float64]:
     """(n, 3) barycentric coordinates of points (n, 3) in triangles of corners (n, 3, 3)."""
     a, b, c = np.moveaxis(corners, 1, 0)
-    normal = np.cross(b - a, c - a)
+    normal = cross(b - a, c - a)
     double = np.maximum((normal * normal).sum(1), np.finfo(float).tiny)
-    u = (np.cross(c - b, at - b) * normal).sum(1) / double
-    v = (np.cross(a - c, at - c) * normal).sum(1) / double
+    u = (cross(c - b, at - b) * normal).sum(1) / double
+    v = (cross(a - c, at - c) * normal).sum(1) / double
     out = np.clip(np.stack([u, v, 1.0 - u - v], 1), 0.0, 1.0)
     return np.asarray(out / out.sum(1, keepdims=True))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.geometry.sampling.mirror import SAME, mirror_axes
@@ -129,7 +129,7 @@ def _one_side(corners: Floats, mirrored: Ints, size: float) -> NDArray[np.float6
 def _cross(corners: Floats) -> Floats:
     """(n, 3) normals of triangles, of length twice the area."""
     a, b, c = np.moveaxis(corners, 1, 0)
-    return np.cross(b - a, c - a)
+    return cross(b - a, c - a)
 
 
 def _areas(corners: Floats) -> Floats:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 
 FLAT = 1e-15  # [cells^2] pieces of less area are dropped, below the rounding error of integrals
 # Six points and weights that integrate polynomials of degree 4 over a triangle (Dunavant 1985).
@@ -39,7 +39,7 @@ class Pieces:
     def area_vectors(self) -> Floats:
         """(n, 3) [cells^2] normal times area."""
         a, b, c = np.moveaxis(self.corners, 1, 0)
-        return 0.5 * np.cross(b - a, c - a)
+        return 0.5 * cross(b - a, c - a)
 
 
 def cut(corners: Floats) -> Pieces:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import areas, proper, shells, signed_volume, weld
@@ -216,13 +216,13 @@ def offsets(points: Floats, triangles: Ints) -> Floats:
     Lengths are limited to `MITRE`.
     """
     a, b, c = np.moveaxis(points[triangles], 1, 0)
-    cross = np.cross(b - a, c - a)
-    size = np.linalg.norm(cross, axis=1)
-    unit = cross / np.where(size > 0.0, size, 1.0)[:, None]
+    normal = cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1)
+    unit = normal / np.where(size > 0.0, size, 1.0)[:, None]
     M, r = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for k in range(3):
-        np.add.at(M, triangles[:, k], np.einsum("ti,tj->tij", cross, unit))
-        np.add.at(r, triangles[:, k], cross)
+        np.add.at(M, triangles[:, k], np.einsum("ti,tj->tij", normal, unit))
+        np.add.at(r, triangles[:, k], normal)
     value, axis = np.linalg.eigh(M)
     real = (value > SHARP * value[:, -1:]) & (value > 0.0)
     along = np.einsum("vij,vi->vj", axis, r)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.geometry.solid import Solid
 
 RAYS = 1000  # a share of 5 % is 50 of them, with a standard deviation of 0.7 %
@@ -80,8 +80,8 @@ def ray_lengths(solid: Solid, rays: int) -> Floats:
 def _spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
     """(count, 3) points on triangles, sampled uniformly by area, and their unit normals."""
     a, b, c = np.moveaxis(points[faces], 1, 0)
-    cross = np.cross(b - a, c - a)
-    twice = np.linalg.norm(cross, axis=1)
+    normal = cross(b - a, c - a)
+    twice = np.linalg.norm(normal, axis=1)
     rng = np.random.default_rng(0)
     share = (np.arange(count) + rng.random(count)) / count * twice.sum()
     face = np.minimum(np.searchsorted(np.cumsum(twice), share), len(faces) - 1)
@@ -89,4 +89,4 @@ def _spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
     X = a[face] + u * (b - a)[face] + v * (c - a)[face]
-    return X, cross[face] / twice[face, None]
+    return X, normal[face] / twice[face, None]

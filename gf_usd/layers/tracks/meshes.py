@@ -22,7 +22,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from scipy.sparse import csr_matrix
 
-from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.arrays import Floats, Ints, corners, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import MeshPose
@@ -356,7 +356,7 @@ class CornerNormals:
     def _areas(self, points: Floats) -> Floats:
         """Area vectors (P, 3): sum over a face's edges of half (a - o) x (b - o)."""
         x = np.asarray(points, np.float64)[self._indices]
-        half = 0.5 * np.cross(x - x[self._first], x[self._next] - x[self._first])
+        half = 0.5 * cross(x - x[self._first], x[self._next] - x[self._first])
         areas = np.zeros((self._faces, 3))
         np.add.at(areas, self._face, half)
         return areas

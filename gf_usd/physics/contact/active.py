@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from weakref import ref
+
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.floor import DRIFT, GIVEN_ROW, HEIGHT, WORK, move_springs
 from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
-from gf_usd.physics.total_lagrangian.state import State
+from gf_usd.physics.total_lagrangian.state import State, StateView
 
 SURPLUS = 1.25  # ratio of evaluated to needed samples at which the set is rebuilt
 
@@ -20,6 +22,7 @@ class ActiveSamples:
         self._body = body
         self._active: tuple[Ints, Ints] | None = None  # the set on the device
         self._height = np.zeros(0)  # [m] of the samples above the floor, without u and the offset
+        self._seen: tuple[ref[StateView], Floats, float] | None = None  # `_above_floor` of a view
         self._drift = 0.0  # [m/s] largest velocity toward the floor prescribed by pins
         self._fall = 0.0  # [m/s] bound of the falling speed
         self.pushed = 0.0  # [m/s] bound of the speed gained from a flow
@@ -34,6 +37,7 @@ class ActiveSamples:
             return np.zeros(0, np.int64)
         now, normal, span = state.view(), body.settings.normal, body.settings.frame_time
         self._height = contact.rows.X @ normal - floor_height(body.settings)
+        self._seen = None
         if contact.constants is not None:
             c, rate = now.constants
             self._height += contact.constants @ ((c + 0.5 * span * rate) @ normal)
@@ -51,15 +55,23 @@ class ActiveSamples:
 
     def _within(self, state: State, span: float) -> Ints:
         """Samples that may reach the floor within a span [s]."""
-        body, contact, normal = self._body, self._body.contact, self._body.settings.normal
-        assert contact is not None
-        now = state.view()
-        speed = float(np.abs(now.v @ normal).max()) + self._drift + self.pushed
+        body, normal = self._body, self._body.settings.normal
+        height, fastest = self._above_floor(state)
+        speed = fastest + self._drift + self.pushed
         g = abs(float(np.dot(body.settings.gravity, normal))) + body.settings.pushes
         self._fall = 2.0 * (speed + g * span)
         reach = span * self._fall + body.particles.spacing
-        height = self._height + float(state.offset @ normal) + contact.rows.W @ (now.u @ normal)
         return np.flatnonzero(height < reach)
+
+    def _above_floor(self, state: State) -> tuple[Floats, float]:
+        """Heights (n,) [m] of the samples, and the largest vertical speed [m/s] of the nodes."""
+        body, now = self._body, state.view()
+        if self._seen is None or self._seen[0]() is not now:
+            assert body.contact is not None
+            normal = body.settings.normal
+            height = float(state.offset @ normal) + body.contact.rows.W @ (now.u @ normal)
+            self._seen = ref(now), self._height + height, float(np.abs(now.v @ normal).max())
+        return self._seen[1:]
 
     def move_springs(self, state: State, time: float) -> None:
         """See `floor.move_springs`."""

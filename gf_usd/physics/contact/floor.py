@@ -19,12 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, nonzero_rows
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass, lumped_mass
 from gf_usd.physics.grid.reference import Rows, Stencil
-from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.taichi_arrays import DeviceState, look
 from gf_usd.physics.time_step import StableStep
 
 # Of E* / (rho s^2). The grid of quadratic B-splines already has a part of the compliance of a half
@@ -254,9 +254,9 @@ def move_springs(
     velocity : of samples (k,), (k, 3) [m/s]. Forces are evaluated half a substep after the start of
     a frame and half a substep before its end; frames and restarts refer to the end.
     """
-    xi = state.rows("sample_spring")
-    if (held := np.flatnonzero(xi.any(1))).size:
-        v = velocity(held)
+    held = nonzero_rows(look(state.arrays["sample_spring"]).reshape(-1, 3))
+    if len(held):
+        xi, v = state.rows("sample_spring"), velocity(held)
         xi[held] += time * (v - np.outer(v @ normal, normal))
         state.put("sample_spring", xi)
 

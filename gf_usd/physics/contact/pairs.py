@@ -10,7 +10,7 @@ and the rest is counted as `injected`.  The overlap reported is that with the tr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from weakref import ref
@@ -268,7 +268,7 @@ class BodyContact:
         done: int,
         left: int,
         *,
-        floor: Ints | None = None,
+        floor: Callable[[float], Ints] | None = None,
         shorter: float = 1.0,
         stable: float | None = None,
     ) -> tuple[int, int]:
@@ -279,7 +279,7 @@ class BodyContact:
         too long for springs between samples.
 
         index : the frame that is simulated; done : substeps of dt [s] since the frame before it.
-        floor : samples that may reach the floor; None: all.
+        floor : samples that may reach the floor within a span [s]; None: all.
         shorter : least number of substeps for each of dt, by what else pushes the samples.
         stable : [s] stable step of the body alone; dt is shorter where a failed frame is repeated,
             and so are the substeps then.  None: dt.
@@ -290,7 +290,7 @@ class BodyContact:
         x, v = self.motion(now)
         old = self._stored(x, time)
         search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
-        hold = min(hold, self._until_landed(x, v, floor))
+        hold = min(hold, self._until_landed(x, v, floor(left * dt) if floor else None))
         if not old.planes.any_planes and not search.planes.any_planes:
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
@@ -301,7 +301,8 @@ class BodyContact:
         slide = TRAVEL * self._spacing + WAIT * np.maximum(self._gap, 0.0)
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
-        by = self._step_ratio(x, v, chunk * dt, stable or dt, values, floor)
+        span = chunk * dt
+        by = self._step_ratio(x, v, span, stable or dt, values, floor(span) if floor else None)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
         free = until_contact(self.planes, gap, v, AHEAD) / dt
         if free >= min(chunk, FEWEST) and (by - 1.0) * min(chunk, free) >= FEWEST:
@@ -337,7 +338,7 @@ class BodyContact:
     def _until_landed(self, x: Floats, v: Floats, floor: Ints | None) -> float:
         """[s] until the floor has stopped samples for long enough that others may reach them.
 
-        floor : see `detect`.
+        floor : (k,) samples that may be stopped until then; None: all.
         """
         s = self._body.settings
         if s.floor is None:
@@ -382,8 +383,8 @@ class BodyContact:
         """Substeps with the springs of these planes over those where nothing touches.
 
         x, v : (n, 3) [m], [m/s] now; span : [s] for which the planes stay; stable : [s] of the
-        substeps where nothing touches; values : of `pair_values`; floor : see `detect`.  1 where
-        the number of substeps is given.
+        substeps where nothing touches; values : of `pair_values`; floor : (k,) samples that may
+        reach the floor within the span; None: all.  1 where the number of substeps is given.
         """
         body = self._body
         if body.settings.substeps:

@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats, Ints, row_dots
+from gf_usd.core.arrays import Floats, Ints, cross, row_dots
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.contact.narrow_phase import CLOSER
-from gf_usd.physics.contact.planes.carriers import cross, turn
+from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.self_contact.patches import CHANGE
 from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
@@ -155,7 +155,7 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
     r = corners - corners.mean(1, keepdims=True)
     arm = x[s] - np.einsum("nk,nka->na", w, corners)
     alpha = turn(r, cross(n, arm))
-    back = np.cross(alpha[:, None], r) - w[:, :, None] * n[:, None]
+    back = cross(alpha[:, None], r) - w[:, :, None] * n[:, None]
     plain = 1.0 + (w * w).sum(1)
     out[carried] = np.maximum(1.0, (1.0 + (back * back).sum((1, 2))) / plain)
     return out

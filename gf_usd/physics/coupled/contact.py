@@ -20,9 +20,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.physics.contact.narrow_phase import TRAVEL
-from gf_usd.physics.contact.planes.carriers import cross, turn
+from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.continuity import EASE
 from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

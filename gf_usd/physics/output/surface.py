@@ -33,7 +33,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.errors import BakeError
 from gf_usd.core.neighbors import components
 from gf_usd.physics.output.surface_kernels import BLOCK, NODES, carried, field
@@ -221,7 +221,7 @@ def _volumes(points: Floats, triangles: Ints, part: Ints, parts: int) -> NDArray
     centers.
     """
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    six = np.einsum("ij,ij->i", a, np.cross(b, c))
+    six = np.einsum("ij,ij->i", a, cross(b, c))
     return np.bincount(part[triangles[:, 0]], six, parts).astype(np.float64)
 
 
@@ -234,7 +234,7 @@ def _sums(label: Ints, values: Floats, count: int) -> NDArray[np.float64]:
 def _normals(points: Floats, triangles: Ints) -> NDArray[np.float64]:
     """(V, 3) unit area-weighted means of the normals of adjacent triangles."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    area = np.cross(b - a, c - a)
+    area = cross(b - a, c - a)
     total = _sums(triangles.ravel(), np.repeat(area, 3, axis=0), len(points))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)

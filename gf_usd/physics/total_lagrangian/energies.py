@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, cross, triple
 from gf_usd.core.frames import Health
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.laws.registry import ParticleLaws
@@ -58,9 +58,6 @@ def stored_energy(
     return strain_energy(body, law, stretch, J) + now.potential + now.contact
 
 
-NEXT, LAST = (1, 2, 0), (2, 0, 1)  # cyclic successor and predecessor of each axis
-
-
 def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
     """Energies, momenta and stretches of frame `index`, in float64.
 
@@ -86,9 +83,9 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
         potential=now.potential,
         contact=now.contact + pairs,
         mass=float(whole),
-        center=_triple(m @ x / whole),
-        momentum=_triple(m @ v),
-        angular_momentum=_triple(spin),
+        center=triple(m @ x / whole),
+        momentum=triple(m @ v),
+        angular_momentum=triple(spin),
         min_J=float(J.min()),
         max_J=float(J.max()),
         min_stretch=float(stretch.min()),
@@ -97,14 +94,3 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
         plastic_dissipation=0.0 if body.law.set.flows else None,
         settling_dissipation=0.0 if body.settings.settles else None,
     )
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """a x b of rows (n, 3): `numpy.cross` without its general handling of axes and shapes."""
-    out = a.take(NEXT, 1) * b.take(LAST, 1)
-    out -= a.take(LAST, 1) * b.take(NEXT, 1)
-    return out
-
-
-def _triple(a: Floats) -> tuple[float, float, float]:
-    return (float(a[0]), float(a[1]), float(a[2]))

@@ -43,13 +43,13 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.matrices import across
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import OBSTACLE
 from gf_usd.physics.grid.bodies import bodies_of, node_sums
-from gf_usd.physics.total_lagrangian.energies import cross, kinetic_energies
+from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.rest_and_flight import presses
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -175,8 +176,8 @@ class TotalLagrangian(Solver):
                 parts = int(np.ceil(chunk * shorter))
             if pairs:
                 chunk, parts = pairs.detect(
-                    state, index, whole, substeps - left, chunk, floor=near, shorter=shorter,
-                    stable=stable,
+                    state, index, whole, substeps - left, chunk, shorter=shorter, stable=stable,
+                    floor=partial(self.active.nearer, state, near),
                 )  # fmt: skip
                 low = self.active.nearer(state, near, chunk * whole)
                 paired = pairs.planes.active

@@ -407,11 +407,11 @@ class StateView:
         contact, s = self._body.contact, self._body.settings
         if contact is None or s.floor is None:
             return 0.0
-        rows = contact.rows
-        x = rows.X + self.offset + rows.W @ self.u
+        rows, normal = contact.rows, s.normal
+        height = rows.X @ normal + self.offset @ normal + rows.W @ (self.u @ normal)
         if contact.constants is not None:
-            x = x + contact.constants @ self.constants[0]
-        depth = np.maximum(0.0, -(x @ s.normal - s.floor))
+            height = height + contact.constants @ (self.constants[0] @ normal)
+        depth = np.maximum(0.0, s.floor - height)
         xi = self._given[-3 if self._body.law.set.flows else -2].astype(float).reshape(-1, 3)
         held = spring_energy(contact.tangential, xi)
         return held + contact.normal_energy(depth)

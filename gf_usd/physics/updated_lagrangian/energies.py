@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, triple
 from gf_usd.core.frames import Health, Pose, Settings
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.time_step import wave_speed
@@ -61,9 +61,9 @@ def measure(
         potential=float(-(m @ (height @ np.asarray(settings.gravity)))),
         contact=contact,
         mass=float(m.sum()),
-        center=_triple(m @ x / m.sum()),
-        momentum=_triple(m @ v),
-        angular_momentum=_triple(m @ (np.cross(x, v) + spread * axial(C))),
+        center=triple(m @ x / m.sum()),
+        momentum=triple(m @ v),
+        angular_momentum=triple(m @ (np.cross(x, v) + spread * axial(C))),
         min_J=float(J.min()),
         max_J=float(J.max()),
         min_stretch=float(stretch.min()),
@@ -128,10 +128,6 @@ def _cells(x: Floats, h: float) -> int:
     wide = at.max(0) + 1.0
     # one key per cell, which sorts faster than three indices; exact in float64 up to 2^53 cells
     return len(np.unique((at[:, 0] * wide[1] + at[:, 1]) * wide[2] + at[:, 2]))
-
-
-def _triple(a: Floats) -> tuple[float, float, float]:
-    return (float(a[0]), float(a[1]), float(a[2]))
 
 
 def world_stiffness(law: ParticleLaws, stretch: Floats, J: Floats) -> Floats:

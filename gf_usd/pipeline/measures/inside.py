@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
 from gf_usd.core.mesh import divided, signed_volume
@@ -140,7 +140,7 @@ class InsideMeasure:
         """
         corners = points[self._triangles[self._pieces.of[which]]]
         a, b, c = np.moveaxis(corners, 1, 0)
-        normal = np.cross(b - a, c - a)
+        normal = cross(b - a, c - a)
         length = np.linalg.norm(normal, axis=1)
         normal /= np.where(length > 0.0, length, 1.0)[:, None]
         middle = np.einsum("nk,nka->na", self._pieces.weights[which], corners)
@@ -222,9 +222,9 @@ def directions(normal: Floats, least: float) -> Iterator[Floats]:
     """Unit directions (n, 3), evenly distributed where the cosine with normals (n, 3) exceeds
     `least`.
     """
-    side = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
+    side = cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-30)
-    other = np.cross(normal, side)
+    other = cross(normal, side)
     for k in range(WAYS):  # a spiral (Fibonacci)
         up = 1.0 - (1.0 - least) * (k + 0.5) / WAYS
         turn, out = k * np.pi * (3.0 - 5.0**0.5), np.sqrt(1.0 - up * up)

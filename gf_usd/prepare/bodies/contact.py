@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, row_dots
+from gf_usd.core.arrays import Floats, Ints, cross, row_dots
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles, SurfaceSamples
@@ -192,7 +192,7 @@ def _inside(obstacle: Collider, X: Floats) -> Ints:
     points = obstacle.positions(0)
     if obstacle.shape == "plane":
         a, b, c = points[obstacle.triangles[0]]
-        return (X - a) @ np.cross(b - a, c - a) < 0.0
+        return (X - a) @ cross(b - a, c - a) < 0.0
     near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
     found = np.zeros(len(X), bool)
     if near.any():
@@ -257,7 +257,7 @@ def hull_upper_bound(points: Floats, triangles: Ints) -> float:
         return np.inf  # it is open, or more than two triangles meet at an edge
     X = points - 0.5 * (points.min(0) + points.max(0))
     a, b, c = np.moveaxis(X[triangles], 1, 0)
-    normal = np.cross(b - a, c - a)  # 2 A_i long
+    normal = cross(b - a, c - a)  # 2 A_i long
     behind = np.einsum("ta,ta->t", normal, a)  # 6 V_i
     if (behind <= 0.0).any():
         return np.inf
@@ -286,7 +286,7 @@ def hull_lower_bound(points: Floats) -> float:
     corners = X[(directions @ X.T).argmax(1)][triangles]
     a, b, c = np.moveaxis(corners, 1, 0)
     la, lb, lc = np.moveaxis(np.linalg.norm(corners, axis=2), 1, 0)
-    cone = row_dots(np.cross(a, b), c)  # 6 V_i
+    cone = row_dots(cross(a, b), c)  # 6 V_i
     below = la * lb * lc + row_dots(a, b) * lc + row_dots(b, c) * la + row_dots(c, a) * lb
     angle = 2.0 * np.arctan2(cone, below)
     if abs(angle.sum() - 4.0 * np.pi) > 1e-6:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import triangulate
@@ -397,7 +397,7 @@ def _authored(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Floats, str] | None:
 def _of_the_faces(points: Floats, triangles: Ints) -> Floats:
     """(V, 3) sum of the area vectors of the triangles at each point."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
-    area = np.cross(b - a, c - a)
+    area = cross(b - a, c - a)
     total = np.zeros_like(points)
     for corner in range(3):
         np.add.at(total, triangles[:, corner], area)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from gf_usd.core.arrays import Floats, corners
+from gf_usd.core.arrays import Floats, corners, cross
 from gf_usd.core.frames import BakeInfo, MeshPose, Particles, TetLattice
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.core.mesh import tet_surface
@@ -117,5 +117,5 @@ class TetTrack:
 def point_shares(tets: TetLattice) -> Floats:
     """(n,) the share of each point in the volume of the tetrahedra; they add up to 1."""
     a, b, c, d = np.moveaxis(np.asarray(tets.X, float)[tets.tets], 1, 0)
-    volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))
+    volume = np.einsum("ij,ij->i", b - a, cross(c - a, d - a))
     return np.bincount(tets.tets.ravel(), np.repeat(volume, 4), len(tets.X)) / (4 * volume.sum())

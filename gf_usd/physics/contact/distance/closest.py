@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 
 ON_SURFACE = 1e-6  # of the reach: at a smaller distance the direction is rounding
 
@@ -78,7 +78,7 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
 def above_plane(X: Floats, corners: Floats, reach: float) -> Closest:
     """The same for the half space below the plane of a triangle with corners (3, 3) [m]."""
     a, b, c = corners
-    n = np.cross(b - a, c - a)
+    n = cross(b - a, c - a)
     n = n / np.linalg.norm(n)
     gap = (X - a) @ n
     rows = np.flatnonzero(gap < reach)

@@ -120,22 +120,25 @@ def opposite_seeds(
 
 
 @ti.func
-def is_candidate(
-    triangles: ti.template(), faces: ti.template(), near: ti.template(), seeds, m, i, t, n, aside
-):
-    """Whether triangle t, at seed m of sample i with the normal n, is a candidate: none of its
-    corners is near the sample at rest, and no earlier seed is a corner, whose triangles were
-    already searched.
+def faces_it(triangles: ti.template(), faces: ti.template(), seeds, m, t, n, aside):
+    """Whether triangle t, at seed m, faces a sample with the normal n, and has no earlier seed as a
+    corner, whose triangles were already searched.
     """
     yes = n.dot(vector(faces, t)) < aside
     for k in ti.static(range(3)):
         for earlier in ti.static(range(SEEDS - 1)):
             yes = yes and (earlier >= m or triangles[t, k] != seeds[earlier])
-    k = 0
-    while yes and k < 3:
-        yes = not listed(near, i, triangles[t, k])
-        k += 1
     return yes
+
+
+@ti.func
+def any_listed(lists: ti.template(), i, triangles: ti.template(), t):
+    """Whether a corner of triangle t is in the list of i."""
+    there, k = False, 0
+    while k < 3 and not there:
+        there = listed(lists, i, triangles[t, k])
+        k += 1
+    return there
 
 
 @ti.kernel
@@ -253,14 +256,15 @@ def find_faced(
                     t = -1
                     if seed >= 0:
                         t = around[seed, e % around.shape[1]]
-                    if t >= 0 and is_candidate(triangles, faces, near, seeds, m, i, t, n, aside):
+                    if t >= 0 and faces_it(triangles, faces, seeds, m, t, n, aside):
                         a, b = vector(x, triangles[t, 0]), vector(x, triangles[t, 1])
                         c = vector(x, triangles[t, 2])
                         weights = closest_on_triangle(p, a, b, c)
                         distance = (p - weights[0] * a - weights[1] * b - weights[2] * c).norm()
-                        if distance < least - tie:
-                            least, at, ties, pseudo = distance, -1, 0, 0.0 * p
-                        if distance <= least + tie:
+                        # Searching lists takes the longest: only for a triangle that is chosen.
+                        if distance <= least + tie and not any_listed(near, i, triangles, t):
+                            if distance < least - tie:
+                                least, at, ties, pseudo = distance, -1, 0, 0.0 * p
                             # Faces and edges by face normals, vertices weighted by angles.
                             share = 1.0 + 0.0 * distance
                             for corner in ti.static(range(3)):

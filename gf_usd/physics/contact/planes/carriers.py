@@ -113,11 +113,3 @@ def _sum(three: Floats) -> Floats:
     per row.
     """
     return three[..., 0] + three[..., 1] + three[..., 2]
-
-
-NEXT, LAST = (1, 2, 0), (2, 0, 1)  # cyclic successor and predecessor of each axis
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """a x b of rows (n, 3): `numpy.cross` without its general handling of axes and shapes."""
-    return a.take(NEXT, 1) * b.take(LAST, 1) - a.take(LAST, 1) * b.take(NEXT, 1)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, lengths, nonzero_rows, row_dots
-from gf_usd.physics.contact.planes.carriers import cross, spin
+from gf_usd.core.arrays import Floats, Ints, cross, lengths, nonzero_rows, row_dots
+from gf_usd.physics.contact.planes.carriers import spin
 
 ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
 NOBODY = -1  # as a partner: no plane

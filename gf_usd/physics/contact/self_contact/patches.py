@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.planes.carriers import cross
+from gf_usd.core.arrays import Floats, Ints, cross
 
 PATCH = 48  # samples of a patch, about
 OPPOSED = 0.5  # cosine above which two patches, or two walls of a gap, face each other
@@ -119,9 +118,9 @@ class Patches:
         # a sample where sides of a sheet meet may have no normal: any frame serves its patch
         n0 = np.where(size > 1e-12, n0 / np.maximum(size, 1e-12), np.eye(3)[2])
         axis = np.eye(3)[np.abs(n0).argmin(1)]
-        t1 = np.cross(n0, axis)
+        t1 = cross(n0, axis)
         t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
-        t2 = np.cross(n0, t1)
+        t2 = cross(n0, t1)
         away = X - (mean @ X)[self._of]
         # x = c + a t1 + b t2 by least squares over each patch: two rows of sums of x.
         a, b = (away * t1[self._of]).sum(1), (away * t2[self._of]).sum(1)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, lengths
+from gf_usd.core.arrays import Floats, Ints, cross, lengths
 from gf_usd.core.stage import Skin
 from gf_usd.physics.contact.distance.closest import (
     FOUND,
@@ -267,7 +267,7 @@ class SelfContact:
         """[m] distances of samples s (k,) from places on triangles `corners` (k, 3), their heights
         above the triangles, and along normals (k, 3)."""
         a, b, c = np.moveaxis(x[corners], 1, 0)
-        n = np.cross(b - a, c - a)
+        n = cross(b - a, c - a)
         length = np.linalg.norm(n, axis=1)
         away = x[s] - np.einsum("nk,nka->na", weights, x[corners])
         height = (away * n).sum(1) / np.where(length > 0.0, length, 1.0)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.mesh import tet_surface, weld
 
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
@@ -68,7 +68,7 @@ def surface_of(body: Tets, say: Callable[[str], None]) -> Ints:
 def signed_volumes(points: Floats, tets: Ints) -> Floats:
     """(n,) signed volumes of tetrahedra (n, 4)."""
     a, b, c, d = np.moveaxis(np.asarray(points, np.float64)[tets], 1, 0)
-    return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
+    return np.einsum("ij,ij->i", b - a, cross(c - a, d - a)) / 6.0
 
 
 def boundary(tets: Ints) -> Ints:
