@@ -53,6 +53,7 @@ def opposite_seeds(
     found: ti.template(),
     near: ti.template(),
     cells: ti.template(),
+    ordered: ti.template(),
     items,
     i,
     low,
@@ -87,12 +88,12 @@ def opposite_seeds(
                     if cy >= 0 and cy < size[1]:
                         column = (cx * size[1] + cy) * size[2]
                         for e in range(cells[column + first], cells[column + last + 1]):
-                            j = cells[items + e]
-                            along = n.dot(vector(found, j))
-                            square = (vector(x, j) - p).norm_sqr()
+                            along = n.dot(vector(ordered, e, 3))
+                            square = (vector(ordered, e) - p).norm_sqr()
                             square += turn * turn * (2.0 + 2.0 * along)
                             # one branch, to reduce mispredictions
                             if ti.select(along < 0.0, square, far) < far:
+                                j = cells[items + e]
                                 for k in ti.static(range(LOOKED)):  # replaces the farthest
                                     best[k] = ti.select(k == worst, square, best[k])
                                     who[k] = ti.select(k == worst, j, who[k])
@@ -109,13 +110,14 @@ def opposite_seeds(
     least = ti.Vector([4.0 * widest * widest for _ in range(ti.static(SEEDS))])
     for k in ti.static(range(LOOKED)):
         j = who[k]
-        if j >= 0 and not listed(near, i, j):
+        if j >= 0:
             square = (vector(x, j) - p).norm_sqr()
-            for m in ti.static(range(SEEDS)):
-                if square < least[m] or (square == least[m] and j < seeds[m]):
-                    other, later = least[m], seeds[m]
-                    least[m], seeds[m] = square, j
-                    square, j = other, later
+            if square <= least[SEEDS - 1] and not listed(near, i, j):
+                for m in ti.static(range(SEEDS)):
+                    if square < least[m] or (square == least[m] and j < seeds[m]):
+                        other, later = least[m], seeds[m]
+                        least[m], seeds[m] = square, j
+                        square, j = other, later
     return seeds
 
 
@@ -149,6 +151,7 @@ def find_faced(
     near: ti.types.ndarray(dtype=ti.i32, ndim=1),
     flags: ti.types.ndarray(dtype=ti.i32, ndim=2),
     cells: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    ordered: ti.types.ndarray(dtype=ti.f64, ndim=2),
     faces: ti.types.ndarray(dtype=ti.f64, ndim=2),
     found: ti.types.ndarray(dtype=ti.f64, ndim=2),
     which: ti.types.ndarray(dtype=ti.i32, ndim=2),
@@ -167,8 +170,9 @@ def find_faced(
 
     triangles (T, 3), around (n, k) : of the `SampleMesh`; near : of `Neighbors`, see `listed`.
     flags : (n, 2) whether samples search, and are wanted anyway; other wanted samples are added.
-    cells : (c + 1 + 2 n,) and faces : (T, 6) are temporary, of a grid of `size` cells of an edge
-    [m] from a corner [m] on, and of normals and angles.
+    cells : (c + 1 + 2 n,), ordered : (n, 6) and faces : (T, 6) are temporary, of a grid of `size`
+    cells of an edge [m] from a corner [m] on, of positions and normals in its order, and of the
+    normals and angles of triangles.
     found, which : (n, 10), (n, 3) results, see the columns; -1: none.
     radius : [m] search radius; turn, widest : of `opposite_seeds`; reach : [m] largest distance,
     relative to the first seed; tie : [m] tolerance of distances; vertex : barycentric weight of a
@@ -213,6 +217,9 @@ def find_faced(
             own = cells[count + 1 + x.shape[0] + i]
             cells[own] -= 1
             cells[count + 1 + cells[own]] = i
+            for a in ti.static(range(3)):
+                ordered[cells[own], a] = x[i, a]
+                ordered[cells[own], a + 3] = found[i, a]
             i -= 1
     for i in range(x.shape[0]):
         if flags[i, LOOKS] == 1:
@@ -226,8 +233,8 @@ def find_faced(
                 for cy in range(first[1], last[1] + 1):
                     column = (cx * size[1] + cy) * size[2]
                     for e in range(cells[column + first[2]], cells[column + last[2] + 1]):
-                        j = cells[items + e]
-                        if (vector(x, j) - center).norm_sqr() < inside * inside:
+                        if (vector(ordered, e) - center).norm_sqr() < inside * inside:
+                            j = cells[items + e]
                             seen += 1
                             if not listed(near, i, j):
                                 flags[i, WANTED] = 1
@@ -239,7 +246,9 @@ def find_faced(
         which[i, SEED] = which[i, TRIANGLE] = -1
         if flags[i, WANTED] == 1:
             items = size[0] * size[1] * size[2] + 1
-            seeds = opposite_seeds(x, found, near, cells, items, i, low, edge, size, turn, widest)
+            seeds = opposite_seeds(
+                x, found, near, cells, ordered, items, i, low, edge, size, turn, widest
+            )
             which[i, SEED] = seeds[0]
             p, n = vector(x, i), vector(found, i)
             far = reach

@@ -11,9 +11,9 @@ ON_EDGE = 1e-9  # a barycentric weight below it counts as 0
 
 
 @ti.func
-def vector(A: ti.template(), i):
-    """Row i of (n, 3) numbers."""
-    return ti.Vector([A[i, 0], A[i, 1], A[i, 2]])
+def vector(A: ti.template(), i, first: ti.template() = 0):
+    """Three numbers of row i of (n, k) numbers, from column `first` on."""
+    return ti.Vector([A[i, first], A[i, first + 1], A[i, first + 2]])
 
 
 @ti.func

@@ -213,7 +213,8 @@ class SelfContact:
         found, which = np.empty((n, FOUND)), np.empty((n, WHICH), np.int32)
         find_faced(
             x, mesh.triangles, mesh.around, neighbors.lists, flags,
-            np.empty(size.prod() + 1 + 2 * n, np.int32), np.empty((len(mesh.triangles), 6)),
+            np.empty(size.prod() + 1 + 2 * n, np.int32), np.empty((n, 6)),
+            np.empty((len(mesh.triangles), 6)),
             found, which, low, edge, size, SEE * s, TURN * s, WIDEST * s, reach, ASIDE, 1e-6 * s,
             1.0 - 1e-9,
         )  # fmt: skip
