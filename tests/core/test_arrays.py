@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.core.arrays import corners, lengths, nonzero_rows, row_dots
+from gf_usd.core.arrays import corners, cross, lengths, nonzero_rows, row_dots
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 1000])
@@ -17,6 +17,16 @@ def test_columns_say_what_rows_say(count: int) -> None:
     low, high = corners(rows)
     np.testing.assert_array_equal(low, rows.min(axis=0))
     np.testing.assert_array_equal(high, rows.max(axis=0))
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (1000, 3), (4, 5, 3)])
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_cross_products_are_those_of_numpy(shape: tuple[int, ...], real: type) -> None:
+    dice = np.random.default_rng(0)
+    a, b = (dice.normal(size=shape).astype(real) for _ in range(2))
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
+    np.testing.assert_array_equal(cross(a[:1], b), np.cross(a[:1], b))
+    assert cross(a, b).dtype == real
 
 
 def test_the_rows_are_left_as_they_are() -> None:

@@ -170,6 +170,34 @@ def test_substeps_of_contact_halve_with_the_step_of_a_failed_frame(monkeypatch) 
     assert lengths[2] == pytest.approx(0.25 * lengths[0], rel=0.1)
 
 
+def test_springs_of_the_floor_count_where_it_may_be_touched_before_the_next_detection(
+    monkeypatch,
+) -> None:
+    """Two balls meet above the floor and come to it within the same frame of half a second."""
+    solver = contact_solver(
+        LEFT, RIGHT, particles=300, frames=2, fps=2.0, floor=-1.6, gravity=(0.0, -9.81, 0.0),
+        velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)],
+    )  # fmt: skip
+    counted: list[tuple[int, float]] = []  # samples whose springs count, and the lowest of all [m]
+    step = PairSprings.step
+
+    def noted(springs, contact, mass, rest, x, v, span, fall, near) -> StableStep:
+        height = x[:, 1] + 1.6
+        lowest = height - span * (np.abs(v[:, 1]).max() + 9.81 * span)
+        assert set(np.flatnonzero(lowest < 0.0)) <= set(near), "none that touches it is left out"
+        counted.append((len(near), float(height.min())))
+        return step(springs, contact, mass, rest, x, v, span, fall, near)
+
+    monkeypatch.setattr(PairSprings, "step", noted)
+    list(solver.frames())
+    high = [near for near, height in counted if height > 0.5]
+    low = [near for near, height in counted if height < 0.0]
+    assert high
+    assert min(high) == 0
+    assert low
+    assert all(low)
+
+
 def test_over_the_floor_alone_it_is_the_floors() -> None:
     solver = crash()[0]
     contact = solver.body.contact
