@@ -19,7 +19,9 @@ BASE = {"core", "system"}
 # Who takes these apart; all others are given what they need of them.
 WHOLE = {
     "gf_usd.prepare.plan.Plan": {"prepare/fill/fill.py", "prepare/prepare.py",
-                                 "pipeline/prepared.py", "pipeline/run.py", "pipeline/inspect.py",
+                                 "pipeline/prepared.py", "pipeline/run/run.py",
+                                 "pipeline/run/variant.py", "pipeline/run/coarse.py",
+                                 "pipeline/run/parts.py", "pipeline/inspect.py",
                                  "pipeline/scene.py", "cli/console.py"},
     "gf_usd.prepare.options.request.Request": {"prepare/settings.py", "prepare/fill/inputs.py",
                                                "prepare/fill/fill.py",
@@ -207,7 +209,7 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
         *(
             (plans_and_requests_are_taken_apart_in_few_places, file, source, faults)
             for file, source, faults in (
-                ("pipeline/run.py", "from gf_usd.prepare.plan import Plan, Variant", []),
+                ("pipeline/run/run.py", "from gf_usd.prepare.plan import Plan, Variant", []),
                 ("pipeline/cost/budget.py", "from gf_usd.prepare.plan import Variant", []),
                 (
                     "pipeline/cost/budget.py",
@@ -221,7 +223,7 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
                 ),
             )
         ),
-        (only_the_command_line_prints, "pipeline/run.py", "print(1)", ["line 1 prints"]),
+        (only_the_command_line_prints, "pipeline/run/run.py", "print(1)", ["line 1 prints"]),
         (only_the_command_line_prints, "layers/a.py", "sys.stdout.write('')", ["line 1 prints"]),
         (only_the_command_line_prints, "cli/console.py", "print(1)", []),
         *(
@@ -353,7 +355,7 @@ def test_importing_costs_nothing(module: str) -> None:
 
 def test_taichi_is_started_by_the_runtime_alone() -> None:
     # Imported elsewhere first, it prints its banner into the JSON on stdout.
-    modules = "pipeline.run", "prepare.prepare", "verify.registry", "physics.solvers"
+    modules = "pipeline.run.run", "prepare.prepare", "verify.registry", "physics.solvers"
     named = ", ".join(f"gf_usd.{module}" for module in modules)
     code = f"import sys, {named}; print('taichi' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

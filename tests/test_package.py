@@ -19,7 +19,7 @@ from gf_usd.prepare.options.table import OPTIONS
     [
         "import gf_usd; gf_usd.bake; made = gf_usd.bake",
         "from gf_usd import bake as made",
-        "import gf_usd.cli.bake; from gf_usd.pipeline.run import run; made = gf_usd.bake",
+        "import gf_usd.cli.bake; from gf_usd.pipeline.run.run import run; made = gf_usd.bake",
         "import gf_usd.api.bake; made = gf_usd.bake",
     ],
 )

@@ -105,7 +105,7 @@ def prepare_and_run(
     """See `bake`; in this process."""
     from gf_usd.pipeline.measures.refine import Refining
     from gf_usd.pipeline.prepared import prepare
-    from gf_usd.pipeline.run import run
+    from gf_usd.pipeline.run.run import run
 
     refining = Refining(until, max_hours, options)
     while True:

@@ -91,7 +91,7 @@ def bake(
     from gf_usd.pipeline.measures.refine import Refining
     from gf_usd.pipeline.prepared import prepare
     from gf_usd.pipeline.result import require_healthy
-    from gf_usd.pipeline.run import run
+    from gf_usd.pipeline.run.run import run
     from gf_usd.prepare.plan import describe
 
     taken = ("strict", "max_hours", "slice", "until")

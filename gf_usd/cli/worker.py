@@ -84,7 +84,7 @@ def make_ready() -> None:
     from gf_usd.layers import cache, root  # noqa: F401
     from gf_usd.layers.check import run as checks  # noqa: F401
     from gf_usd.physics import solvers  # noqa: F401
-    from gf_usd.pipeline import run  # noqa: F401
+    from gf_usd.pipeline.run import run  # noqa: F401
     from gf_usd.system.taichi_runtime import import_taichi
 
     import_taichi()

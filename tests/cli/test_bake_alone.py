@@ -12,7 +12,7 @@ from small_bakes import names
 
 from gf_usd.core.errors import UsageError
 from gf_usd.pipeline.prepared import prepare
-from gf_usd.pipeline.run import run
+from gf_usd.pipeline.run.run import run
 from gf_usd.system.file_locks import acquire, lock_path
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no file locks")

@@ -232,7 +232,7 @@ def test_a_new_bake_removes_what_it_does_not_go_on_with(gf_usd, here: Path, bloc
 def test_a_bake_cut_between_its_last_files_is_resumed(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gf_usd.pipeline import run
+    from gf_usd.pipeline.run import run
 
     words = ("bake", block, *SMALL, "-q")
     assert gf_usd(*words, "-o", "one/").status == 0

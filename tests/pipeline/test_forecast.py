@@ -15,10 +15,10 @@ from gf_usd.core.errors import OutOfResources, SolverError
 from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.physics.total_lagrangian import launch
-from gf_usd.pipeline import run as runs
 from gf_usd.pipeline.cost import forecast as forecasts
 from gf_usd.pipeline.cost.budget import LONG, shortcuts
 from gf_usd.pipeline.cost.forecast import Forecast
+from gf_usd.pipeline.run import run as runs
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 

@@ -90,7 +90,7 @@ def measure(folder: Path, particles: int, points: int, frames: int) -> Stages:
     from gf_usd.core.frames import BakeInfo
     from gf_usd.layers.cache import CacheWriter
     from gf_usd.pipeline.prepared import prepare
-    from gf_usd.pipeline.run import frame_builder, splat_deformer
+    from gf_usd.pipeline.run.parts import frame_builder, splat_deformer
     from gf_usd.prepare.plan import input_hash
 
     stages, file = Stages(), folder / "ball.usdc"

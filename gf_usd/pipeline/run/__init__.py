@@ -1,0 +1,1 @@
+"""Runs a prepared bake: simulates each variant, writes its cache, and publishes the files."""
