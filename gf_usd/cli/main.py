@@ -22,7 +22,7 @@ import typer
 
 from gf_usd.cli import exit, folder_options
 from gf_usd.cli.bake import bake
-from gf_usd.cli.batch import batch
+from gf_usd.cli.batch.command import batch
 from gf_usd.cli.check import check
 from gf_usd.cli.compare import compare
 from gf_usd.cli.deliver import deliver

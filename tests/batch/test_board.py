@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from gf_usd.batch.board import Board
-from gf_usd.cli.batch_console import openjd_lines, plain_lines
+from gf_usd.cli.batch.console import openjd_lines, plain_lines
 
 
 class Clock:

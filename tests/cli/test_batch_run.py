@@ -13,7 +13,7 @@ from batch_jobs import outcome
 from small_bakes import Done, names
 
 from gf_usd.batch.board import write_summary
-from gf_usd.cli.batch_run import _stoppable
+from gf_usd.cli.batch.run import _stoppable
 from gf_usd.system.processes import Children
 
 Call = Callable[..., Done]
@@ -49,8 +49,8 @@ def test_a_second_signal_leaves_the_page_of_what_was_stopped(
         signal.raise_signal(signal.SIGINT)
         return write_summary(*arguments, **named)
 
-    monkeypatch.setattr("gf_usd.cli.batch_run.run_locally", interrupted)
-    monkeypatch.setattr("gf_usd.cli.batch_run.write_summary", told_again)
+    monkeypatch.setattr("gf_usd.cli.batch.run.run_locally", interrupted)
+    monkeypatch.setattr("gf_usd.cli.batch.results.write_summary", told_again)
     assert gf_usd("batch", block, "-o", "out", "-q").status == 130
     assert {"out.batch.json", "out.batch.html"} <= {*names(here / "out")}
 
@@ -66,7 +66,7 @@ def test_without_a_page_the_failed_jobs_are_still_known(
             state = "stopped" if job.name == "block.jelly" else "done"
             yield {"event": "finished", **outcome(job.name, state).as_json()}
 
-    monkeypatch.setattr("gf_usd.cli.batch_run.run_locally", nothing)
+    monkeypatch.setattr("gf_usd.cli.batch.run.run_locally", nothing)
     words = ("batch", block, "-m", "rubber,jelly", "-o", "out", "--no-report", "-q")
     none = gf_usd(*words, "--failed")
     assert none.status == 2

@@ -1,0 +1,1 @@
+"""gf-usd batch: plans, runs and exports many bakes."""
