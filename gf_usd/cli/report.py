@@ -84,12 +84,12 @@ def view(
     quits. It needs the extra open3d: pip install open3d.
     """
     # what is missing is said before the file is read, which takes a second
-    from gf_usd.view.window import import_open3d, require_display
+    from gf_usd.view.window.requirements import import_open3d, require_display
 
     import_open3d()
     require_display()
     from gf_usd.readers.pictures.recording import BakedMotion
-    from gf_usd.view.window import Window
+    from gf_usd.view.window.window import Window
 
     source = BakedMotion(baked, variant)
     for note in source.recording().notes:

@@ -1,0 +1,1 @@
+"""A window that plays a bake, drawn by open3d."""
