@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gf_usd.core import FAST_START
 from gf_usd.core.arrays import Floats, Ints
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def _tree() -> type[cKDTree]:
     The rest are transforms and distances, and with these linear algebra and special functions.
     Another thread could find the module half loaded: only where there is none.
     """
-    if threading.active_count() > 1 or os.environ.get("GF_USD_FAST_START") == "0":
+    if threading.active_count() > 1 or os.environ.get(FAST_START) == "0":
         return importlib.import_module("scipy.spatial").cKDTree
     folders = [
         os.path.join(folder, "spatial") for folder in importlib.import_module("scipy").__path__

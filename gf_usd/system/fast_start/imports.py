@@ -23,7 +23,8 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
 from typing import Any
 
-from gf_usd.system.fast_start.kernels import SWITCH, VERSION, faster_inside_class
+from gf_usd.core import FAST_START
+from gf_usd.system.fast_start.kernels import VERSION, faster_inside_class
 
 KERNELS = "taichi.lang.kernel_impl"
 LAZY = ("dill", "taichi._version_check")  # modules
@@ -36,7 +37,7 @@ Loads = Callable[[Any, Callable[[], None]], None]  # with a module, and what exe
 @contextlib.contextmanager
 def quick_import() -> Iterator[None]:
     """Within the block, Taichi is imported faster, if its version is that of `kernels`."""
-    if os.environ.get(SWITCH) == "0" or "taichi" in sys.modules or not _is_supported_version():
+    if os.environ.get(FAST_START) == "0" or "taichi" in sys.modules or not _is_supported_version():
         yield
         return
     restore: list[Callable[[], None]] = []
@@ -66,7 +67,7 @@ def quick_import() -> Iterator[None]:
 
 def install() -> None:
     """Make a later import of SciPy's view of NumPy faster in this process."""
-    if VIEW not in sys.modules and os.environ.get(SWITCH) != "0":
+    if VIEW not in sys.modules and os.environ.get(FAST_START) != "0":
         sys.meta_path.insert(0, _Finder({VIEW: _view}, ()))
 
 

@@ -34,8 +34,9 @@ from functools import cache, lru_cache, partial
 from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
+from gf_usd.core import FAST_START
+
 VERSION = (1, 7, 4)  # of Taichi, for which the replacements are valid
-SWITCH = "GF_USD_FAST_START"  # environment variable; "0" disables the replacements
 
 
 Replacement = tuple[Any, str, Any, Any]  # owner, attribute, Taichi's value, its replacement
@@ -45,7 +46,7 @@ _replaced: list[Replacement] = []  # installed now
 
 def install_replacements(taichi: ModuleType) -> None:
     """Replace parts of an imported Taichi of this version, unless switched off."""
-    if _replaced or taichi.__version__ != VERSION or os.environ.get(SWITCH) == "0":
+    if _replaced or taichi.__version__ != VERSION or os.environ.get(FAST_START) == "0":
         return
     for owner, name, _, new in _replacements():
         setattr(owner, name, new)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from gf_usd.system.fast_start.kernels import SWITCH
+from gf_usd.core import FAST_START
 
 SCIPY = """
 import sys
@@ -40,7 +40,7 @@ print(taichi._version_check.try_check_version.__name__)
 
 def said(code: str, switch: str) -> list[str]:
     done = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, SWITCH: switch},
+        [sys.executable, "-c", code], env={**os.environ, FAST_START: switch},
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     return done.stdout.splitlines()

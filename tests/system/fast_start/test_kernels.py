@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from gf_usd.core import FAST_START
 from gf_usd.system.fast_start import kernels
 from gf_usd.system.taichi_runtime import import_taichi, init_taichi
 
@@ -97,7 +98,7 @@ def test_the_same_kernel_comes_of_a_source_and_under_the_same_key(tmp_path: Path
         cache = tmp_path / way
         environment = {
             **os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(cache),
-            kernels.SWITCH: "0" if way == "plain" else "1",
+            FAST_START: "0" if way == "plain" else "1",
         }  # fmt: skip
         done = subprocess.run(
             [sys.executable, str(script)],
@@ -274,7 +275,7 @@ def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_pat
         here, cached = tmp_path / switch, tmp_path / f"kernels-{switch}"
         (here / "out").mkdir(parents=True)
         environment = {
-            **os.environ, kernels.SWITCH: switch,
+            **os.environ, FAST_START: switch,
             "TI_OFFLINE_CACHE_FILE_PATH": str(cached),
         }  # fmt: skip
         done = subprocess.run(
@@ -345,7 +346,7 @@ def test_taichi_announces_its_own_functions_alike_however_it_is_imported() -> No
     def announced(switch: str) -> set[str]:
         done = subprocess.run(
             [sys.executable, "-c", ANNOUNCED], capture_output=True, text=True, check=True,
-            env={**os.environ, "GF_USD_FAST_START": switch}, cwd=ROOT,
+            env={**os.environ, FAST_START: switch}, cwd=ROOT,
         )  # fmt: skip
         return set(done.stdout.splitlines())
 
