@@ -1,4 +1,4 @@
-"""gf-usd check: is this file sound?"""
+"""gf-usd check: checks a USD file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""gf-usd compare: two bakes, or a bake and a motion of another program, point by point."""
+"""gf-usd compare: compares two bakes, or a bake and the motion of another program, by points."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The end of the program, without taking its memory apart first.
-
-What an interrupt leaves, in words.
-"""
+"""Ends the program without freeing its memory first, and reports what an interrupt leaves behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of a folder: the nearest gf-usd.toml from it upwards."""
+"""Options of a folder: the file gf-usd.toml in it, or in the nearest folder above it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """gf-usd materials: the presets.
 
-gf-usd inputs: every file that an asset reads.
+gf-usd inputs: every file that an asset depends on.
 
-gf-usd schema-path: where the schema library lies.
+gf-usd schema-path: the folder of the schema library.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An inspection as a page to read: the verdict last, where the eye ends on a terminal."""
+"""The text of an inspection, with the verdict last, at the bottom of the terminal."""
 
 from __future__ import annotations
 

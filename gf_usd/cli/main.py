@@ -1,7 +1,7 @@
-"""The command ``gf-usd``: its commands, and how any of them ends.
+"""The program ``gf-usd``: its commands, and the exit status of each.
 
 Exit status: 0 done, 1 failed while baking, 2 wrong usage, 3 the input was refused, 4
-the result is wrong, or warnings under --strict, 5 a slice is done, 130 and 143 interrupted
+the result is wrong, or has warnings under --strict, 5 a slice is complete, 130 and 143 interrupted
 (docs/guide.md).
 """
 

@@ -1,4 +1,4 @@
-"""What the parser of the command line refuses, in the form of all errors: the fault and a hint."""
+"""Errors of the command-line parser, in the form of all errors: the fault and a hint."""
 
 from __future__ import annotations
 

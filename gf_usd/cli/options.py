@@ -1,4 +1,4 @@
-"""Options of the command line out of the table of options."""
+"""Makes the options of the command line from the table of options."""
 
 from __future__ import annotations
 

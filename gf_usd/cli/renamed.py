@@ -1,6 +1,6 @@
-"""Options that were renamed so that a word means the same in every command.
+"""Options that were renamed, so that an option has the same meaning in every command.
 
-The former spelling works until 1.0, and a note names the present one.
+The old name works until 1.0, and a note gives the new one.
 """
 
 from __future__ import annotations

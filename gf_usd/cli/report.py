@@ -1,6 +1,6 @@
-"""gf-usd report: a bake as one page for a browser.
+"""gf-usd report: writes an HTML page of a bake.
 
-gf-usd view: a bake in a window.
+gf-usd view: plays a bake in a window.
 """
 
 from __future__ import annotations

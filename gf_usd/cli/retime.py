@@ -1,4 +1,4 @@
-"""gf-usd retime: a bake at another speed, without simulating again."""
+"""gf-usd retime: writes a bake at another speed, without simulating it again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""gf-usd serve: bakes of other programs in warm processes; and the bake that uses it."""
+"""gf-usd serve: runs the bakes of other programs in warm processes; also ``bake --serve``."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""stdout and stderr that are closed, full, or read by nobody any more.
+"""Handling of stdout and stderr that are closed or full, or whose reader has ended.
 
-What is said on the way must not end a bake, so that stderr which takes no more is left alone.  The
-result belongs to stdout: that it cannot be written is an error.
+Messages during a bake must not end it: errors of stderr are ignored.  The result goes to stdout: a
+failure to write it is an error.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""gf-usd verify: is the solver right?"""
+"""gf-usd verify: compares the solver with known solutions."""
 
 from __future__ import annotations
 

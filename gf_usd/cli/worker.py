@@ -1,4 +1,4 @@
-"""gf-usd worker: the process behind `system.warm.workers`, which runs one bake after the other."""
+"""gf-usd worker: the process of `system.warm.workers`, which runs one bake after another."""
 
 from __future__ import annotations
 

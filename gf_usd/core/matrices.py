@@ -2,11 +2,10 @@
 
 With the nine entries stored as rows over all matrices, each cofactor is a difference of two
 products: four lookups and three operations for any number of matrices.  A cross product for each
-row takes three times as long for a small body, all of it in calls.
+row takes three times as long for a small body, because of its many calls.
 
-Gaussians: the axes of a quaternion and three standard deviations, and back.
-
-The stretch U of the polar decomposition F = R U, and how fast it changes.
+Also the conversion of Gaussians between axes, and a quaternion with three standard deviations, and
+the stretch U of the polar decomposition F = R U with its rate.
 """
 
 from __future__ import annotations

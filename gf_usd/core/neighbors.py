@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 FEW = 200_000  # pairs of points of which a table of distances is made
 SMALL = 50_000  # nodes of a graph, beyond which SciPy is three times as fast as libigl
-SWEEPS = 8  # neighbors along a line that are looked at before a tree is taken
-WAY = np.array([0.532, 0.311, 0.788])  # of that line: askew, since meshes love the axes
+SWEEPS = 8  # neighbors along a line that are searched before a tree is built
+WAY = np.array([0.532, 0.311, 0.788])  # of that line: oblique, since meshes are often axis-aligned
 
 
 def kd_tree(points: Floats) -> cKDTree:
@@ -50,10 +50,11 @@ TREE = "scipy.spatial._ckdtree"
 
 @cache
 def _tree() -> type[cKDTree]:
-    """Without the rest of `scipy.spatial`, where SciPy has the tree in this module of its own.
+    """The k-d tree, imported without the rest of `scipy.spatial` if SciPy has it in its own module.
 
-    The rest are transforms and distances, and with these linear algebra and special functions.
-    Another thread could find the module half loaded: only where there is none.
+    The rest are transforms and distances, which import linear algebra and special functions.
+    If other threads are running, one of them could find the module partly loaded: then all of
+    `scipy.spatial` is imported.
     """
     if threading.active_count() > 1 or os.environ.get(FAST_START) == "0":
         return importlib.import_module("scipy.spatial").cKDTree

@@ -4,7 +4,7 @@ Lengths are meters in the world frame of the stage, quaternions (w, x, y, z), co
 Rec. 709 unless a field says otherwise.  Everything here is immutable and independent of USD and
 the renderer.
 
-Which captured Gaussians an image must contain: captures have strays far from everything else.
+Also the choice of the captured Gaussians that an image must contain: captures have outliers.
 
 A baked motion as plain arrays, between the code that reads and the code that displays it.
 

@@ -1,12 +1,12 @@
-"""Smooth skinning decomposition: moving points as rigid joints with few weights a point.
+"""Smooth skinning decomposition: moving points as rigid joints, with few weights per point.
 
     x_v(t) ~ sum_j w_vj (R_j(t) p_v + d_j(t)),    w_vj >= 0,  sum_j w_vj = 1
 
 with at most four joints j for each point v of rest position p_v, after B. H. Le and Z. Deng,
 Smooth skinning decomposition with rigid bones, ACM Transactions on Graphics 31(6), 2012.  Weights
-and transforms are solved in turn: weights of a point by least squares with these bounds,
-transforms of a joint by a weighted Kabsch fit to what the other joints leave.  Joints are added
-where the error is largest until it is small enough.
+and transforms are solved in turn: the weights of a point by least squares with these bounds, the
+transforms of a joint by a weighted Kabsch fit to the residual of the other joints.  Joints are
+added where the error is largest, until it is within the tolerance.
 """
 
 from __future__ import annotations

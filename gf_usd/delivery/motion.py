@@ -1,6 +1,6 @@
-"""The motion of a bake as bodies: points of meshes that stand near each other, over all frames.
+"""The motion of the bodies of a bake: the points of meshes that are near each other, in all frames.
 
-Gaussians may be points of a body too: they follow the same joints or shapes.
+Gaussians can be points of a body too; they follow the same joints or shapes.
 """
 
 from __future__ import annotations

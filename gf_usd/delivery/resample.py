@@ -1,16 +1,16 @@
-"""The samples of a bake at other times, interpolated between its own.
+"""Interpolation of the samples of a bake at other times.
 
-Positions follow the cubic of Hermite through both samples and their velocities,
+Positions follow the cubic Hermite polynomial through both samples and their velocities,
 
     x(s) = (1 + 2 s)(1 - s)^2 a + s (1 - s)^2 D va + s^2 (3 - 2 s) b - s^2 (1 - s) D vb,
 
 s = (t - ta) / D in [0, 1], D = tb - ta, so that slow motion has no corners at the frames of the
-bake.  Of bakes with every other frame left out, the rms error of the missing frames is .2 to .9 of
-that of straight lines.  Across samples that the bake left out, for straight lines give them back,
-it is straight: the velocities of what trembles would carry a cubic far away.  Points whose number
-changes from sample to sample go on from the sample before along their velocities.  All else is
-interpolated linearly, directions and rotations of unit length again; whole numbers and words keep
-the sample before.
+bake.  For bakes without every other frame, the rms error at the missing frames is .2 to .9 of that
+of linear interpolation.  Where the bake omitted samples because linear interpolation reproduces
+them, the interpolation is linear: with the velocities of a vibration, a cubic would overshoot.
+Points whose number changes between samples are extrapolated from the earlier sample by their
+velocities.  All other values are interpolated linearly, and directions and rotations normalized;
+integers and strings keep the value of the earlier sample.
 """
 
 from __future__ import annotations

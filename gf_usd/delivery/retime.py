@@ -1,8 +1,8 @@
-"""A bake at another speed: a root layer like its own, over caches with other times.
+"""Writes a bake at another speed: a root layer like its own, over resampled caches.
 
-The caches are resampled, nothing is simulated.  What the source animates, such as a character under
-its flesh or what the bodies hit, keeps in step: with a constant speed by a layer offset on the
-references to it, with keys, which are more than one speed, by samples in the root layer.
+Nothing is simulated.  The animation of the source, such as that of a character or an obstacle, is
+retimed with the bodies: for a constant speed by a layer offset on the references to the source, for
+keys (several speeds) by samples in the root layer.
 """
 
 from __future__ import annotations

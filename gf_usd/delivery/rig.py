@@ -1,4 +1,4 @@
-"""What moves the points of a body in a delivered file: one root joint, and joints or blend shapes.
+"""The rig of a body in a delivered file: one root joint, and joints or blend shapes.
 
     x_v(t) = Q(t) s_v(t) + c(t)            the root joint: the rigid motion of the whole body
     s_v(t) = sum_j w_vj (R_j(t) p_v + d_j(t))    joints, or

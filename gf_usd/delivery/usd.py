@@ -1,8 +1,8 @@
 """A bake as a USD file of joints or blend shapes, over its source or in a package with it.
 
-A bake's root layer keeps what it has: the references to the source with all its variants, and a
-variant for each baked material.  The payload of each, the cache, is replaced by the joints.  A
-bake that is one flattened file keeps what is flattened in it.
+The root layer of the bake is kept, with the references to the source and all its variants, and a
+variant for each baked material.  The payload of each, the cache, is replaced by the joints.  A bake
+in one flattened file keeps its flattened content.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The variants of a bake with the motion of their bodies, to be described by joints or shapes."""
+"""The variants of a bake with the motion of their bodies, which joints or shapes then describe."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """The cache layer: one bake's frames, streamed into ``NAME.partial.usdc``.
 
-The layer holds overs on the source's prim paths and the particle prims, so it is a payload over
-the source.  Its samples are its own, or in value clips (see `clips`).  Memory does not grow with
-the number of frames, because the layer is saved as it goes; a save also leaves a readable file
-behind should the process be killed.  It is saved in the background while the solver goes on.
+The layer contains overs on the source's prim paths and the particle prims, and is a payload over
+the source.  Its samples are in the layer itself, or in value clips (see `clips`).  The layer is
+saved during the bake, in the background: memory does not grow with the number of frames, and a
+readable file remains if the process is killed.
 """
 
 from __future__ import annotations

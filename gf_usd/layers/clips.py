@@ -1,17 +1,17 @@
-"""Value clips: the samples of a cache in files of so many frames each.
+"""Value clips: the samples of a cache in several files, each with a given number of frames.
 
     duck.rubber.cache.usdc       the constant values, and on its root prims the metadata ``clips``
     duck.rubber.clips/
         manifest.usda            which attributes vary
         0001.usdc, 0002.usdc     their samples
 
-A clip also holds the first sample of the next one.  Values between the two are then interpolated
-within one file, and at the border both say the same: the composed stage has the samples and the
-values of a single file, to the bit.
+A clip also contains the first sample of the next one.  Values between its last two samples are then
+interpolated within one file, and both clips have the same values at their border: the composed
+stage has the samples and values of a single file, bit by bit.
 
 A clip gets its final name as soon as it is full, and the cache, which still has its partial name,
-then lists it.  So memory does not grow, and what is full outlives an interrupt.  A folder that is
-there already is never written to: the clips of an earlier bake stay whole until nothing refers to
+then lists it.  Memory therefore does not grow, and full clips survive an interrupt.  An existing
+folder is never written to: the clips of an earlier bake remain complete until no file refers to
 them.
 """
 

@@ -1,9 +1,8 @@
-"""One file instead of layers: a bake flattened with its source, as a layer or a usdz package.
+"""Flattens a bake with its source into one file, a layer or a usdz package.
 
-What is selected is what is kept: the baked look, and the variants of the source as they are chosen.
-The display variants are made again, so that the file still switches between its shapes.
-
-The files that a flattened layer refers to: kept where they are, or put into a package.
+Only the selected variants remain: the baked material, and those of the source.  The display
+variants are authored again, so that the file can still switch between its shapes.  The files that
+the layer refers to stay where they are, or are copied into the package.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The materials of a bake as prims: UsdShade Materials with physics attributes in stage units.
 
-Each speaks three vocabularies, so that other simulators read it: UsdPhysics with the moduli of the
-AOUSD proposal for deformables (``physics:``), Newton's (``newton:mpm:``), and ours for what neither
-has words for.
+Each has the attributes of three schemas, so that other simulators can read it: UsdPhysics with the
+moduli of the AOUSD proposal for deformables (``physics:``), Newton (``newton:mpm:``), and gf-usd
+for values that neither of them defines.
 """
 
 from __future__ import annotations

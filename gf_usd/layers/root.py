@@ -5,16 +5,15 @@
             rubber (payload = the cache's </duck>)
                 variantSet display = {mesh, gaussians, points}
 
-Every root prim of the source is referenced under its own name; type, kind, assetInfo and all else
-come through that reference, so ``none`` is the source.  A variant is stronger than a reference, so
-the payload inside it wins over the source, and where payloads are not loaded the source shows.
+Every root prim of the source is referenced under its own name.  Type, kind, assetInfo and all other
+opinions come through that reference, so that ``none`` is the source.  A variant is stronger than a
+reference: the payload inside it overrides the source, and without loaded payloads the source is
+visible.
 
-The source's root prims in the root layer, each referenced under its own name.
-
-A root prim that others inherit from needs care.  If ``</duck/wing>`` inherits from ``</_wing>``,
-then USD looks for ``</_wing>`` in every layer above as well: were it referenced there directly, its
-opinions would come in as those of an inherit, which are stronger than a variant's, and the source's
-points would win over the baked ones.  As the weakest arc, a specialize, they come last:
+Root prims that others inherit from are an exception.  If ``</duck/wing>`` inherits from
+``</_wing>``, USD looks for ``</_wing>`` in every layer above as well.  If it were referenced there
+directly, its opinions would be those of an inherit, which are stronger than a variant's, and the
+points of the source would override the baked ones.  A specialize is the weakest arc:
 
     class "_gaussianFleshSource"
         class "_wing" (references = the source's </_wing>)

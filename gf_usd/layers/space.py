@@ -5,7 +5,7 @@ offset), a world point x(t) and its velocity v become
 
     p = x W,    dp/dt = v W + x dW/dt
 
-so that velocities are right under animated transforms.
+which is also valid for animated transforms.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Shared by the writers: the source stage, time codes, the scope of the particle prims, and
-conversion of NumPy arrays to USD's.
+"""Helpers of the writers: the source stage, time codes, the scope of the particle prims, and the
+conversion of NumPy arrays to those of USD.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Collects USD's warnings, which would go to the terminal line by line, as counted notes."""
+"""Collects USD's warnings as counted notes, instead of lines on the terminal."""
 
 from __future__ import annotations
 

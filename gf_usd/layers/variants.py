@@ -1,9 +1,10 @@
-"""The variant sets of the root layer: which bake, and nested in each, which of its shapes show.
+"""The variant sets of the root layer: the choice of the bake and, nested in each, of its visible
+shapes.
 
-A variant set acts on its own prim only.  A source with one root prim that holds the meshes has
-one; where several root prims hold meshes each has its own, to be switched one by one, and so has
-the particles' scope where it stands next to a root prim that is itself a mesh.  The display sets
-are nested because two independent ones could be set to show nothing (none + gaussians).
+A variant set acts on its own prim only.  A source with one root prim above its meshes has one.
+Several root prims with meshes have one each, which are switched separately; so has the scope of the
+particles beside a root prim that is itself a mesh.  The display sets are nested because two
+independent sets could select nothing visible (none + gaussians).
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The solver against closed forms and published numbers."""
+"""Compares the solver with closed-form solutions and published results."""

@@ -1,4 +1,6 @@
-"""Where the vertices of a written glTF file stand in each frame: its nodes, skins and weights."""
+"""Reads a written glTF file back: the positions of its vertices in each frame.
+
+They follow from the nodes, skins and morph weights."""
 
 from __future__ import annotations
 

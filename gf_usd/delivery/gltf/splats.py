@@ -6,9 +6,10 @@ deviations, rotations unit quaternions (x, y, z, w), opacities 0 to 1, and
     color = 1/2 + sum_k h_k Y_k(d),
 
 real spherical harmonics with the Condon-Shortley phase at the direction d from the camera.  A
-loader without it shows points of COLOR_0.  It says nothing of skins and morph targets, which glTF
-itself defines for every primitive: positions follow them, and a covariance S under the blended
-matrix M of a skin becomes M S M^T, as the extension defines for the matrix of a node.
+loader that does not support it shows points of COLOR_0.  The extension does not mention skins and
+morph targets, which glTF itself defines for every primitive: they move the positions.  A covariance
+S under the blended matrix M of a skin becomes M S M^T, as the extension defines for the matrix of a
+node.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The surface of a mesh as glTF has it: primitives of one material, with unique vertices."""
+"""The surface of a mesh in the form of glTF: a primitive per material, with unique vertices."""
 
 from __future__ import annotations
 

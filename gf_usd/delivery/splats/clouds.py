@@ -1,6 +1,6 @@
 """Sets of Gaussians over all frames, as points of the bodies that move them.
 
-How far those of a written file are from the bake:
+The errors of those of a written file, relative to the bake, are
 
     e = |x' - x| / r    of a position, r the radius of the body
     c = |S' - S|_F / |S|_F    of a covariance S, |.|_F the Frobenius norm

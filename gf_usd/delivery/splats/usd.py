@@ -1,8 +1,8 @@
-"""Captured Gaussians in a delivered USD file: samples in half precision where that is enough.
+"""Captured Gaussians in a delivered USD file: samples, in half precision where it is sufficient.
 
-UsdSkel skins meshes, points and curves only, so that a binding of a particle field would move in
-no viewer.  The arrays of the bake are sampled instead.  A half is off by 2^-11 of a number: of
-orientations and scales little, of positions only where they are near the origin of their space.
+UsdSkel skins meshes, points and curves only: no viewer would move a particle field by a binding.
+The arrays of the bake are sampled instead.  Half precision has a relative error of 2^-11, which is
+small for orientations and scales, and for positions only near the origin of their space.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ two cells with a common face are connected
 
 These are all cases: the solid in a face is bounded by such triangles, or is the whole face.
 
-Separate shells that share nodes with a body, as a button before a shirt, are not separated from
-it, nor are shells that touch.
+Separate shells that share nodes with a body, such as a button in front of a shirt, are not
+separated from it, nor are shells that touch.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Positions, orientations, scales and extent have a sample for each frame; the spherical harmonics
 too where their degree is above 0, in half precision, as UsdVol allows (a relative error of 5e-4).
-Opacities, hints and all else stay those of the source.
+Opacities, hints and all other attributes remain those of the source.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 """The deformed Gaussians: a ParticleField3DGaussianSplat.
 
-Single or half precision, and how far the latter is off.
-
-A half has 11 bits: it is off by 2^-11 of a number at most while that is between 6.1e-5 and 65504.
-The particle field of UsdVol has a half twin, with an h behind its name, for every array; ours are
-used for all but the positions, which would jump: 0.03 in 100.  UsdGeom's points, velocities,
-normals and extents, and the arrays of GaussianFleshParticlesAPI, have no half form in their
-schemas.
+Arrays are in single or in half precision.  A half has 11 bits: its relative error is 2^-11 at most
+for numbers between 6.1e-5 and 65504.  UsdVol defines a second attribute in half precision, with an
+h after its name, for every array of a particle field.  They are used for all arrays except the
+positions, which would move in visible steps: 0.03 at 100.  The schemas of UsdGeom's points,
+velocities, normals and extents, and of GaussianFleshParticlesAPI, have no half precision.
 """
 
 from __future__ import annotations

@@ -1,17 +1,15 @@
 """One baked mesh in the cache layer: overs on its own prim, in its own local space.
 
-So are tetrahedra and points written, which keep their own topology: every point of a TetMesh, and
-the points of Points, without the surface that was put around them.
+TetMesh and Points prims are written in the same way, with their own topology: every point of a
+TetMesh, and the points of a Points prim without the surface that was reconstructed around them.
 
-Arrays of a mesh with one element for each point, face or corner, under a topology that changes.
+A bake keeps the topology of its first frame.  If the topology of the source changes, arrays with an
+element for each point, face or corner whose length changes with it keep their value of that frame;
+arrays of constant length stay animated.
 
-A bake keeps the topology of its first frame.  Arrays that grow or shrink with the source's would no
-longer fit it, so they are held at that frame too; those of constant length go on as they are.
-
-Normals of a polygon mesh that has none, smooth but for its creases.
-
-The normal at a corner is the direction of the summed area vectors of those faces around its point
-that met its own face at less than the crease angle at rest.
+A polygon mesh without normals gets smooth ones with creases.  The normal at a corner has the
+direction of the sum of the area vectors of those faces around its point whose angle to the face of
+the corner at rest is less than the crease angle.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The particle prims of the cache: a Gaussian splat field and the same particles as points.
 
-Both are in the world frame of the source: where the root prim above them has a transform, theirs is
-its inverse, so that they follow the asset when a shot moves it.  Far from the world's origin, where
-single precision is coarse, their origin is near the asset instead, by their transform, which is in
-double precision.
+The values of both are in the world frame of the source.  If the root prim above them has a
+transform, theirs is its inverse, so that they follow the asset when a shot moves it.  Far from the
+world's origin, where single precision is coarse, their transform, which is in double precision,
+moves their origin near the asset.
 """
 
 from __future__ import annotations

@@ -11,11 +11,9 @@
 
 The axes are right, up, back: Y is up.
 
-Where an SPZ file keeps its blocks.
-
-Versions 1 to 3 are one gzip stream: 16 bytes of header, then the blocks one after the other.
-Version 4 is a header of 32 bytes, a table of (compressed, plain) sizes in 64 bits each that the
-header says where to find, and behind it a zstd stream for each block that is not empty.
+The container: versions 1 to 3 are one gzip stream with 16 bytes of header, followed by the blocks.
+Version 4 has a header of 32 bytes with the offset of a table of (compressed, plain) sizes in 64
+bits each; a zstd stream for each block that is not empty follows the table.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Gaussians as the bytes of a 3DGS PLY or an SPZ file: what their viewers and tools read.
-
-`assets.splat_ply` and `assets.splat_spz` say what the numbers mean.
-"""
+"""Encoding of Gaussians as 3DGS PLY or SPZ files; `ply` and `spz` describe the formats."""
 
 from __future__ import annotations
 

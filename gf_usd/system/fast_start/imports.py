@@ -2,7 +2,7 @@
 
 - Taichi registers 93 functions of its own, and searches all loaded modules for the frame of each.
 With a thousand modules this takes a third of a CPU second, more than the rest of the import.
-- It imports dill, for functions that are typed at a prompt, and its check for a newer version.
+- It imports dill, for functions defined at an interactive prompt, and its check for a new version.
 - SciPy's view of NumPy, which `scipy.sparse` imports, reads all attributes of NumPy, which imports
 its lazy modules: f2py, its tests, masked arrays; 0.08 CPU seconds.
 

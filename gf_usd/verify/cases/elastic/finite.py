@@ -7,8 +7,8 @@ on the cube |X_a| < 1/2, with b the axis after a, c = sqrt(E / rho), and R a rot
 (1, 2, 2) / 3 at a constant rate.  The forces follow from the Neo-Hookean law: in the inside
 rho b = rho d2x/dt2 - Div P, and on the faces the traction P N.
 
-None of it is worked out by hand but x, its gradient F and P(F): v is the derivative of x and Div P
-that of P(F(X)) by complex steps, f'(x) = Im f(x + i e) / e, exact to rounding (Squire and Trapp
+Only x, its gradient F and P(F) are derived by hand: v is the derivative of x, and Div P that of
+P(F(X)), by complex steps, f'(x) = Im f(x + i e) / e, exact to rounding (Squire and Trapp
 1998), and the acceleration a central difference of v.
 """
 
