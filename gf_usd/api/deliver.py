@@ -59,7 +59,7 @@ def deliver(
     ------
     UsageError : an option makes no sense, or the output is an input.
     InputError : the file cannot be read, or nothing in it moves.
-    BakeError : the limits do not allow the error, or the disk refuses.
+    BakeError : the limits do not allow the error, or a file cannot be written.
     """
     with keywords(
         "error", "max_joints", "max_shapes", "splats", "bind_splats", "variant", **{"as": "kind"}
@@ -115,7 +115,7 @@ def retime(
     UsageError : not exactly one of speed and keys was given, or the values make no sense.
     InputError : the file cannot be read or is not a root layer with caches, or keys were given and
         one of its variants is animated in the root layer itself.
-    BakeError : the disk refuses.
+    BakeError : a file cannot be written.
     """
     with keywords("speed", "keys"):
         asked: dict[str, Any] = {

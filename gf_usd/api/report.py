@@ -49,7 +49,7 @@ def report(
     ------
     UsageError : no such variant, the page is an input, or its folder does not exist.
     InputError : the file cannot be read, nothing in it moves, or it contains no Gaussians.
-    BakeError : the disk refuses.
+    BakeError : a file cannot be written.
     """
     with keywords("max_vertices", "max_frames", "max_splats", "variant"):
         source = asset_path(path)

@@ -196,7 +196,7 @@ class Spent:
 class Lines:
     """A plain line for each stage, and one every tenth of the frames or EVERY seconds.
 
-    Before the plan is said, a stage gets a line only where it lasts for PATIENCE seconds.
+    Before the plan is printed, a stage gets a line only if it takes PATIENCE seconds.
     say : takes a line; clock : [s].
     """
 
@@ -239,7 +239,7 @@ class Lines:
 
 
 def _frames(now: Activity) -> str:
-    """How far it is, in words."""
+    """The progress as text."""
     from gf_usd.pipeline.cost.forecast import SIMULATING
 
     if now.stage != SIMULATING or not now.done:

@@ -104,14 +104,14 @@ def deliver(
 
 
 def described(joints: int, shapes: int) -> str:
-    """In words, how a body is moved."""
+    """Text on how a body is moved."""
     if joints:
         return f"{joints + 1} joints"
     return f"{counted(shapes, 'blend shape')} on 1 joint" if shapes else "1 joint"
 
 
 def said_of(cloud: DeliveredSplats) -> str:
-    """In words, how far Gaussians are from the bake."""
+    """Text on the error of the Gaussians."""
     middle, most, largest = (f"{100 * share:.2g} %" for share in cloud.covariance)
     return (
         f"{cloud.count} Gaussians, position error at most {100 * cloud.position:.2g} % of the "

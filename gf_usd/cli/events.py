@@ -23,7 +23,7 @@ Emit = Callable[..., None]  # (name of the event, **its values)
 def event_stream(target: str | None) -> Iterator[Emit]:
     """What writes events; how the bake within ends early is the last one.
 
-    target : a file, which is written anew, "-" for stdout, or the number of an open file
+    target : a file, which is replaced, "-" for stdout, or the number of an open file
         descriptor; None: nothing is written.
 
     Raises UsageError where it cannot be opened, BakeError where it takes no more.
@@ -40,7 +40,7 @@ def event_stream(target: str | None) -> Iterator[Emit]:
                 file.flush()
             except OSError as error:
                 if file is not sys.stdout:
-                    with contextlib.suppress(OSError):  # what is left in its buffer is lost
+                    with contextlib.suppress(OSError):  # the rest of its buffer is lost
                         file.close()
                 raise BakeError(
                     f"--events {target}: events cannot be written: {error.strerror}",
@@ -51,7 +51,7 @@ def event_stream(target: str | None) -> Iterator[Emit]:
             yield emit
         except (GfUsdError, SystemExit) as end:
             if not file.closed:
-                with contextlib.suppress(BakeError):  # the first error is the one to be told
+                with contextlib.suppress(BakeError):  # the first error is the one to report
                     _emit_end(emit, end)
             raise
 

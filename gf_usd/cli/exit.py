@@ -1,4 +1,4 @@
-"""Ends the program without freeing its memory first, and reports what an interrupt leaves behind."""
+"""Ends the program without freeing its memory first, and reports what an interrupt leaves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-_status: list[int] = []  # asked for by `leave`
+_status: list[int] = []  # given to `leave`
 
 
 def leave(status: int) -> NoReturn:
@@ -20,25 +20,25 @@ def leave(status: int) -> NoReturn:
 
 
 def prepare_to_leave() -> None:
-    """Call it first of all: exit handlers run in the order opposite to that of their making.
+    """Call it before anything else: exit handlers run in the reverse order of their registration.
 
-    Threads are then waited for as ever, the handlers made later run, and what is still to be
-    printed is.  What is left out is to free modules, stages and kernels one by one, which takes a
-    fifth of a CPU second after a bake: the system takes all memory at once.
+    At the end, threads are joined, later handlers run and the output is flushed, as usual.
+    Modules, stages and kernels are not freed one by one, which would take a fifth of a CPU second
+    after a bake: the system frees all memory at once.
     """
     atexit.register(_end)
 
 
 def _end() -> None:
-    if not _status:  # nobody asked to leave: an error that was not foreseen
+    if not _status:  # `leave` was not called: an unexpected error
         return
     if taichi := sys.modules.get("taichi"):
-        taichi.reset()  # it is then that the kernels that were compiled go to the cache on disk
+        taichi.reset()  # writes the compiled kernels to the cache on disk
     try:
         sys.stdout.flush()
         sys.stderr.flush()
     except (OSError, ValueError):
-        return  # the ordinary end has words and a status for it
+        return  # the ordinary end reports it, with its status
     os._exit(_status[0])
 
 
@@ -47,13 +47,13 @@ _roots: list[Path] = []
 
 
 def watch(checkpoints: Sequence[Path], root: Path | None = None) -> None:
-    """From here on an interrupt ends the bake that has these checkpoints and this root layer."""
+    """An interrupt from now on ends the bake with these checkpoints and this root layer."""
     _checkpoints[:] = checkpoints
     _roots[:] = [] if root is None else [root]
 
 
 def message() -> str:
-    """What is left, and how to go on with it where that can be done; "" where nothing is."""
+    """The files that remain, and how to resume if that is possible; "" if there are none."""
     kept = [str(path) for path in _checkpoints if path.exists()]
     if not kept:
         return "only *.partial.* files remain" if any(map(_is_begun, _roots)) else ""
@@ -63,6 +63,6 @@ def message() -> str:
 
 
 def _is_begun(root: Path) -> bool:
-    """Whether a part of a bake is there, next to its root layer or in a folder of clips."""
+    """Whether a part of a bake exists, next to its root layer or in a folder of clips."""
     stem = glob.escape(root.stem)
     return any(any(root.parent.glob(f"{stem}{form}")) for form in ("*.partial.*", "*/*.partial.*"))

@@ -169,7 +169,7 @@ def progress(*, shown: bool) -> Iterator[Callable[[int, float], None]]:
 
 
 def described(count: int, best: float) -> str:
-    """How far a fit is, in words."""
+    """The progress of a fit as text."""
     return f"{counted(count, 'simulation')}, best misfit {best:.3g} standard deviations"
 
 

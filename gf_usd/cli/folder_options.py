@@ -27,7 +27,7 @@ class FolderOptions:
 
     @property
     def note(self) -> str:
-        """What was read, in words."""
+        """Text on the options that were read."""
         said = ", ".join(f"{name} = {value!r}" for name, value in self.values.items())
         return f"{self.path}: {said or 'no options'}; the command line has priority"
 
@@ -37,7 +37,7 @@ class FolderOptions:
 
 
 def wanted(arguments: Sequence[str]) -> bool:
-    """Whether a command line reads the file: bakes that a program follows say all they want."""
+    """Whether a command reads the file.  With --events it does not: a program sets all options."""
     if not arguments or arguments[0] not in READERS or HELP & {*arguments}:
         return False
     return not any(one == "--events" or one.startswith("--events=") for one in arguments)

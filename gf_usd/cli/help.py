@@ -16,7 +16,7 @@ from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.table import OPTIONS
 
 EXPERT = "Expert"
-# Options of `gf-usd bake --help` by what a person wants to change; what is in none is an expert's.
+# Groups of the options in `gf-usd bake --help`; an option in none of them is an expert option.
 GROUPS: dict[str, tuple[str, ...]] = {
     "Input": ("asset", "prims", "meters_per_unit", "up_axis", "start", "repair", "combine"),
     "Material": (
@@ -61,7 +61,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("gf-usd preview duck.rubber.usda --sheet 9 -o sheet.png", "draw nine frames"),
     ),
 }
-# How a value is written, where a number is not enough said.
+# Forms of values for which a type is not sufficient.
 METAVARS = {
     "material": "PRESET|FILE|auto", "output": "PATH", "prims": "PRIM", "up_axis": "Y|Z",
     "law": "LAW", "time_scale": "FACTOR|auto", "drop": "HEIGHT|3r", "gravity": "G|X,Y,Z",
@@ -85,11 +85,11 @@ def metavar(name: str, kind: type, choices: tuple[str, ...]) -> str | None:
     return METAVARS.get(name) or ("N" if kind is int else "X" if kind is float else "TEXT")
 
 
-# How a value is shown whose option says nothing of it, by the name of its type.
+# Forms of the values of other options, by the name of their type.
 PLACEHOLDERS = {"path": "PATH", "int": "N", "float": "X", "str": "TEXT", "bool": None}
 
 
-# What typer makes of a default that is said in words, and of a limit that may follow it.
+# Typer's form of a default that is given as text, and of a limit after it.
 DEFAULT_IN_WORDS = re.compile(r"\[default: \((.*)\)((?:; [^()]*)?)\]$")
 
 
@@ -121,7 +121,7 @@ class HelpfulCommand(TyperCommand):
                 raise typer.BadParameter("nan is not a number", ctx=ctx, param=param)
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """What may stand on the line, without the braces that typer puts around arguments."""
+        """The usage line, without the braces that typer puts around arguments."""
         words = super().collect_usage_pieces(ctx)
         return [word.replace("{", "").replace("}", "") for word in words]
 
@@ -170,7 +170,7 @@ def in_range(param: Any) -> bool:
 
 
 def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
-    """A flag with its value, and its help; a default in words has no second pair of brackets."""
+    """A flag with its value, and its help; brackets around a default in words are removed."""
     record = param.get_help_record(ctx)
     if record is None:
         return None

@@ -129,7 +129,7 @@ def inputs(
                 for name in found.missing:
                     typer.echo(f"  missing           {name}")
         if as_json:
-            # at once, so that whoever reads knows which asset a crash was at
+            # flushed, so that the reader knows at which asset a crash occurred
             typer.echo(json.dumps(out))
     if refused is not None:
         raise typer.Exit(refused.exit_status)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 MOST_MESHES, MOST_PARTS, MOST_LINES = 24, 8, 12  # rows shown; --json has all of them
-PLAIN_WIDTH = 10_000  # columns where the page goes to a file: a line each, for grep
+PLAIN_WIDTH = 10_000  # columns if the page goes to a file: one line per entry, for grep
 
 
 def show(seen: Inspection) -> None:
@@ -257,7 +257,7 @@ def _duration(seconds: float) -> str:
 
 
 def amount(n: Any) -> str:
-    """Bytes in words."""
+    """A number of bytes as text."""
     value = float(n)
     for unit in ("B", "kB", "MB"):
         if value < 1000.0:

@@ -96,7 +96,7 @@ def program(
         name="gf-usd",
         help="Turn USD and mesh assets into soft bodies, without changing the files.",
         no_args_is_help=True,
-        rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
+        rich_markup_mode=None,  # units are in square brackets, which the markup would remove
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"], "default_map": defaults or {}},
     )
@@ -128,7 +128,7 @@ def run() -> NoReturn:
     for number in STOPPED:
         signal.signal(number, _stop)
     end_with_parent()
-    # Nearly all that a command makes lives as long as it: less often looked through for cycles.
+    # Nearly all objects exist until the command ends: cycles are collected less often.
     gc.set_threshold(300_000, 20, 20)
     install()
     leave(execute(sys.argv[1:]))
@@ -137,7 +137,7 @@ def run() -> NoReturn:
 def execute(arguments: Sequence[str]) -> int:
     """Run the command line with these arguments; returns the exit status.
 
-    An expected error is said on stderr, never as a traceback.
+    An expected error is printed to stderr, without a traceback.
     """
     with guarded() as broken:
         try:
@@ -203,7 +203,7 @@ LATER = 0.05  # [s]
 
 def _stop(number: int, frame: FrameType | None) -> None:
     if _in_usd(frame):
-        # The import of USD goes on after an exception in the middle of it.
+        # The import of USD continues after an exception within it.
         again = threading.Timer(LATER, signal.raise_signal, (number,))
         again.daemon = True
         again.start()
@@ -211,7 +211,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
     # a second one ends it at once, also where the first waits for a disk that does not answer
     for again in STOPPED:
         signal.signal(again, signal.SIG_DFL)
-    # typer ends a KeyboardInterrupt without a word
+    # typer ends a KeyboardInterrupt without a message
     typer.echo("; ".join(filter(None, (STOPPED[number], exit.message()))), err=True)
     sys.exit(128 + number)
 

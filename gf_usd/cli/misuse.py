@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-# The parser's own: of a value, and of a command line.
+# The base class of the parser's errors, of a value or of a command line.
 WrongUsage: Any = typer.BadParameter.__mro__[1]
 KINDS = {"int": "whole number", "float": "number"}
 

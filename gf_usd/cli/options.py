@@ -14,7 +14,7 @@ from gf_usd.prepare.options.table import OPTIONS, PLANNED, options_of
 
 
 def _completion(option: Option) -> Callable[[str], list[str]] | None:
-    """What a shell offers for the value of an option."""
+    """The completions of the value of an option in a shell."""
     words = option.choices
     if option.name == "only":
         words = ("mesh", "gaussians", "points")
@@ -35,7 +35,7 @@ def _spoken(option: Option) -> Any:
     flag = option.flag
     if option.two_way:
         flag = f"{flag}/--no-{flag[2:]}"
-    # `Request.check` refuses its numbers itself, in the same words from Python
+    # `Request.check` refuses its numbers itself, with the same message from Python
     low = None if option.name in PLANNED else option.low
     return typer.Option(
         *((flag, option.short) if option.short else (flag,)),

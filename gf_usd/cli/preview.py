@@ -144,7 +144,7 @@ def draw(
     color: str | None,
     variant: str | None = None,
 ) -> list[str]:
-    """Draw what was asked for; returns what to say of it.
+    """Draw the requested pictures; returns the messages about them.
 
     Raises
     ------

@@ -83,7 +83,7 @@ def view(
     Space plays and pauses, the arrow keys step, G switches between mesh and Gaussians, R resets, Q
     quits. It needs the extra open3d: pip install open3d.
     """
-    # what is missing is said before the file is read, which takes a second
+    # requirements are checked before the file is read, which takes a second
     from gf_usd.view.window.requirements import import_open3d, require_display
 
     import_open3d()

@@ -237,7 +237,7 @@ def _summary(result: Mapping[str, Any], warnings: Sequence[Mapping[str, Any]]) -
 
 
 def _why(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> str:
-    """Why a bake did not succeed, in words."""
+    """Text on why a bake failed."""
     if ended["timed_out"]:
         return "error: it exceeded the timeout of the server"
     if "sliced" in last:

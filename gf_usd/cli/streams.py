@@ -62,7 +62,7 @@ class Stream:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         with suppress(OSError):  # one without a number
             os.dup2(nowhere, self._stream.fileno())
-            self._stream.flush()  # what is left in its buffer would fail again at the end
+            self._stream.flush()  # the rest of its buffer would fail again at exit
         os.close(nowhere)
         if self._waits:
             self._late = error
@@ -110,10 +110,10 @@ def guarded() -> Iterator[list[OSError]]:
 
 @contextmanager
 def outlived() -> Iterator[Callable[[], None]]:
-    """Within the block an stdout that nobody reads any more, or that is full, ends nothing.
+    """Within the block, an error of stdout, closed by its reader or full, does not end the program.
 
-    For work whose result are files.  The function that is given raises the error of stdout, if it
-    had one; call it when the files are there.
+    For commands whose results are files.  The function that the block receives raises the error of
+    stdout, if there was one; call it after the files are written.
     """
     if isinstance(sys.stdout, Stream):
         with sys.stdout.failing_late() as fail:

@@ -20,14 +20,14 @@ from gf_usd.system.warm.workers import receive, send
 if TYPE_CHECKING:
     from gf_usd.system.warm.fork_server import ForkServer
 
-SOUND = (0, 2, 3, 4, 5)  # exit statuses after which the process is as good as before
-# what a child that reads USD imports
+SOUND = (0, 2, 3, 4, 5)  # exit statuses after which the process can be used again
+# modules that a child imports to read USD
 READERS = (
     "gf_usd.readers.isolated",
     "gf_usd.readers.usd.asset",
     "gf_usd.readers.usd_bake.spec",
 )
-SCHEMA = "gf_usd.system.usd_schema"  # with it USD starts threads, unless it is told not to
+SCHEMA = "gf_usd.system.usd_schema"  # importing it starts threads of USD, unless switched off
 MOST_JOBS = 100  # commands of one process
 MOST_MEMORY = 2 << 30  # [bytes] that are in use between two commands
 
@@ -59,7 +59,7 @@ def follow(
 
 
 def forked_readers() -> ForkServer | None:
-    """Have the children that read files forked from here on; None where the system cannot."""
+    """Fork the children that read files from now on; None if the system does not support it."""
     from gf_usd.system import sandbox
     from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
 
@@ -119,7 +119,7 @@ def _run(
 
 
 def _same_file(one: int, other: int) -> bool:
-    """Whether two numbers stand for the same open file; a closed one may stand for another now."""
+    """Whether two descriptors refer to the same open file; a closed one may have been reused."""
     try:
         return os.path.samestat(os.fstat(one), os.fstat(other))
     except OSError:
@@ -134,7 +134,7 @@ def _cpu_seconds(forks: ForkServer | None) -> float:
 
 
 def _forget_peak() -> None:
-    """Have the kernel measure the peak of memory from here on; only Linux can."""
+    """Reset the peak of memory that the kernel measures; only Linux supports it."""
     with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as file:
         file.write("5")
 
@@ -145,7 +145,7 @@ def _peak() -> int:
 
 
 def _resident() -> int:
-    """[bytes] in use now, or the most that ever were."""
+    """[bytes] in use now, or else their peak."""
     return _status("VmRSS") or _peak()
 
 

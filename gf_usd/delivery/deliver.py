@@ -104,7 +104,7 @@ def deliver(
     ------
     UsageError : a wrong option, or the target is an input.
     InputError : the file cannot be read, or nothing in it moves.
-    BakeError : the limits do not allow the error, or the disk refuses.
+    BakeError : the limits do not allow the error, or a file cannot be written.
     """
     _require(bake, target, error, kind, most_joints, most_shapes, splats)
     nodes = bind_splats == "nodes"

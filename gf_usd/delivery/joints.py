@@ -96,10 +96,11 @@ def simplex_weights(G: Floats, most: int = INFLUENCES) -> Floats:
 
 
 def left_alone(p: Floats, x: Floats, u: Floats, R: Floats, d: Floats) -> Floats:
-    """(n, J) sum_t u_vt |R_jt p_v + d_jt - x_vt|^2: what each joint alone would leave.
+    """(n, J) sum_t u_vt |R_jt p_v + d_jt - x_vt|^2: the error of each joint alone.
 
-    Multiplied out it is a sum of products of what is known of the points with what is known of the
-    joints, two matrix products; rounding is that of |x|^2, so that it serves for choosing only.
+    Expanded, it is a sum of products of terms of the points with terms of the joints, two matrix
+    products.  Its rounding error is that of |x|^2, so that it is only used to select joints.
+
     p (n, 3), x (n, T, 3), u (n, T), R (J, T, 3, 3), d (J, T, 3).
     """
     n, J = len(u), len(R)
@@ -289,7 +290,7 @@ class _Fit:
         for j in range(len(self.R)):
             at, slot = np.nonzero((self.index == j) & (self.w > 0.0))
             if len(at) < INFLUENCES:
-                continue  # too few points to say how it turns
+                continue  # too few points to determine its rotation
             w = self.w[at, slot, None, None]
             mine = np.matmul(self.R[j], self.p[at].T).transpose(2, 0, 1) + self.d[j]
             wanted = mine + (self.x[at] - self.y[at]) / w
@@ -300,7 +301,7 @@ class _Fit:
             self.R[j], self.d[j] = R, d
 
     def rounded(self) -> Skinning:
-        """As it is written: weights in steps of 1/255, and transforms that suit them."""
+        """The form that is written: weights in steps of 1/255, and transforms solved for these."""
         whole = self.round_weights()
         self.solve_transforms()
         return Skinning(

@@ -53,7 +53,7 @@ def retime(
     ------
     UsageError : not one of speed and keys, values that make no sense, or a target that is an input.
     InputError : the file cannot be read, or is no root layer of a bake with caches.
-    BakeError : the disk refuses.
+    BakeError : a file cannot be written.
     """
     keys = None if keys is None else tuple(keys)
     _require(target, speed, keys)
@@ -216,10 +216,12 @@ def _retime_source(
     keys: tuple[tuple[float, float], ...],
     codes: Sequence[float],
 ) -> tuple[str, ...]:
-    """Sample in a root layer what the source animates, at the times of the result; notes in words.
+    """Sample the animation of the source in a root layer, at the times of the result; returns
+    notes.
 
-    One offset on the references is one speed, which keys are not.  What a cache takes the place of
-    is sampled inside the variants without that cache: outside it would win over the cache too.
+    A layer offset on the references has one speed only, and keys have several.  Attributes that a
+    cache replaces are sampled inside the variants without that cache: outside, they would also
+    override the cache.
     """
     stage, warp = open_stage(bake), Warp(keys)
     baked = {variant: _in_cache(cache) for variant, cache in caches.items()}
@@ -260,7 +262,7 @@ def _retime_source(
 
 
 def _where(among: Sequence[str], variants: Sequence[str]) -> str:
-    """In which variants, in words; nothing if in all."""
+    """Text on the variants that have it; "" for all of them."""
     if len(among) == len(variants):
         return ""
     return f"in the variant{'s' if len(among) > 1 else ''} {', '.join(among)} "
@@ -358,7 +360,7 @@ def _root(
 
 
 def _offset(prim: Sdf.PrimSpec, offset: Sdf.LayerOffset) -> None:
-    """Play what a prim and its children refer to with another time."""
+    """Retime the references of a prim and its children."""
     items = [
         Sdf.Reference(one.assetPath, one.primPath, offset * one.layerOffset, one.customData)
         if one.assetPath

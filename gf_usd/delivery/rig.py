@@ -27,7 +27,7 @@ class Root:
     translations: Floats  # (T, 3) [m]
 
     def __call__(self, points: Floats) -> Floats:
-        """(T, V, 3) [m] where points (V, 3) or (T, V, 3) of the body's own frame stand."""
+        """World positions (T, V, 3) [m] of points (V, 3) or (T, V, 3) of the body's own frame."""
         return points @ self.rotations.transpose(0, 2, 1) + self.translations[:, None]
 
     def undone(self, points: Floats) -> Floats:

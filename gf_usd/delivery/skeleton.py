@@ -32,7 +32,7 @@ def bind_meshes(
     names, triangles : prim paths of the meshes, by the numbers that bodies have, and (T, 3) into
     their points, for prims that are implicit shapes.  unit : [m] per stage unit.
 
-    Raises InputError where a mesh stands under no prim that can be a SkelRoot.
+    Raises InputError where no prim above a mesh can be a SkelRoot.
     """
     root = stage.GetPrimAtPath(Sdf.Path(names[rigs[0].body.meshes[0]]).GetPrefixes()[0])
     _make_skel_root(root)
@@ -157,8 +157,9 @@ def _forget(prim: Usd.Prim) -> None:
 def _placed(prim: Usd.Prim, rest: Floats) -> Floats:
     """(4, 4) for row vectors from the mesh's points to rest (V, 3), world.
 
-    The source's own points are kept where one matrix takes all of them there, else replaced, with
-    their normals and box, by the points of the first frame as the prim's transform places them.
+    The source's own points are kept if one matrix maps all of them there; else they are replaced,
+    with their normals and box, by the points of the first frame as the prim's transform places
+    them.
     """
     mesh = UsdGeom.Mesh(prim)
     own = mesh.GetPointsAttr()

@@ -45,7 +45,7 @@ def write_usd(
     Raises
     ------
     InputError : a mesh has no parent that could be a SkelRoot.
-    BakeError : the disk refuses.
+    BakeError : a file cannot be written.
     """
     with reading(bake):
         layer = _without_motion(bake, variants)
@@ -211,7 +211,7 @@ def _hide_left_out(stage: Usd.Stage, bake: Path, variant: BakedVariant) -> None:
     select_variant(source, bake, variant.name or None)
     for root in source.GetPseudoRoot().GetChildren():
         if target := stage.GetPrimAtPath(root.GetPath()):
-            # selected before a look at what is visible: other variants hide other meshes
+            # selected before visibility is read: other variants hide other meshes
             with _variant_of(target, variant.name):
                 _hide_left_out_below(root, stage, variant)
 
@@ -275,16 +275,16 @@ def _variant_of(root: Usd.Prim, name: str) -> Iterator[None]:
 
 
 def absolute(layer: Sdf.Layer, path: str) -> str:
-    """A path of a layer that means the same elsewhere; a URI stays as it is."""
+    """A path of a layer as an absolute path; a URI is unchanged."""
     if not path or re.match(r"\w[\w.+-]+:", path):
         return path
     return layer.ComputeAbsolutePath(path)
 
 
 class LayerPackage(Package):
-    """A package that layers go into too, as crates, each with the paths of its own changed.
+    """A package that also contains layers, as crates, whose paths are changed.
 
-    All files are in one folder: a path means the same in each of them.
+    All files are in one folder, so that a path is the same in each of them.
     """
 
     def __init__(self, scratch: Path) -> None:

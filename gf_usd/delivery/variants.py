@@ -116,7 +116,7 @@ def read_variants(
             )
         )
         recordings.append(recording)
-        # a USD file keeps what stands beside the bake, instancers and curves too
+        # a USD file also keeps prims beside the bake, such as instancers and curves
         every = [note for note in (*recording.notes, *said) if not note.endswith(ONE_SET)]
         mine = [note for note in every if whole or f": {NOT_DRAWN}" not in note]
         notes |= dict.fromkeys(mine)
@@ -131,7 +131,7 @@ def _flows_without_end(source: BakedMotion) -> bool:
 
 
 def _instead(bake: Path, variant: str) -> str:
-    """What to do where particles stand for meshes, in words."""
+    """The hint for a bake in which particles replace meshes."""
     if SplatMotion(bake, variant or None, captured=False, particles=True):
         return "use the bake itself, or deliver the particles as Gaussians to a .glb: --splats only"
     return (
@@ -143,7 +143,7 @@ def _instead(bake: Path, variant: str) -> str:
 def _clouds(
     bake: Path, variant: str, recording: Recording, splats: str
 ) -> tuple[tuple[Cloud, ...], tuple[str, ...]]:
-    """The Gaussians that are asked for, and notes in words."""
+    """The requested Gaussians, and notes."""
     if splats == NONE:
         return (), ()
     name = variant or None

@@ -96,7 +96,7 @@ class CacheWriter:
     choices : which shapes are written, and whether in clips; default all in one file.
     tets : tetrahedra that are written; none: no TetMesh.
     attachments : of their points.
-    since : the `state` of a writer of the same bake, to go on from; its clips stay as they are.
+    since : the `state` of a writer of the same bake, to continue from; its clips are kept.
     save_every : samples between two saves; default about SAVE bytes, 24 at most.
 
     Raises
@@ -234,7 +234,7 @@ class CacheWriter:
         return self._frames % self._every + (self._every if self._saving.busy else 0)
 
     def state(self) -> dict[str, Any]:
-        """What another writer goes on from, where this one is `full`; plain values."""
+        """The state from which another writer continues, if this one is `full`; plain values."""
         assert self._clips is not None
         return {
             **self._clips.state(),
@@ -285,7 +285,7 @@ class CacheWriter:
                     "this is a bug in gf-usd, not a fault of the asset: please report it",
                 )
         layer = self._stage.GetEditTarget().GetLayer()
-        # One notice a frame; attributes that get their specs in a new layer want theirs at once.
+        # One notice per frame, except where attributes get their specs in a new layer.
         with Sdf.ChangeBlock() if layer == self._known else contextlib.nullcontext():
             self._write_tracks(frame, time_code)
         self._known = layer
@@ -330,7 +330,7 @@ class CacheWriter:
             partial = partial_path(self.path)
             files = [partial, *(self._clips.files if self._clips else ())]
             size = sum(file.stat().st_size for file in files)
-            # with clips the cache grows with each save, and a bake that goes on has fewer of them
+            # with clips the cache grows with each save, and a resumed bake has fewer saves
             storage = self._storage(sum(f.stat().st_size for f in files[2:]) or size)
             self._summary = CacheSummary(
                 path=self.path,

@@ -58,11 +58,11 @@ class ClipStore:
     path : final name of the cache.
     cache : its layer, with the metadata of the bake; constant values are authored there.
     samples : of a clip, the repeated one not counted.
-    since : a `state` to go on from; its clips stay as they are.
+    since : a `state` to continue from; its clips are kept.
 
     Raises
     ------
-    BakeError : the folder or the disk refuses.
+    BakeError : the folder or a file cannot be written.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class ClipStore:
         return self._clip is None and bool(self._done)
 
     def state(self) -> dict[str, Any]:
-        """What another store goes on from, where this one is `full`."""
+        """The state from which another store continues, if this one is `full`."""
         return {
             "folder": self.folder.name,
             "clips": [[clip.times[0], clip.times[-1]] for clip in self._done],
@@ -175,7 +175,7 @@ class ClipStore:
 
     def _open(self, first: float) -> _Clip:
         path = self.folder / f"{len(self._done) + 1:04d}.usdc"
-        # it may be there: of a bake that was killed before it could tell, and is gone on with
+        # it may exist: of a bake that was killed before it listed it, and is resumed
         layer = new_layer(path, self.folder)
         for name in ("upAxis", "metersPerUnit", "timeCodesPerSecond", "framesPerSecond"):
             layer.pseudoRoot.SetInfo(name, self._cache.pseudoRoot.GetInfo(name))

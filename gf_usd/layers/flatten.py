@@ -55,7 +55,7 @@ def write_flat(
 
     Raises
     ------
-    BakeError : the folder or the disk refuses.
+    BakeError : the folder or a file cannot be written.
     """
     stage = Usd.Stage.Open(str(root.path), Usd.Stage.LoadAll)
     session = stage.GetSessionLayer()
@@ -186,7 +186,7 @@ class Package(Files):
             with zipfile.ZipFile(package) as archive:
                 data = archive.read(inner)
         except (OSError, KeyError, zipfile.BadZipFile):
-            return package / inner  # which is no file, and said so
+            return package / inner  # which is no file, and is reported
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(data)
         return target
@@ -197,7 +197,7 @@ class Package(Files):
         A zip archive has the time of each file: files made for the package get a fixed one, so
         that equal contents are equal bytes.
 
-        Raises BakeError where the disk refuses.
+        Raises BakeError where a file cannot be written.
         """
         made = time.mktime(MADE)
         for file in (layer, *self._names):
@@ -255,7 +255,7 @@ def write_placed(
 
     Raises
     ------
-    BakeError : the folder or the disk refuses.
+    BakeError : the folder or a file cannot be written.
     """
     if path.suffix != PACKAGE:
         files = FolderFiles(path.parent.absolute(), moved or {})
@@ -265,7 +265,7 @@ def write_placed(
     with tempfile.TemporaryDirectory(prefix="gf-usd-") as folder:
         files = package(Path(folder))
         UsdUtils.ModifyAssetPaths(layer, files.place)
-        # AR clients want a crate as the first file
+        # AR clients require a crate as the first file
         first = Path(folder) / f"{path.stem}.usdc"
         export(layer, first)
         files.write(partial_path(path), first)

@@ -68,7 +68,7 @@ def write_material_file(
     source : the asset that it was found for, which is never written to.
     about : metadata of the material prim, under the key gaussianFlesh of its customData.
 
-    Raises UsageError where path is the asset, and BakeError where the disk refuses.
+    Raises UsageError where path is the asset, and BakeError where a file cannot be written.
     """
     layer = new_layer(path, source)
     with dropped_on_failure(path):
@@ -98,15 +98,15 @@ def bind(prim: Usd.Prim, material: Sdf.Path) -> None:
 def bind_points(
     points: Usd.Prim, materials: Sequence[Sdf.Path], indices: Ints, time_code: float | None
 ) -> None:
-    """Bind materials to the points of a Points prim, each through a GeomSubset of its own.
+    """Bind materials to the points of a Points prim, each by its own GeomSubset.
 
-    The subsets are a partition of family ``materialBind``, called after the materials; a material
-    of no point has none.
+    The subsets are a partition of the family ``materialBind`` with the names of the materials; a
+    material without points has none.
 
     indices : (N,) into ``materials``.
-    time_code : None, and both the subsets and the points have default values, the rest positions,
-        which is where readers without a time look.  Or that of the first sample of the points: a
-        default value would hide value clips, and without it USD wants subsets to vary as well.
+    time_code : None: the subsets and the points have default values, the points their rest
+    positions, for readers without a time. With value clips, that of the first sample of the points:
+    a default value would hide the clips, and without one USD requires the subsets to vary as well.
     """
     api = UsdShade.MaterialBindingAPI.Apply(points)
     code = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
@@ -129,7 +129,7 @@ def _write(
     stage: Usd.Stage, path: Sdf.Path, material: Material, look: str, units: StageUnits
 ) -> None:
     prim = UsdShade.Material.Define(stage, path).GetPrim()
-    # applied by ours as well, but only where ours is known
+    # the API of gf-usd applies it too, but only where its schema is registered
     physics = UsdPhysics.MaterialAPI.Apply(prim)
     physics.CreateDensityAttr(material.density / units.density)
     physics.CreateStaticFrictionAttr(material.friction)

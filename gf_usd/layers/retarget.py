@@ -113,7 +113,7 @@ def _edits(source: Usd.Stage) -> dict[Sdf.Path, dict[Sdf.Path, _Edit]]:
                 continue
             sites_of, targets = found[site.StripAllVariantSelections()], spec.GetInfo(key)
             if site in sites_of:
-                # None where the two cannot be one list; restore_rest then finds the difference
+                # None if the two cannot be merged; restore_rest then finds the difference
                 targets = targets.ApplyOperations(sites_of[site].targets) or targets
             sites_of[site] = _Edit(spec, targets)
     return found

@@ -70,7 +70,7 @@ class Delivery:
         variants : with the final names of their caches, which still have their partial names.
         earlier : folders of clips that the bake replaces.
 
-        Raises BakeError where the disk refuses.
+        Raises BakeError where a file cannot be written.
         """
         if self.files.flat:
             return self._one_file(variants)

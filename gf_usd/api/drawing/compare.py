@@ -70,7 +70,7 @@ def compare(
     UsageError : an option makes no sense, no such variant, or an output cannot be written.
     InputError : a file cannot be read, nothing in it moves, or the two files have no common mesh
         or time.
-    BakeError : the disk refuses.
+    BakeError : a file cannot be written.
     """
     with keywords("tolerance", "variant", "other_variant", "align", "size", "fps"):
         if isinstance(tolerance, bool) or not isinstance(tolerance, str | float | int | None):

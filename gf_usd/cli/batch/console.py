@@ -20,7 +20,7 @@ COLORS = {"done": "green", "kept": "dim", "running": "cyan", "waiting": "dim"}
 
 
 class Voice(Protocol):
-    """Hears every event, and None now and then."""
+    """Receives every event, and None at intervals."""
 
     def __call__(self, event: dict[str, Any] | None) -> None: ...
 

@@ -40,7 +40,7 @@ def write_glb(
 
     clouds : the sets of Gaussians that bodies have parts of.
 
-    Raises BakeError where the disk refuses.
+    Raises BakeError where a file cannot be written.
     """
     writer = _Writer(recording, clouds)
     for rig in rigs:
@@ -188,8 +188,8 @@ class _Writer:
     def _splats(self, rig: Rig, number: int, turn: Floats) -> int:
         """A mesh of the Gaussians `rig.body.splats[number]`, turned (3, 3) against the world.
 
-        Under a skin they are upright by themselves, not by node 0: a loader that knows no skins
-        of points shows the rest pose.
+        Under a skin they are upright by themselves, not by node 0: a loader without skins of points
+        shows the rest pose.
         """
         cloud_number, rows = rig.body.splats[number]
         cloud = self._clouds[cloud_number]
@@ -220,7 +220,7 @@ class _Writer:
         points = (rest - joints.bind[single])[order].astype(np.float32)
         whole = {"POSITION": (points, False), **attributes(cloud, rows[order], np.eye(3))}
         views = {name: self._view(_bytes(rows), VERTICES) for name, (rows, _) in whole.items()}
-        for name, (values, _) in whole.items():  # which views of many accessors must say
+        for name, (values, _) in whole.items():  # required for views of several accessors
             self._views[views[name]]["byteStride"] = values.itemsize * values.shape[1]
         for joint, start, end in zip(used.tolist(), starts.tolist(), ends):
             named = {

@@ -76,7 +76,7 @@ def _radiance(splats: RenderSplats) -> tuple[Floats, bool]:
     """Coefficients in world axes, and whether their sum is sRGB-encoded."""
     light = splats.harmonics
     if light is None:
-        # of degree 0 the encoding is free: sRGB, which every viewer knows
+        # for degree 0 any encoding is allowed: sRGB, which every viewer supports
         base = linear_to_srgb(splats.colors)
         return ((base - 0.5) / Y_0)[:, None], True
     # `frame` turns world directions into the space of the coefficients: its inverse turns these
@@ -130,7 +130,7 @@ def _moves_with(body: BodyMotion, cloud: Cloud) -> bool:
 
 
 def _framed(cloud: Cloud) -> Floats:
-    """Where the Gaussians stand at first that are no strays."""
+    """Positions in the first frame of the Gaussians that are not outliers."""
     return cloud.positions[0][to_frame(cloud.positions[0], cloud.opacities)]
 
 
@@ -176,7 +176,7 @@ def hull_radius(points: Floats) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class SplatErrors:
-    """How far the Gaussians of a file are from the bake, over all of them and all frames."""
+    """Errors of the Gaussians of a file, over all of them and all frames."""
 
     position: float  # the largest [radii]
     covariance: tuple[float, float, float]  # relative: median, 99 in 100, largest

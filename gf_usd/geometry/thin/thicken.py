@@ -44,9 +44,9 @@ def thicken_to_count(
     in the grid.  The spacing is None where nothing is thickened or nothing can be filled.
     """
     wanted = min(particles, COUNTED)
-    best: tuple[float, float] | None = None  # how far off, and what to ask for
+    best: tuple[float, float] | None = None  # error, and the number to request
     asked, least = float(wanted), None
-    low, high = 0.0, np.inf  # numbers to ask for that give too few, too many
+    low, high = 0.0, np.inf  # requested numbers that give too few, too many
     for _ in range(TRIES):
         filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(asked))
         thick = sum(one.thickened for one in done)
@@ -56,7 +56,7 @@ def thicken_to_count(
             break
         try:
             solid = build_solid(filled, repaired=True)
-        except InputError:  # whoever fills it says what is wrong
+        except InputError:  # the step that fills it reports the fault
             break
         spacing = max(one.thickness for one in done) / LAYER
         count = count_particles(solid, spacing, asset.facts.up_axis)
@@ -67,7 +67,7 @@ def thicken_to_count(
             break
         low, high = (max(low, asked), high) if count < wanted else (low, min(high, asked))
         asked *= wanted / max(count, 1)
-        if not low < asked < high:  # a sheet that comes to lie in one more layer of cells
+        if not low < asked < high:  # a sheet then crosses one more layer of cells
             asked = float(np.sqrt(low * high))
     if best is None:
         return *thicken_asset(asset, repairs, spacing=None, particles=particles), None

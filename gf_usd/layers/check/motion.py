@@ -105,7 +105,7 @@ class Sample(NamedTuple):
 class Tally:
     """Statistics of one prim: counts, and two numbers per window."""
 
-    moving: int = 0  # places (points in windows) that move, or are said to
+    moving: int = 0  # places (points in windows) that move, by position or velocity
     smooth: int = 0  # of these, where v4 is trusted
     frozen: int = 0  # of these, where the positions stand still and the velocities do not
     factors: list[float] = field(default_factory=list)  # a of each window
@@ -382,9 +382,9 @@ ROUNDING = 1e-5
 def extent(stage: Usd.Stage) -> Iterator[Finding]:
     """Required: min and max of the points, for Points those of their balls (width / 2 around).
 
-    For particle fields the centers have to be inside; how far their kernels reach is left to the
-    author.  Without an extent USD computes one for meshes and points (slowly), for particle fields
-    it takes an empty box.  Curves and patches bend away from their points and are not judged.
+    For particle fields the centers must be inside; the size of the kernels is up to the author.
+    Without an extent USD computes one for meshes and points (slowly), and uses an empty box for
+    particle fields. Curves and patches are not checked, because they deviate from their points.
     """
     for prim in prims(stage):
         position = position_attribute(prim)

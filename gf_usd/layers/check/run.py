@@ -173,7 +173,7 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
     known = {_key(f) for f in check_file(source).findings}
     stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)
     prims = _looks(stage)
-    # a flattened bake has no variants of looks: it is checked as it is
+    # a flattened bake has no material variants: it is checked unchanged
     sets = [p.GetVariantSet(VARIANT_SET) for p in prims]
     names = sorted({name for s in sets for name in s.GetVariantNames()}) or [""]
     stage.SetEditTarget(stage.GetSessionLayer())

@@ -13,10 +13,10 @@ from gf_usd.layers.stage import Clock
 
 
 class Boxed(Protocol):
-    """What is written into the cache and has a box."""
+    """A track of the cache with a bounding box."""
 
     path: Sdf.Path
-    low: Floats  # (3,) corner of what was written last, in a space of its own
+    low: Floats  # (3,) corner of the last sample, in the space of the track
     high: Floats
 
     def to_world(self, time_code: float) -> Floats:

@@ -119,7 +119,7 @@ class FlowTrack:
             self.saved.count(single, single.nbytes)
 
     def state(self) -> dict[str, Any]:
-        """What another track of the same bake goes on from."""
+        """The state from which another track of the same bake continues."""
         return {
             "last": [self._last, self._faces, self._padded],
             "saved": vars(self.saved),

@@ -161,7 +161,7 @@ class SplatTrack:
             )
 
     def state(self) -> dict[str, Any]:
-        """What another track of the same bake goes on from."""
+        """The state from which another track of the same bake continues."""
         halves = [[one.error, vars(one.singles), vars(one.stored)] for one in self._halves]
         return {"halves": halves, "shape": self.shape_error}
 
@@ -179,7 +179,7 @@ class SplatTrack:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What half precision costs, in words."""
+        """Text on the error of half precision."""
         if self._too_coarse:
             return (
                 f"<{self._path}>: its orientations and scales stay in single precision: in half "

@@ -173,7 +173,7 @@ class ParticleTrack:
         """Author the pose at a time code, that of the tetrahedra by `TetLattice.key`, and the
         surfaces of what flows by body.
 
-        converted : of the bodies that are converted, those that particles stand for now.
+        converted : of the bodies that are converted, those that particles replace now.
 
         Raises BakeError where an array has another length than the particles or is not finite.
         """
@@ -220,7 +220,7 @@ class ParticleTrack:
             show(prim, shown, time_code)
 
     def state(self) -> dict[str, Any]:
-        """What another track of the same bake goes on from."""
+        """The state from which another track of the same bake continues."""
         tets = {key: vars(track.saved) for key, track in self._tets.items()}
         splats = self._splats.state() if self._splats else {}
         flows = {str(body): track.state() for body, track in self._flows.items()}
@@ -270,7 +270,7 @@ class ParticleTrack:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was rounded, in words."""
+        """Text on the rounded arrays."""
         return self._splats.notes if self._splats else ()
 
     def to_world(self, time_code: float) -> Floats:

@@ -187,7 +187,7 @@ class AdaptiveSamples:
                 yield from ((path, code, value) for path, value in kept.items())
 
     def state(self) -> dict[str, Any]:
-        """What others go on from, at the end of a clip; plain values."""
+        """The state from which others continue, at the end of a clip; plain values."""
         return {name: vars(tally) for name, tally in self.tallies.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:

@@ -93,7 +93,7 @@ def _make_private(folder: Path) -> None:
         ) from error
     if found.st_uid != os.getuid() or found.st_mode & 0o077:
         another = "give another --socket in a folder that belongs to you alone"
-        # a folder for everybody, such as /tmp, has the sticky bit and must stay as it is
+        # a folder of all users, such as /tmp, has the sticky bit and must stay as it is
         own = found.st_uid == os.getuid() and not found.st_mode & stat.S_ISVTX
         raise UsageError(
             f"{folder} belongs to user {found.st_uid} and has mode {found.st_mode & 0o7777:o}:"
