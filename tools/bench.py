@@ -4,9 +4,9 @@
                           [--runs 3] [--minutes 25] [--cores 1]
 
 Peers are installed from PyPI into environments of their own below --into, once.  Every process is
-held to the same cores, solvers take turns, and every figure is a median.  A section is written when
-it is finished, so that what is there stays if the rest is interrupted.  Each has a share of the
-minutes: after the first round a run is begun only if it would end in time.  Without --write the
+restricted to the same cores, solvers take turns, and every figure is a median. A section is written
+when it is complete, so that finished sections remain after an interrupt. Each has a share of the
+minutes: after the first round, a run is started only if it would end in time.  Without --write the
 tables go to stdout only.  POSIX only.
 """
 

@@ -1,11 +1,11 @@
-"""Install the programs that play or judge what gf-usd writes, each into an environment of its own.
+"""Install the programs that play or validate the files of gf-usd, each into its own environment.
 
     python tools/clients.py install                       all of them, into .clients/
     python tools/clients.py install --only blender,newton --into DIR
 
-They bring an OpenUSD of their own, so that none can share gf-usd's environment.  The tests that are
+They contain their own OpenUSD, so that none can share gf-usd's environment.  The tests that are
 marked ``clients`` find them in ``.clients/``, or in the folder that ``GF_USD_CLIENTS`` names.  An
-environment that already holds what is asked for is left as it is.
+environment that already has the requested versions is not changed.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     python tools/gallery.py [--only NAME ...] [--keep FOLDER]
 
-Every block of commands in the page leaves the picture that stands before it: the block that makes
+Every block of commands in the page makes the picture before it: the block that makes
 images/gallery/NAME.png writes NAME.png.  All of them run in one folder, in the order of the page.
 """
 

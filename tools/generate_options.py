@@ -3,8 +3,8 @@
     python tools/generate_options.py            write the tables
     python tools/generate_options.py --check    write nothing; exit 1 if a table is out of date
 
-A table of bake stands under the name of its group in bold, that of inspect in its section.  The
-last column, `more`, is written by hand in the guide and kept.
+A table of bake is below the name of its group in bold, that of inspect in its section.  The last
+column, `more`, is written by hand in the guide and kept.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Finite elements for the case `rim` of `gf-usd verify`, apart from the solver.
+"""A finite element reference for the case `rim` of `gf-usd verify`, independent of the solver.
 
     python tools/impact_reference.py [--held] [N ...]
 
-Taylor's bar on a rigid floor without friction that may let go of it (the numbers stand in
+Taylor's bar on a rigid floor without friction, from which it may separate (the numbers are in
 `verify/cases/plastic/taylor.py`), with axial symmetry: bilinear quadrilaterals with four Gauss
 points and one pressure each (Simo, Taylor and Pister 1985), which do not lock, N along the radius;
 von Mises flow with logarithmic strain; lumped mass, explicit steps.  A node on the floor may leave

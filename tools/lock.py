@@ -1,8 +1,8 @@
 """Pin what CI installs, by version and hash: python tools/lock.py [--upgrade].
 
-Makes `requirements.lock` out of `pyproject.toml`, with all its extras and what builds the package,
-for Python 3.11 to 3.13 on Linux, macOS and Windows.  It needs uv (`python -m pip install uv`) and a
-package index; versions that are in the file already stay, unless --upgrade is given.
+Makes `requirements.lock` from `pyproject.toml`, with all its extras and its build requirements, for
+Python 3.11 to 3.13 on Linux, macOS and Windows.  It needs uv (`python -m pip install uv`) and a
+package index; versions in the file are kept, unless --upgrade is given.
 """
 
 from __future__ import annotations

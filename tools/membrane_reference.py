@@ -1,12 +1,13 @@
-"""Finite elements for the case `membrane` of `gf-usd verify`, apart from the solver.
+"""A finite element reference for the case `membrane` of `gf-usd verify`, independent of the solver.
 
     python tools/membrane_reference.py [--current] [N ...]
 
 Cook's membrane in plane strain, of von Mises metal with logarithmic strain and saturating hardening
-(the numbers stand in `verify/cases/plastic/membrane.py`): quadratic quadrilaterals of eight nodes
+(the numbers are in `verify/cases/plastic/membrane.py`): quadratic quadrilaterals of eight nodes
 with four Gauss points, which do not lock, N along each side; the load in 40 equal steps, each in
-balance by Newton's iteration.  Prints how far the upper right corner moves to the left and up.
-With --current the traction acts on the right edge as long as it becomes, not as long as it was.
+equilibrium by Newton's iteration. Prints the displacement of the upper right corner to the left and
+up. With --current the traction acts on the current length of the right edge, not on its initial
+length.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Finite elements for the case `vertical` of `gf-usd verify`, apart from the solver.
+"""A finite element reference for the case `vertical` of `gf-usd verify`, independent of the solver.
 
     python tools/vertical_reference.py [N ...]
 
 A cube of 1 m, P = mu (F - F^-T) + lam ln J F^-T, E = 1e6 Pa, nu = 0.3, rho = 1050 kg/m^3, its top
 face held vertically only, under 1000 m/s^2 from rest: trilinear hexahedra, N along the edge, eight
 Gauss points each, lumped mass, central differences in time, a quarter of the cube by symmetry.
-Prints when and how far the bottom corner has come down at the lowest.
+Prints the largest displacement of the bottom corner, and its time.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ class OfAsset(Protocol[P, R]):
 def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]]:
     """Give a function ``(path, **options)`` the fields of a table of options for its keywords.
 
-    The function gets values as the command line would have them; see `option.Option.take`.  What
-    it raises names keywords instead of the options of the command line.
+    The function gets values in the form of the command line; see `option.Option.take`.  What it
+    raises names keywords instead of the options of the command line.
     """
 
     def decorate(function: Callable[..., R]) -> OfAsset[P, R]:

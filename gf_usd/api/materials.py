@@ -141,7 +141,7 @@ def prepared_fit(
     overwrite: bool,
     options: Mapping[str, Any],
 ) -> FitRequest:
-    """A fit with its texts taken apart.  Raises UsageError where they make no sense."""
+    """A fit with parsed texts.  Raises UsageError where one is invalid."""
     from gf_usd.core.units import number
     from gf_usd.fitting.fit import FitRequest
     from gf_usd.system.taichi_runtime import cores

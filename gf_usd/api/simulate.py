@@ -78,7 +78,7 @@ class Simulation(Iterator[SimulationFrame]):
         self._forces: Any = 0.0  # (n, 3) [m/s^2] of free nodes by `push`; 0: none
         self._acceleration: Any = 0.0  # the same by `accelerate`
         self.bodies: tuple[str, ...] = scene.bodies
-        # what was assumed, in words
+        # assumptions, as text
         self.notes: tuple[str, ...] = tuple(
             in_keywords(note) for note in (*scene._notes, *self._plan.notes)
         )

@@ -68,7 +68,7 @@ class StageFacts:
     animated: bool = False  # a layer of it holds time samples
     says_physics: bool = False  # a UsdPhysics scene or API is authored on the stage
     baked_prim: str | None = None  # a root prim with the variants of a bake
-    notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
+    notes: tuple[str, ...] = ()  # assumptions and omissions
 
     @property
     def up(self) -> NDArray[np.float64]:
@@ -129,7 +129,7 @@ class Surface:
     splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
     own_points: int | None = None  # the first of `points` are the prim's own, the rest a surface
     # that was put around them, which is not written; None: all are
-    limit: LimitSurface | None = None  # of a cage that is far from it; None: drawn as it is
+    limit: LimitSurface | None = None  # of a cage that is far from it; None: the cage is drawn
 
     @property
     def face_points(self) -> Floats:
@@ -148,17 +148,17 @@ class Asset:
 
     facts: StageFacts
     surfaces: tuple[Surface, ...]
-    skipped: tuple[tuple[str, str], ...] = ()  # (prim path, reason) of what is left as it is
+    skipped: tuple[tuple[str, str], ...] = ()  # (prim path, reason) of prims that are not changed
     splats: tuple[Splats, ...] = ()  # captured Gaussians, not yet given a surface
 
 
 LATEST = 1e9  # time code: beyond, double precision leaves less than a millionth of one
-FIRST = 1.0  # the time code of the first frame where neither the source nor the user says one
-USD_RATE = 24.0  # what USD takes for the time codes per second of a file that says none
+FIRST = 1.0  # the time code of the first frame if neither the source nor the user states one
+USD_RATE = 24.0  # USD's default of the time codes per second
 
 
 def first_time_code(facts: StageFacts, asked: float | None = None) -> float:
-    """The time code asked for, else the source's startTimeCode, else 1."""
+    """The requested time code, else the source's startTimeCode, else 1."""
     if asked is not None:
         return asked
     return FIRST if facts.start_time_code is None else facts.start_time_code
@@ -250,9 +250,9 @@ class SplatPose:
 
 
 def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
-    """The Gaussians that can be what was meant: finite, of some size, with unit quaternions.
+    """The valid Gaussians: finite, of a positive size, with normalized quaternions.
 
-    `note` gets what was changed, in words.  Raises InputError where none is left.
+    `note` is called with each change.  Raises InputError if none remains.
     """
     norm = np.linalg.norm(np.asarray(splats.orientations, float), axis=1)
     finite = np.isfinite(norm) & np.isfinite(splats.opacities)

@@ -55,7 +55,7 @@ class Particles:
     lattice: float  # [m] half the edge of the cells the particles were made for
     corner: Floats  # (3,) [m] a corner of these cells: those of the solver's grid are laid along it
     corners: Floats | None = None  # (bodies, 3) [m] the same of each body; None: all have `corner`
-    outside: int = 0  # particles that lie outside of the solid they stand for
+    outside: int = 0  # particles outside the solid from which they were sampled
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) instead of the material's, see own_values
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
@@ -306,7 +306,7 @@ class Health:
     inside_depth: float | None = None  # [m] of the deepest of it
     outside_share: float | None = None  # of the particles, far out of the mesh; None: not looked at
     outside_depth: float | None = None  # [m] of the farthest of them
-    outside_mesh: str | None = None  # the mesh with the longest faces, in words
+    outside_mesh: str | None = None  # text on the mesh with the longest faces
 
     @property
     def dissipation(self) -> float:
@@ -327,8 +327,8 @@ class Frame:
     time: float  # [s] simulated
     particles: Pose
     embedded: Mapping[str, Pose] = field(default_factory=dict)  # one per named set of points
-    stress: Floats | None = None  # (N,) [Pa] von Mises of the particles, where asked for
-    # (N,) of each internal variable of the laws, where asked for; NaN where a law has none such
+    stress: Floats | None = None  # (N,) [Pa] von Mises of the particles, if requested
+    # (N,) of each internal variable of the laws, if requested; NaN where a law does not have it
     internal: Mapping[str, Floats] = field(default_factory=dict)
     converted: NDArray[np.bool_] | None = None  # (N,) which particles were; None: none can be
     health: Health = field(default_factory=Health)
@@ -362,8 +362,8 @@ class GaussianPose:
     velocities: Floats  # (N, 3) [m/s of playback]
     orientations: Floats  # (N, 4) unit, continuous in time
     scales: Floats  # (N, 3) [m] standard deviations
-    F: Floats | None = None  # (N, 3, 3) deformation gradient, where asked for
-    stress: Floats | None = None  # (N,) [Pa] von Mises, where asked for
+    F: Floats | None = None  # (N, 3, 3) deformation gradient, if requested
+    stress: Floats | None = None  # (N,) [Pa] von Mises, if requested
     internal: Mapping[str, Floats] = field(default_factory=dict)  # as in Frame
 
 
@@ -409,7 +409,7 @@ class Choices:
 
     shapes: tuple[str, ...] = SHAPES  # of SHAPES, in that order: what the cache holds
     half: bool = False  # half precision where the schema has it and it is safe
-    precision: Precision | None = None  # what stored values may be off by; None: single precision
+    precision: Precision | None = None  # tolerance of stored values; None: single precision
     adaptive: bool = False  # samples are left out where that is within `precision`
     velocities: bool = True  # they are written
     clip_frames: int = 0  # frames of a value clip; 0: the cache is one file
@@ -417,10 +417,10 @@ class Choices:
     settled: bool = False  # one pose, that at rest, without time samples
     tets: bool = False  # tetrahedra of each body
     until_rest: bool = False  # the last frame is the first at rest
-    open_end: bool = False  # because nothing said how long is simulated
+    open_end: bool = False  # because no option states the length
     certify: bool = False  # the figures are to have intervals
     flows: tuple[int, ...] = ()  # bodies of which the surface of what flows is written
-    flowing: tuple[str, ...] = ()  # meshes that surfaces or particles of what flows stand for
+    flowing: tuple[str, ...] = ()  # meshes replaced by surfaces or particles of flowing bodies
     # the same, and the body of each: once the first particle of that is converted
     converting: tuple[tuple[str, int], ...] = ()
 
@@ -435,19 +435,19 @@ class Choices:
 
     @property
     def replaced(self) -> tuple[str, ...]:
-        """Meshes that surfaces or particles of what flows stand for, from the start or later."""
+        """Meshes that surfaces or particles of flowing bodies replace, from the start or later."""
         return (*self.flowing, *(path for path, _ in self.converting))
 
     @property
     def particles(self) -> bool:
-        """Whether any form of the particles is written, or what stands with them: tetrahedra, and
+        """Whether any form of the particles is written, or prims beside them: tetrahedra, and
         flowing particles in addition to meshes."""
         both = bool({"gaussians", "points"} & set(self.shapes))
         return both or self.tets or bool(self.flowing or self.converting or self.flows)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:
-    """Frames of a clip: as asked, or by the size of the cache; 0: one file.
+    """Frames of a clip: as requested, or by the size of the cache; 0: one file.
 
     frame_bytes : of one frame with all its samples; frames : how many are written.
     """
@@ -476,7 +476,7 @@ def sampled(settings: Settings) -> Settings:
 
 
 def shortened(settings: Settings, skipped: int) -> Settings:
-    """The settings of a bake that began so many frames later; what is written stays as it is."""
+    """The settings of a bake that begins so many frames later and writes the same frames."""
     step = settings.time_codes_per_second / settings.fps
     return replace(
         settings,

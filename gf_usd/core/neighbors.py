@@ -103,13 +103,13 @@ def squared_distances(a: Floats, b: Floats) -> NDArray[np.float64]:
 def pairs_within(points: Floats, reach: float) -> Ints:
     """(p, 2) pairs of points (n, 3) at most `reach` apart.
 
-    Such points are as close along any line: points in order along one that lies askew have few
-    others within reach, of which all but the pairs themselves are there by chance.
+    Such points are at most as far apart along any line.  Points sorted along an oblique line have
+    few others within reach, and most of these are pairs.
     """
     along = points @ (WAY / np.linalg.norm(WAY))
     order = np.argsort(along)
     along, found = along[order], [np.zeros((0, 2), np.int64)]
-    # Rounding of the places along the line must not part a pair.
+    # Rounding of the positions along the line must not separate a pair.
     slack = reach * (1.0 + 1e-6) + 8.0 * np.finfo(float).eps * np.abs(along).max(initial=0.0)
     for step in range(1, min(SWEEPS, len(points) - 1) + 1):
         close = np.flatnonzero(along[step:] - along[:-step] <= slack)

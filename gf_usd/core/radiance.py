@@ -66,7 +66,7 @@ def basis(directions: Floats) -> NDArray[np.float64]:
 
 
 def band(degree: int) -> slice:
-    """Where the coefficients of one degree stand."""
+    """The indices of the coefficients of one degree."""
     return slice(degree**2, (degree + 1) ** 2)
 
 

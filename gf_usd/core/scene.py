@@ -141,7 +141,7 @@ class Scene:
     ellipsoids: tuple[RenderEllipsoids, ...] = ()
     ground: float | None = None  # height of the floor along up [m]; None: no floor
     lights: tuple[Light, ...] = ()  # two at most; none: a key and a rim that suit the camera
-    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+    notes: tuple[str, ...] = ()  # assumptions and omissions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,9 +156,9 @@ class Motion:
     time_codes_per_second: float
 
 
-FAINT = 0.1  # opacity of what no one would miss
-TAIL = 0.02  # share at either end of an axis that may be strays
-STRAY_MARGIN = 0.5  # of the middle's longest side: what lies farther beyond it than this is a stray
+FAINT = 0.1  # opacity below which a Gaussian may be omitted
+TAIL = 0.02  # share at either end of an axis that may be outliers
+STRAY_MARGIN = 0.5  # of the middle's longest side: a Gaussian farther beyond it is an outlier
 
 
 def to_frame(positions: Floats, opacities: Floats) -> NDArray[np.bool_]:
@@ -208,10 +208,10 @@ class Recording:
     baked: tuple[bool, ...]  # one a mesh: it is part of the soft body
     flows: tuple[str, ...] = ()  # prim paths of meshes whose faces change from frame to frame
     vanishing: tuple[str, ...] = ()  # of `meshes`, those that are hidden in some frames
-    converted: tuple[str, ...] = ()  # of these, those that particles or a surface stand for then
+    converted: tuple[str, ...] = ()  # of these, those that particles or a surface replace then
     gaussians: GaussianSet | None = None
     about: Mapping[str, Any] = field(default_factory=dict)  # what the bake left in the root layer
-    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+    notes: tuple[str, ...] = ()  # assumptions and omissions
 
     def seconds(self, time_code: float) -> float:
         """Playback time [s] of a time code, from the first frame."""

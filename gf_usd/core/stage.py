@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]
 
-RIGID = 1e-5  # how far a motion may stretch space and still count as rigid: float32 matrices
+RIGID = 1e-5  # strain up to which a motion counts as rigid: float32 matrices
 
 
-WATER = 1000.0  # [kg/m^3] what UsdPhysics assumes where no density is given
+WATER = 1000.0  # [kg/m^3] the default density of UsdPhysics
 DEFAULT_LAW = "neoHookean"
-FRICTION, RESTITUTION = 0.8, 0.85  # where an elastic material says nothing of them
+FRICTION, RESTITUTION = 0.8, 0.85  # of an elastic material without them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class PhysicsMaterialSpec:
 
     @property
     def elastic(self) -> bool:
-        """Whether it says how stiff it is."""
+        """Whether its stiffness is stated."""
         return self.youngs_modulus is not None
 
     @property
@@ -76,7 +76,7 @@ class PhysicsMaterialSpec:
         )
 
     def over(self, base: Material) -> Material:
-        """`base` with what is stated in its place; the whole material where it is elastic."""
+        """`base` with the stated values; if it is elastic, the whole material."""
         return self.whole(base.density) or Material(
             name=base.name,
             law=self.law or flowing_law(self.parameters, base.law),
@@ -154,7 +154,7 @@ class SubsetMaterial:
     path: str  # of the GeomSubset
     faces: Ints  # (n,) sorted, into Surface.face_counts
     spec: PhysicsMaterialSpec
-    material: Material | None  # None: says nothing of elasticity
+    material: Material | None  # None: no elasticity is stated
 
     def resolve(self, base: Material, density: float | None = None) -> Material:
         """The material of these faces; arguments as in `BodyPhysics.resolve`."""
@@ -181,14 +181,14 @@ class BodyPhysics:
     spec: PhysicsMaterialSpec = field(
         default_factory=PhysicsMaterialSpec
     )  # of the bound physics material
-    material: Material | None = None  # None: nothing is said of elasticity
+    material: Material | None = None  # None: no elasticity is stated
     subsets: tuple[SubsetMaterial, ...] = ()
 
     def resolve(self, base: Material) -> Material:
-        """The body's material: what is stated, and the rest from `base`.
+        """The body's material: the stated values, and the others from `base`.
 
-        An elastic material of the stage stands alone (`material`); of one that is not, density,
-        friction and restitution go over those of `base`.  The mass is not in it.
+        An elastic material of the stage is used as a whole (`material`); of any other, density,
+        friction and restitution replace those of `base`. The mass is not considered.
         """
         made = self.material or self.spec.over(base)
         return made if self.density is None else replace(made, density=self.density)
@@ -243,7 +243,7 @@ class PrimBake:
 
     @property
     def obstacle(self) -> bool:
-        """UsdPhysics has it as a collider that no force moves, and no bake is asked for here."""
+        """Whether it is a collider in UsdPhysics that no force moves, and is not to be baked."""
         return self.role in ("static", "kinematic") and not self.enabled
 
 
@@ -291,10 +291,10 @@ class ContactSetup:
     colliders: tuple[Collider, ...] = ()
     through: frozenset[tuple[int, int]] = frozenset()  # (body, body) that pass through each other
     through_colliders: frozenset[tuple[int, int]] = frozenset()  # (body, collider)
-    self_contact: frozenset[int] = frozenset()  # bodies that meet themselves
-    flows: bool = False  # bodies meet what flows
-    # Bodies pass through each other before this frame, and where they are at rest says nothing of
-    # where they meet: characters on the way from their bind poses, which may overlap.
+    self_contact: frozenset[int] = frozenset()  # bodies with self-contact
+    flows: bool = False  # whether bodies touch flowing bodies
+    # There is no contact between bodies before this frame: characters may overlap in their bind
+    # poses.
     meet_from: int = 0
 
     def lowest(self, normal: Floats) -> float:
@@ -303,7 +303,7 @@ class ContactSetup:
         return min((float((c.positions(0) @ normal).min()) for c in ends), default=float("inf"))
 
     def bottom(self, up: Floats) -> float | None:
-        """[m] of the lowest point along a direction that any obstacle comes to in any frame.
+        """[m] of the lowest point of the obstacles along a direction, over all frames.
 
         None where there is no obstacle, or one without an end.
         """
@@ -317,7 +317,7 @@ class ContactSetup:
 
     @property
     def any(self) -> bool:
-        """Whether there is anything to meet."""
+        """Whether there can be contact."""
         several = len(self.skins) > 1
         return several or bool(self.colliders) or bool(self.self_contact) or self.flows
 
@@ -373,11 +373,11 @@ class Pin:
     stress.
     """
 
-    name: str  # as asked for, e.g. "/Duck/mesh:feet"
+    name: str  # as requested, e.g. "/Duck/mesh:feet"
     inside: Callable[[Floats], Floats]  # X (n, 3) [m] at rest -> (n,) bool: held
     nearest: Callable[[Floats], Floats]  # X (n, 3) [m] -> (n, 3) on the boundary of the region
     anchors: Floats  # (k, 3) [m] at rest, world
-    path: Floats  # (T, k, 3) [m] where the anchors are at each frame; T = 1: they stay
+    path: Floats  # (T, k, 3) [m] positions of the anchors at each frame; T = 1: fixed
     axes: tuple[bool, bool, bool] = (True, True, True)  # world axes that are held
     # Whether the body is held at the region's boundary.  If not, the nodes inside it are held, and
     # the particles there are as elastic as any: a core in a solid.
@@ -390,10 +390,10 @@ class Pin:
 
 @dataclass(frozen=True, kw_only=True)
 class FleshLimits:
-    """How far flesh may move toward its bone and away from the pose that it is pulled to.
+    """The limits of flesh: toward its bone, and away from the pose of its springs.
 
-    carried : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] where its bone alone would carry a point,
-    and (n, 3) unit, from the bone to there).
+    carried : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] positions by the motion of the bone
+    alone, and (n, 3) unit directions from the bone to these).
     toward, away : X (n, 3) [m] at rest -> (n,) [m] from `carried` against that direction, and from
     the pose of the goals; inf: any way.
     """
@@ -408,7 +408,7 @@ class AttachedPoints:
     """Points of bodies, each with its own spring and damper."""
 
     X: Floats  # (n, 3) [m] at rest, world
-    path: Floats  # (F, n, 3) [m] where they are drawn to at each frame; F = 1: it stays
+    path: Floats  # (F, n, 3) [m] targets of the springs at each frame; F = 1: fixed
     stiffness: Floats  # (n,) [N/m]
     damping: Floats  # (n,) [N s/m]
     body: Ints  # (n,) as in Particles
@@ -432,8 +432,7 @@ class Goals:
     moving: bool = True  # whether the pose changes
     limits: FleshLimits | None = None
     attached: AttachedPoints | None = None  # springs of single points, besides
-    # Bodies whose pose, rates and limits are not these but their own, by number.  All have limits,
-    # or none has.
+    # Bodies with their own pose, rates and limits, by number. All have limits, or none has.
     of_body: Mapping[int, Goals] = field(default_factory=dict)
 
 

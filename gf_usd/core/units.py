@@ -36,7 +36,7 @@ class Precision:
 
     @property
     def said(self) -> str:
-        """In words, for notes."""
+        """As text, for notes."""
         return f"{100.0 * self.value:g} % of the radius" if self.relative else f"{self.value:g} m"
 
 

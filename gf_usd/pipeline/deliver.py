@@ -31,17 +31,17 @@ class Delivery:
 
     files: Outputs
     asset: Asset
-    source: Path  # the USD file that the layers lie over
+    source: Path  # the USD file that the layers refer to
     choices: Choices
     converted: MeshSource | None = None  # of an asset that is not USD
 
     def write_source(self, seen: Stamp) -> None:
         """Write the layer of a mesh file, which the bakes of that file share.
 
-        seen : what was there when the bake was planned.
+        seen : its state when the bake was planned.
 
-        Raises UsageError where another bake made it of another file, or in another way, since
-        then: its results lie over it.
+        Raises UsageError if another bake has written it since then, from another file or with other
+        options: the results of that bake refer to it.
         """
         converted, target = self.converted, self.files.source
         if converted is None or target is None:
@@ -65,7 +65,7 @@ class Delivery:
         )  # fmt: skip
 
     def publish(self, variants: Sequence[BakedVariant], earlier: set[Path]) -> tuple[str, ...]:
-        """Give the results their final names, none before all of it is there; returns notes.
+        """Give the results their final names, after all of them are complete; returns notes.
 
         variants : with the final names of their caches, which still have their partial names.
         earlier : folders of clips that the bake replaces.
@@ -84,7 +84,7 @@ class Delivery:
         return root.notes
 
     def _one_file(self, variants: Sequence[BakedVariant]) -> tuple[str, ...]:
-        """Flatten the layers; they are working files and go when the one file is there."""
+        """Flatten the layers, and delete them when the one file is complete."""
         from gf_usd.layers.flatten import write_flat
         from gf_usd.layers.stage import refresh
 
@@ -105,10 +105,10 @@ class Delivery:
 
 
 def sweep(files: Outputs, resume: Resume) -> set[Path]:
-    """Delete the clips of a bake of these names that was interrupted and is not gone on with.
+    """Delete the clips of an interrupted bake of these names that is not resumed.
 
-    Returns the folders of clips that a finished bake refers to: nothing touches these before the
-    new one is there.
+    Returns the folders of clips that a finished bake refers to: they are kept until the new bake is
+    published.
     """
     from gf_usd.layers.clips import clips_of, remove_clips
 
@@ -128,7 +128,7 @@ def output_lock(root: Path, sequences: Sequence[Path], seen: Stamps) -> Iterator
     """Hold the locks of all that a bake writes.
 
     root : the root layer; sequences : a name for each sequence of splat files.
-    seen : what was there when the bake was planned.
+    seen : its state when the bake was planned.
 
     Raises UsageError where another bake holds one, or wrote since then; BakeError where a lock
     cannot be made.

@@ -116,7 +116,7 @@ class BakeResult:
     particles: int  # number of particles
     seconds: float  # [s] the bake took
     settings: Settings  # of the first material
-    notes: tuple[str, ...] = ()  # what was assumed, in words
+    notes: tuple[str, ...] = ()  # assumptions, as text
     findings: tuple[dict[str, str], ...] = ()  # of `check`, less those of the source
     outputs: tuple[Path, ...] = ()  # all files, including shared ones of a mesh file
 

@@ -5,12 +5,12 @@
                                                   [--patience SECONDS]
                                                   [--rows FILE] [--kept] [--json]
 
-Every file but pictures and texts is baked by the program in a process of its own, and the result
-checked.  It is baked, or refused in words with a hint; anything else is a failure, and so is a file
-of the folder whose bytes changed, a bake with particles inside out and one with a frame redone.
-With --plain the number of particles and of frames is what a bake chooses.  Each outcome is added to
-the FILE of --rows, with the day and the commit; what that has already is not baked again.  Exit
-status 1 if there was a failure.
+Every file except pictures and texts is baked in a separate process, and the result is checked. A
+file must be baked, or refused with a message and a hint. Anything else is a failure, and so are
+changed bytes of a file in the folder, inverted particles and repeated frames. With --plain the
+numbers of particles and frames are the defaults. Each outcome is appended to the FILE of --rows,
+with the day and the commit; assets that are in it already are not baked again. Exit status 1 if
+there was a failure.
 """
 
 from __future__ import annotations

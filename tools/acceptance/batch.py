@@ -2,8 +2,8 @@
 
     python -m tools.acceptance.batch [--json] [--seeds N] [--few N] [--only local,dask,openjd]
 
-Jobs are small: 120 particles and 4 frames.  The same is done on this machine's processes, on a Dask
-cluster and by the real `openjd run`.  Exit status 1 if a claim does not hold.
+Jobs are small: 120 particles and 4 frames.  The same jobs run in local processes, on a Dask cluster
+and by the real `openjd run`. Exit status 1 if a check fails.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""How often the intervals of ``bake --certify`` hold the truth, and how wide they are.
+"""How often the intervals of ``bake --certify`` contain the true value, and how wide they are.
 
     python -m tools.acceptance.certify [--scene NAME]... [--seeds N] [--particles N]...
                                        [--rows FILE] [--record]
 
-Every scene has a figure whose answer is known: in closed form, or as the limit of much finer runs.
-A seed turns the body about its axis of symmetry and changes the number of particles by up to a
-tenth, which moves the lattice of particles, the grid and the contact samples.  Of each row the
-table says how many intervals hold the truth, and the median of their width over the error of the
-finest run.  What the FILE of --rows has is not baked again: with --seeds 0 nothing is.
+Every scene has a figure whose true value is known: in closed form, or as the limit of much finer
+runs. A seed turns the body about its axis of symmetry and changes the number of particles by up to
+a tenth, which moves the lattice of particles, the grid and the contact samples.  Each row of the
+table has the number of intervals that contain the true value, and the median of their width over
+the error of the finest run. Runs in the FILE of --rows are not baked again: with --seeds 0 nothing
+is baked.
 """
 
 from __future__ import annotations

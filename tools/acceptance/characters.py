@@ -2,9 +2,9 @@
 
     python -m tools.acceptance.characters ASSETS [--only NAME]... [--particles N] [--keep FOLDER]
 
-ASSETS is a folder with the two characters of `FILES` that are not samples.  A bake is sound if it
-warns of nothing, at most 1 % of its surface lies inside a body in every frame, and no mesh that
-moves has a binding to its skeleton left.  Exit status 1 if a bake was not sound.
+ASSETS is a folder with the two characters of `FILES` that are not samples.  A bake passes if it has
+no warning, at most 1 % of its surface lies inside a body in every frame, and no moving mesh is
+still bound to its skeleton. Exit status 1 if a bake fails.
 """
 
 from __future__ import annotations

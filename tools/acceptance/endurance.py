@@ -1,8 +1,8 @@
-"""Long bakes that must stay sound: finite, bounded, without recomputed frames.
+"""Long bakes that must remain stable: finite, bounded, without recomputed frames.
 
     python -m tools.acceptance.endurance [--json] [--frames-scale X] [--particles N]
 
-The solver runs as in a bake; nothing is written.  Exit status 1 if any run was not sound.
+The solver runs as in a bake; nothing is written.  Exit status 1 if a run is not stable.
 """
 
 from __future__ import annotations

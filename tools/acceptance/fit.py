@@ -5,14 +5,12 @@
     python -m tools.acceptance.fit --coverage   intervals under noise of 1 %, over seeds
 
 The targets of the first are point caches that `bake --solver ul` makes of the sphere of `samples`,
-with more and more particles; the fit simulates 1,000 particles with the Total Lagrangian solver.
-Those of the second are made by genesis-world, in an environment of its own: a ball that two
-fields press together, and the drop of `tools/bench/scene.py`, in which it has a contact of its own.
-Its particles carry the mesh of the sphere.  It has no damping of the material, so that only E and
-nu are sought.
-The third adds normal noise of 1 % of the radius to every coordinate of a cache of the solver that
-fits, so that the truth is known to be within its reach, and counts how often each interval of 95 %
-covers it.
+with increasing numbers of particles; the fit simulates 1,000 particles with the Total Lagrangian
+solver. Those of the second are made by genesis-world, in its own environment: a ball that two
+fields compress, and the drop of `tools/bench/scene.py`, with its own contact. Its particles move
+the mesh of the sphere. It has no material damping, so that only E and nu are estimated. The third
+adds normal noise of 1 % of the radius to every coordinate of a cache of the same solver, so that
+the fit can reach the true values, and counts how often each interval of 95 % contains them.
 """
 
 from __future__ import annotations

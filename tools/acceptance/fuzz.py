@@ -1,9 +1,9 @@
 """Mutate small files by seed and read each in a child process: `python -m tools.acceptance.fuzz`.
 
-With --options no file is broken: options of a bake, right and wrong, are combined and planned.
-With --bake two frames are baked with each value of each option alone, in a process of their own.
-Exit status 1 if a reader or a bake crashed, hung, used
-too much memory or raised an error that is not ours; --keep keeps such files.
+With --options no file is mutated: valid and invalid options of a bake are combined and planned.
+With --bake two frames are baked with each value of each option, each in a separate process. Exit
+status 1 if a reader or a bake crashed, hung, used too much memory or raised an error of another
+class than those of gf-usd; --keep keeps such files.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Every sample ten times with random seed, position and parameters: all must be sound.
+"""Every sample ten times with random seed, position and parameters: all must pass.
 
     python -m tools.acceptance.jitter [--json] [--runs N] [--seed S] [--keep FOLDER]
                                       [--only FILE]... [--rows FILE] [--kept]
 
-A scene is put under an Xform that moves and turns it about the up axis, and is baked by
-`gf-usd bake`; `gf-usd check` then reads what was written.  A run is sound if neither has anything
-to say, but for warnings that the scene is known for.  Each run is added to the FILE of --rows, with
-the day and the commit; what that has already is not baked again, and with --kept nothing is.  Exit
-status 1 if one was not sound.
+A scene is put under an Xform that moves and turns it about the up axis, and is baked by `gf-usd
+bake`; `gf-usd check` then checks the result. A run passes if neither reports anything except the
+known warnings of the scene. Each run is appended to the FILE of --rows, with the day and the
+commit; runs that are in it already are not baked again, and with --kept nothing is baked. Exit
+status 1 if one fails.
 """
 
 from __future__ import annotations

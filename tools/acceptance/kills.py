@@ -2,15 +2,15 @@
 
     python -m tools.acceptance.kills [--json] [--kills N] [--seed S]
 
-A bake of 200 particles and 25 frames in value clips of one frame.  Its life has three phases:
+A bake of 200 particles and 25 frames in value clips of one frame.  It has three phases:
 
     start     until the first clip is there, and with it soon the first checkpoint: 1 kill in 10
     clips     from the first clip to the last but one, each waited for in its turn: 6 in 10
     results   from the last clip to the end, while the results get their final names: 3 in 10
 
-Within a phase, and after the clip that is waited for, the moment is random.  After each kill what
-stands under a final name is opened, a root layer is checked, and --resume is compared with a bake
-that nobody interrupted.  Exit status 1 if a kill left what it should not.
+Within a phase, and after the clip that is waited for, the moment is random. After each kill all
+files with a final name are opened, a root layer is checked, and the result of --resume is compared
+with that of an uninterrupted bake. Exit status 1 if a check fails.
 """
 
 from __future__ import annotations

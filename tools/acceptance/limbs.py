@@ -1,20 +1,19 @@
-"""Bodies with limbs, each with the three looks at defaults: no warning, nothing inside itself.
+"""Bodies with limbs, each with three presets at defaults: no warning, no part inside another.
 
     python -m tools.acceptance.limbs ASSETS [--only NAME[:LOOK]]... [--json] [--keep FOLDER]
                                             [--again] [--recorded FILE] [--kept] [--divide SHARE]
 
-ASSETS is a folder with the four assets of `FILES` that are not made here.  A bake is sound if it
-warns of nothing and at most 1 % of its surface lies inside a body at the end that did not at rest,
-as shells do which overlap in the source.  What lies inside is measured on the baked stage, by the
-winding numbers of its meshes around pieces of the surface.  What FOLDER has already is not baked
-again (with --again it is measured again), nor what FILE has, the record of an earlier run; each row
-says when it was baked and of what commit.  With --kept nothing is baked.  Exit status 1 if a bake
-was not sound.
+ASSETS is a folder with the four assets of `FILES` that are not made here.  A bake passes if it has
+no warning and at most 1 % of its surface lies inside a body at the end that was not inside at rest,
+as where shells overlap in the source. This is measured on the baked stage, by the winding numbers
+of its meshes around pieces of the surface. Bakes in FOLDER are not repeated (with --again they are
+measured again), nor are those in FILE, the record of an earlier run; each row has the day and the
+commit of its bake. With --kept nothing is baked. Exit status 1 if a bake fails.
 
-Faces are flat between their vertices, however the body bends: where they are many spacings long,
-faces cross although the body does not.  With --divide the faces of an asset in USD are divided at
-the middles of their edges before the bake, mesh by mesh until 95 % of these are shorter than SHARE
-of the asset, which shows how much of the surface that is.
+Faces remain flat when the body bends: if they are many spacings long, faces intersect although the
+body does not. With --divide the faces of a USD asset are divided at the midpoints of their edges
+before the bake, mesh by mesh until 95 % of the edges are shorter than SHARE of the asset. This
+shows the share of the surface that is due to long faces.
 """
 
 from __future__ import annotations

@@ -2,12 +2,12 @@
 
     python -m tools.acceptance.presets [--only TEXT]... [--particles N]
 
-Every combination is baked by the program in a process of its own, from a little above the floor and
-until it has landed, and ends with exit status 0.  (The ten ducks stay in flight: their fall into
-the bowl takes longer than a row should, and its warning, untouched, is in theirs.)  A preset may
-be refused in words where it cannot carry a body of that size, or where it flows without end and
-the stage has obstacles; anything else is a failure.  Prints a row for each: CPU seconds, substeps
-and warnings.  Exit status 1 if there was a failure.
+Every combination is baked in a separate process, from slightly above the floor until it has landed,
+and must end with exit status 0. (The ten ducks remain in flight: their fall into the bowl takes too
+long for a row, which therefore has the warning `untouched`.) A preset may be refused with a message
+if it is too soft for a body of that size, or if it flows without end and the stage has obstacles;
+anything else is a failure.  Prints a row for each: CPU seconds, substeps and warnings.  Exit status
+1 if there was a failure.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Results of acceptance runs: dated files with what they were measured on, and a page of them.
+"""Results of acceptance runs: dated files with the machine and the commit, and a page of them.
 
     docs/acceptance/DATE-SECTION.json    one run of one section
     docs/acceptance.md                   the newest of each section
 
-Files are written next to their place and moved there, so that a kill leaves none half-written.
+Files are written under a temporary name and renamed, so that a kill leaves no partial file.
 """
 
 from __future__ import annotations

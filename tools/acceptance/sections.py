@@ -4,9 +4,9 @@
 
 Every section of SECTIONS runs and leaves docs/acceptance/DATE-SECTION.json; docs/acceptance.md is
 made again from the newest of each.  The sections limbs and assets need the folder of their assets,
-and are left out without it; with --recorded FILE the rows of that record are kept for limbs, with
---rows FILE those of that file for assets, and only what is not there is baked, with --kept nothing.
-With --quick the section verify is the quick form of its cases.  Records have no paths of the
+and are omitted without it. With --recorded FILE the rows of that record are kept for limbs, and
+with --rows FILE those of that file for assets: only missing rows are baked, with --kept none. With
+--quick the section verify runs the quick form of its cases. Records contain no paths of the
 machine.  Exit status 1 if a section failed.
 """
 

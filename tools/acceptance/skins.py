@@ -2,11 +2,11 @@
 
     python -m tools.acceptance.skins [--doc FILE]    between <!-- skins --> and <!-- /skins -->
 
-Every map is applied exactly to the particles of a body (positions, velocities, F), the skins carry
-the vertices of its mesh, and where these come to lie is compared with the map.  A map takes rest
-positions q (n, 3) in radii from the body's center and an amplitude s, 1 at full deformation and 0
-at rest, to deformed positions.  Read as a motion, s is time.  The embedding rides on nodal
-displacements u instead, which the map does not give; two ways to find them are measured:
+Every map is applied exactly to the particles of a body (positions, velocities, F), the skins move
+the vertices of its mesh, and their positions are compared with the map.  A map takes rest positions
+q (n, 3) in radii from the body's center and an amplitude s, 1 at full deformation and 0 at rest, to
+deformed positions.  Read as a motion, s is time.  The embedding uses nodal displacements u instead,
+which the map does not define; two ways to compute them are measured:
 
     nodes      u_i = phi(X_i) - X_i at the free nodes
     particles  least squares, W u = x - X and h G u = h (F - I) at the particles

@@ -1,12 +1,12 @@
-"""Particle-substeps a second of a whole bake, beside Taichi's stock MLS-MPM in the same run.
+"""Particle-substeps per second of a whole bake and of Taichi's stock MLS-MPM in the same run.
 
     python -m tools.bench.baked [--particles N ...] [--turns N]
 
 `gf-usd bake` of a ball of rubber: damping, filter, contact with friction, health, Gaussians, mesh
-and USD files, all as they are by default.  Two bakes of different length are taken from each other,
-so that neither the start nor the set-up counts, but reading out, writing and checking of every
-frame does.  CPU seconds of all threads, one thread asked for; the stock solver has no damping, no
-friction, and writes nothing.  Medians over turns in which each program is run once.
+and USD files, all with their defaults. The times of two bakes of different length are subtracted,
+so that the start and the set-up do not count, but the output and checks of every frame do. Times
+are CPU seconds of all threads, with one solver thread; the stock solver has no damping and no
+friction, and writes nothing. Results are medians over turns in which each program runs once.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 
     python -m tools.bench.bodies
 
-CPU seconds of the frames alone, kernels compiled before.  Of as many particles a ball, twice the
-balls are twice the work; what is above is looks and the smaller step of the contact.
+CPU seconds of the frames only, with compiled kernels. With the same number of particles per ball,
+twice the balls are twice the work; the remainder is contact detection and the smaller step of
+contact.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""CPU seconds until the first substep of what flows, with an empty folder of compiled kernels.
+"""CPU seconds until the first substep of flowing materials, without compiled kernels.
 
     python -m tools.bench.compiling [honey dry-sand ...]
 
-A block of 64 particles over a floor takes two substeps, each time in a process of its own: with
-kernels in 32 and in 64 bits, and with vectors made scalars as for CUDA, on the CPU.  The second
-process of each finds the kernels compiled; its time is subtracted.
+A block of 64 particles over a floor takes two substeps, each time in a new process: with kernels in
+32 and in 64 bits, and with vectors made scalars as for CUDA, on the CPU.  The second process of
+each loads the compiled kernels; its time is subtracted.
 """
 
 from __future__ import annotations

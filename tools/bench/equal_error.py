@@ -1,11 +1,12 @@
-"""Simulated seconds a second at equal error: the cheapest setting of each solver that is right.
+"""Simulated seconds per second at equal error: the cheapest accurate setting of each solver.
 
-Right is a least height (of the height at rest) and a rebound, the top of the center's path over its
-height at rest, that are both within 2 % of a converged reference.  The reference is gf-usd with
-the solver's own law at three particle counts, each four times the last, extrapolated.
+A setting is accurate if its least height (over the height at rest) and its rebound (the top of the
+center's path over its height at rest) are both within 2 % of a converged reference.  The reference
+is gf-usd with the solver's own law at three particle counts, each four times the last,
+extrapolated.
 
-Each solver has a ladder of settings, cheap ones first.  A rung counts if the next one is right,
-too: errors change sign, and a coarse run may pass through the right value by luck.
+Each solver has a list of settings, cheap ones first. A setting counts if the next one is accurate,
+too: errors change sign, and a coarse run may have the right value by chance.
 """
 
 from __future__ import annotations

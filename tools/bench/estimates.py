@@ -1,13 +1,13 @@
-"""How well the time of a bake is foretold: the table of docs/performance.md, Estimates.
+"""How accurate the estimated time of a bake is: the table of docs/performance.md, Estimates.
 
     python -m tools.bench.estimates [--only TEXT]... [--json FILE]
 
 Thirty pairs of an asset and a preset are baked with about a thousand particles on one thread, each
-by the program in a process of its own.  The estimate is the one that the bake gives before it
-begins, the usual time where it ends at rest.  It is compared with the CPU seconds of all its
-processes, which other programs on the machine disturb less than the elapsed time.  Kernels are
-compiled before: a pair of each law is baked once without being measured.  Exit status 1 if fewer
-than 90 % are within a factor of two.
+in a separate process. The estimate is the one that the bake reports before it begins; for bakes
+that end at rest, the usual time. It is compared with the CPU seconds of all its processes, which
+other programs on the machine affect less than the elapsed time. Kernels are compiled before: one
+pair of each law is baked first without being measured.  Exit status 1 if fewer than 90 % are within
+a factor of two.
 """
 
 from __future__ import annotations

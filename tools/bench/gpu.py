@@ -1,10 +1,10 @@
-"""Substeps a second on a GPU, and whether its results repeat: the GPU table of BENCHMARKS.md.
+"""Substeps per second on a GPU, and whether its results repeat: the GPU table of BENCHMARKS.md.
 
     python -m tools.bench.gpu [--device cuda] [--particles N]... [--substeps N] [--runs N]
 
 Rubber in free flight, as in `tools.bench.solver`, with the APIC filter.  Every row has a law, with
-and without viscosity, and the median of the runs.  The launches alone are timed, to their end: what
-is done for frames besides them (poses, health, contact detection) runs on the CPU on every device.
+and without viscosity, and the median of the runs. Only the launches are timed, until they end: the
+other work of a frame (poses, health, contact detection) runs on the CPU on every device.
 """
 
 from __future__ import annotations

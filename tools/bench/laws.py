@@ -1,10 +1,10 @@
-"""The cost of each constitutive law: a ball whose halves turn against each other.
+"""The cost of each constitutive law: a ball whose halves rotate in opposite directions.
 
     python -m tools.bench.laws
 
-CPU seconds a particle-substep on one thread, kernels compiled before; laws take turns, so that a
-machine busy with other work slows all of them.  A law that flows is measured below its yield stress
-and with all of the ball flowing.  Memory is that of the arrays that the law's history takes.
+CPU seconds per particle-substep on one thread, with compiled kernels; laws take turns, so that
+other work of the machine slows all of them. A flowing law is measured below its yield stress and
+with the whole ball flowing. Memory is that of the arrays of the law's internal variables.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 The triad a = b + k c runs over three arrays of 64 MiB, beyond any cache here, eight numbers at a
 time: number by number Taichi's loop is bound by its indices, not by memory (measured: 9 GB/s where
-this reaches 22 and C 30).  12 bytes an element are counted, as STREAM does; the cache fetches what
-is written first, so that 16 move.  Time is the CPU's, shared out over the cores: on a busy machine
-a wall clock would count what others do.
+this reaches 22 and C 30).  12 bytes an element are counted, as STREAM does; the cache reads a line
+before it is written, so that 16 are transferred. Time is CPU time over the number of cores: on a
+busy machine, wall time would include the work of other programs.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python -m tools.bench.long_cache --particles 100000 --frames 1000 --folder /big/disk
 
-Prints JSON.  Memory is that of this process by the kernel: `anonymous` is what it has allocated,
-`resident` also what it has mapped of files.  `growth` is the most after the first tenth of the
+Prints JSON.  Memory is that of this process as reported by the kernel: `anonymous` is allocated
+memory, `resident` also includes mapped files.  `growth` is the most after the first tenth of the
 frames less the most before.  The files are removed unless --keep is given.
 """
 

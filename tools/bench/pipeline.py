@@ -4,8 +4,8 @@
     python -m tools.bench.pipeline --particles 10000 --points 1000000
 
 A ball of rubber as a mesh of about so many points is filled, simulated for a few frames of few
-substeps, and written, each stage timed apart.  Substeps are kept few since their cost is known
-(BENCHMARKS.md); what is asked for here is the rest.
+substeps, and written; each stage is timed separately. There are few substeps, because their cost is
+known (BENCHMARKS.md) and the other stages are measured here.
 """
 
 from __future__ import annotations

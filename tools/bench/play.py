@@ -1,4 +1,4 @@
-"""What a solver of `tools/bench/peers` does with its job: runs in the solver's own environment.
+"""Runs the job of a solver of `tools/bench/peers`, in the environment of that solver.
 
 A script hands `main` a class.  Its instances are made from (n, dt, threads), hold the ball just
 above the floor, and have

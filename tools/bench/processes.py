@@ -1,7 +1,7 @@
-"""The solvers that `tools/bench.py` compares, and one process of each.
+"""The solvers that `tools/bench.py` compares, each in its own process.
 
-Peers are installed from PyPI into environments of their own, once.  POSIX only: a process is held
-to its cores by sched_setaffinity.
+Peers are installed from PyPI into environments of their own, once.  POSIX only: sched_setaffinity
+restricts a process to its cores.
 """
 
 from __future__ import annotations

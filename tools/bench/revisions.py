@@ -1,12 +1,12 @@
-"""The cost of elastic bodies at two revisions of the source, which take turns.
+"""The cost of elastic bodies at two revisions of the source, measured in turns.
 
     python -m tools.bench.revisions OLD [NEW] [--particles N] [--turns N]
 
-A ball whose halves turn against each other, without contact, in a process of each revision that
-waits while the other measures: CPU time of a substep on one thread, kernels compiled before.  What
-else the machine does changes from turn to turn and less between the two of one: the median of their
-ratio is what counts, and on a busy machine the ratio of the fastest tenths, which other programs
-disturbed least.
+A ball whose halves rotate in opposite directions, without contact, in a process of each revision
+that waits while the other measures: CPU time of a substep on one thread, with compiled kernels.
+Other load of the machine changes more between turns than within one: the result is the median of
+the ratios and, for a busy machine, the ratio of the fastest tenths, which other programs affect
+least.
 """
 
 from __future__ import annotations

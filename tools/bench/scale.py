@@ -2,9 +2,9 @@
 
     python -m tools.bench.scale [--axes particles,bodies,frames,jobs] [--most N] [--write]
 
-Every size is a process of its own, so that its peak memory is that size's.  The time is CPU time of
-all threads and children.  An exponent p is the slope of log(time) over log(size), time ~ size^p, by
-least squares over the sizes from KNEE on: below it a process mostly starts.
+Every size runs in its own process, whose peak memory is then that of the size.  The time is CPU
+time of all threads and children.  An exponent p is the slope of log(time) over log(size), time ~
+size^p, by least squares over the sizes from KNEE on: below it, the start of the process dominates.
 """
 
 from __future__ import annotations

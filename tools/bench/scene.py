@@ -1,8 +1,8 @@
-"""The elastic drop that every solver of `tools/bench/peers` is given: only numbers, and only numpy.
+"""The elastic drop of all solvers of `tools/bench/peers`, as numbers; it needs only NumPy.
 
 A ball of radius 1 m meets a hard frictionless floor with the speed of a fall from half a meter, is
-squashed and leaves again.  Everything is f32 on the solver's side.  The law is fixed corotated
-where a solver has it.
+compressed and rebounds.  Everything is f32 on the solver's side.  The law is fixed corotated where
+a solver has it.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""What self-contact costs where nothing touches, and how deep ducks of jelly overlap in a pile.
+"""The cost of self-contact without touching parts, and the overlap of ducks of jelly in a pile.
 
     python -m tools.bench.self_contact [--pairs N]
     python -m tools.bench.self_contact --pile
 
 The first bakes the duck with and without self-contact, the two in turn: CPU seconds of whole
-processes, and the median of the ratios of the pairs, which what else the machine does hardly moves.
-The second bakes the first frames of ten ducks that are all of jelly.
+processes, and the median of the ratios of the pairs, which other load of the machine hardly
+affects. The second bakes the first frames of ten ducks that are all of jelly.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 The capture is made here: discs on a wavy hollow ball, with random harmonics.  Printed are CPU and
 wall-clock seconds of the whole bake, the size of the cache with its clips, and the memory of the
-process that is no mapped file: its largest value, and its growth from the first tenth of the frames
+process without mapped files: its largest value, and its growth from the first tenth of the frames
 to the end.
 """
 

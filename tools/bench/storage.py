@@ -1,10 +1,10 @@
-"""What each way of storing less saves: two tables of docs/guide.md.
+"""The savings of each option for smaller caches: two tables of docs/guide.md.
 
     python -m tools.bench.storage                            the duck and the creature
     python -m tools.bench.storage spot_control_mesh.obj      and another asset
 
-The first table is of crates with the same array of vectors in other forms.  The second has bakes of
-few particles: bytes of the cache with everything, and over that what is left with each option.
+The first table has crates with the same array of vectors in several forms. The second has bakes of
+few particles: bytes of the full cache, and the share of it with each option.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The surface of what flows: what it costs, and how far it is from where the material ends.
+"""The surface of flowing bodies: its cost, and its distance from the boundary of the material.
 
     python -m tools.bench.surfaces [--particles 4000,20000,...]
 
-CPU seconds of one frame on one thread, kernels compiled before, the least of three; of balls that
-particles fill at random, one in each cell of a lattice, and of spray, where they are three
-spacings apart.  Volume is that inside the surface over that of the particles; memory is the peak
-of the process, which the largest decides.
+CPU seconds of one frame on one thread, with compiled kernels, the least of three; of balls that
+particles fill at random, one in each cell of a lattice, and of spray, where they are three spacings
+apart.  Volume is that inside the surface over that of the particles; memory is the peak of the
+process, which the largest decides.
 """
 
 from __future__ import annotations

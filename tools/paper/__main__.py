@@ -2,7 +2,7 @@
 
     python -m tools.paper [--quick] [--seeds N] [--page] [--out FOLDER]
 
-Every figure of the page comes out of these runs, which docs/reproduction/results.json.gz keeps;
+Every figure of the page is a result of these runs, which docs/reproduction/results.json.gz keeps;
 --page only writes the page again.  --quick runs two seeds of a few frames, to see that all works.
 """
 

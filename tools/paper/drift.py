@@ -1,4 +1,4 @@
-"""Drift: how far a mesh is from the surface that its Gaussians show (GaussianFlesh section 4.2).
+"""Drift: the distance of a mesh from the surface of its Gaussians (GaussianFlesh section 4.2).
 
 The surface is a level of their density:
 

@@ -1,7 +1,7 @@
-"""A capture of the duck, as 3D Gaussian splatting leaves it: discs on what cameras saw.
+"""A capture of the duck, as of 3D Gaussian splatting: discs on the visible surface.
 
-It stands for a capture of a real object: hollow, open below, where it stood, and with the light of
-the room in its colors.  One disc for each quad of the duck, in meters, as SPZ.
+It represents a capture of a real object: hollow, open at the bottom on which it stood, and with the
+light of the room in its colors. One disc for each quad of the duck, in meters, as SPZ.
 """
 
 from __future__ import annotations

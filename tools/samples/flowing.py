@@ -1,6 +1,6 @@
-"""What flows, meeting what does not: a sand castle, a snowball, and paste on a brush.
+"""Flowing and solid bodies in contact: a sand castle, a snowball, and paste on a brush.
 
-Each stage says what its bodies are made of, so that one command bakes it.
+Each stage states the materials of its bodies, so that one command bakes it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Ten ducks of three materials that fall into a rocking bowl: a stage to bake with its physics.
 
-The duck is referenced, so that it is the one of duck.usda; what it is made of, what it falls on and
-what gravity is stand in the stage, in the words of UsdPhysics and of our schema.
+The duck is a reference to duck.usda; the stage has its materials, obstacles and gravity as
+attributes of UsdPhysics and of the schema of gf-usd.
 """
 
 from __future__ import annotations

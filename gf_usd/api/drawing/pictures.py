@@ -49,7 +49,7 @@ class Drawing:
         self._legend = Legend(self._quantity, size) if self._quantity else None
         self._fitted = fitted or self._fit()
         self._lights = self._studio()
-        self.notes: dict[str, None] = {}  # what was assumed in any frame, once each
+        self.notes: dict[str, None] = {}  # assumptions of all frames, without repetition
 
     def __call__(self, time_code: float | None, *, legend: bool = True) -> Pixels:
         """The picture (H, W, 3) sRGB at a time code; None: the first of the stage."""
@@ -101,7 +101,7 @@ def _quantity(source: PictureStage, limits: tuple[float, float] | None) -> Quant
 def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixels:
     """A page of `options.sheet` frames of the time codes, each labeled.
 
-    They are spread evenly where the codes were asked for, else by how much moves between them.
+    They are spread evenly over requested codes, else by the amount of motion between them.
     """
     speeds = draw.speeds(codes) if options.span is None else None
     chosen = [codes[i] for i in choose_frames(len(codes), options.sheet or 1, speeds)]
@@ -131,7 +131,7 @@ def write_film(
     options: Options,
     advance: Callable[[int, int], None],
 ) -> None:
-    """Draw and write the frames one by one; `advance` hears how many of how many are done."""
+    """Draw and write the frames one by one; `advance` gets the numbers of done and all frames."""
     gif = options.target.suffix.lower() == ".gif"
     early: dict[int, Pixels] = {}
     if gif:

@@ -37,7 +37,7 @@ class Preview:
     size: tuple[int, int]  # (width, height) [pixels]
     frames: int = 1  # of a film
     fps: float | None = None  # of a film
-    notes: tuple[str, ...] = ()  # what was assumed, in words
+    notes: tuple[str, ...] = ()  # assumptions, as text
 
     def _repr_png_(self) -> bytes | None:
         if self.pixels is None:
@@ -179,7 +179,7 @@ def draw(
     write: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Preview:
-    """Draw what was asked for; see `preview`.
+    """Draw the requested pictures; see `preview`.
 
     variant : of a bake, instead of the one that the file selects.
     write : write the file of the options; False: a picture or a sheet is only returned.

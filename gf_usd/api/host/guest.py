@@ -33,7 +33,7 @@ def guest() -> Iterator[None]:
 
 
 def why_away(*, schema: bool = True) -> str:
-    """Why something cannot be done in this process, in words; "" where it can.
+    """Text on why a call cannot run in this process; "" if it can.
 
     schema : it applies or checks the APIs of gaussianFlesh.
     """
@@ -56,7 +56,7 @@ def here_or_away(
     *,
     schema: bool = True,
 ) -> tuple[Any, str]:
-    """What a function returns, and why it ran in a process of its own; "" where it ran in this one.
+    """The result of a function, and why it ran in a separate process; "" if it ran in this one.
 
     task : the function, as "module:name"; it takes `progress` where that is given.
     """

@@ -20,14 +20,14 @@ KINDS = {TIME: "", STRAIN: "", STRESS: " Pa"}  # with their units
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """What a particle has to pass."""
+    """The limit beyond which a particle is converted."""
 
     kind: str  # of KINDS
     value: float
 
     @property
     def said(self) -> str:
-        """In words."""
+        """The limit as text."""
         if self.kind == TIME:
             return f"from time code {self.value:g} on"
         return f"beyond a {self.kind} of {self.value:g}{KINDS[self.kind]}"
@@ -35,7 +35,7 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True)
 class Conversion:
-    """Some particles, and what they become."""
+    """Particles, and the material to which they are converted."""
 
     particles: Ints  # (k,)
     material: int  # into the materials of the bake

@@ -18,7 +18,7 @@ import numpy as np
 from gf_usd.core.materials.material import Material, scaled_parameters, young_poisson
 
 G0 = 9.81  # [m/s^2] in the scales of a preset; never the scene's gravity
-FILTER_RATE = 10.0  # [1/T] of the APIC filter: grid noise dies within a frame or so
+FILTER_RATE = 10.0  # [1/T] of the APIC filter: grid noise decays within about a frame
 SHOT_LENGTH = 13.6  # [T] the paper's 260 frames at 60 fps for r = 1 m
 
 
@@ -35,7 +35,7 @@ class DimensionlessPreset:
     restitution: float
     law: str
     note: str
-    # The law's own, by name: what is a pressure in rho g0 r, what is a viscosity in rho g0 r T.
+    # Parameters of the law, by name: pressures in rho g0 r, viscosities in rho g0 r T.
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def material(self, radius: float, law: str | None = None) -> Material:

@@ -19,7 +19,7 @@ class Parameter:
     name: str  # of Material.parameters; the same in every law that has it
     unit: str  # of `StageUnits.factor`, e.g. "Pa"
     attribute: str  # in the namespace gaussianFlesh, on the Material and on particles
-    default: float  # [unit] where a material says nothing
+    default: float  # [unit] of a material that does not state it
     meaning: str  # a sentence, for the schema
     label: str  # for the report
     low: float = 0.0  # [unit] least value
@@ -50,7 +50,7 @@ class LawSpec:
     isochoric: bool = False  # its flow keeps the volume, det F_p = 1
     associated: bool = True  # its flow only ever takes energy
     unbounded: bool = False  # it flows without end: for the Updated Lagrangian solver
-    over: str = ""  # the law whose energy it has; "": one of its own
+    over: str = ""  # the law whose energy it has; "": its own
     internal: tuple[Internal, ...] = ()
 
 
@@ -77,7 +77,7 @@ PLASTIC_STRAIN = Internal(
     label="Plastic Strain",
 )  # fmt: skip
 
-# Of every law that flows, besides its own: what the solvers work out of F_e.
+# Of every law that flows, in addition to its own: computed from F_e by the solvers.
 ELASTIC_STRAIN = Internal(
     name="elastic_strain", rest=0.0, attribute="elasticStrain",
     meaning="Largest |stretch - 1| of the elastic part F_e of each particle's deformation.",
@@ -275,7 +275,7 @@ def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]
 
 
 def law_internals(tokens: Iterable[str] | None = None) -> tuple[Internal, ...]:
-    """What is written of the state of laws that flow, one of each name; None: of all laws."""
+    """Internal variables of flowing laws that are written, one of each name; None: all laws."""
     wanted = set(LAWS if tokens is None else tokens)
     rows = [row for token, row in LAWS.items() if token in wanted and row.flows]
     own = [v for row in rows for v in row.internal if v.attribute]
@@ -285,8 +285,8 @@ def law_internals(tokens: Iterable[str] | None = None) -> tuple[Internal, ...]:
 def flowing_law(stated: Iterable[str], otherwise: str) -> str:
     """The law of a material that states these parameters by name, and no law.
 
-    One that states what only laws that flow ask for (a yield stress) flows: by `otherwise` where
-    that asks for it, else by the first law that has all that is stated.
+    A material that states a required parameter of flowing laws (a yield stress) flows: by
+    `otherwise` if that law has the parameter, else by the first law with all stated parameters.
     """
     wanted = set(stated)
     asked = {p.name for p in law_parameters() if p.required} & wanted
@@ -298,7 +298,7 @@ def flowing_law(stated: Iterable[str], otherwise: str) -> str:
 
 
 def stated_flow(law: str) -> str:
-    """What of a law says that a material flows, in words: "a yield stress"."""
+    """The name of the parameter that makes a material flow, as text: "a yield stress"."""
     label = next(p.label for p in LAWS[law].parameters if p.required).lower()
     return f"{'an' if label[0] in 'aeiou' else 'a'} {label}"
 

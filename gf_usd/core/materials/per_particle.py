@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     pass
 
 
-# What a particle may have of its own, with the parameters of laws; the rest follows from these.
+# Values that may differ by particle, in addition to the parameters of laws; others follow.
 FREE = ("density", "mu", "lam", "damping_time", "friction", "restitution")
 
 REPORTED = ("youngs_modulus", "poissons_ratio", "density")
@@ -54,7 +54,7 @@ def convertible(particles: Particles) -> Ints:
 
 
 def after_conversion(particles: Particles) -> Particles:
-    """The particles as they are when all that can be converted are."""
+    """The particles after all possible conversions."""
     material = np.array(particles.material)
     for one in particles.conversions:
         material[one.particles] = one.material
@@ -73,8 +73,8 @@ def stiffest_by_conversion(
 
 
 def moved_as_flow(particles: Particles, materials: Sequence[Material]) -> Ints:
-    """(N,) particles that stand for meshes, from the start or later: those of surfaces of which
-    some flow without end, and of bodies of which some can be converted.
+    """(N,) particles that replace meshes, from the start or later: those of surfaces of which some
+    flow without end, and of bodies of which some can be converted.
     """
     surface, body = np.asarray(particles.surface), particles.body_of
     flows = np.unique(surface[unbounded(particles, materials)])
@@ -112,7 +112,7 @@ def with_derived(values: Mapping[str, Floats]) -> dict[str, Floats]:
 def summary(particles: Particles, materials: Sequence[Material]) -> dict[str, Any]:
     """How many particles differ from their material, and the range of values of all, in SI.
 
-    Empty where all are as their materials say.
+    Empty if none differs.
     """
     if particles.own is None:
         return {}

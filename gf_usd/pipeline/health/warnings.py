@@ -33,7 +33,7 @@ RESTING = (
 DRIFT = 0.01
 STILL = 1e-9  # of the energy scale: a body with less kinetic energy in all frames did not move
 NOT_PERIODIC = 0.01  # of the radius: a visible jump from the end of a cycle to its start
-# Off the volume at rest, of all that flows: weakly compressible laws are off by 1 % by design.
+# Deviation from the volume at rest of flowing bodies: 1 % by design of weakly compressible laws.
 FLOW_VOLUME = 0.05
 SPARSE = 2.0  # flowing particles per grid cell: a layer of one spacing has four
 ALTERED = 0.01  # of the particle-frames: the material no longer behaves as specified

@@ -100,7 +100,7 @@ PIECE = 1 << 24  # bytes: a size in a header alone takes no more memory than thi
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What an SPZ file says of itself."""
+    """The header of an SPZ file."""
 
     version: int
     count: int  # of Gaussians

@@ -60,7 +60,7 @@ def drop(solver: str, particles: int, device: str) -> Drop:
 
 
 def sides(particles: int) -> Callable[[str], Iterator[Measure]]:
-    """What both solvers make of the drop, and how far they are apart."""
+    """The drop by both solvers, and the difference of their results."""
 
     def run(device: str) -> Iterator[Measure]:
         tl, ul = (drop(name, particles, device) for name in ("tl", "ul"))

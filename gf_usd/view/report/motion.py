@@ -283,8 +283,8 @@ class SurfaceStretch:
     def at_vertices(self, faces: Floats) -> NDArray[np.float64]:
         """Stretch (V,) at vertices: that of the two mean principal stretches furthest from 1.
 
-        Means over the adjacent triangles are geometric and weighted by rest area; 1 where there is
-        no triangle.
+        Means over the adjacent triangles are geometric and weighted by rest area; 1 without a
+        triangle.
         """
         corner_vertices = self._triangles.reshape(-1)
         log = np.log(np.maximum(faces, 1e-9))

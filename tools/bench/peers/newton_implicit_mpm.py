@@ -1,8 +1,8 @@
 """newton's implicit MPM, which is made for granular media, on the elastic drop.
 
-Set as newton's own example of an elastic beam is (example_mpm_beam_twist): conjugate residuals,
-discontinuous linear strains, no plastic flow.  Its elasticity is Hencky's, a law that the others do
-not have, so that its drop is not judged, and only its speed is compared.
+Its settings are those of newton's example of an elastic beam (example_mpm_beam_twist): conjugate
+residuals, discontinuous linear strains, no plastic flow.  Its elasticity is Hencky's law, which the
+others do not have: only its speed is compared, not its drop.
 """
 
 import sys

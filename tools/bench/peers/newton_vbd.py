@@ -1,7 +1,7 @@
 """newton's Vertex Block Descent on tetrahedra: implicit steps, stable Neo-Hookean.
 
 VBD has one law for solids, that of Smith, de Goes and Kim (2018) without its term for degenerate
-tetrahedra, so that its drop is judged by a reference of that law.  `n` counts vertices.
+tetrahedra, so that its drop is compared with a reference of that law.  `n` counts vertices.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The law of newton's VBD, as a row for gf-usd: only so that both can be held to one reference.
+"""The law of newton's VBD as a law of gf-usd, so that both can be compared with one reference.
 
     psi = mu/2 (|F|^2 - 3) - mu (J - 1) + (lam + mu)/2 (J - 1)^2
     P = mu F + ((lam + mu) (J - 1) - mu) cof F

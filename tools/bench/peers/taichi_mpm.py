@@ -1,9 +1,9 @@
 """Taichi's stock MLS-MPM in 3D, jelly only, as its examples write it (mpm99, mpm3d_ggui).
 
-Three loops a substep: one thread a particle that scatters with atomics to a dense grid, one a grid
-node, one a particle that gathers; F is updated by (I + dt C) F and split by `ti.svd`.  What differs
-from the example: sizes, moduli, no branches for water and snow, a grid that is no larger than the
-drop needs, and a start from given particles.
+Three loops per substep: over particles, which scatter with atomics to a dense grid; over grid
+nodes; over particles, which gather; F is updated by (I + dt C) F and split by `ti.svd`.  What
+differs from the example: sizes, moduli, no branches for water and snow, a grid that is no larger
+than the drop needs, and a start from given particles.
 """
 
 import sys

@@ -55,7 +55,9 @@ def speeds(degrees: float, cells: int, obstacle: bool, device: str, rolling: flo
     )
     body = block(np.zeros(3), (cells,) * 3, 1.0 / cells, places=GAUSS)
     cube = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
-    floor = np.array([[0, 4, 5], [0, 5, 1]])  # nobody faces the block: a part of its skin will do
+    floor = np.array(
+        [[0, 4, 5], [0, 5, 1]]
+    )  # no body faces the block: a part of its skin is sufficient
     setup = ContactSetup(skins=(Skin(points=cube, triangles=floor),), colliders=(plane(),))
     solver = TotalLagrangian(
         body, [material], s, samples=base(cells), contact_setup=setup if obstacle else None

@@ -25,7 +25,7 @@ DROP = 3.0  # [radii]
 
 @dataclass(frozen=True, kw_only=True)
 class Bounced:
-    """What a drop is known by."""
+    """The measures of a drop."""
 
     lowest: float  # [r] least height of the middle
     when: float  # [T] at which that is
