@@ -10,6 +10,7 @@ Dependent nodes are combinations of free ones (`dependent_nodes`, `pins`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -19,6 +20,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import CellCopies
 from gf_usd.core.neighbors import STENCIL as OFFSETS
+from gf_usd.core.stage import Pin
 from gf_usd.physics.grid.copies import NodeCopies, link_copies, number_nodes
 from gf_usd.physics.grid.dependent_nodes import (
     FREE_MASS,
@@ -343,45 +345,23 @@ def build_stencil(
     origin = corners[0] - 0.5 * h
     base, fx = base_node((X - origin) / h)
     if copies is None:
-        order, cell_start, cell_nodes, node_ijk = number_cells(base)
+        cells = _sorted_by_cell(base, fx)
     else:
-        cells = np.rint((corners + shift - corners[0]) / h).astype(np.int64)
-        full, copy_nodes, node_ijk, count = number_nodes(copies, cells)
-        own = (copies.cell + cells[copies.body])[copies.of]
-        base, fx = own, base + fx - own
-        rank = np.empty(len(copies.cell), np.int64)
-        rank[full] = np.arange(len(full))
-        order = np.argsort(rank[copies.of], kind="stable")
-        cell_start = np.append(0, np.cumsum(np.bincount(rank[copies.of])))
-        cell_nodes = copy_nodes[full]
-    fx = fx[order]
-    cell = np.repeat(np.arange(len(cell_nodes)), np.diff(cell_start))
-    mass = nodal_mass(fx, m[order], cell_nodes, cell, len(node_ijk))
+        body_shift = np.rint((corners + shift - corners[0]) / h).astype(np.int64)
+        cells = _sorted_by_copy(base + fx, copies, body_shift)
+    node_ijk, mass = cells.node_ijk, cells.nodal_mass(m)
     node_body = np.empty(len(mass), np.int64)
-    node_body[cell_nodes] = body[order[cell_start[:-1]]][:, None]
-    linked = None
-    if copies is not None:
-        linked = link_copies(copies, cells, full, copy_nodes, node_ijk, count)
+    node_body[cells.nodes] = body[cells.order[cells.start[:-1]]][:, None]
     offset = shift[node_body]
     node_X = origin + h * node_ijk - offset
+    rest = X - shift[body]
     pins = pin_constraint.pins if pin_constraint else ()
     held = pinned_by(pins, node_X, node_body)
     held = prescribed_nearby(pins, held, node_X, h)
     held = fully_prescribed(pins, held, mass, node_body, node_X)
-    if copies is not None and held.any:
-        # A pin holds the copies of a node that belong to the limb inside its region.
-        inside = np.zeros(len(node_ijk), bool)
-        pinned = pinned_by(pins, X - shift[body], body)
-        inside[cell_nodes[cell[pinned.pin[order] >= 0]]] = True
-        held = PinnedPoints(axes=np.where(((count > 1) & ~inside)[:, None], -1, held.axes))
-    region = None
-    rigid = [k for k, pin in enumerate(pins) if pin.rigid]
-    if pin_constraint and rigid:
-        own = (pin_constraint.pins[k].inside(X - shift[body]) for k in rigid)
-        masses = [
-            nodal_mass(fx, (m * mine)[order], cell_nodes, cell, len(node_ijk)) for mine in own
-        ]
-        region = region_of_nodes(masses, mass, held.pin >= 0, rigid)
+    held = _without_other_limbs(held, pins, cells, rest, body)
+    region = _rigid_regions(pins, cells, rest, m, held)
+    if region is not None:
         held = PinnedPoints(axes=np.where(region[:, None] >= 0, region[:, None], held.axes))
     solid = node_ijk[held.pin >= 0]
     mirror, share = mirror_points(
@@ -396,8 +376,8 @@ def build_stencil(
         mirror=(mirror + offset - origin) / h,
         share=share,
         body=node_body,
-        copies=linked,
-        cells=cell_nodes,
+        copies=cells.copies,
+        cells=cells.nodes,
     )
     ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)
@@ -416,10 +396,10 @@ def build_stencil(
     return Stencil(
         origin=origin,
         h=h,
-        order=order,
-        cell_start=cell_start,
-        cell_nodes=renumber[cell_nodes],
-        fx=fx,
+        order=cells.order,
+        cell_start=cells.start,
+        cell_nodes=renumber[cells.nodes],
+        fx=cells.fx,
         node_ijk=node_ijk[ordered],
         mass=lumped,
         node_mass=mass[ordered],
@@ -433,10 +413,88 @@ def build_stencil(
         sorted_node=renumber,
         dims=dims,
         corner=corner,
-        copies=linked.renumbered(renumber) if linked else None,
+        copies=cells.copies.renumbered(renumber) if cells.copies else None,
         factors=factors,
         region=None if region is None else region[ordered],
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Cells:
+    """Particles sorted by cell, and the nodes of the cells."""
+
+    order: Ints  # (N,) particle of each sorted one
+    start: Ints  # (K + 1,) first sorted particle of each cell
+    nodes: Ints  # (K, 27) of each cell
+    node_ijk: Ints  # (M, 3)
+    fx: Floats  # (N, 3) from the base node to each sorted particle, in cells
+    copies: NodeCopies | None = None  # of cells that several limbs share
+    count: Ints | None = None  # (M,) copies of each node
+
+    @cached_property
+    def cell(self) -> Ints:
+        """(N,) cell of each sorted particle."""
+        return np.repeat(np.arange(len(self.nodes)), np.diff(self.start))
+
+    def nodal_mass(self, m: Floats) -> Floats:
+        """(M,) [kg] from the masses m (N,) [kg] of particles in their own order."""
+        return nodal_mass(self.fx, m[self.order], self.nodes, self.cell, len(self.node_ijk))
+
+
+def _sorted_by_cell(base: Ints, fx: Floats) -> _Cells:
+    """Cells from the base nodes (N, 3) of particles, and fx (N, 3) from these."""
+    order, start, nodes, node_ijk = number_cells(base)
+    return _Cells(order=order, start=start, nodes=nodes, node_ijk=node_ijk, fx=fx[order])
+
+
+def _sorted_by_copy(at: Floats, copies: CellCopies, shift: Ints) -> _Cells:
+    """Cells, with copies, from the positions (N, 3) [cells] of particles.
+
+    shift : (bodies, 3) [cells] that separates the bodies.
+    """
+    full, nodes, node_ijk, count = number_nodes(copies, shift)
+    fx = at - (copies.cell + shift[copies.body])[copies.of]
+    rank = np.empty(len(copies.cell), np.int64)
+    rank[full] = np.arange(len(full))
+    order = np.argsort(rank[copies.of], kind="stable")
+    return _Cells(
+        order=order,
+        start=np.append(0, np.cumsum(np.bincount(rank[copies.of]))),
+        nodes=nodes[full],
+        node_ijk=node_ijk,
+        fx=fx[order],
+        copies=link_copies(copies, shift, full, nodes, node_ijk, count),
+        count=count,
+    )
+
+
+def _without_other_limbs(
+    held: PinnedPoints, pins: Sequence[Pin], cells: _Cells, X: Floats, body: Ints
+) -> PinnedPoints:
+    """Of the copies of a pinned node, only those of the limb inside the region of the pin.
+
+    X : (N, 3) [m] particles at rest; body : (N,).
+    """
+    if cells.count is None or not held.any:
+        return held
+    inside = np.zeros(len(cells.node_ijk), bool)
+    pinned = pinned_by(pins, X, body)
+    inside[cells.nodes[cells.cell[pinned.pin[cells.order] >= 0]]] = True
+    return PinnedPoints(axes=np.where(((cells.count > 1) & ~inside)[:, None], -1, held.axes))
+
+
+def _rigid_regions(
+    pins: Sequence[Pin], cells: _Cells, X: Floats, m: Floats, held: PinnedPoints
+) -> Ints | None:
+    """(M,) rigid pin of each node, -1: none; None without rigid pins.
+
+    X : (N, 3) [m] particles at rest; m : (N,) [kg].
+    """
+    rigid = [k for k, pin in enumerate(pins) if pin.rigid]
+    if not rigid:
+        return None
+    masses = [cells.nodal_mass(m * pins[k].inside(X)) for k in rigid]
+    return region_of_nodes(masses, cells.nodal_mass(m), held.pin >= 0, rigid)
 
 
 def number_cells(base: Ints) -> tuple[Ints, Ints, Ints, Ints]:
