@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import gf_usd  # noqa: E402
-from gf_usd.api.call import in_keywords  # noqa: E402
+from gf_usd.api.call import BAKE  # noqa: E402
 from gf_usd.prepare.options.table import OPTIONS  # noqa: E402
 
 PAGE = ROOT / "docs" / "api.md"
@@ -226,8 +226,8 @@ def option_table() -> Iterator[str]:
     """The keywords of a bake."""
     yield from ("| keyword | default | meaning |", "|---|---|---|")
     for name, option in OPTIONS.items():
-        shown = cell(in_keywords(option.shown)) or f"`{option.default!r}`".replace("`None`", "none")
-        yield f"| `{name}` | {shown} | {cell(in_keywords(option.help))} |"
+        shown = cell(BAKE.text(option.shown)) or f"`{option.default!r}`".replace("`None`", "none")
+        yield f"| `{name}` | {shown} | {cell(BAKE.text(option.help))} |"
     yield "| `progress` | none | Called after each frame with (frames done, total frames). |"
 
 

@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.api.call import takes
+from gf_usd.api.call import BAKE, takes
 from gf_usd.api.host.guest import here_or_away
 from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
 
 if TYPE_CHECKING:
+    from gf_usd.pipeline.health.warnings import HealthWarning
     from gf_usd.pipeline.result import BakeResult
 
 
@@ -69,7 +70,8 @@ def bake(
 
     Returns
     -------
-    BakeResult : the files, the health, the warnings and the notes.
+    BakeResult : the files, the health, the warnings and the notes, which name keywords; those of
+        the report on the disk name the options of the command line.
 
     Raises
     ------
@@ -89,8 +91,19 @@ def bake(
     result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
     if why:
         result = replace(result, notes=(*result.notes, f"baked in a separate process: {why}"))
+    result = _in_keywords(result)
     require_healthy(result, strict=strict)
     return result
+
+
+def _in_keywords(result: BakeResult) -> BakeResult:
+    """A result whose notes and warnings name keywords instead of options of the command line."""
+
+    def warning(found: HealthWarning) -> HealthWarning:
+        return replace(found, message=BAKE.text(found.message), hint=BAKE.text(found.hint))
+
+    bakes = tuple(replace(b, warnings=tuple(map(warning, b.warnings))) for b in result.bakes)
+    return replace(result, bakes=bakes, notes=tuple(map(BAKE.text, result.notes)))
 
 
 def prepare_and_run(

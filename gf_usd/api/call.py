@@ -9,9 +9,9 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, Protocol, TypeVar, cast, get_args, get_origin
@@ -109,49 +109,85 @@ def asset_path(path: Any) -> Path:
     raise refuse("the asset", path, "the path of a file, such as 'duck.usda'")
 
 
-SHORT = {option.short: name for name, option in OPTIONS.items() if option.short}
 OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
+# Where a hint can be cut: an aside in parentheses, and alternatives.
+ASIDE = re.compile(r"\s*\([^()]*\)")
+CLAUSES = re.compile(r"(; |, or |, )")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """How a function of Python calls the options of the command line."""
+
+    known: Mapping[str, str]  # keywords, by the options with their dashes
+    absent: frozenset[str] = frozenset()  # options that it has no counterpart of
+
+    def text(self, text: str) -> str:
+        """A message, with keywords in place of options."""
+        return OPTION.sub(lambda found: self.known.get(found[0], found[0]), text)
+
+    def hint(self, text: str) -> str:
+        """A hint or a note, with keywords, and without the clauses on what cannot be given.
+
+        A clause that all others depend on stays.
+        """
+        if not self._impossible(text):
+            return self.text(text)
+        short = ASIDE.sub(lambda found: "" if self._impossible(found[0]) else found[0], text)
+        first, *rest = CLAUSES.split(short)
+        clauses = [("", first), *zip(rest[::2], rest[1::2], strict=True)]
+        kept = [(join, one) for join, one in clauses if not self._impossible(one)] or clauses
+        return self.text(kept[0][1] + "".join(join + one for join, one in kept[1:]))
+
+    def _impossible(self, text: str) -> bool:
+        return any(found in self.absent for found in OPTION.findall(text))
 
 
 @contextmanager
-def keywords(*own: str, **renamed: str) -> Iterator[None]:
-    """Have errors name the keywords of Python: ``--max-hours`` is max_hours.
-
-    own : keywords of the function that are called as on the command line; renamed : others, by
-    their names there; none: the options of a bake.
-    """
-    mine = {**{name: name for name in own}, **renamed}
-    known = {f"--{name.replace('_', '-')}": word for name, word in mine.items()} or _KEYWORDS
-    known = {**known, "-o": "output"}
+def in_words(words: Words) -> Iterator[None]:
+    """Have errors name the keywords of a function."""
     try:
         yield
     except GfUsdError as error:
-        in_python(error, known)
+        in_python(error, words)
         raise
 
 
-def in_python(error: GfUsdError, known: Mapping[str, str] | None = None) -> None:
-    """Have an error name keywords; known : as of `in_keywords`."""
-    error.message = in_keywords(error.message, known)
-    error.hint = in_keywords(error.hint, known)
+def keywords(*own: str, **renamed: str) -> AbstractContextManager[None]:
+    """Have errors name the keywords of Python: ``--max-hours`` is max_hours.
+
+    own : keywords of the function that are called as on the command line; renamed : others, by
+    their names there.  All other options are those of a bake.
+    """
+    mine = {**{name: name for name in own}, **renamed}
+    more = {f"--{name.replace('_', '-')}": word for name, word in mine.items()}
+    return in_words(Words(known={**BAKE.known, **more}))
+
+
+def in_python(error: GfUsdError, words: Words) -> None:
+    """Have an error name keywords."""
+    error.message = words.text(error.message)
+    error.hint = words.hint(error.hint)
     error.args = (error.message,)
 
 
-def in_keywords(text: str, known: Mapping[str, str] | None = None) -> str:
-    """A text with keywords instead of options of the command line; known : by their names there,
-    None: those of a bake.
-    """
-    words = _KEYWORDS if known is None else known
-    return OPTION.sub(lambda found: words.get(found[0], found[0]), text)
-
-
-def _spellings() -> dict[str, str]:
-    found: dict[str, str] = dict(SHORT)
-    for name, option in OPTIONS.items():
+def _spellings(names: Iterable[str] = OPTIONS) -> dict[str, str]:
+    """Keywords of options of a bake, by what the command line calls them."""
+    found: dict[str, str] = {}
+    for name in names:
+        option = OPTIONS[name]
         found[option.flag] = f"{name}=True" if option.kind is bool else name
+        if option.short:
+            found[option.short] = name
         if option.two_way:
             found[f"--no-{option.flag[2:]}"] = f"{name}=False"
     return found
 
 
-_KEYWORDS = _spellings()
+BAKE = Words(known={**_spellings(), "-o": "output"})
+
+
+def words_of(*names: str, **renamed: str) -> Words:
+    """Of a function that has some options of a bake; renamed : others, which it calls otherwise."""
+    known = {**_spellings(names), **{OPTIONS[name].flag: word for name, word in renamed.items()}}
+    return Words(known=known, absent=frozenset(BAKE.known) - frozenset(known))

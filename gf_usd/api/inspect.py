@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.api.call import in_python, takes
+from gf_usd.api.call import BAKE, in_python, takes
 from gf_usd.api.host.guest import guest, require_here
 from gf_usd.prepare.options.table import BakeOptions
 
@@ -25,7 +26,8 @@ def inspect(path: Path, **options: Any) -> Inspection:
     (True, ())
 
     It takes the keywords of `bake`; those that only affect the output files have no effect here.
-    If the file can be read, a refusal is part of the result; it names keywords.
+    If the file can be read, a refusal is part of the result.  Refusal, warnings and notes name
+    keywords.
 
     Returns
     -------
@@ -47,5 +49,11 @@ def inspect(path: Path, **options: Any) -> Inspection:
     with guest():
         seen = inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})
     if seen.refusal is not None:
-        in_python(seen.refusal)
-    return seen
+        in_python(seen.refusal, BAKE)
+    facts, plan = seen.asset.facts, seen.plan
+    return replace(
+        seen,
+        warnings=tuple(map(BAKE.text, seen.warnings)),
+        asset=replace(seen.asset, facts=replace(facts, notes=tuple(map(BAKE.text, facts.notes)))),
+        plan=plan and replace(plan, notes=tuple(map(BAKE.text, plan.notes))),
+    )

@@ -2,22 +2,46 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.core.errors import counted
+from gf_usd.core.errors import UsageError, counted
+from gf_usd.prepare.options.table import nearest
 
 if TYPE_CHECKING:
     from gf_usd.readers.usd_bake.result import BakedArrays
 
 Array = NDArray[np.float64]
+V = TypeVar("V")
+
+
+class NoSuchName(UsageError, KeyError):
+    """A table has nothing of this name; it is also a KeyError."""
+
+
+class Table(dict[str, V]):
+    """Values by name.  A name that is not there raises NoSuchName, which lists those that are."""
+
+    def __init__(self, what: str, values: Mapping[str, V]) -> None:
+        super().__init__(values)
+        self._what = what
+
+    def __missing__(self, name: object) -> V:
+        known = ", ".join(self) or "none"
+        raise NoSuchName(
+            f"{self._what}: there is no {name!r}", f"{nearest(str(name), self)}there are {known}"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._what, dict(self))
 
 
 class BakeFrame:
@@ -65,13 +89,13 @@ class BakeFrame:
     @cached_property
     def internal(self) -> Mapping[str, Array]:
         """(N,) of each internal variable, such as plastic_strain; empty unless internal=True."""
-        return self._arrays.internal(self.time_code)
+        return Table("internal variables", self._arrays.internal(self.time_code))
 
     @cached_property
     def meshes(self) -> Mapping[str, Array]:
         """(V, 3) [m] points of each mesh that the bake moves, by prim path."""
-        arrays = self._arrays
-        return {path: arrays.mesh_points(path, self.time_code) for path in arrays.mesh_paths}
+        arrays, code = self._arrays, self.time_code
+        return Table("meshes", {path: arrays.mesh_points(path, code) for path in arrays.mesh_paths})
 
 
 class Bake(Sequence[BakeFrame]):
@@ -103,6 +127,14 @@ class Bake(Sequence[BakeFrame]):
     def __getitem__(self, index: int | slice) -> BakeFrame | list[BakeFrame]:
         if isinstance(index, slice):
             return [self[one] for one in range(*index.indices(len(self)))]
+        if not hasattr(index, "__index__"):
+            raise UsageError(
+                f"{self.path.name} has frames by number, from 0 to {len(self) - 1},"
+                f" and no {index!r}",
+                f"a frame has {_listed(BakeFrame)}, such as bake[0].positions, and the bake itself"
+                f" {_listed(Bake)}",
+            )
+        index = operator.index(index)
         at = index + len(self) if index < 0 else index
         if not 0 <= at < len(self):
             raise IndexError(
@@ -124,7 +156,7 @@ class Bake(Sequence[BakeFrame]):
         (N,) [m^3], masses (N,) [kg], materials (N,), the index of each one's material; and, if the
         body is heterogeneous, youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
         """
-        return self._arrays.rest()
+        return Table("rest", self._arrays.rest())
 
     @property
     def particles(self) -> int:
@@ -153,7 +185,7 @@ class Bake(Sequence[BakeFrame]):
                 _, field, unit = (FRAME | FLOW)[name]
                 values = np.array(samples)
                 found[field] = values * si[unit] if unit else values
-        return found
+        return Table("health", found)
 
     @cached_property
     def report(self) -> Mapping[str, Any]:
@@ -168,6 +200,12 @@ class Bake(Sequence[BakeFrame]):
         Raises UsageError for a path that is none of its meshes.
         """
         return self._arrays.mesh_faces(path)
+
+
+def _listed(kind: type) -> str:
+    """The names of the arrays and tables of a class."""
+    found = [n for n, v in vars(kind).items() if isinstance(v, cached_property | property)]
+    return ", ".join(found)
 
 
 def read(path: str | os.PathLike[str], *, variant: str | None = None) -> Bake:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -15,8 +16,10 @@ from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.stage import Collider, PhysicsMaterialSpec, Region, Triple
+from gf_usd.core.units import STRONGEST
 from gf_usd.prepare.options import values
 from gf_usd.prepare.options.fields import upward_note
+from gf_usd.prepare.options.texts import FASTEST
 
 if TYPE_CHECKING:
     from gf_usd.core.materials.material import Material
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 UP = {"Y": 1, "Z": 2}
+THREE = "three numbers, such as (0, -9.81, 0)"
 AXES = "three booleans, at least one of them True"
 
 # Poses at the frames: (F, 4, 4) matrices, (F, V, 3) points, or a function of the time [s] that
@@ -73,13 +77,14 @@ class Scene:
             raise UsageError(f"up is {up!r}", "give 'Y' or 'Z'")
         self.up: str = up
         self.floor: float | None = None if floor is None else _finite("floor", floor)
-        down = [0.0, 0.0, 0.0]
-        if values.is_number(gravity):
-            down[UP[up]] = -values.real("gravity", gravity)
-        self.gravity: Triple = _triple("gravity", down if values.is_number(gravity) else gravity)
         self._notes: tuple[str, ...] = ()
-        if values.is_number(gravity):
-            self._notes = upward_note(values.real("gravity", gravity))
+        vector: Any = gravity
+        if values.is_number(gravity) or isinstance(gravity, str):
+            number = values.real("gravity", gravity, f"{THREE}, or a number")
+            self._notes = upward_note(number)
+            vector = [0.0, 0.0, 0.0]
+            vector[UP[up]] = -number
+        self.gravity: Triple = _triple("gravity", vector, STRONGEST, "m/s^2")
         self._surfaces: list[Surface] = []
         self._materials: dict[str, str | Material] = {}
         self._velocities: dict[str, tuple[Triple, Triple]] = {}
@@ -126,7 +131,10 @@ class Scene:
                 raise values.refuse("material", material, "a preset, or a gf_usd.Material")
             made = values.checked_material(material)
         path = f"/{name}"
-        self._velocities[path] = _triple("velocity", velocity), _triple("spin", spin)
+        self._velocities[path] = (
+            _triple("velocity", velocity, FASTEST, "m/s"),
+            _triple("spin", spin, FASTEST, "rad/s"),
+        )
         self._materials[path] = made
         self._surfaces.append(
             Surface(
@@ -247,11 +255,14 @@ def _finite(name: str, value: Any) -> float:
     return number
 
 
-def _triple(name: str, value: Any) -> Triple:
-    parts = values.triple(name, value, "three numbers, such as (0, -9.81, 0)")
+def _triple(name: str, value: Any, most: float = math.inf, unit: str = "m") -> Triple:
+    """Three finite numbers of at most `most` [unit]."""
+    parts = values.triple(name, value, THREE)
     x, y, z = (float(part) for part in parts.split(","))
     if not np.isfinite([x, y, z]).all():
         raise UsageError(f"{name} is ({x}, {y}, {z})", "give finite numbers")
+    if max(map(abs, (x, y, z))) > most:
+        raise UsageError(f"{name} is ({x:g}, {y:g}, {z:g}) {unit}", f"give up to {most:g} {unit}")
     return x, y, z
 
 

@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gf_usd.api.call import in_keywords, keywords, named
+from gf_usd.api.call import in_words, named, words_of
 from gf_usd.api.host.guest import guest, require_here
+from gf_usd.api.read import Table
 from gf_usd.api.scene import Scene, at_frames
 from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.core.frames import Health
+from gf_usd.core.units import STRONGEST
 from gf_usd.prepare.options import values
+from gf_usd.prepare.options.texts import FASTEST
 
 if TYPE_CHECKING:
     from gf_usd.core.frames import Frame, Particles, Settings
@@ -24,6 +27,12 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 # What `Simulation.save` adds to the state of the solver.
 STATE = {"index", "health", "disturbed", "forces", "added_acceleration", "rest"}
+# A scene has no options but these: bodies have a material and a velocity, and pins are its own.
+WORDS = words_of(
+    "particles", "spacing", "frames", "fps", "drag", "self_contact", "filter_rate", "conversions",
+    "stress", "device", "threads", "gravity", "floor", "material", "velocity", "spin", "friction",
+    no_shortcuts="shortcuts=False", pins="scene.pin()", colliders="scene.add_obstacle()",
+)  # fmt: skip
 FRAMES = 48
 FPS = 24.0
 
@@ -80,7 +89,7 @@ class Simulation(Iterator[SimulationFrame]):
         self.bodies: tuple[str, ...] = scene.bodies
         # assumptions, as text
         self.notes: tuple[str, ...] = tuple(
-            in_keywords(note) for note in (*scene._notes, *self._plan.notes)
+            WORDS.hint(note) for note in (*scene._notes, *self._plan.notes)
         )
 
     @property
@@ -126,7 +135,7 @@ class Simulation(Iterator[SimulationFrame]):
         if self._solver is None or self._index + 1 >= self._frames:
             raise StopIteration
         solver = self._running()
-        with keywords(), guest():
+        with in_words(WORDS), guest():
             if self._last is None:
                 frame = solver.read(0)
             else:
@@ -147,11 +156,14 @@ class Simulation(Iterator[SimulationFrame]):
             positions=np.asarray(frame.particles.x, float),
             velocities=np.asarray(frame.particles.v, float),
             F=np.asarray(frame.particles.F, float),
-            meshes={
-                path.removeprefix("/"): np.asarray(pose.x, float)
-                for path, pose in frame.embedded.items()
-                if path not in gone
-            },
+            meshes=Table(
+                "meshes",
+                {
+                    path.removeprefix("/"): np.asarray(pose.x, float)
+                    for path, pose in frame.embedded.items()
+                    if path not in gone
+                },
+            ),
             converted=frame.converted,
             health=frame.health,
             stress=None if frame.stress is None else np.asarray(frame.stress, float),
@@ -164,7 +176,9 @@ class Simulation(Iterator[SimulationFrame]):
         """
         solver = self._pushed()
         wanted = self._rows("forces", forces)
-        self._forces = solver.body.mass.acceleration(solver.body.rows.combined.T @ wanted)
+        made = solver.body.mass.acceleration(solver.body.rows.combined.T @ wanted)
+        _require_most("the acceleration by forces", made, STRONGEST, "m/s^2")
+        self._forces = made
         self._act(solver)
         self._disturbed = True
 
@@ -176,7 +190,9 @@ class Simulation(Iterator[SimulationFrame]):
         Raises UsageError if a body of the scene flows.
         """
         solver = self._pushed()
-        self._acceleration = _field("acceleration", acceleration, solver.body.stencil.free_X)
+        made = _field("acceleration", acceleration, solver.body.stencil.free_X)
+        _require_most("acceleration", made, STRONGEST, "m/s^2")
+        self._acceleration = made
         self._act(solver)
         self._disturbed = True
 
@@ -191,7 +207,9 @@ class Simulation(Iterator[SimulationFrame]):
         """
         solver = self._running()
         with guest():
-            solver.throw(_field("velocities", velocities, solver.places()))
+            made = _field("velocities", velocities, solver.places())
+            _require_most("velocities", made, FASTEST, "m/s")
+            solver.throw(made)
         self._disturbed = True
 
     def save(self) -> dict[str, Any]:
@@ -323,6 +341,15 @@ def _next(solver: Any, index: int, last: Health) -> Frame:
         ) from error
 
 
+def _require_most(name: str, vectors: Array, most: float, unit: str) -> None:
+    """Raise UsageError where a component of vectors (n, 3) [unit] is larger than `most`."""
+    largest = float(np.abs(vectors).max(initial=0.0))
+    if largest > most:
+        raise UsageError(
+            f"{name}: the largest component is {largest:g} {unit}", f"give up to {most:g} {unit}"
+        )
+
+
 def _field(name: str, given: Any, at: Array) -> Array:
     """(n, 3) of a vector or a function at points (n, 3)."""
     form = f"three numbers, or a function of (n, 3) that returns (n, 3): here {at.shape}"
@@ -412,5 +439,5 @@ def simulate(
     if count < 1 or not options["fps"] > 0.0:
         raise UsageError(f"frames is {count} and fps is {options['fps']:g}", "give numbers above 0")
     require_here("simulate")
-    with keywords(), guest():
+    with in_words(WORDS), guest():
         return Simulation(scene, count, options)

@@ -233,7 +233,7 @@ class BakedArrays:
         if not self._cloud:
             raise InputError(
                 f"{self.path}: the bake did not write its particles",
-                "bake again without --only, or include gaussians or points in it",
+                "bake again with gaussians or points among what is written, or with all (only)",
             )
         return self._cloud
 

@@ -1,0 +1,156 @@
+"""Messages of Python name its keywords, and nothing that a function cannot be given."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import gf_usd
+from gf_usd.api.call import BAKE
+from gf_usd.api.simulate import WORDS
+
+SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
+UNIT = np.array([[x, y, z] for x in (0, 1) for y in (1, 2) for z in (0, 1)], float)
+FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+FASTEST = "give up to 1e+09 m/s"
+
+
+def scene(faces: Any = FACES, **options: Any) -> gf_usd.Scene:
+    made = gf_usd.Scene(**options)
+    made.add_body(UNIT, faces)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("hint", "of_a_bake", "of_a_scene"),
+    [
+        (
+            "close the holes; --repair makes sheets one spacing thick",
+            "close the holes; repair=True makes sheets one spacing thick",
+            "close the holes",
+        ),
+        (
+            "check the unit (--meters-per-unit), the material, --drop and --gravity",
+            "check the unit (meters_per_unit), the material, drop and gravity",
+            "check the unit, the material",
+        ),
+        ("lower --particles or raise --spacing", "lower particles or raise spacing", None),
+        ("leave out --pin", "leave out pins", "leave out scene.pin()"),
+        ("add --overwrite", "add overwrite=True", None),
+        ("use --no-shortcuts", "use no_shortcuts=True", "use shortcuts=False"),
+    ],
+)
+def test_a_hint_leaves_out_what_cannot_be_given(
+    hint: str, of_a_bake: str, of_a_scene: str | None
+) -> None:
+    assert BAKE.hint(hint) == of_a_bake
+    assert WORDS.hint(hint) == (hint if "overwrite" in hint else of_a_scene or of_a_bake)
+
+
+def test_a_scene_is_not_told_of_repairs() -> None:
+    with pytest.raises(gf_usd.InputError) as caught:
+        gf_usd.simulate(scene(FACES[:4]), particles=100)
+    assert caught.value.hint == "close the holes or give the mesh thickness"
+    inside_out = scene([face[::-1] for face in FACES])
+    (note,) = gf_usd.simulate(inside_out, frames=1, particles=100).notes
+    assert note == "</body0> is filled despite 1 of 1 shell inside out"
+
+
+def test_notes_and_warnings_of_a_bake_name_keywords(tmp_path: Path) -> None:
+    path = tmp_path / "two.usda"
+    body = f'prepend apiSchemas = ["PhysicsRigidBodyAPI"]\nreferences = @{SPHERE}@'
+    place = 'uniform token[] xformOpOrder = ["xformOp:translate"]\ndouble3 xformOp:translate'
+    path.write_text(
+        '#usda 1.0\n(\ndefaultPrim = "W"\nmetersPerUnit = 1\nupAxis = "Y"\n)\ndef Xform "W"\n{\n'
+        + "".join(f'def "B{k}" (\n{body}\n)\n{{\n{place} = ({3 * k}, 2, 0)\n}}\n' for k in (0, 1))
+        + "}\n",
+        encoding="utf-8",
+    )
+    result = gf_usd.bake(path, particles=200, frames=3, output=tmp_path / "out")
+    assert any("combine=True makes them one body" in note for note in result.notes)
+    seen = gf_usd.inspect(path, particles=200)
+    assert any("combine=True makes them one body" in note for note in seen.notes)
+    assert "--" not in " ".join((*result.notes, *seen.notes, *seen.warnings))
+    assert "--combine" in result.report.read_text(encoding="utf-8"), "as of the command line"
+    short = gf_usd.bake(SPHERE.with_name("duck.usda"), particles=200, frames=3, output=tmp_path)
+    ((_, untouched),) = short.warnings
+    assert untouched.about == "untouched"
+    assert untouched.hint == (
+        "take more frames, a lower drop, or check the unit of the asset (meters_per_unit)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("act", "message", "hint"),
+    [
+        (lambda s: s.set_velocities((1e30, 0, 0)), "velocities: the largest component is", FASTEST),
+        (lambda s: s.accelerate((0, -2e9, 0)), "acceleration: the largest", f"{FASTEST}^2"),
+        (lambda s: s.push(np.full((len(s.particles), 3), 1e30)), "by forces", f"{FASTEST}^2"),
+    ],
+)
+def test_what_no_step_can_follow_is_refused(
+    act: Callable[[gf_usd.Simulation], None], message: str, hint: str
+) -> None:
+    simulation = gf_usd.simulate(scene(), frames=3, particles=100)
+    next(simulation)
+    with pytest.raises(gf_usd.UsageError, match=message) as caught:
+        act(simulation)
+    assert caught.value.hint == hint
+    simulation.set_velocities((1.0, 0, 0))
+    assert next(simulation).velocities[:, 0].mean() == pytest.approx(1.0), "as it was before"
+
+
+@pytest.mark.parametrize(
+    ("value", "message", "hint"),
+    [
+        ("9.81", "gravity is '9.81'", "or a number, without quotes: gravity=9.81"),
+        ("down", "gravity is 'down'", "give three numbers, such as (0, -9.81, 0), or a number"),
+        (1e30, "gravity is (0, -1e+30, 0) m/s^2", f"{FASTEST}^2"),
+    ],
+)
+def test_a_gravity_that_is_none_is_refused_with_what_fits(
+    value: Any, message: str, hint: str
+) -> None:
+    with pytest.raises(gf_usd.UsageError) as caught:
+        gf_usd.Scene(gravity=value)
+    assert message in caught.value.message
+    assert hint in caught.value.hint
+
+
+@pytest.mark.parametrize(("name", "unit"), [("velocity", "m/s"), ("spin", "rad/s")])
+def test_a_body_that_is_too_fast_is_refused(name: str, unit: str) -> None:
+    fast: Any = {name: (1e30, 0, 0)}
+    with pytest.raises(gf_usd.UsageError, match=rf"^{name} is \(1e\+30, 0, 0\) {unit}\n") as caught:
+        gf_usd.Scene().add_body(UNIT, FACES, **fast)
+    assert caught.value.hint == f"give up to 1e+09 {unit}"
+
+
+def test_a_name_that_a_bake_does_not_have_is_answered_with_those_it_has(tmp_path: Path) -> None:
+    result = gf_usd.bake(
+        SPHERE, particles=100, frames=2, only="mesh", flatten=True, output=tmp_path / "one.usda"
+    )
+    bake = gf_usd.read(result.root)
+    for name in ("x", 0.5):
+        with pytest.raises(gf_usd.UsageError, match=f"from 0 to 1, and no {name!r}") as wrong:
+            bake[name]  # pyright: ignore[reportArgumentType, reportCallIssue]
+        assert "positions, velocities" in wrong.value.hint
+        assert "rest, particles, settings, health, report" in wrong.value.hint
+    with pytest.raises(KeyError) as caught:
+        bake.health["kinetics"]
+    assert isinstance(caught.value, gf_usd.UsageError)
+    assert caught.value.hint.startswith("did you mean kinetic? there are")
+    with pytest.raises(gf_usd.UsageError, match=r"^meshes: there is no '/nothing'"):
+        bake[0].meshes["/nothing"]
+    again = pickle.loads(pickle.dumps(bake[0].meshes))
+    assert list(again) == list(bake[0].meshes)
+    with pytest.raises(gf_usd.InputError) as bare:
+        _ = bake.rest
+    assert "--" not in bare.value.hint
+    first = next(gf_usd.simulate(scene(), frames=1, particles=100))
+    with pytest.raises(gf_usd.UsageError, match="no 'body1'"):
+        first.meshes["body1"]
