@@ -15,6 +15,7 @@ from solids import asset, facts, fill, look, settings, solid, sphere
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.geometry.skinning import KEPT_BYTES
 from gf_usd.pipeline.cost import budget
 from gf_usd.pipeline.cost.budget import (
@@ -256,6 +257,25 @@ def test_bodies_in_flight_and_those_that_meet_only_themselves_are_cheap(plan: Pl
     assert seconds(crowd=False) < seconds(crowd=True)
     assert seconds(fall=10.0) > seconds(fall=0.0), "a hard landing takes more substeps"
     assert seconds(fall=10.0) < budget.MOST * seconds(fall=0.0)
+
+
+def test_a_soft_body_beside_a_stiff_one_costs_no_more_substeps(plan: Plan) -> None:
+    """The waves of the stiff one determine them, whichever of the two names the variant."""
+    jelly, metal = (find_preset(name).material(0.1) for name in ("jelly", "metal"))
+    assert metal.wave_speed > 3.0 * jelly.wave_speed
+
+    def substeps(main: Material, *table: Material) -> int:
+        found = budget.estimate(
+            plan.settings, [main], [1000], tables=[table], particles=1000, vertices=0, paired=0,
+            frame_bytes=0.0, first_contact=None, fall=2.0,
+        )["per_material"]  # fmt: skip
+        return int(found[0]["substeps"])
+
+    alone = substeps(metal, metal)
+    assert substeps(jelly, jelly) > 2.0 * alone, "strained, it needs many times its own"
+    both = substeps(jelly, jelly, metal)
+    assert both == substeps(metal, metal, jelly)
+    assert alone <= both < 1.7 * alone
 
 
 # Peaks [MB] of `python -m tools.bench.scale --case particles N`, 26 November 2026.

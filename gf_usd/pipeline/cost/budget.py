@@ -76,7 +76,7 @@ class Solvers:
 
 
 # [s] of a substep, and of each particle in it, by solver, on one thread; measured
-SUBSTEP_SECONDS = {"tl": (1.0e-5, 6.6e-8), "ul": (2e-6, 1.5e-7), MIXED: (3e-4, 1.8e-7)}
+SUBSTEP_SECONDS = {"tl": (5e-6, 4e-8), "ul": (2e-6, 1.5e-7), MIXED: (3e-4, 1.8e-7)}
 GPU_SUBSTEP_SECONDS = (7e-5, 1.7e-10)  # the same on a GPU with 4.8 TB/s (tools/bench/gpu.py)
 CONTACT = 1.4  # longer with the contact of a shot, in the mean
 FLOW = 1.3  # longer where the law flows
@@ -90,7 +90,7 @@ LAW_SECONDS = 0.9  # load the compiled kernels of a law; the very first bake com
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files
-FRAME_SECONDS = (5e-3, 7e-6, 7e-6)
+FRAME_SECONDS = (3e-3, 4e-6, 4.5e-6)
 # T from the first contact until bodies are usually at rest, by whether their law flows.  Within a
 # factor of two of the duck of 400 particles with eleven presets (`gf-usd bake samples/duck.usda
 # --particles 400 --material NAME`: 25 to 54 T for six that do not flow, 7 to 20 T for five that
@@ -98,9 +98,9 @@ FRAME_SECONDS = (5e-3, 7e-6, 7e-6)
 RESTS = {False: 45.0, True: 12.0}
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
-# [s] of a substep, for each contact sample where several bodies or obstacles meet: in the mean of
-# a crash.  Self-contact is detected once in many substeps.
-CONTACT_PAIR_SECONDS = 1e-6
+# [s] of a substep, for each contact sample where several bodies or obstacles meet: the samples that
+# can touch are few, and are detected once in many substeps.  Self-contact costs less.
+CONTACT_PAIR_SECONDS = 1e-7
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 # [bytes] a particle, by solver, measured with 100,000 to 10 million of them: 1,880 to 1,615
@@ -115,6 +115,7 @@ def estimate(
     materials: Sequence[Material],
     substeps: Sequence[int],
     *,
+    tables: Sequence[Sequence[Material]] = (),
     particles: int,
     vertices: int,
     paired: int,
@@ -134,6 +135,7 @@ def estimate(
     (KEPT). Seconds assume an idle machine and compiled kernels.
 
     substeps : of one frame of each material, all samples together.
+    tables : the materials of all bodies, for each of `materials`; (): all bodies have that one.
     vertices : of meshes and captured Gaussians.
     paired : contact samples of bodies that can touch others or themselves; 0: none can.
     frame_bytes : bytes on the disk per frame.
@@ -170,10 +172,13 @@ def estimate(
     rows = []
     ratios = damping or [0.0] * len(materials)
     ends = [min(frames, one) for one in usual] or [frames] * len(materials)
-    for material, count, ratio, last in zip(materials, substeps, ratios, ends, strict=True):
+    each_table = tables or [(material,) for material in materials]
+    for material, table, count, ratio, last in zip(
+        materials, each_table, substeps, ratios, ends, strict=True
+    ):
         many = float(count)
         if not settings.substeps:
-            many *= landing_factor(material, settings, fall) * (CROWD if paired and crowd else 1.0)
+            many *= landing_factor(table, settings, fall) * (CROWD if paired and crowd else 1.0)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end
@@ -212,15 +217,18 @@ def estimate(
     }
 
 
-def landing_factor(material: Material, settings: Settings, fall: float) -> float:
+def landing_factor(table: Sequence[Material], settings: Settings, fall: float) -> float:
     """Mean substeps after a fall, relative to those at rest: 1 + STRAINED m^3, at most MOST.
 
     m = sqrt(2 g h) / c is the Mach number of the impact, with c the wave speed at rest; the strain
-    of the impact is of the same size. fall : h [m].
+    of the impact is of the same size.  All bodies have the same substeps, those of the fastest
+    waves: soft bodies that are strained matter only where their waves become as fast.
+    table : the materials of the bodies; fall : h [m].
     """
-    g = float(np.linalg.norm(settings.gravity))
-    mach = math.sqrt(2.0 * g * fall) / material.wave_speed
-    return min(MOST, 1.0 + STRAINED * mach**3)
+    speed = math.sqrt(2.0 * float(np.linalg.norm(settings.gravity)) * fall)
+    waves = [one.wave_speed for one in table]
+    strained = [c * min(MOST, 1.0 + STRAINED * (speed / c) ** 3) for c in waves]
+    return max(strained) / max(waves)
 
 
 def first_contact(settings: Settings, drop: float) -> int | None:
