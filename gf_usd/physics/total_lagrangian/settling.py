@@ -168,8 +168,8 @@ class Settling:
         pushed = np.flatnonzero(f.any(1))
         of = contact.samples.body
         of = np.zeros(len(pair), int) if of is None else of
-        origin = layout.origin_of(contact.samples.X)
-        place = _three(pair, layout.PLACE) + state.view().offset + origin
+        # Not PLACE, which is relative to the offset during the frame.
+        place = state.view().samples
         out = {}
         for k in np.unique(of[pushed]):
             mine = pushed[of[pushed] == k]

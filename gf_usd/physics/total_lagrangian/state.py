@@ -400,6 +400,14 @@ class StateView:
         return self._body.mass.momentum(self.v)
 
     @cached_property
+    def samples(self) -> Floats:
+        """x (n, 3) [m] of the contact samples of a body that has some."""
+        contact = self._body.contact
+        assert contact is not None
+        x = contact.rows.X + self.offset + contact.rows.W @ self.u
+        return x if contact.constants is None else x + contact.constants @ self.constants[0]
+
+    @cached_property
     def contact(self) -> float:
         """[J] energy of the floor's contact springs, with k_t xi^2 / 2 of friction: see
         `contact.floor`.

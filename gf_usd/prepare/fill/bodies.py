@@ -57,9 +57,7 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
         procrustes=bool(request.procrustes),
     )  # fmt: skip
     return FilledBodies(
-        bodies=filled.bodies,
-        particles=filled.particles,
-        samples=filled.samples,
+        **vars(filled),
         count_notes=count_notes(count, filled.particles, sheets=bool(meshes.spacing)),
         resolution_notes=(requested.note,) if requested.note else (),
         character_notes=notes,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
+import gf_usd
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.physics.total_lagrangian.settling import (
     AMPLITUDE,
@@ -106,6 +108,26 @@ def test_spin_about_the_normal_and_what_does_not_turn_are_left() -> None:
     for v in (np.cross([0.0, 3.0, 0.0], x - P), np.tile([0.0, -2.0, 0.0], (len(x), 1))):
         change = resistance(m, x, v, body, P, UP, np.array([1e-2]))
         np.testing.assert_allclose(change, 0.0, atol=1e-15)
+
+
+def test_the_support_of_a_body_that_moves_is_below_it() -> None:
+    """Not where it will be a frame later: the displacement of a frame goes to the offset."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=R)
+    ball.apply_translation((0.0, R, 0.0))
+    slab = trimesh.creation.box(extents=(6.0, 0.5, 2.0))
+    slab.apply_translation((1.0, -0.25, 0.0))
+    scene = gf_usd.Scene()
+    scene.add_body(ball, material="rubber", velocity=(3.0, 0.0, 0.0))
+    scene.add_obstacle(slab)
+    simulation = gf_usd.simulate(scene, frames=7, particles=300)
+    found = []
+    for frame in simulation:
+        solver = simulation._solver
+        center = frame.positions.mean(0)
+        found += [s.point - center for s in solver.settling._supports(solver.state).values()]
+    assert len(found) >= 3
+    assert np.abs(np.array(found)[:, 0]).max() < 0.1 * R, "a frame moves it by 0.4 R"
+    assert np.array(found)[:, 1].max() < -0.75 * R, "of a ball that is pressed flat"
 
 
 def test_each_body_feels_its_own() -> None:
