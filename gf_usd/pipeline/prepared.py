@@ -17,6 +17,7 @@ from gf_usd.pipeline.cost.budget import (
     Solvers,
     duration,
     estimate,
+    fall_frames,
     first_contact,
     typical_rest,
 )
@@ -208,8 +209,9 @@ def flying(plan: Plan) -> int:
         return 0
     if plan.contact_setup is not None and plan.contact_setup.colliders:
         return 0
-    frame = first_contact(s, plan.drop)
-    return s.frames if frame is None else max(0, frame - 2)  # with a margin of one frame
+    frame = fall_frames(s, plan.drop)
+    # with a margin of one frame, also where the bake ends just before the floor
+    return s.frames if frame is None else min(s.frames, max(0, frame - 2))
 
 
 def solver_of(plan: Plan, variant: Variant) -> Solver:

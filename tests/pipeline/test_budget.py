@@ -229,6 +229,19 @@ def test_first_contact_is_a_fall(plan: Plan) -> None:
     assert cost(tilted)["first_contact_frame"] == 11
 
 
+def test_a_bake_that_ends_just_above_the_floor_has_substeps(plan: Plan) -> None:
+    """Contact is prepared a frame before the floor, also where that is the last frame."""
+    # The ball falls 1 m in 10.8 frames.
+    flights = [
+        cost(replace(plan, settings=replace(plan.settings, frames=frames, shortcuts=True)))[
+            "per_material"
+        ][0]
+        for frames in (9, 11, 12)
+    ]
+    assert [row["flying_samples"] for row in flights] == [9, 9, 9]
+    assert [row["substeps"] > 0 for row in flights] == [False, True, True]
+
+
 def test_the_damping_ratio_is_that_of_the_step(plan: Plan) -> None:
     """z = tau w / 2 grows with the damping time, and foretells the substeps of two of them."""
     rubber = plan.materials[0]

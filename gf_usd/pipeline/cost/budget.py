@@ -76,7 +76,7 @@ class Solvers:
 
 
 # [s] of a substep, and of each particle in it, by solver, on one thread; measured
-SUBSTEP_SECONDS = {"tl": (5e-6, 4e-8), "ul": (2e-6, 1.5e-7), MIXED: (3e-4, 1.8e-7)}
+SUBSTEP_SECONDS = {"tl": (5e-6, 3.6e-8), "ul": (2e-6, 1.5e-7), MIXED: (3e-4, 1.8e-7)}
 GPU_SUBSTEP_SECONDS = (7e-5, 1.7e-10)  # the same on a GPU with 4.8 TB/s (tools/bench/gpu.py)
 CONTACT = 1.4  # longer with the contact of a shot, in the mean
 FLOW = 1.3  # longer where the law flows
@@ -100,7 +100,7 @@ CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
 # [s] of a substep, for each contact sample where several bodies or obstacles meet: the samples that
 # can touch are few, and are detected once in many substeps.  Self-contact costs less.
-CONTACT_PAIR_SECONDS = 1e-7
+CONTACT_PAIR_SECONDS = 6e-8
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 # [bytes] a particle, by solver, measured with 100,000 to 10 million of them: 1,880 to 1,615
@@ -231,17 +231,22 @@ def landing_factor(table: Sequence[Material], settings: Settings, fall: float) -
     return max(strained) / max(waves)
 
 
-def first_contact(settings: Settings, drop: float) -> int | None:
+def fall_frames(settings: Settings, drop: float) -> int | None:
     """Frames of free fall from rest, sqrt(2 drop / g), both along the floor's normal.
 
-    drop : [m] along the up axis.  None where the floor is not touched within the bake.
+    drop : [m] along the up axis.  None where there is no floor below.
     """
     g = -float(np.dot(settings.gravity, settings.normal))
     if g <= 0.0 or settings.floor is None:
         return None
     height = max(0.0, drop) * float(np.dot(settings.normal, settings.up))
-    frame = int(np.ceil(np.sqrt(2.0 * height / g) * settings.fps / settings.time_scale))
-    return frame if frame < settings.frames else None
+    return int(np.ceil(np.sqrt(2.0 * height / g) * settings.fps / settings.time_scale))
+
+
+def first_contact(settings: Settings, drop: float) -> int | None:
+    """The frame of `fall_frames`; None where the floor is not touched within the bake."""
+    frame = fall_frames(settings, drop)
+    return frame if frame is not None and frame < settings.frames else None
 
 
 def typical_rest(settings: Settings, material: Material, radius: float, contact: int | None) -> int:
