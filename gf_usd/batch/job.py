@@ -91,6 +91,9 @@ class Job:
         )  # fmt: skip
 
 
+LISTS = ("warnings", "findings", "notes", "bake_notes")  # fields of `Outcome`
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """The outcome of a job."""
@@ -112,7 +115,8 @@ class Outcome:
     health: Mapping[str, Any] = field(default_factory=dict)  # of the first variant, a few numbers
     warnings: tuple[Mapping[str, Any], ...] = ()
     findings: tuple[Mapping[str, Any], ...] = ()
-    notes: tuple[str, ...] = ()  # of the batch, not of the bake
+    notes: tuple[str, ...] = ()  # of the batch
+    bake_notes: tuple[str, ...] = ()  # of the bake: what it assumed
     command: str = ""
     log: str = ""  # the last lines of the output of an unsuccessful process
 
@@ -129,7 +133,5 @@ class Outcome:
     def of(cls, row: Mapping[str, Any]) -> Outcome:
         """The outcome of `as_json`; keys of other versions are ignored."""
         known = {key: row[key] for key in cls.__dataclass_fields__ if key in row}
-        lists = {
-            key: tuple(known[key]) for key in ("warnings", "findings", "notes") if key in known
-        }
+        lists = {key: tuple(known[key]) for key in LISTS if key in known}
         return cls(**{**known, **lists})

@@ -205,7 +205,9 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
         _number(outcome.peak_memory / 1e6 or None, "{:.0f}"),
         _number(outcome.attempts or None, "{:d}"),
     ]  # fmt: skip
-    text = " ".join((outcome.job, asset, outcome.state, outcome.message, outcome.command)).lower()
+    said = [*(str(w.get("message", "")) for w in outcome.warnings), *outcome.bake_notes]
+    words = (outcome.job, asset, outcome.state, outcome.message, outcome.command, *said)
+    text = " ".join(words).lower()
     return tag("tr", *cells, data_kind=_kind(outcome), data_text=text)
 
 
@@ -221,11 +223,18 @@ def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
         parts.append(tag("p", outcome.message))
     if outcome.hint:
         parts.append(tag("p", outcome.hint, class_="hint"))
-    parts += [
-        tag("p", f"{variant_of(w)}: {w.get('message', '')}", class_="warning")
-        for w in outcome.warnings
-    ]
+    for w in outcome.warnings:
+        said = f"{w.get('level', 'warning')}: {variant_of(w)}: {w.get('message', '')}"
+        parts.append(tag("p", said, class_="warning"))
+        if w.get("hint"):
+            parts.append(tag("p", w["hint"], class_="hint"))
     parts += [tag("p", note, class_="hint") for note in outcome.notes]
+    shown, more = outcome.bake_notes[:SHOWN_NOTES], outcome.bake_notes[SHOWN_NOTES:]
+    parts += [tag("p", f"note: {note}", class_="note") for note in shown]
+    if more:
+        rest = [tag("p", f"note: {note}", class_="note") for note in more]
+        summary = tag("summary", counted(len(more), "more note", "more notes"))
+        parts.append(tag("details", summary, *rest, class_="notes"))
     if (reason := undrawn.get(Path(outcome.root))) is not None:
         parts.append(tag("p", f"no image: {reason}", class_="hint"))
     inside = [tag("code", outcome.command, class_="command")]
@@ -235,6 +244,7 @@ def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
     return parts
 
 
+SHOWN_NOTES = 3  # of a bake; the others can be opened
 AT_ONCE = 50  # pictures of one process: starting it takes as long as drawing ten
 PATIENCE = 60.0  # [s] for one picture
 QUALITY = 80  # of a JPEG on the page: a few kilobytes a job

@@ -95,6 +95,7 @@ def _complete(
         health={key: health[key] for key in HEALTH if key in health},
         warnings=warnings,
         findings=findings,
+        bake_notes=tuple(result.get("notes", ())),
     )
     if findings:
         first, more = findings[0], "; the first is" if len(findings) > 1 else ":"

@@ -9,8 +9,11 @@ from pathlib import Path
 from batch_jobs import job, outcome
 from PIL import Image
 
+from gf_usd.batch.job import Outcome
 from gf_usd.batch.page import COLUMNS, build_page, data_uri, picture_of
 from gf_usd.batch.plan import BatchPlan
+from gf_usd.batch.verdict import attempt_outcome
+from gf_usd.system.processes import ProcessResult
 
 NASTY = "<script>document.title='owned'</script>"
 HEALTH = {"rollbacks": 2, "deepest_penetration_spacings": 0.5, "energy_gain_max_share": 1e-5}
@@ -89,6 +92,30 @@ def test_a_slice_is_no_fault(tmp_path: Path) -> None:
     assert "need attention 0" in text
     both = build_page(plan, [sliced, outcome("bad", "failed")], entry, {})
     assert "One job needs attention; One job has remaining frames." in both
+
+
+def test_notes_and_warnings_of_a_bake_are_on_the_page(tmp_path: Path) -> None:
+    """Also those that the record of an earlier run holds."""
+    warning = {"variant": "rubber", "message": "still in the air", "hint": "take more frames"}
+    result = {
+        "bakes": [{"frames": 9, "health": {}}], "warnings": [warning], "check": [], "outputs": [],
+        "notes": ["floor at 0", "gravity is 1.62 m/s^2", "30 fps", "</A/Hat> is not baked", NASTY],
+    }  # fmt: skip
+    one = job(tmp_path, "a")
+    ended = ProcessResult(
+        status=0, out="", err="", seconds=1.0, cpu_seconds=1.0, peak_memory=1, timed_out=False,
+        stopped=False,
+    )  # fmt: skip
+    made = attempt_outcome(one, ended, {"finished": result}).outcome
+    plan = BatchPlan(jobs=(one,), out=tmp_path, title="t", timeout=None, retries=1)
+    text = build_page(plan, [Outcome.of(made.as_json())], {}, {})
+    attributes, cells = Table(text).rows[1]
+    for said in ("warning: rubber: still in the air", "take more frames", "note: floor at 0"):
+        assert said in cells[1]
+    assert "2 more notes" in cells[1]
+    assert "note: </A/Hat> is not baked" in cells[1], "can be opened"
+    assert "gravity is 1.62" in str(attributes["data-text"]), "can be searched"
+    assert NASTY not in text
 
 
 def test_it_is_self_contained_and_safe(tmp_path: Path) -> None:
