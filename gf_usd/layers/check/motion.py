@@ -47,6 +47,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdVol
 
 from gf_usd.core.arrays import columns, corners
+from gf_usd.core.errors import counted
 from gf_usd.layers.check.base import Finding, Verdict, about, first_problem, rule
 from gf_usd.layers.check.read import (
     Array,
@@ -89,6 +90,7 @@ RELATIVE_SCATTER = 0.25
 # Factors of wrong units of time and length, besides the rate of the stage itself.
 UNITS = (10.0, 12.0, 24.0, 30.0, 39.37, 60.0, 100.0, 1000.0)
 UNIT_SCATTER = 0.01
+TOO_FAST = "cannot be compared with the motion, which is too fast for the samples"
 
 Vectors = NDArray[np.floating]
 
@@ -227,8 +229,8 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
         fix = f"author stage units per second; this stage has {rate:g} time codes per second"
         if not tally.decided:
             yield speak.skip(
-                f"{name}: the motion is smooth in only {tally.smooth} of {tally.moving} places, "
-                f"too few for this check"
+                f"{name}: the motion is smooth in only {tally.smooth} of {tally.moving} places,"
+                " too few for this check"
             )
         elif tally.frozen > 0.5 * tally.smooth:
             yield speak.error(
@@ -238,24 +240,18 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
             )
         elif not tally.factors:
             yield speak.skip(
-                f"{name}: {position.GetName()} is at the same places in every other sample: the"
-                " motion is too fast for the samples"
+                f"{name} {TOO_FAST}: {position.GetName()} is at the same places in every other one"
             )
         elif not tally.off and abs(tally.factor - 1.0) > WRONG:
             yield speak.skip(
                 f"{name} is {tally.factor:.3g} times the motion in only"
-                f" {len(tally.factors)} windows of {WINDOW} samples, too few for this check"
+                f" {counted(len(tally.factors), 'window')} of {WINDOW} samples, too few for this"
+                " check"
             )
         elif tally.off and tally.agreed < AGREE:
-            yield speak.skip(
-                f"{name}: {min(tally.factors):.2g} to {max(tally.factors):.2g} times the "
-                f"motion, depending on the moment: the motion is too fast for the samples"
-            )
+            yield speak.skip(f"{name} {TOO_FAST}: the points turn between two of them")
         elif tally.off and tally.jitters(rate):
-            yield speak.skip(
-                f"{name} is {tally.factor:.3g} times the motion and would carry a point farther "
-                f"in one sample than it ever moves: the point vibrates too fast for the samples"
-            )
+            yield speak.skip(f"{name} {TOO_FAST}: the points vibrate between them")
         elif tally.off:
             yield speak.error(
                 f"{name} is {tally.factor:.3g} times the motion of {position.GetName()} per second "
