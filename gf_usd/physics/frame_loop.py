@@ -81,6 +81,13 @@ class Solver(ABC):
     on_launch: Callable[[], None] | None = None
     takes_forces = False  # whether it implements `push`
 
+    def overlooked(self) -> bool:
+        """Whether contact was detected too late in the last frame.
+
+        The frame is then to be repeated: the detections of the next attempt are sooner.
+        """
+        return False
+
     @property
     def in_place(self) -> bool:
         """Whether pins or goals prescribe the position of the body, so that it does not fall."""
@@ -186,20 +193,20 @@ class Solver(ABC):
         """Advance by a frame; if it fails, roll back and repeat it with half the step.
 
         If the floor's contact springs were compressed further than the step allows, it is repeated
-        with their step.
+        with their step; and where contact was detected too late, with sooner detections.
         """
         saved = self.state.save()
         for attempt in range(RETRIES + 1):
             substeps = self.substeps
             stats = self.advance(index, substeps)
             particle, fault = self.not_finite()
-            # the penetration depth of a frame is only known at its end
-            while (
-                not (fault or stats.rested)
-                and (asked := self.pressed(stats.penetration) << self.guard.halvings) > substeps
-            ):
+            # how deep and how far bodies go within a frame is only known at its end
+            while not (fault or stats.rested):
+                asked = self.pressed(stats.penetration) << self.guard.halvings
+                if not self.overlooked() and asked <= substeps:
+                    break
                 self.state.load(saved)
-                substeps = asked
+                substeps = max(asked, substeps)
                 stats = self.advance(index, substeps)
                 particle, fault = self.not_finite()
             if not fault:

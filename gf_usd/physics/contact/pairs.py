@@ -41,7 +41,12 @@ from gf_usd.physics.contact.planes.contact_planes import (
     nothing,
 )
 from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
-from gf_usd.physics.contact.planes.intervals import until_contact, until_slid, until_stopped
+from gf_usd.physics.contact.planes.intervals import (
+    Lateness,
+    until_contact,
+    until_slid,
+    until_stopped,
+)
 from gf_usd.physics.contact.rest_gaps import RestGaps
 from gf_usd.physics.contact.self_contact.search import AHEAD, FACE, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import PairSprings
@@ -87,6 +92,8 @@ class BodyContact:
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
+        self._frame = 0.0  # of the obstacles, then
+        self.lateness = Lateness()
         self._k = self.contact.stiffness
         crowd = CROWD * float(
             (self.contact.pair_stiffness / self.contact.stiffness).max(initial=1.0)
@@ -158,6 +165,7 @@ class BodyContact:
     def begin(self, state: State) -> None:
         """Count from zero."""
         self.injected, self.released, self._overlap = 0.0, 0, 0.0
+        self.lateness.begin()
         with state.written("pair", layout.ROW) as pair:
             pair[:, layout.DEPTH] = pair[:, layout.WORK] = 0.0
 
@@ -288,9 +296,13 @@ class BodyContact:
         frame = index - 1 + elapsed / self._body.settings.frame_time
         time = state.time + elapsed
         x, v = self.motion(now)
+        if done:
+            self.note_way(now, time)
+        self._frame = frame
         old = self._stored(x, time)
         search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
-        hold = min(hold, self._until_landed(x, v, floor(left * dt) if floor else None))
+        landed = self._until_landed(x, v, floor(left * dt) if floor else None)
+        hold = min(hold, landed, self.lateness.bound(time))
         if not old.planes.any_planes and not search.planes.any_planes:
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
@@ -334,6 +346,14 @@ class BodyContact:
         own_hold = self._search_own(search, v, min(hold, span), every_sample=frame_begins)
         search.carry(self._skins, self._X)
         return search, min(hold, own_hold)
+
+    def note_way(self, now: StateView, time: float) -> None:
+        """Note whether a detection at a time [s], that of the state, is late."""
+        took = time - self._detected
+        way = self.motion(now)[0] - self._x
+        if np.isfinite(way).all():  # else the frame fails
+            held = self._broad_phase(self._x, way / took, self._frame, 0.0)[1]
+            self.lateness.note(self._detected, took, held)
 
     def _until_landed(self, x: Floats, v: Floats, floor: Ints | None) -> float:
         """[s] until the floor has stopped samples for long enough that others may reach them.

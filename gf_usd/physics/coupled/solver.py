@@ -131,6 +131,10 @@ class Coupled(Solver):
                 return int(part.at[particle]), fault
         return -1, ""
 
+    def overlooked(self) -> bool:
+        """See `Solver`."""
+        return self.solid.overlooked()
+
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Advance to frame `index`."""
         self.solid.on_launch = self.flow.on_launch = self.on_launch

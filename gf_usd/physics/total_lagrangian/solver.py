@@ -151,6 +151,10 @@ class TotalLagrangian(Solver):
         """See `Solver`."""
         return self.state.view().not_finite()
 
+    def overlooked(self) -> bool:
+        """See `Solver`."""
+        return self.pairs is not None and self.pairs.lateness.repeat()
+
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Advance by a frame, to frame `index`."""
         state, pairs, partner = self.state, self.pairs, self.partner
@@ -193,6 +197,8 @@ class TotalLagrangian(Solver):
         self.active.move_springs(state, 0.5 * last)
         state.time += substeps * whole
         state.recenter()
+        if pairs:
+            pairs.note_way(state.view(), state.time)
         settled = self.settling.frame(state)
         stats = self._stats(index, active)
         stats = replace(

@@ -12,7 +12,7 @@ from two_legs import legs
 
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE
-from gf_usd.physics.contact.planes.intervals import until_stopped
+from gf_usd.physics.contact.planes.intervals import LATE, REPEATS, Lateness, until_stopped
 
 GAP = 0.5  # [m]
 FLAT = 0.05  # of its height: 0.6 spacings of 12
@@ -141,3 +141,73 @@ def test_a_stop_is_awaited_and_then_a_distance_at_the_speed_of_it():
     assert until([2.0], [0.0], 9.0) == pytest.approx(2.0 / 3.0 + 0.1 / 6.0)
     assert until([0.0, 2.0], [0.0, -1.0]) > 1e9  # at rest, and upward
     assert until([], []) == np.inf
+
+
+def squeezed(by: float, gap: float, **changes):
+    """A cube at rest on the floor, by a factor as high as it was, and a slab at a gap [m] above."""
+    solver = contact_solver(
+        cube(path="/Low"), cube((-0.5, by + gap, -0.5), (2.0, 0.3, 2.0), path="/High"),
+        particles=800, frames=3, fps=8.0, floor=0.0, **changes,
+    )  # fmt: skip
+    X, u = solver.body.stencil.free_X, solver.state.rows("u")
+    low = solver.body.stencil.node_body[: len(X)] == 0
+    u[: len(X), 1] = np.where(low, (by - 1.0) * X[:, 1], 0.0)
+    solver.state.put("u", u)
+    return solver
+
+
+def test_what_rebounds_meets_what_was_at_rest_above_it():
+    """Nothing moved when it was last looked for, and the frame lasts longer than the rebound.
+
+    It went through by two spacings, and its samples were released.
+    """
+    solver = squeezed(0.8, 0.35)
+    pairs, s = solver.pairs, solver.particles.spacing
+    assert pairs is not None
+    last = solver.read(0).health
+    for index in (1, 2):
+        last = solver.next(index, last).health
+        assert pairs.released == 0
+        place, (low, high) = pairs.motion(solver.state.view())[0], pairs.members
+        beneath = low[(np.abs(place[low][:, [0, 2]] - 0.5) < 0.25).all(1)]
+        over = high[(np.abs(place[high][:, [0, 2]] - 0.5) < 0.5).all(1)]
+        assert place[over, 1].min() > place[beneath, 1].max() - 0.5 * s
+
+
+def test_a_frame_done_again_for_its_contact_is_forgotten_after_it():
+    solver = squeezed(0.8, 0.35)
+    pairs, attempts, advance = solver.pairs, [], solver.advance
+    assert pairs is not None
+
+    def counted(*args):
+        attempts.append(args)
+        return advance(*args)
+
+    solver.advance = counted
+    frame = solver.next(1, solver.read(0).health)
+    assert 1 < len(attempts) <= 1 + REPEATS
+    assert frame.health.rollbacks == 0  # it did not fail
+    assert pairs.lateness.bound(solver.state.time) == np.inf
+
+
+def test_a_late_detection_is_made_sooner_the_next_time():
+    late = Lateness()
+    late.begin()
+    late.note(1.0, took=LATE * 0.1, held=0.1)
+    assert not late.repeat()
+    late.note(1.0, took=0.3, held=0.2)
+    late.note(2.0, took=0.3, held=0.01)  # what follows a late one is no reason
+    assert late.repeat()
+    assert late.bound(0.9) == np.inf
+    assert late.bound(1.0) == pytest.approx(0.8 * 0.2)
+    late.begin()
+    late.note(0.5, took=1.0, held=1e-9)  # as in a frame that blows up
+    assert late.repeat()
+    assert late.bound(0.5) == pytest.approx(0.8 * 0.2)
+    for _ in range(REPEATS - 2):
+        late.note(0.5, took=0.1, held=0.01)
+        assert late.repeat()
+    assert late.bound(0.5) == pytest.approx(0.025)
+    late.note(0.5, took=0.1, held=0.01)
+    assert not late.repeat()
+    assert late.bound(0.5) == np.inf

@@ -1,4 +1,8 @@
-"""How long the planes of one detection hold: until samples touch them, or have slid too far."""
+"""How long the planes of one detection hold: until samples touch them, or have slid too far.
+
+These times follow from the speeds at the detection.  A body that is stopped, or that was compressed
+and rebounds, may be faster: whether a detection was late is known at the next one (`Lateness`).
+"""
 
 from __future__ import annotations
 
@@ -44,3 +48,45 @@ def until_slid(planes: ContactPlanes, distance: Floats, v: Floats) -> float:
     f = planes.of(rows)
     speed = lengths(v[rows] - f.interpolated(v) - f.velocity)
     return float((distance[rows] / np.maximum(speed, 1e-30)).min(initial=np.inf))
+
+
+LATE = 1.125  # times its way that what is not yet seen may go: `narrow_phase` then still takes it
+SOONEST = 0.25  # of the time between two detections, the least that a repetition may take instead
+REPEATS = 3  # of a frame
+
+
+class Lateness:
+    """Whether a detection of a frame was late, and the time between two when it is repeated."""
+
+    def __init__(self) -> None:
+        self._start, self._bound = 0.0, np.inf  # [s] from when on, and the time
+        self._found: tuple[float, float] | None = None  # the same, for a repetition
+        self._repeats = 0
+
+    def begin(self) -> None:
+        """A frame begins, perhaps again."""
+        self._found = None
+
+    def bound(self, time: float) -> float:
+        """[s] that may pass until the detection after one at a time [s]."""
+        return self._bound if time >= self._start else np.inf
+
+    def note(self, time: float, took: float, held: float) -> None:
+        """A detection at a time [s] was the last for `took` [s], and by the way that the bodies
+        went in it, it held for `held` [s].
+        """
+        if self._found is None and took > LATE * held:
+            self._found = time, took * max(SOONEST, 0.8 * held / took)
+
+    def repeat(self) -> bool:
+        """Whether the frame is to be repeated, with detections at shorter intervals."""
+        again = self._found is not None and self._repeats < REPEATS
+        if again and self._found is not None:
+            start, bound = self._found
+            earlier = self._start if np.isfinite(self._bound) else np.inf
+            self._start, self._bound = min(start, earlier), min(bound, self._bound)
+            self._repeats += 1
+        else:
+            self._start, self._bound, self._repeats = 0.0, np.inf, 0
+        self._found = None
+        return again
