@@ -72,6 +72,12 @@ def materials(
     for p in PHYSICAL.values():
         console.print(f"{p.name}: {p.source}{_own(p.law, p.parameters)}")
     console.print()
+    console.print(
+        "restitution: of one contact sample on its spring. A body rebounds according to its damping"
+        " time and its law: by 0.87 (rubber) and 0.97 (metal) of its speed for a ball that falls by"
+        " three radii. The last line of a bake has the measured value."
+    )
+    console.print()
     console.print(f"laws: {', '.join(LAWS)} (--law)")
 
 

@@ -38,6 +38,13 @@ def test_every_preset_is_listed_with_its_numbers_and_source(gf_usd) -> None:
     assert " ".join(done.out.split()).endswith(f"laws: {', '.join(LAWS)} (--law)")
 
 
+def test_the_restitution_is_said_not_to_be_the_rebound_of_a_body(gf_usd) -> None:
+    """A ball of metal, with 0.85 in this table, rebounds with 0.97 of its speed."""
+    said = " ".join(gf_usd("materials").out.split())
+    assert "restitution: of one contact sample on its spring." in said
+    assert "rebounds according to its damping time" in said
+
+
 def test_every_number_has_its_unit(gf_usd) -> None:
     # rich reads brackets as markup unless it is told not to.
     done = gf_usd("materials")

@@ -252,7 +252,8 @@ class RequestOptions:
         shown="the material's", low=0.0, high=100.0,
     )] = None
     restitution: Annotated[float | None, Option(
-        MATERIAL, "Coefficient of restitution of contacts, 0 to 1.",
+        MATERIAL, "Coefficient of restitution of one contact sample on its spring, 0 to 1; how far"
+        " a body rebounds depends on --damping-time.",
         shown="the material's", low=0.0, high=1.0,
     )] = None
     material_boxes: Annotated[Boxes, Option(
