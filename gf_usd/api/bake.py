@@ -87,8 +87,8 @@ def bake(
     from gf_usd.readers.usd.stage import require_saved
 
     require_saved(path)
-    asked = {"path": path, "max_hours": max_hours, "slice": slice, "until": until, **options}
-    result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
+    arguments = {"path": path, "max_hours": max_hours, "slice": slice, "until": until, **options}
+    result, why = here_or_away("gf_usd.api.bake:prepare_and_run", arguments, progress)
     if why:
         result = replace(result, notes=(*result.notes, f"baked in a separate process: {why}"))
     result = _in_keywords(result)

@@ -60,7 +60,7 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
         path = inspect.Parameter(
             "path", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="str | os.PathLike[str]"
         )
-        asked = [
+        parameters = [
             path.replace(
                 name=field.name,
                 kind=path.KEYWORD_ONLY,
@@ -69,7 +69,7 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
             )
             for field in fields(made)
         ]
-        signature = own.replace(parameters=[path, *asked])
+        signature = own.replace(parameters=[path, *parameters])
         call.__signature__ = signature  # type: ignore[attr-defined]
         return call
 

@@ -64,7 +64,7 @@ def deliver(
     with keywords(
         "error", "max_joints", "max_shapes", "splats", "bind_splats", "variant", **{"as": "kind"}
     ):
-        asked: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
             "error": _share("error", error),
@@ -75,7 +75,7 @@ def deliver(
             "splats": splats,
             "bind_splats": bind_splats,
         }
-        return here_or_away("gf_usd.delivery.deliver:deliver", asked)[0]
+        return here_or_away("gf_usd.delivery.deliver:deliver", arguments)[0]
 
 
 def retime(
@@ -118,13 +118,13 @@ def retime(
     BakeError : a file cannot be written.
     """
     with keywords("speed", "keys"):
-        asked: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
             "speed": None if speed is None else values.real("speed", speed),
             "keys": None if keys is None else _pairs(keys),
         }
-        return here_or_away("gf_usd.delivery.retime:retime", asked)[0]
+        return here_or_away("gf_usd.delivery.retime:retime", arguments)[0]
 
 
 PAIRS = "pairs (time code of the result, time code of the bake)"

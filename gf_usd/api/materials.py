@@ -123,8 +123,8 @@ def fit(
             overwrite=overwrite,
             options=taken(options, "fit"),
         )
-        asked = {"request": wanted}
-        return here_or_away("gf_usd.fitting.fit:fit_counted", asked, progress)[0]
+        arguments = {"request": wanted}
+        return here_or_away("gf_usd.fitting.fit:fit_counted", arguments, progress)[0]
 
 
 def prepared_fit(

@@ -62,17 +62,17 @@ def report(
             if count < least:
                 raise UsageError(f"max_{name} is {count}", f"give {least} or more")
         if splats:
-            asked = {
+            arguments = {
                 "path": source, "target": target, "variant": variant, "splats": most,
                 "frames": frames,
             }  # fmt: skip
-            here_or_away("gf_usd.api.report:write_splats", asked, schema=False)
+            here_or_away("gf_usd.api.report:write_splats", arguments, schema=False)
             return target
-        asked = {
+        arguments = {
             "path": source, "target": target, "variant": variant, "vertices": vertices,
             "frames": frames,
         }  # fmt: skip
-        here_or_away("gf_usd.api.report:write", asked, schema=False)
+        here_or_away("gf_usd.api.report:write", arguments, schema=False)
         return target
 
 

@@ -138,21 +138,23 @@ def summary_line(outcomes: Sequence[Outcome]) -> str:
     return ", ".join(f"{found[state]} {state}" for state in names) or "no jobs"
 
 
-def rerun_command(asked: Sequence[str], outcomes: Sequence[Outcome]) -> str:
+def rerun_command(arguments: Sequence[str], outcomes: Sequence[Outcome]) -> str:
     """The command that repeats the unsuccessful jobs; "" where there are none.
 
-    asked : the arguments of the command, without ``--select`` and ``--failed``.
+    arguments : the arguments of the command, without ``--select`` and ``--failed``.
     """
     names = [o.job for o in ordered(outcomes) if not o.good]
     if not names:
         return ""
     if len(names) > NAMES_IN_COMMAND:
-        return shlex.join([*asked, "--failed"])
-    return shlex.join([*asked, *(argument for name in names for argument in ("--select", name))])
+        return shlex.join([*arguments, "--failed"])
+    return shlex.join(
+        [*arguments, *(argument for name in names for argument in ("--select", name))]
+    )
 
 
 def write_summary(
-    path: Path, outcomes: Sequence[Outcome], *, asked: Sequence[str], seconds: float,
+    path: Path, outcomes: Sequence[Outcome], *, arguments: Sequence[str], seconds: float,
     jobs: Sequence[Job],
 ) -> dict[str, Any]:  # fmt: skip
     """Publish the summary and return it.  Raises BakeError where the file cannot be written.
@@ -160,7 +162,7 @@ def write_summary(
     A job of the plan that was not run keeps the outcome in its record or in the earlier summary,
     whichever is newer.  A job that another run completed meanwhile has the outcome in its record.
 
-    asked : as of `rerun_command`; empty: there is no command to repeat.
+    arguments : as of `rerun_command`; empty: there is no command to repeat.
     seconds : [s] that this run took.
     """
     began = _utc(time.time() - seconds)
@@ -176,7 +178,7 @@ def write_summary(
             "finished": _utc(time.time()),
             "seconds": round(seconds, 3),
             "counts": counts(rows),
-            "repeat": rerun_command(asked, rows) if asked else "",
+            "repeat": rerun_command(arguments, rows) if arguments else "",
             "program": program(),
             "jobs": [row.as_json() for row in rows],
         }

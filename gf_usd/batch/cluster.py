@@ -87,7 +87,7 @@ def run_on_cluster(
         }  # fmt: skip
         if missing := _missing_resources(client, address, amounts):
             yield {"event": "note", "message": missing}
-        absence = Absence(told=bool(missing))
+        absence = Absence(emitted=bool(missing))
         threading.Thread(  # a scheduler that hangs does not answer
             target=_watch, args=(client, address, amounts, absence, events, ended), daemon=True
         ).start()
@@ -142,30 +142,30 @@ def _missing_resources(client: Client, address: str, amounts: Mapping[str, float
     offers = [row.get("resources") or {} for row in workers]
     if any(all(offer.get(name, 0.0) >= n for name, n in amounts.items()) for offer in offers):
         return ""
-    asked = ", ".join(f"{name}={amount:g}" for name, amount in amounts.items())
-    return f"no worker at {address} offers {asked}: the jobs wait for one that does"
+    resources = ", ".join(f"{name}={amount:g}" for name, amount in amounts.items())
+    return f"no worker at {address} offers {resources}: the jobs wait for one that does"
 
 
 class Absence:
     """Repeats the note on missing workers after ALONE seconds, once per absence.
 
-    told : whether the note was emitted before.
+    emitted : whether the note was emitted before.
     """
 
-    def __init__(self, *, told: bool) -> None:
-        self._told = told
+    def __init__(self, *, emitted: bool) -> None:
+        self._emitted = emitted
         self._since: float | None = None
 
-    def heard(self, missing: str, now: float) -> str:
+    def message(self, missing: str, now: float) -> str:
         """The note to emit at a time `now` [s]; "" for none.  missing : of `_missing_resources`."""
         if not missing:
-            self._told, self._since = False, None
+            self._emitted, self._since = False, None
             return ""
         if self._since is None:
             self._since = now
-        if self._told or now - self._since < ALONE:
+        if self._emitted or now - self._since < ALONE:
             return ""
-        self._told = True
+        self._emitted = True
         return missing
 
 
@@ -181,8 +181,8 @@ def _watch(
     with suppress(*CLOSED):
         while not ended.wait(LOOK):
             missing = _missing_resources(client, address, amounts)
-            if said := absence.heard(missing, time.monotonic()):
-                events.put({"event": "note", "message": said})
+            if message := absence.message(missing, time.monotonic()):
+                events.put({"event": "note", "message": message})
 
 
 def _follow(

@@ -125,9 +125,9 @@ def _header(
         line += f", {duration(float(entry['seconds']))} for the last run"
     parts = [tag("h1", plan.title), tag("div", line, class_="soft")]
     if bad or begun:
-        said = [_many(len(bad), "needs", "need", "attention")] if bad else []
-        said += [_many(begun, "has", "have", "remaining frames")] if begun else []
-        lines = [tag("div", f"{'; '.join(said)}. To repeat only these:")]
+        texts = [_many(len(bad), "needs", "need", "attention")] if bad else []
+        texts += [_many(begun, "has", "have", "remaining frames")] if begun else []
+        lines = [tag("div", f"{'; '.join(texts)}. To repeat only these:")]
         lines.append(tag("code", str(entry.get("repeat") or "the same command"), class_="command"))
         parts.append(tag("div", *lines, class_="banner"))
     if unknown:
@@ -205,8 +205,8 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
         _number(outcome.peak_memory / 1e6 or None, "{:.0f}"),
         _number(outcome.attempts or None, "{:d}"),
     ]  # fmt: skip
-    said = [*(str(w.get("message", "")) for w in outcome.warnings), *outcome.bake_notes]
-    words = (outcome.job, asset, outcome.state, outcome.message, outcome.command, *said)
+    texts = [*(str(w.get("message", "")) for w in outcome.warnings), *outcome.bake_notes]
+    words = (outcome.job, asset, outcome.state, outcome.message, outcome.command, *texts)
     text = " ".join(words).lower()
     return tag("tr", *cells, data_kind=_kind(outcome), data_text=text)
 
@@ -224,8 +224,8 @@ def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
     if outcome.hint:
         parts.append(tag("p", outcome.hint, class_="hint"))
     for w in outcome.warnings:
-        said = f"{w.get('level', 'warning')}: {variant_of(w)}: {w.get('message', '')}"
-        parts.append(tag("p", said, class_="warning"))
+        texts = f"{w.get('level', 'warning')}: {variant_of(w)}: {w.get('message', '')}"
+        parts.append(tag("p", texts, class_="warning"))
         if w.get("hint"):
             parts.append(tag("p", w["hint"], class_="hint"))
     parts += [tag("p", note, class_="hint") for note in outcome.notes]

@@ -98,8 +98,8 @@ def _run_locked(
         if any(warning.get("level") == "error" for warning in kept.warnings):
             return replace(kept, state="unsound", message="its result is wrong; see its warnings")
         return kept
-    if limits.continues and (told := final_outcome(job, known)) is not None:
-        return told
+    if limits.continues and (outcome := final_outcome(job, known)) is not None:
+        return outcome
     before = file_stamps(inputs)
     seconds, cpu = time_spent(job, known)
     outcome, files = _attempts(job, limits, held, commands, emit)

@@ -101,10 +101,10 @@ def bake(
     shown = not quiet and not dry_run
     with event_stream(events) as emit:
         emit("started", asset=str(asset), version=__version__, pid=os.getpid())
-        told: list[str] = []
+        printed: list[str] = []
 
         def remark(text: str) -> None:
-            told.append(text)
+            printed.append(text)
             emit("note", message=text)
             if not quiet:
                 typer.echo(f"note: {text}", err=True)
@@ -144,7 +144,7 @@ def bake(
                 show(Activity(stage=DRAWING, what=plan.outputs.sheet.name))
                 draw_sweep(result, plan.outputs.sheet)
         for note in result.notes[len(plan.notes) :]:
-            if note not in told:
+            if note not in printed:
                 emit("note", message=note)
         for warning in warnings_json(result.warnings):
             emit("warning", **warning)

@@ -70,7 +70,7 @@ SHOWN = 3  # prims that a line names
 
 def unchecked(skipped: Sequence[Skip]) -> list[str]:
     """A line for each rule that could not be applied, with its prims and the first one's reason."""
-    told = []
+    lines = []
     for rule in dict.fromkeys(skip.rule for skip in skipped):
         mine = [skip for skip in skipped if skip.rule == rule]
         paths = list(dict.fromkeys(skip.prim_path for skip in mine))
@@ -82,5 +82,5 @@ def unchecked(skipped: Sequence[Skip]) -> list[str]:
         reasons = dict.fromkeys(skip.reason for skip in mine)
         others = len(reasons) - 1
         more = f" ({counted(others, 'other reason')}: --json lists all)" if others else ""
-        told.append(f"not checked: {rule} {where}: {next(iter(reasons))}{more}")
-    return told
+        lines.append(f"not checked: {rule} {where}: {next(iter(reasons))}{more}")
+    return lines

@@ -107,7 +107,7 @@ def lines(found: Comparison) -> list[str]:
     worst, (mesh, point) = found.worst_frame, found.worst
     center = int(found.center.argmax())
     ratio = found.volumes[:, 1] / found.volumes[:, 0] if found.volumes.all() else None
-    told = [
+    rows = [
         f"{counted(len(found.meshes), 'mesh', 'meshes')}, {counted(found.points, 'point')},"
         f" {counted(len(found.time_codes), 'frame')}; radius {length(found.radius)}",
         f"largest distance {length(found.error)} ({100 * found.error / found.radius:.3g} % of the"
@@ -117,15 +117,15 @@ def lines(found: Comparison) -> list[str]:
         f"{found.time_codes[center]:g})",
     ]
     if ratio is not None:
-        told.append(f"volume of B relative to A: {ratio.min():.4g} to {ratio.max():.4g}")
+        rows.append(f"volume of B relative to A: {ratio.min():.4g} to {ratio.max():.4g}")
     if found.tolerance is not None:
         over = found.first_over
-        told.append(
+        rows.append(
             f"same: within {length(found.tolerance)} at all times"
             if over is None
             else f"different: distance above {length(found.tolerance)} from time code {over:g} on"
         )
-    return told
+    return rows
 
 
 def length(meters: float) -> str:

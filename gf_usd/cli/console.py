@@ -82,30 +82,30 @@ def announce(prepared: Prepared) -> None:
     )
     for note in (*plan.notes, *shortcuts(cost, plan.materials)):
         typer.echo(_told(plan, note), err=True)
-    told = {"frames": plan.settings.frames, **cost}
+    forecast = {"frames": plan.settings.frames, **cost}
     typer.echo(
-        f"{len(plan.particles)} particles, {frames_of(told)}, {each} substeps per frame:"
-        f" {time_of(told)}, {disk_of(told)}",
+        f"{len(plan.particles)} particles, {frames_of(forecast)}, {each} substeps per frame:"
+        f" {time_of(forecast)}, {disk_of(forecast)}",
         err=True,
     )
 
 
-def frames_of(told: Mapping[str, Any]) -> str:
-    """The number of simulated frames as text; told : its limit, and the cost of the plan."""
-    frames = told["frames"]
-    if not told["ends_early"]:
+def frames_of(forecast: Mapping[str, Any]) -> str:
+    """The number of simulated frames as text; forecast : its limit, and the cost of the plan."""
+    frames = forecast["frames"]
+    if not forecast["ends_early"]:
         return counted(frames, "frame")
-    if told["usual_frames"] >= frames:
+    if forecast["usual_frames"] >= frames:
         return f"at most {counted(frames, 'frame')}"
-    return f"at most {frames} frames (usually about {told['usual_frames']})"
+    return f"at most {frames} frames (usually about {forecast['usual_frames']})"
 
 
-def time_of(told: Mapping[str, Any]) -> str:
-    """The duration of a bake as text; told : as of `frames_of`."""
+def time_of(forecast: Mapping[str, Any]) -> str:
+    """The duration of a bake as text; forecast : as of `frames_of`."""
     from gf_usd.pipeline.cost.budget import duration
 
-    whole, usual = (duration(told[name]) for name in ("estimated_seconds", "usual_seconds"))
-    if not told["ends_early"] or whole == usual:
+    whole, usual = (duration(forecast[name]) for name in ("estimated_seconds", "usual_seconds"))
+    if not forecast["ends_early"] or whole == usual:
         return f"about {whole}"
     return f"about {usual}, at most {whole}"
 
@@ -117,9 +117,11 @@ def _told(plan: Plan, note: str) -> str:
     return f"{'warning' if note == implausible_size(plan.asset) else 'note'}: {note}"
 
 
-def disk_of(told: Mapping[str, Any]) -> str:
-    """The size of the files as text; told : as of `frames_of`."""
-    return f"{'at most' if told['ends_early'] else 'about'} {_bytes(told['estimated_bytes'])}"
+def disk_of(forecast: Mapping[str, Any]) -> str:
+    """The size of the files as text; forecast : as of `frames_of`."""
+    return (
+        f"{'at most' if forecast['ends_early'] else 'about'} {_bytes(forecast['estimated_bytes'])}"
+    )
 
 
 EVERY = 30.0  # [s] between plain lines, at most
@@ -300,8 +302,10 @@ def _bar() -> Iterator[Callable[[Activity], None]]:
             ends = None if now.left is None else time.monotonic() + now.left
             frames = _counted(now) if now.total else ""
             what = "(once)" if now.stage == COMPILING else now.what
-            said = f"{now.stage} {what}".rstrip()
-            bar.update(task, description=said, ends=ends, frames=frames, ends_early=now.ends_early)
+            description = f"{now.stage} {what}".rstrip()
+            bar.update(
+                task, description=description, ends=ends, frames=frames, ends_early=now.ends_early
+            )
 
         yield show
 

@@ -135,11 +135,11 @@ def fit(
         show_result(result)
 
 
-def sibling(layer: Path, asked: str | None, suffix: str) -> Path | None:
+def sibling(layer: Path, option: str | None, suffix: str) -> Path | None:
     """The given path, None for "none", or that of the layer with another suffix."""
-    if asked is None:
+    if option is None:
         return layer.with_suffix(suffix)
-    return None if asked == "none" else Path(asked)
+    return None if option == "none" else Path(option)
 
 
 @contextmanager

@@ -28,8 +28,8 @@ class FolderOptions:
     @property
     def note(self) -> str:
         """Text on the options that were read."""
-        said = ", ".join(f"{name} = {value!r}" for name, value in self.values.items())
-        return f"{self.path}: {said or 'no options'}; the command line has priority"
+        options = ", ".join(f"{name} = {value!r}" for name, value in self.values.items())
+        return f"{self.path}: {options or 'no options'}; the command line has priority"
 
     def of(self, command: str) -> dict[str, Any]:
         """The options that a command has."""
@@ -52,11 +52,11 @@ def find(folder: Path) -> FolderOptions | None:
     if path is None:
         return None
     try:
-        told = tomllib.loads(path.read_text("utf-8"))
+        content = tomllib.loads(path.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise UsageError(f"{path} cannot be read: {error}", "correct the file") from error
-    _require(path, told, TABLES, "a table of this file")
-    table = told.get("bake", {})
+    _require(path, content, TABLES, "a table of this file")
+    table = content.get("bake", {})
     if not isinstance(table, dict):
         raise UsageError(f"{path}: bake is {table!r}", "write bake as a table: [bake]")
     _require(path, table, OPTIONS, "an option of gf-usd bake")
@@ -70,8 +70,8 @@ def find(folder: Path) -> FolderOptions | None:
     return FolderOptions(path=path, values=values)
 
 
-def _require(path: Path, told: Mapping[str, Any], known: Collection[str], what: str) -> None:
-    for name in told:
+def _require(path: Path, content: Mapping[str, Any], known: Collection[str], what: str) -> None:
+    for name in content:
         if name not in known:
             raise UsageError(
                 f"{path}: {name} is not {what}",

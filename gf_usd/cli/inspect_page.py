@@ -128,12 +128,12 @@ def _body(console: Console, seen: Inspection) -> None:
     if plan is None or cost is None:
         return
     p, s = plan.particles, plan.settings
-    told = {"frames": s.frames, **cost}
+    forecast = {"frames": s.frames, **cost}
     drop = f"drop {_length(plan.drop)}" if drops(plan) else "no drop"
     console.print(
         f"\n{len(p)} particles, {_length(p.spacing)} apart, fill {_volume(p.volume)}"
-        f" (as much as a ball of radius {_length(p.radius)}); {frames_of(told)} at {s.fps:g} fps,"
-        f" {drop}, {landing_of(plan, cost)}"
+        f" (as much as a ball of radius {_length(p.radius)}); {frames_of(forecast)} at"
+        f" {s.fps:g} fps, {drop}, {landing_of(plan, cost)}"
     )
     if (thick := seen.thickness) is not None:
         console.print(
@@ -210,7 +210,7 @@ def _said(seen: Inspection) -> list[str]:
 
     left = set(not_baked_notes(seen.asset.skipped))
     left |= {one.note for one in (seen.plan.advice if seen.plan else ())}
-    said = [note for note in seen.notes if note not in left]
+    notes = [note for note in seen.notes if note not in left]
     for mesh in seen.diagnoses:
         odd = [
             f"{n} {what}"
@@ -223,10 +223,10 @@ def _said(seen: Inspection) -> list[str]:
             if n
         ]
         if seen.plan is None and (wrong := faults(mesh)):
-            said.append(f"<{mesh.path}> has {', '.join(wrong)}")
+            notes.append(f"<{mesh.path}> has {', '.join(wrong)}")
         elif odd:
-            said.append(f"<{mesh.path}> has {', '.join(odd)}, which do not affect the fill")
-    return said
+            notes.append(f"<{mesh.path}> has {', '.join(odd)}, which do not affect the fill")
+    return notes
 
 
 def _lines(console: Console, what: str, lines: Sequence[str]) -> None:

@@ -158,9 +158,9 @@ def execute(arguments: Sequence[str]) -> int:
 def _execute(arguments: Sequence[str]) -> int:
     if len(arguments) == 2 and arguments[0] == "help" and arguments[1] in {*COMMANDS} - {*TOPICS}:
         arguments = (arguments[1], "--help")
-    asked = arguments[:1]
+    first = arguments[:1]
     # Typer goes through the options of all the commands it knows before it runs one.
-    chosen = asked if asked and asked[0] in COMMANDS else COMMANDS
+    chosen = first if first and first[0] in COMMANDS else COMMANDS
     try:
         require_working_folder()
         ended = program(chosen, _of_folder(arguments))(
@@ -174,8 +174,8 @@ def _execute(arguments: Sequence[str]) -> int:
         typer.echo(f"error: {usage_words(error)}", err=True)
         return error.exit_code
     except GfUsdError as error:
-        said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
-        typer.echo(said, err=True)
+        text = str(error) if isinstance(error, Unfinished) else f"error: {error}"
+        typer.echo(text, err=True)
         return error.exit_status
     except SystemExit as end:
         if isinstance(end.code, int):

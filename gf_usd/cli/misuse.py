@@ -30,8 +30,8 @@ def usage_words(error: Any) -> str:
         name = parameter.opts[-1] if parameter.param_type_name == "option" else parameter.name
         for kind, words in KINDS.items():
             message = message.replace(f"is not a valid {kind}", f"is not a {words}")
-        said = message.partition(": ")[2] or message
-        return f"{name}: {said}\n\nhint: {parameter.help or f'{command} --help'}"
+        reason = message.partition(": ")[2] or message
+        return f"{name}: {reason}\n\nhint: {parameter.help or f'{command} --help'}"
     message, _, meant = message.partition(" Did you mean ")
     meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""
     message = f"{message[:1].lower()}{message[1:].rstrip('.')}"

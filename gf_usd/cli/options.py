@@ -64,9 +64,9 @@ def signed(command: str, function: Callable[..., None]) -> Callable[..., None]:
         return function
     own = inspect.signature(function, eval_str=True)
     asset, *others = (p for p in own.parameters.values() if p.kind != p.VAR_KEYWORD)
-    asked = [_parameter(o) for o in options_of(command)]
+    parameters = [_parameter(o) for o in options_of(command)]
     function.__signature__ = own.replace(  # type: ignore[attr-defined]
-        parameters=[asset, *asked, *others]
+        parameters=[asset, *parameters, *others]
     )
     return function
 

@@ -102,10 +102,10 @@ def _stop(server: Server) -> None:
 def _ask(path: Path, *, stop: bool) -> None:
     from gf_usd.system.warm.client import status
 
-    told = status(path, stop=stop)
-    if told is None:
+    reply = status(path, stop=stop)
+    if reply is None:
         raise UsageError(f"no gf-usd serve is listening at {path}", "start one with gf-usd serve")
-    typer.echo(json.dumps({k: v for k, v in told.items() if k not in ("event", "time")}))
+    typer.echo(json.dumps({k: v for k, v in reply.items() if k not in ("event", "time")}))
 
 
 def words_of(request: Mapping[str, Any]) -> list[str]:
@@ -158,9 +158,11 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
             "give the root layer: the path of a file that ends in .usda",
         )
     # null leaves an option out, as None does in Python
-    asked = {key: value for key, value in request.get("options", {}).items() if value is not None}
+    requested = {
+        key: value for key, value in request.get("options", {}).items() if value is not None
+    }
     given = {name: row for name, row in OPTIONS.items() if name != "output"}  # that is the root
-    options = checked(asked, "the request", given)
+    options = checked(requested, "the request", given)
     job = Job(name="", asset=Path(request["asset"]), root=Path(request["root"]), options=options)
     return job.arguments()
 
@@ -182,12 +184,12 @@ def bake_by_server(
     from gf_usd.system.warm.local_socket import socket_path
     from gf_usd.system.warm.server import ENDED
 
-    asked = {
+    requested = {
         k: v for k, v in options.items()
         if v != (list(OPTIONS[k].default) if OPTIONS[k].repeated else OPTIONS[k].default)
     }  # fmt: skip
     request = {
-        "arguments": ["bake", str(asset), *arguments(asked)],
+        "arguments": ["bake", str(asset), *arguments(requested)],
         "folder": os.getcwd(),
         "version": __version__,
     }
@@ -228,12 +230,12 @@ def _tell(event: Mapping[str, Any]) -> None:
 
 def _summary(result: Mapping[str, Any], warnings: Sequence[Mapping[str, Any]]) -> str:
     """The written files, and warnings."""
-    told = [
+    reply = [
         f"warning: {w['variant']}: {w['message']} [{w['about']}]\n  hint: {w['hint']}"
         for w in warnings
     ]
     particles, seconds = result["particles"], result["seconds"]
-    return "\n".join([*result["outputs"], f"{particles} particles, {seconds:.1f} s", *told])
+    return "\n".join([*result["outputs"], f"{particles} particles, {seconds:.1f} s", *reply])
 
 
 def _why(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> str:

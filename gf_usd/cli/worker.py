@@ -43,9 +43,9 @@ def follow(
     quiet = os.open(os.devnull, os.O_RDWR)
     with socket.socket(fileno=descriptor) as end:
         jobs = 0
-        while (asked := receive(end)) is not None:
+        while (received := receive(end)) is not None:
             jobs += 1
-            request, (stderr, *others) = asked
+            request, (stderr, *others) = received
             before = _cpu_seconds(forks)
             reply = _run(request, stderr, others, quiet, command)
             reply["cpu_seconds"] = _cpu_seconds(forks) - before

@@ -157,10 +157,10 @@ FIRST = 1.0  # the time code of the first frame if neither the source nor the us
 USD_RATE = 24.0  # USD's default of the time codes per second
 
 
-def first_time_code(facts: StageFacts, asked: float | None = None) -> float:
+def first_time_code(facts: StageFacts, requested: float | None = None) -> float:
     """The requested time code, else the source's startTimeCode, else 1."""
-    if asked is not None:
-        return asked
+    if requested is not None:
+        return requested
     return FIRST if facts.start_time_code is None else facts.start_time_code
 
 

@@ -101,7 +101,7 @@ class TetLattice:
 class TetAttachment:
     """Points of a body's tetrahedra that a pin holds."""
 
-    pin: str  # name of the pin, as asked for
+    pin: str  # name of the pin, as given
     body: int  # as in Particles
     points: Ints  # (n,) into TetLattice.X
     path: Floats  # (F, k, 3) [m] places known of the pin at each sample; F = 1: they stay
@@ -446,13 +446,13 @@ class Choices:
         return both or self.tets or bool(self.flowing or self.converting or self.flows)
 
 
-def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:
+def clip_length(requested: int | None, frame_bytes: float, frames: int) -> int:
     """Frames of a clip: as requested, or by the size of the cache; 0: one file.
 
     frame_bytes : of one frame with all its samples; frames : how many are written.
     """
-    if asked is not None:
-        return asked
+    if requested is not None:
+        return requested
     if frame_bytes * frames <= LARGE:
         return 0
     return max(1, int(CLIP / frame_bytes))

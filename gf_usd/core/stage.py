@@ -326,7 +326,7 @@ class ContactSetup:
 class Region:
     """A part of space bounded by triangles, and the motion of its points."""
 
-    name: str  # as asked for
+    name: str  # as given
     kind: str  # "volume": what the triangles enclose; "patch": a part of a body's surface
     points: Floats  # (V, 3) [m] at rest, world
     triangles: Ints  # (T, 3) into points

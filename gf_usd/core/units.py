@@ -35,7 +35,7 @@ class Precision:
         return self.value * radius if self.relative else self.value
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """As text, for notes."""
         return f"{100.0 * self.value:g} % of the radius" if self.relative else f"{self.value:g} m"
 

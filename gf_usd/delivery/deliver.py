@@ -176,10 +176,10 @@ def _smallest(
         found = _within(variants, fit, error, files)
         if found is None:
             continue
-        rigs, off, said = found
+        rigs, off, rig_notes = found
         kept = _kept(target, one)
         partial_path(target).replace(partial_path(kept))
-        made.append((partial_path(kept).stat().st_size, partial_path(kept), rigs, off, said))
+        made.append((partial_path(kept).stat().st_size, partial_path(kept), rigs, off, rig_notes))
         if not any(rig.joints or rig.blend_shapes for variant in rigs for rig in variant.rigs):
             break  # rigid motion: nothing is smaller
     if not made:
@@ -189,7 +189,7 @@ def _smallest(
             "allow a larger --error, or more joints or shapes with --max-joints and --max-shapes",
         )
     made.sort(key=lambda row: row[0])
-    size, smallest, chosen, off, said = made[0]
+    size, smallest, chosen, off, rig_notes = made[0]
     smallest.replace(partial_path(target))
     moved = files.splats(chosen)
     publish(target)
@@ -221,7 +221,7 @@ def _smallest(
             for variant, found in zip(chosen, moved)
             for cloud, errors in zip(variant.clouds, found)
         ),
-        notes=(*notes, *said),
+        notes=(*notes, *rig_notes),
     )
 
 

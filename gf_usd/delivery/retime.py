@@ -353,8 +353,8 @@ def _root(
     else:
         layer.startTimeCode, layer.endTimeCode = span
     data: dict[str, Any] = dict(layer.customLayerData)
-    said = {"speed": speed} if speed is not None else {"keys": _text(keys or ())}
-    data[VARIANTS] = {**data.get(VARIANTS, {}), "retime": said}
+    timing = {"speed": speed} if speed is not None else {"keys": _text(keys or ())}
+    data[VARIANTS] = {**data.get(VARIANTS, {}), "retime": timing}
     layer.customLayerData = data
     return layer
 

@@ -135,8 +135,8 @@ def _tell(layer: Sdf.Layer, names: set[str]) -> None:
     """Keep only the metadata of the variants in `names`."""
     data = layer.customLayerData
     about = dict(data.get(VARIANTS, {}))
-    told = about.get("looks", {})
-    about["looks"] = {name: values for name, values in told.items() if name in names}
+    looks = about.get("looks", {})
+    about["looks"] = {name: values for name, values in looks.items() if name in names}
     layer.customLayerData = {**data, VARIANTS: about}
 
 

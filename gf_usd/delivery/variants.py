@@ -60,7 +60,7 @@ def read_variants(
     variants, recordings, notes = [], [], {}
     for source in sources:
         recording = source.recording()
-        clouds, said = _clouds(bake, source.variant, recording, splats)
+        clouds, cloud_notes = _clouds(bake, source.variant, recording, splats)
         baked = [i for i, mine in enumerate(recording.baked) if mine or whole]
         gone = [i for i in baked if recording.meshes[i].name in recording.converted]
         baked = [i for i in baked if i not in gone]
@@ -117,7 +117,7 @@ def read_variants(
         )
         recordings.append(recording)
         # a USD file also keeps prims beside the bake, such as instancers and curves
-        every = [note for note in (*recording.notes, *said) if not note.endswith(ONE_SET)]
+        every = [note for note in (*recording.notes, *cloud_notes) if not note.endswith(ONE_SET)]
         mine = [note for note in every if whole or f": {NOT_DRAWN}" not in note]
         notes |= dict.fromkeys(mine)
     return variants, recordings, tuple(notes)
@@ -125,8 +125,8 @@ def read_variants(
 
 def _flows_without_end(source: BakedMotion) -> bool:
     """Whether all materials of a bake flow, according to its metadata."""
-    told = source.about.get("looks", {}).get(source.variant, {}).get("materials", {})
-    laws = [LAWS.get(material.get("law")) for material in told.values()]
+    materials = source.about.get("looks", {}).get(source.variant, {}).get("materials", {})
+    laws = [LAWS.get(material.get("law")) for material in materials.values()]
     return bool(laws) and all(law is not None and law.unbounded for law in laws)
 
 

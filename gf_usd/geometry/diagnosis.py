@@ -206,19 +206,19 @@ def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
 
 def faults(seen: Diagnosis) -> list[str]:
     """Phrases for the faults of a mesh as the boundary of a solid."""
-    said = []
+    found = []
     if seen.holes:
         share = f"{100 * seen.hole_share:.2g} % of the closed area"
-        said.append(f"{counted(len(seen.holes), 'hole')} ({share})")
+        found.append(f"{counted(len(seen.holes), 'hole')} ({share})")
     if against := sum(shell.against for shell in seen.shells):
-        said.append(f"{counted(against, 'triangle')} facing the other way")
+        found.append(f"{counted(against, 'triangle')} facing the other way")
     if inward := seen.with_winding("inside out"):
-        said.append(f"{inward} of {counted(len(seen.shells), 'shell')} inside out")
+        found.append(f"{inward} of {counted(len(seen.shells), 'shell')} inside out")
     if inner := sum(shell.inner for shell in seen.shells):
-        said.append(f"{counted(inner, 'shell')} inside others that bound no volume")
+        found.append(f"{counted(inner, 'shell')} inside others that bound no volume")
     if seen.duplicates:
-        said.append(counted(seen.duplicates, "duplicate triangle"))
-    return said
+        found.append(counted(seen.duplicates, "duplicate triangle"))
+    return found
 
 
 def tolerated_defects(seen: Diagnosis) -> str:
@@ -227,12 +227,12 @@ def tolerated_defects(seen: Diagnosis) -> str:
     The generalized winding number is robust to holes, duplicate faces and single faces of reversed
     winding. A whole part that faces inward inside another one is taken as a cavity.
     """
-    said = faults(seen)
-    if not said:
+    found = faults(seen)
+    if not found:
         return ""
     small = any(hole.share <= HOLE_LIMIT for hole in seen.holes)
-    hint = "; --repair fixes this" if small or len(said) > bool(seen.holes) else ""
-    return f"<{seen.path}> is filled despite {', '.join(said)}{hint}"
+    hint = "; --repair fixes this" if small or len(found) > bool(seen.holes) else ""
+    return f"<{seen.path}> is filled despite {', '.join(found)}{hint}"
 
 
 FILLED_SHARE = 0.9  # of the enclosed volume, overlaps counted twice: a warning if less is filled

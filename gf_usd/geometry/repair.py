@@ -78,52 +78,54 @@ class Repairs:
             )
             if n
         ]
-        said = []
+        lines = []
         if dropped:
-            said.append(f"dropped triangles: {', '.join(dropped)}")
+            lines.append(f"dropped triangles: {', '.join(dropped)}")
         if self.turned:
-            said.append(f"turned {counted(self.turned, 'triangle')} to match the rest")
+            lines.append(f"turned {counted(self.turned, 'triangle')} to match the rest")
         if self.turned_parts:
-            said.append(f"turned {counted(self.turned_parts, 'part')} that faced the wrong way")
+            lines.append(f"turned {counted(self.turned_parts, 'part')} that faced the wrong way")
         if self.inner:
-            said.append(f"dropped {counted(self.inner, 'part')} inside others that bound no volume")
+            lines.append(
+                f"dropped {counted(self.inner, 'part')} inside others that bound no volume"
+            )
         if self.cavities:
-            said.append(
+            lines.append(
                 f"left {counted(self.cavities, 'part')} that lie inside others and face inward "
                 f"(cavities)"
             )
         if self.overlapping:
-            said.append(
+            lines.append(
                 f"left {counted(self.overlapping, 'part')} that overlap others: the common "
                 f"volume is filled once"
             )
         if self.holes_closed:
-            said.append(
+            lines.append(
                 f"closed {counted(self.holes_closed, 'hole')} with"
                 f" {counted(self.caps, 'triangle')}, the largest {_share(self.largest_closed)} of"
                 " the closed area"
             )
         if self.holes_left:
-            said.append(
+            lines.append(
                 f"left {counted(self.holes_left, 'hole')} open, the largest"
                 f" {_share(self.largest_left)} of the closed area (repair closes up to"
                 f" {_share(HOLE_LIMIT)})"
             )
         if self.loose_edges:
-            said.append(
+            lines.append(
                 f"left {counted(self.loose_edges, 'boundary edge')} that form no closed loop"
             )
         if self.thickened:
-            said.append(
+            lines.append(
                 f"made {counted(self.thickened, 'thin part')} {self.thickness:.3g} m thick (one "
                 f"spacing) for the simulation"
             )
         if self.thin_left:
-            said.append(
+            lines.append(
                 f"left {counted(self.thin_left, 'sheet')} unfilled: too small for a body of "
                 f"particles, or one-sided"
             )
-        return tuple(said)
+        return tuple(lines)
 
     def as_dict(self) -> dict[str, object]:
         """The fields by name."""
@@ -140,7 +142,7 @@ def notes(repairs: Sequence[Repairs]) -> tuple[str, ...]:
     """The repairs as text, a line for each surface that needed any."""
     done = ((r.path, r.messages()) for r in repairs)
     return tuple(
-        f"<{path}> repaired for the fill: {'; '.join(said)}" for path, said in done if said
+        f"<{path}> repaired for the fill: {'; '.join(lines)}" for path, lines in done if lines
     )
 
 
@@ -151,13 +153,13 @@ def consistently_oriented_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
     smaller area is reversed.
     """
     made = [_with_consistent_winding(surface) for surface in asset.surfaces]
-    said = tuple(
+    lines = tuple(
         f"<{surface.path}>: {counted(turned, 'triangle')} facing the other way"
         f" {'is' if turned == 1 else 'are'} turned for the fill; the mesh itself does not change"
         for surface, turned in made
         if turned
     )
-    return (replace(asset, surfaces=tuple(one for one, _ in made)), said) if said else (asset, ())
+    return (replace(asset, surfaces=tuple(one for one, _ in made)), lines) if lines else (asset, ())
 
 
 def _with_consistent_winding(surface: Surface) -> tuple[Surface, int]:

@@ -114,7 +114,7 @@ def hole_fraction(points: Floats, triangles: Ints) -> float:
 def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
     """Sort an asset's surfaces into those that bound a solid and those that are embedded in it.
 
-    repaired : --repair was asked for, so that no hint names it.
+    repaired : --repair was given, so that no hint names it.
 
     Raises InputError where none bounds a solid.
     """

@@ -338,7 +338,7 @@ class CacheWriter:
                 bytes=size,
                 frames=-(-self._frames // self._per_frame),
                 clips=tuple(files[1:]),
-                notes=(*self._notes(), *((f"{self._look}: {storage.said}",) if storage else ())),
+                notes=(*self._notes(), *((f"{self._look}: {storage.text}",) if storage else ())),
                 storage=storage,
             )
             self._release()

@@ -199,14 +199,14 @@ class ClipStore:
         active = [Gf.Vec2d(done.first, k) for k, done in enumerate(self._done)]
         manifest = Sdf.AssetPath(asset_path(self.folder / MANIFEST, folder))
         for root in self._roots:
-            told = {
+            metadata = {
                 "assetPaths": Sdf.AssetPathArray(paths),
                 "active": Vt.Vec2dArray(active),
                 "manifestAssetPath": manifest,
                 "primPath": str(root),
             }
             # a name of our own: clip sets of one name are merged with those of the source
-            self._cache.GetPrimAtPath(root).SetInfo("clips", {VARIANT_SET: told})
+            self._cache.GetPrimAtPath(root).SetInfo("clips", {VARIANT_SET: metadata})
         self._cache.endTimeCode = self._done[-1].times[-1]
         save(self._cache)
 
@@ -242,8 +242,8 @@ def clips_of(cache: Path) -> Path | None:
         layer = Sdf.Layer.OpenAsAnonymous(str(cache), metadataOnly=True)
     except Tf.ErrorException:
         return None
-    told = layer.customLayerData.get(VARIANT_SET, {}) if layer else {}
-    return cache.parent / told[FOLDER] if FOLDER in told else None
+    metadata = layer.customLayerData.get(VARIANT_SET, {}) if layer else {}
+    return cache.parent / metadata[FOLDER] if FOLDER in metadata else None
 
 
 def remove_clips(folder: Path) -> None:

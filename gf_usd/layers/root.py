@@ -184,15 +184,15 @@ def _author_metadata(
 
 def _metadata_settings(settings: Settings) -> dict[str, object]:
     """The settings as metadata, with fields by number: metadata has no list of dictionaries."""
-    said = {**vars(settings)}
-    fields = said.pop("fields")
+    values = {**vars(settings)}
+    fields = values.pop("fields")
     if fields:
         each = [{**vars(f), "values": [g for one in f.values for g in one]} for f in fields]
-        said["fields"] = {
+        values["fields"] = {
             str(k): {name: value for name, value in one.items() if value not in ((), [])}
             for k, one in enumerate(each)
         }
-    return said
+    return values
 
 
 def _bake_metadata(bake: BakedVariant) -> dict[str, object]:

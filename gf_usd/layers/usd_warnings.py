@@ -24,7 +24,7 @@ class Warned:
         self._said: Counter[str] = Counter()
 
     @property
-    def said(self) -> Counter[str]:
+    def counts(self) -> Counter[str]:
         """Number of occurrences of each warning."""
         for one in self._delegate.TakeUncoalescedDiagnostics() if self._delegate else ():
             self._said[_kind(one.commentary)] += 1
@@ -32,16 +32,16 @@ class Warned:
 
     def end(self) -> None:
         """Stop collecting; USD prints warnings again."""
-        _ = self.said
+        _ = self.counts
         self._delegate = None
 
-    def lines(self, told: Collection[str] = ()) -> tuple[str, ...]:
-        """A note on the warnings that are not in `told`; none where there are none."""
-        said = self.said
-        kinds = sorted(text for text in said if text not in told)
+    def lines(self, reported: Collection[str] = ()) -> tuple[str, ...]:
+        """A note on the warnings that are not in `reported`; none where there are none."""
+        counts = self.counts
+        kinds = sorted(text for text in counts if text not in reported)
         if not kinds:
             return ()
-        count = sum(said[text] for text in kinds)
+        count = sum(counts[text] for text in kinds)
         quoted = "; ".join(kinds[:SHOWN])
         times = "once" if count == 1 else f"{count} times"
         more = f"; and {len(kinds) - SHOWN} more" if len(kinds) > SHOWN else ""

@@ -202,11 +202,11 @@ class Solver(ABC):
             particle, fault = self.not_finite()
             # how deep and how far bodies go within a frame is only known at its end
             while not (fault or stats.rested):
-                asked = self.pressed(stats.penetration) << self.guard.halvings
-                if not self.overlooked() and asked <= substeps:
+                required = self.pressed(stats.penetration) << self.guard.halvings
+                if not self.overlooked() and required <= substeps:
                     break
                 self.state.load(saved)
-                substeps = max(asked, substeps)
+                substeps = max(required, substeps)
                 stats = self.advance(index, substeps)
                 particle, fault = self.not_finite()
             if not fault:

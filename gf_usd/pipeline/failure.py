@@ -102,15 +102,15 @@ def write_failure(
     path = report_of_failure(delivery.files)
     outputs = [str(file) for file in (*files, *clips, path)]
     text = json.dumps({**report(notes, findings), "outputs": outputs, "failed": failed}, indent=1)
-    told = f"the report is {path}"
+    report_text = f"the report is {path}"
     try:
         _write_report(path, text + "\n", delivery.files.report)
     except BakeError as third:  # why the simulation ended counts for more
-        told = f"there is no report: {third.message}"
+        report_text = f"there is no report: {third.message}"
     return SolverError(
         f"{where}: {failed['why']}\n"
         f"the frames before it are kept in {', '.join(str(file) for file in files)}{opened};"
-        f" {told}",
+        f" {report_text}",
         error.hint,
         frame=failed["frame"],
         particle=error.particle,
@@ -141,14 +141,14 @@ def _require_source(delivery: Delivery) -> None:
 
 
 def _where(path: Path, failed: dict[str, Any]) -> str:
-    said = (
+    summary = (
         f"{path}: {failed['look']} failed at frame {failed['frame']}"
         f" (time code {failed['time_code']:g})"
     )
     if failed["particle"] is None:
-        return said
+        return summary
     x, y, z = failed["rest_position"]
     return (
-        f"{said}, at particle {failed['particle']} of <{failed['prim']}>, with the rest "
+        f"{summary}, at particle {failed['particle']} of <{failed['prim']}>, with the rest "
         f"position ({x:.4g}, {y:.4g}, {z:.4g})"
     )

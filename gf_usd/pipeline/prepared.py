@@ -117,10 +117,10 @@ def prepare(
             once_read=partial(stages.begin, FILLING), once_filled=refills.append, **options,
         )  # fmt: skip
     plan = replace(plan, notes=(*plan.notes, *warned.lines()))
-    told = frozenset(warned.said)
+    known_warnings = frozenset(warned.counts)
     refill = refills[0] if plan.choices.certify else None
     prepared = with_shot_length(
-        Prepared(plan=plan, converted=converted, refill=refill, warned=told)
+        Prepared(plan=plan, converted=converted, refill=refill, warned=known_warnings)
     )
     if not resume:
         return prepared
@@ -129,7 +129,7 @@ def prepare(
     identify = partial(identity_of, plan)
     found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
     plan = replace(plan, notes=(*plan.notes, *found.notes))
-    return Prepared(plan=plan, converted=converted, resume=found, warned=told)
+    return Prepared(plan=plan, converted=converted, resume=found, warned=known_warnings)
 
 
 def with_shot_length(prepared: Prepared) -> Prepared:

@@ -69,7 +69,7 @@ def plan_scene(spec: SceneSpec) -> Plan:
     )  # fmt: skip
     asset = Asset(facts=facts, surfaces=spec.surfaces)
     bodies = tuple(_physics(spec, surface.path) for surface in spec.surfaces)
-    said = StageSpec(
+    stage_spec = StageSpec(
         bakes={
             path: PrimBake(path=path, material=name)
             for path, name in spec.materials.items()
@@ -79,7 +79,7 @@ def plan_scene(spec: SceneSpec) -> Plan:
     )
     files = outputs(NAME.with_suffix(".usda"), ["simulated"], None)
     plan, _ = fill(
-        asset, request, [Authored("simulated")], None, files, None, spec=said, repair=False,
+        asset, request, [Authored("simulated")], None, files, None, spec=stage_spec, repair=False,
         more_pins=partial(_pins, spec),
     )  # fmt: skip
     lowest = min(float((s.face_points @ facts.up).min()) for s in spec.surfaces)

@@ -32,7 +32,7 @@ def implausible_size(asset: Asset) -> str:
     likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
     # Of the units that fit, a tiny asset wants the largest and a huge one the first named.
     fitting = max(likely, default=None) if width < least else next(iter(likely), None)
-    said = f"the asset is {width:.3g} m wide: {units:.4g} units of {unit:g} m"
+    measured = f"the asset is {width:.3g} m wide: {units:.4g} units of {unit:g} m"
     if fitting is None:
-        return f"{said}; check its unit ({UNIT})"
-    return f"{said}; with {UNIT} {fitting:g} it would be {units * fitting:.3g} m"
+        return f"{measured}; check its unit ({UNIT})"
+    return f"{measured}; with {UNIT} {fitting:g} it would be {units * fitting:.3g} m"

@@ -284,19 +284,19 @@ def sequences(
     stem: str, variants: Sequence[str], *, ply: str | None, spz: str | None
 ) -> tuple[tuple[SplatSequence, ...], ...]:
     """The sequences of each variant; none where no folder is given."""
-    asked = [(folder, suffix) for folder, suffix in ((ply, "ply"), (spz, "spz")) if folder]
+    requested = [(folder, suffix) for folder, suffix in ((ply, "ply"), (spz, "spz")) if folder]
     return tuple(
         tuple(
             SplatSequence(folder=Path(folder), stem=f"{stem}.{variant}", suffix=suffix)
-            for folder, suffix in asked
+            for folder, suffix in requested
         )
         for variant in variants
     )
 
 
-def require_free_sequences(asked: Sequence[Sequence[SplatSequence]], overwrite: bool) -> None:
+def require_free_sequences(requested: Sequence[Sequence[SplatSequence]], overwrite: bool) -> None:
     """Raise UsageError where a frame exists already, or a folder's name is that of a file."""
-    for sequence in (one for each in asked for one in each):
+    for sequence in (one for each in requested for one in each):
         if sequence.folder.exists() and not sequence.folder.is_dir():
             raise UsageError(f"{sequence.folder} is not a folder", "name another for the frames")
         there = sequence.existing_frames()
@@ -307,12 +307,12 @@ def require_free_sequences(asked: Sequence[Sequence[SplatSequence]], overwrite: 
             )
 
 
-def clear(asked: Sequence[SplatSequence]) -> None:
+def clear(requested: Sequence[SplatSequence]) -> None:
     """Remove the frames of an earlier bake, which may have been longer.
 
     Raises UsageError where one cannot be removed.
     """
-    for path in (path for sequence in asked for path in sequence.existing_frames()):
+    for path in (path for sequence in requested for path in sequence.existing_frames()):
         try:
             path.unlink(missing_ok=True)
         except OSError as error:

@@ -54,22 +54,22 @@ def of_material(
 
 def notes(settings: Settings, material: str = "") -> tuple[str, ...]:
     """What the options do to a bake, in words; material: whose, where there are several."""
-    said = []
+    lines = []
     if settings.wls:
-        said.append(
+        lines.append(
             "F is computed anew once a frame from the places of the particles (WLS, GaussianFlesh"
             " 3.2): this gives energy to the body, which the report counts"
         )
     if settings.procrustes:
-        said.append(
+        lines.append(
             f"once a frame the body is moved {100.0 * settings.procrustes:g} % of the way to its"
             " rest shape as it lies (Procrustes, GaussianFlesh 4.3): it cannot turn freely"
         )
     if settings.clamp:
         low, high = settings.clamp
-        said.append(f"stress is taken of F with its stretches clipped to {low:g} .. {high:g}")
+        lines.append(f"stress is taken of F with its stretches clipped to {low:g} .. {high:g}")
     if settings.stress_cap:
-        said.append(f"stress is cut to |P| = {settings.stress_cap:.4g} Pa")
+        lines.append(f"stress is cut to |P| = {settings.stress_cap:.4g} Pa")
     if settings.clamp or settings.stress_cap:
-        said.append("frames in which stretch or stress was cut are not judged by their energy")
-    return tuple(f"{material}: {line}" if material else line for line in said)
+        lines.append("frames in which stretch or stress was cut are not judged by their energy")
+    return tuple(f"{material}: {line}" if material else line for line in lines)

@@ -128,9 +128,9 @@ def embedded_points(asset: Asset) -> dict[str, Floats]:
     }
 
 
-def command_line(source: Path, **asked: Any) -> str:
+def command_line(source: Path, **options: Any) -> str:
     """The ``gf-usd bake`` command of the plan, without options at their default."""
-    return shlex.join(["gf-usd", "bake", source.name, *arguments(asked)])
+    return shlex.join(["gf-usd", "bake", source.name, *arguments(options)])
 
 
 def input_hash(path: Path) -> str:

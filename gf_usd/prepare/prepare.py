@@ -164,11 +164,11 @@ def _targets(
     # what it wrote before it ended was free to be written
     overwrite = overwrite or (resume and interrupted(files))
     require_free(files, overwrite)
-    asked = sequences(
+    requested = sequences(
         source.stem, names, ply=request.folder("export_ply"), spz=request.folder("export_spz")
     )
-    require_free_sequences(asked, overwrite)
-    return Targets(files=files, sequences=asked, seen=seen, overwrite=overwrite)
+    require_free_sequences(requested, overwrite)
+    return Targets(files=files, sequences=requested, seen=seen, overwrite=overwrite)
 
 
 def _with_layer(targets: Targets, converted: MeshSource | None) -> tuple[Outputs, Stamp]:
@@ -232,8 +232,8 @@ def read_stage(
     elif not presets:
         named = variant_name(spec, asset.surfaces) if spec.says_material else DEFAULT_MATERIAL
         presets = [Authored(named)]
-    of_files, said = file_obstacles(request.listed("colliders"), asset.facts, limits)
-    physics = replace(spec.physics, of_files=of_files, notes=(*spec.physics.notes, *said))
+    of_files, notes = file_obstacles(request.listed("colliders"), asset.facts, limits)
+    physics = replace(spec.physics, of_files=of_files, notes=(*spec.physics.notes, *notes))
     spec = replace(spec, physics=physics)
     return SourceAsset(asset=asset, spec=spec, presets=presets, converted=converted, file=file)
 

@@ -2,7 +2,7 @@
 
 Frames are counted from 0, the body at rest where it was put, at the time code `Settings.start`.
 The simulation runs from there to the last frame that is written.  With n samples per frame the
-solver is asked for n times as many frames at n times the rate; sample k is frame k / n.
+solver makes n times as many frames at n times the rate; sample k is frame k / n.
 
 How finely a body is filled: by a spacing or by a count, from the options or from the stage.
 """
@@ -52,7 +52,7 @@ PAPER_CONTACT = 2000.0 * PAPER_T**2
 
 SETTLING = 8  # times as long as a shot may everything take to come to rest
 ROLLING_RESISTANCE = 0.05  # soft rubber on a hard floor; a bouncing ball has 0.01 to 0.05
-# Particle-substeps until then above which a bake ends with the shot where nobody said how long:
+# Particle-substeps until then above which a bake ends with the shot where no length is given:
 # half an hour on one core.
 REST_WORK = 2e10
 # [s] of playback that rest usually takes, above which it does so: of bodies of 17 m in radius.
@@ -67,7 +67,7 @@ def span(
     step: float,
     frames: int,
     fixed: bool,
-    said: str,
+    option: str,
 ) -> tuple[int, int]:
     """(first frame that is written, number of frames simulated) with range and handles.
 
@@ -76,8 +76,8 @@ def span(
     range : first and last time code, each None where it is open; None: all.
     handles : frames that are written on both sides besides.
     start : time code of frame 0; step : time codes per frame.
-    frames : of the bake without a range; fixed : they were asked for.
-    said : the option as it was given, for the message.
+    frames : of the bake without a range; fixed : they were given.
+    option : the option as it was given, for the message.
 
     A first frame below 0 holds the rest pose.  Raises UsageError for a range outside the bake.
     """
@@ -88,53 +88,53 @@ def span(
             first = int(np.ceil((low - start) / step - ROUNDING))
         if high is not None:
             last = int(np.floor((high - start) / step + ROUNDING))
-        _require_inside(said, first, last, start, step, frames if fixed else None)
+        _require_inside(option, first, last, start, step, frames if fixed else None)
     return first - handles, last + 1 + handles
 
 
 def _require_inside(
-    said: str, first: int, last: int, start: float, step: float, frames: int | None
+    option: str, first: int, last: int, start: float, step: float, frames: int | None
 ) -> None:
     if first < 0:
         raise UsageError(
-            f"{said} begins before the simulation, which starts at time code {start:g}",
+            f"{option} begins before the simulation, which starts at time code {start:g}",
             "start later; --handles holds the rest pose before the start",
         )
     if last < first:
         raise UsageError(
-            f"{said} holds no frame: frames are at {start:g} + k * {step:g}",
+            f"{option} holds no frame: frames are at {start:g} + k * {step:g}",
             "give a range with a frame in it",
         )
     if frames is not None and last > frames - 1:
         raise UsageError(
-            f"{said} ends after the last of --frames {frames}, at time code"
+            f"{option} ends after the last of --frames {frames}, at time code"
             f" {start + (frames - 1) * step:g}",
             "leave --frames out: the range says how long is simulated",
         )
 
 
-def time_scale_of(asked: float | str | None, T: float) -> float:
+def time_scale_of(requested: float | str | None, T: float) -> float:
     """Simulated seconds per second of playback; "auto" plays T [s] as that of a 1 m body."""
-    if asked is None:
+    if requested is None:
         return 1.0
-    return T / PAPER_T if asked == AUTO else float(asked)
+    return T / PAPER_T if requested == AUTO else float(requested)
 
 
-def floor_plane(asked: Floor | None, up: Floats, unit: float) -> tuple[float | None, Floats]:
+def floor_plane(requested: Floor | None, up: Floats, unit: float) -> tuple[float | None, Floats]:
     """Distance along the normal [m], None for no floor, and the unit normal (3,).
 
     up : unit (3,); unit : [m] per stage length.  Raises UsageError for a normal that does not point
     up.
     """
-    if asked is None or asked.height is None:
-        return (0.0 if asked is None else None), up
+    if requested is None or requested.height is None:
+        return (0.0 if requested is None else None), up
     normal = up
-    if asked.normal is not None:
-        normal = np.array(asked.normal)
+    if requested.normal is not None:
+        normal = np.array(requested.normal)
         length = float(np.linalg.norm(normal))
-        asked.require_upright(float(normal @ up) / length)
+        requested.require_upright(float(normal @ up) / length)
         normal = normal / length
-    return asked.height * unit * float(normal @ up), normal
+    return requested.height * unit * float(normal @ up), normal
 
 
 def fields_of(
@@ -143,10 +143,10 @@ def fields_of(
     """Body forces in addition to gravity; keys : of gravity [m/s^2] in the stage; stated : fields
     of the stage, which are used where the request has none.
     """
-    asked = request.parsed["gravity"]
-    if isinstance(asked, GravityKeys):
-        values = [gravity_vector(value, facts.up) for value in asked.values]
-        keys = list(zip(asked.times, values, strict=True))
+    requested = request.parsed["gravity"]
+    if isinstance(requested, GravityKeys):
+        values = [gravity_vector(value, facts.up) for value in requested.values]
+        keys = list(zip(requested.times, values, strict=True))
     times, vectors = tuple(k for k, _ in keys), tuple(g for _, g in keys)
     moving = (Field(kind="gravity", times=times, values=vectors),) if len(keys) > 1 else ()
     given = [parse_field(text) for text in request.fields]
@@ -155,15 +155,15 @@ def fields_of(
     return (*moving, *(in_meters(field, facts.units.length) for field in given))
 
 
-def gravity_vector(asked: float | Triple | GravityKeys | None, up: Floats) -> Triple:
+def gravity_vector(requested: float | Triple | GravityKeys | None, up: Floats) -> Triple:
     """[m/s^2] of a magnitude along minus the unit vector up (3,), or of a vector; of keys, the
     first.
     """
-    if isinstance(asked, GravityKeys):
-        asked = asked.values[0]
-    if isinstance(asked, tuple):
-        return triple(np.array(asked) + 0.0)
-    return triple(-(G0 if asked is None else asked) * up + 0.0)
+    if isinstance(requested, GravityKeys):
+        requested = requested.values[0]
+    if isinstance(requested, tuple):
+        return triple(np.array(requested) + 0.0)
+    return triple(-(G0 if requested is None else requested) * up + 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,17 +222,17 @@ def resolve(
     # The paper's 60 frames per second are for a body of 1 m; others keep its frames per T.
     playback = facts.frames_per_second or authored or DEFAULT_FPS
     fps = request.fps or (60.0 * PAPER_T / T if paper else playback)
-    asked = request.parsed
-    floor, normal = floor_plane(asked["floor"], facts.up, facts.units.length)
+    requested = request.parsed
+    floor, normal = floor_plane(requested["floor"], facts.up, facts.units.length)
     still = Height(value=0.0, in_radii=False) if facts.says_physics and not paper else DEFAULT_DROP
-    height = (asked["drop"] or still).meters(radius, facts.units.length)
+    height = (requested["drop"] or still).meters(radius, facts.units.length)
     # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
     lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
     if animation or (request.drop is None and (request.pins or attached or floor is None)):
         lift = 0.0
     elif floor is None:
         lift = height
-    slow = time_scale_of(asked["time_scale"], T)
+    slow = time_scale_of(requested["time_scale"], T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
     start, step = first_time_code(facts, request.start), (authored or fps) / fps
     if animation:
@@ -240,11 +240,11 @@ def resolve(
         shot = int(np.floor((animation.last - start) / step + ROUNDING)) + 1
     if request.settle_only or request.until_rest:
         shot = settled_frames(shot)
-    most = asked["frames"].frames if asked["frames"] else None
+    most = requested["frames"].frames if requested["frames"] else None
     frames = most or (PAPER_FRAMES if paper and not request.until_rest else shot)
     first, frames = span(
-        asked["range"], request.handles or 0, start=start, step=step,
-        frames=frames, fixed=bool(request.frames), said=f"--range {request.range}",
+        requested["range"], request.handles or 0, start=start, step=step,
+        frames=frames, fixed=bool(request.frames), option=f"--range {request.range}",
     )  # fmt: skip
     if animation:
         lead = request.preroll or animation.preroll(fps, slow)
@@ -261,7 +261,7 @@ def resolve(
         fps=fps,
         time_codes_per_second=authored or fps,
         start=start,
-        gravity=gravity_vector(asked["gravity"], facts.up),
+        gravity=gravity_vector(requested["gravity"], facts.up),
         up=triple(facts.up),
         floor=floor,
         floor_normal=None if np.array_equal(normal, facts.up) else triple(normal),
@@ -327,8 +327,8 @@ def resolution(
 ) -> Resolution:
     """An option wins over what the stage says, and that over the defaults.
 
-    spacing : [m]; volumes : [m^3] of each surface, by prim path, asked where needed.
-    thin : of the solid its volume [m^3] and its thickness, asked where nobody says anything; None
+    spacing : [m]; volumes : [m^3] of each surface, by prim path, called where needed.
+    thin : of the solid its volume [m^3] and its thickness, called where neither does; None
     where thickness follows the spacing.
     """
     if paper or particles is not None or spacing is not None:
@@ -347,19 +347,19 @@ def stated_spacing(spec: StageSpec, volumes: Mapping[str, float]) -> tuple[float
 
     volumes : [m^3] of each surface, by prim path.
     """
-    asked: dict[str, float] = {}
+    requested: dict[str, float] = {}
     groups: dict[str, tuple[int, float]] = {}
     for path, bake in spec.bakes.items():
         if bake.spacing is not None:
-            asked[path] = bake.spacing
+            requested[path] = bake.spacing
         elif bake.particles is not None:
             count, volume = groups.get(bake.particles_of, (bake.particles, 0.0))
             groups[bake.particles_of] = count, volume + volumes.get(path, 0.0)
-    asked |= {p: float(np.cbrt(v / n)) for p, (n, v) in groups.items() if v > 0.0}
-    if not asked:
+    requested |= {p: float(np.cbrt(v / n)) for p, (n, v) in groups.items() if v > 0.0}
+    if not requested:
         return None, ""
-    path, finest = min(asked.items(), key=lambda item: item[1])
-    several = max(asked.values()) > (1.0 + SAME) * finest
+    path, finest = min(requested.items(), key=lambda item: item[1])
+    several = max(requested.values()) > (1.0 + SAME) * finest
     note = (
         f"a bake has one spacing: the {finest:.4g} m of <{path}> holds for all" if several else ""
     )

@@ -157,7 +157,7 @@ def _divided(
     notes, unit = Notes(), asset.facts.units.length
     edge = longest * unit if longest else fine_edge(asset.surfaces, particles or 1)
     made = divided(
-        path, asset.surfaces, edge, asked=longest is not None, of=of, unit=unit, note=notes.add
+        path, asset.surfaces, edge, given=longest is not None, of=of, unit=unit, note=notes.add
     )
     return made, notes.lines()
 

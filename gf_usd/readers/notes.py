@@ -33,9 +33,9 @@ class Notes:
         )
 
 
-def source_of(asked: object | None, known: bool) -> str:
-    """Origin of a unit or an axis: OPTION if `asked` for, FILE if `known` from it, or ASSUMED."""
-    if asked is not None:
+def source_of(given: object | None, known: bool) -> str:
+    """Origin of a unit or an axis: OPTION if `given` for, FILE if `known` from it, or ASSUMED."""
+    if given is not None:
         return OPTION
     return FILE if known else ASSUMED
 
@@ -59,7 +59,7 @@ def unit_and_axis(
     chosen = ""
     if width and unit != 1.0:
         chosen = f", which makes the body {width * unit:.3g} m wide instead of {width:.3g} m"
-    said = {
+    phrases = {
         OPTION: (f"metersPerUnit = {unit:g}, as requested", f"upAxis = {axis}, as requested"),
         ASSUMED: (
             f"{kind} files state no unit: {unit:g} m per unit is assumed{chosen}"
@@ -68,7 +68,9 @@ def unit_and_axis(
         ),
     }
     return [
-        said[origin][which] for which, origin in enumerate((unit_from, axis_from)) if origin != FILE
+        phrases[origin][which]
+        for which, origin in enumerate((unit_from, axis_from))
+        if origin != FILE
     ]
 
 

@@ -257,12 +257,12 @@ def serve(request: str) -> NoReturn:
     faulthandler.disable()  # the parent reports the crash
     gc.disable()  # the process is too short-lived to benefit
     end_with_parent()
-    asked = exchange.read(Path(request).read_bytes())
+    request_read = exchange.read(Path(request).read_bytes())
     tempfile.tempdir = os.environ["TMPDIR"] = str(Path(request).parent)
-    _limit(Limits(**asked["limits"]))
+    _limit(Limits(**request_read["limits"]))
     value, refusal = None, None
     try:
-        value = _function(asked["task"])(*asked["args"])
+        value = _function(request_read["task"])(*request_read["args"])
     except GfUsdError as error:
         if "bad_alloc" in str(error):
             raise MemoryError from error
@@ -291,13 +291,13 @@ def _limit(limits: Limits) -> None:
     import resource
 
     seconds = math.ceil(limits.time) * (os.cpu_count() or 1)
-    asked = {
+    request_read = {
         resource.RLIMIT_AS: int(limits.memory),
         resource.RLIMIT_FSIZE: int(limits.output),
         resource.RLIMIT_CPU: seconds,
         resource.RLIMIT_CORE: 0,
     }
-    for kind, most in asked.items():
+    for kind, most in request_read.items():
         hard = resource.getrlimit(kind)[1]
         if hard != resource.RLIM_INFINITY:
             most = min(most, hard)

@@ -50,7 +50,7 @@ def test_the_file_keeps_what_was_not_run_this_time(tmp_path: Path) -> None:
     path.parent.mkdir()
     write_record(jobs[1], outcome("b", "timeout"), identity="x", description={})
     entry = write_summary(
-        path, [outcome("a", "done")], asked=["gf-usd", "x"], seconds=1.5, jobs=jobs
+        path, [outcome("a", "done")], arguments=["gf-usd", "x"], seconds=1.5, jobs=jobs
     )
     assert json.loads(path.read_text("utf-8")) == json.loads(json.dumps(entry))
     assert [(row["job"], row["state"]) for row in entry["jobs"]] == [
@@ -75,7 +75,7 @@ def test_failures_are_those_of_the_summary_or_of_newer_records(tmp_path: Path) -
     assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["b"]
     # what is stopped has no record
     ends = [outcome("a", "stopped"), outcome("b", "done"), outcome("c", "done")]
-    entry = write_summary(path, ends, asked=(), seconds=1.0, jobs=jobs)
+    entry = write_summary(path, ends, arguments=(), seconds=1.0, jobs=jobs)
     assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["a"]
     path.write_text(json.dumps({**entry, "finished": "2020-01-01T00:00:00Z"}), encoding="utf-8")
     assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["a", "b"]
@@ -87,8 +87,8 @@ def test_what_was_stopped_is_kept_by_a_run_of_other_jobs(tmp_path: Path) -> None
     jobs = [job(tmp_path, name) for name in ("a", "b")]
     path = tmp_path / "out" / "toys.batch.json"
     path.parent.mkdir()
-    write_summary(path, [outcome(n, "stopped") for n in "ab"], asked=(), seconds=1.0, jobs=jobs)
-    entry = write_summary(path, [outcome("a", "done")], asked=(), seconds=1.0, jobs=jobs)
+    write_summary(path, [outcome(n, "stopped") for n in "ab"], arguments=(), seconds=1.0, jobs=jobs)
+    entry = write_summary(path, [outcome("a", "done")], arguments=(), seconds=1.0, jobs=jobs)
     assert entry["counts"] == {"done": 1, "stopped": 1}
     assert failed_in(earlier_run(path, jobs, "--failed"), jobs) == ["b"]
 
@@ -99,17 +99,17 @@ def test_what_another_run_did_meanwhile_is_no_longer_busy(tmp_path: Path) -> Non
     path.parent.mkdir()
     write_record(jobs[0], outcome("a", "done"), identity="x", description={})
     ends = [outcome("a", "busy"), outcome("b", "busy")]
-    entry = write_summary(path, ends, asked=["gf-usd", "x"], seconds=60.0, jobs=jobs)
+    entry = write_summary(path, ends, arguments=["gf-usd", "x"], seconds=60.0, jobs=jobs)
     assert entry["counts"] == {"done": 1, "busy": 1}
     assert entry["repeat"] == "gf-usd x --select b"
     # nor where that run has written the summary after it
-    write_summary(path, [outcome("a", "done"), ends[1]], asked=(), seconds=1.0, jobs=jobs)
+    write_summary(path, [outcome("a", "done"), ends[1]], arguments=(), seconds=1.0, jobs=jobs)
     rerun_command = [outcome("a", "busy"), outcome("b", "done")]
-    entry = write_summary(path, rerun_command, asked=(), seconds=60.0, jobs=jobs)
+    entry = write_summary(path, rerun_command, arguments=(), seconds=60.0, jobs=jobs)
     assert entry["counts"] == {"done": 2}
     # a record of an earlier run says nothing of this one
     text = jobs[0].record.read_text("utf-8")
     old = {**json.loads(text), "finished": "2020-01-01T00:00:00Z"}
     jobs[0].record.write_text(json.dumps(old), encoding="utf-8")
-    entry = write_summary(path, ends, asked=(), seconds=60.0, jobs=jobs)
+    entry = write_summary(path, ends, arguments=(), seconds=60.0, jobs=jobs)
     assert entry["counts"] == {"busy": 2}

@@ -83,13 +83,13 @@ def test_what_the_jobs_wait_for_is_told() -> None:
 
 
 def test_workers_that_are_gone_for_long_are_told_once_each_time() -> None:
-    absence = Absence(told=True)  # as at the start of a batch
-    assert [absence.heard("none", now) for now in (0.0, 2.0 * ALONE)] == ["", ""]
-    assert absence.heard("", 70.0) == ""
+    absence = Absence(emitted=True)  # as at the start of a batch
+    assert [absence.message("none", now) for now in (0.0, 2.0 * ALONE)] == ["", ""]
+    assert absence.message("", 70.0) == ""
     for gone in (100.0, 1000.0):
         times = (gone, gone + 0.9 * ALONE, gone + ALONE, gone + 9.0 * ALONE)
-        assert [absence.heard("none", now) for now in times] == ["", "", "none", ""]
-        assert absence.heard("", gone + 10.0 * ALONE) == ""
+        assert [absence.message("none", now) for now in times] == ["", "", "none", ""]
+        assert absence.message("", gone + 10.0 * ALONE) == ""
 
 
 def test_the_workers_are_looked_at_until_the_batch_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,7 +100,8 @@ def test_the_workers_are_looked_at_until_the_batch_ends(monkeypatch: pytest.Monk
     ended = threading.Event()
     client: Any = Cluster(workers)
     thread = threading.Thread(
-        target=cluster._watch, args=(client, "tcp://here", {}, Absence(told=False), events, ended)
+        target=cluster._watch,
+        args=(client, "tcp://here", {}, Absence(emitted=False), events, ended),
     )
     thread.start()
     workers.clear()

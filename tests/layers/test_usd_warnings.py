@@ -25,12 +25,12 @@ def test_warnings_are_counted_by_kind(tmp_path: Path, capfd: pytest.CaptureFixtu
     with gathered() as warned:
         stages = [Usd.Stage.Open(str(path)), Usd.Stage.Open(str(path))]
     assert len(stages) == 2
-    assert sorted(warned.said.values()) == [2, 2, 2]
+    assert sorted(warned.counts.values()) == [2, 2, 2]
     (line,) = warned.lines()
     assert line.startswith("USD warned 6 times: In </P")
     assert line.endswith("; and 1 more")
     assert str(hex(id(stages))) not in line
-    assert warned.lines(told=set(warned.said)) == ()
+    assert warned.lines(reported=set(warned.counts)) == ()
     assert capfd.readouterr().err == ""
     Usd.Stage.Open(str(path))
     assert "gone0.usda" in capfd.readouterr().err

@@ -78,7 +78,7 @@ def compare(
                 "tolerance", tolerance, "meters, or a string such as '2mm' or '0.5%'"
             )
         many = [output] if isinstance(output, str | os.PathLike) else list(output)
-        asked: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "path": asset_path(path),
             "other": asset_path(other),
             "targets": [Path(values.path("output", one)) for one in many],
@@ -88,7 +88,7 @@ def compare(
             "size": None if size is None else "{}x{}".format(*size),
             "fps": fps,
         }
-        return here_or_away("gf_usd.api.drawing.compare:run", asked, progress, schema=False)[0]
+        return here_or_away("gf_usd.api.drawing.compare:run", arguments, progress, schema=False)[0]
 
 
 def run(

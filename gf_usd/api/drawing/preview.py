@@ -139,12 +139,12 @@ def preview(
             color=color,
             limits=None if limits is None else _joined("color_range", limits, ":", (2,)),
         )
-        asked = {
+        arguments = {
             "path": asset_path(path), "options": options, "show": show, "camera": camera,
             "color": color, "variant": variant, "write": target is not None,
         }  # fmt: skip
         task = "gf_usd.api.drawing.preview:draw"
-        return here_or_away(task, asked, progress, schema=False)[0]
+        return here_or_away(task, arguments, progress, schema=False)[0]
 
 
 def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:

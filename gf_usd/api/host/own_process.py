@@ -53,8 +53,10 @@ def call(
     try:
         request = scratch.path / "request"
         with request.open("wb") as file:
-            told = progress is not None
-            exchange.write({"task": task, "options": dict(options), "progress": told}, file)
+            with_progress = progress is not None
+            exchange.write(
+                {"task": task, "options": dict(options), "progress": with_progress}, file
+            )
         return _answer(request, progress)
     finally:
         scratch.remove()
@@ -105,16 +107,16 @@ def serve(request: str) -> NoReturn:
     os.dup2(2, 1)  # what libraries print is no part of the answer
     end_with_parent()
     gc.set_threshold(100_000, 20, 20)  # as the command line has it
-    asked = exchange.read(Path(request).read_bytes())
-    options, words = asked["options"], threading.Lock()
+    request_read = exchange.read(Path(request).read_bytes())
+    options, words = request_read["options"], threading.Lock()
 
     def progress(done: int, total: int) -> None:
         with words:
             os.write(2, f"{DONE}{done} {total}\n".encode())
 
-    if asked["progress"]:
+    if request_read["progress"]:
         options["progress"] = progress
-    module, name = asked["task"].split(":")
+    module, name = request_read["task"].split(":")
     value, error = None, None
     try:
         value = getattr(import_module(module), name)(**options)

@@ -29,7 +29,7 @@ class Voice(Protocol):
 def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator[Voice]:
     """The output for the events of a batch, which update the board first."""
 
-    def told(event: dict[str, Any] | None) -> None:
+    def handle(event: dict[str, Any] | None) -> None:
         row = None if event is None else board.handle(event)
         if event is None:
             return
@@ -43,7 +43,7 @@ def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator
                 typer.echo(line, err=True)
 
     if quiet or as_json or openjd or not sys.stderr.isatty():
-        yield told
+        yield handle
         return
     from rich.console import Console
     from rich.live import Live

@@ -76,8 +76,8 @@ def _print_openjd_failure(ended: Ended, part: Part | None) -> None:
     if not wrong:
         return
     first, count = wrong[0], counted(len(ended.outcomes), "job")
-    said = f"{len(wrong)} of {count} failed: {first.job}: {first.message}"
-    typer.echo(f"openjd_fail: {' '.join(said.split())}")
+    failure = f"{len(wrong)} of {count} failed: {first.job}: {first.message}"
+    typer.echo(f"openjd_fail: {' '.join(failure.split())}")
 
 
 def _print_outcomes(plan: BatchPlan, ended: Ended, repeat: str) -> None:
@@ -100,7 +100,7 @@ def _write_files(plan: BatchPlan, ended: Ended, *, report: bool) -> None:
     summary, target = (plan.out / f"{plan.title}{suffix}" for suffix in (SUMMARY, PAGE))
     try:
         entry = write_summary(
-            summary, ended.outcomes, asked=ended.command, seconds=ended.seconds, jobs=plan.jobs
+            summary, ended.outcomes, arguments=ended.command, seconds=ended.seconds, jobs=plan.jobs
         )
         if not report:
             return

@@ -26,7 +26,7 @@ class Limit:
     value: float
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """The limit as text."""
         if self.kind == TIME:
             return f"from time code {self.value:g} on"

@@ -289,10 +289,10 @@ def flowing_law(stated: Iterable[str], otherwise: str) -> str:
     `otherwise` if that law has the parameter, else by the first law with all stated parameters.
     """
     wanted = set(stated)
-    asked = {p.name for p in law_parameters() if p.required} & wanted
-    if not asked or asked <= {p.name for p in LAWS[otherwise].parameters}:
+    needed = {p.name for p in law_parameters() if p.required} & wanted
+    if not needed or needed <= {p.name for p in LAWS[otherwise].parameters}:
         return otherwise
-    having = [t for t, row in LAWS.items() if asked <= {p.name for p in row.parameters}]
+    having = [t for t, row in LAWS.items() if needed <= {p.name for p in row.parameters}]
     whole = [t for t in having if wanted <= {p.name for p in LAWS[t].parameters}]
     return (whole or having)[0]
 

@@ -165,9 +165,9 @@ def _painted_goal(
     goal = np.full(count, UNPAINTED)
     for surface, near in zip(solid.surfaces, skin):
         if (values := painted.get(surface.path)) is not None:
-            said = np.asarray(values)[surface.triangle_corners[near.source]]
-            said = np.where(np.isnan(said), UNPAINTED, said)
-            goal[near.rows] = (near.share * said).sum(1)
+            weight = np.asarray(values)[surface.triangle_corners[near.source]]
+            weight = np.where(np.isnan(weight), UNPAINTED, weight)
+            goal[near.rows] = (near.share * weight).sum(1)
     return goal
 
 

@@ -45,10 +45,10 @@ def thicken_to_count(
     """
     wanted = min(particles, COUNTED)
     best: tuple[float, float] | None = None  # error, and the number to request
-    asked, least = float(wanted), None
+    tried, least = float(wanted), None
     low, high = 0.0, np.inf  # requested numbers that give too few, too many
     for _ in range(TRIES):
-        filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(asked))
+        filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(tried))
         thick = sum(one.thickened for one in done)
         if least is None:
             least = thick
@@ -62,17 +62,17 @@ def thicken_to_count(
         count = count_particles(solid, spacing, asset.facts.up_axis)
         off = abs(np.log(max(count, 1) / wanted))
         if best is None or off < best[0]:
-            best = off, asked
+            best = off, tried
         if off <= NEAR_ENOUGH:
             break
-        low, high = (max(low, asked), high) if count < wanted else (low, min(high, asked))
-        asked *= wanted / max(count, 1)
-        if not low < asked < high:  # a sheet then crosses one more layer of cells
-            asked = float(np.sqrt(low * high))
+        low, high = (max(low, tried), high) if count < wanted else (low, min(high, tried))
+        tried *= wanted / max(count, 1)
+        if not low < tried < high:  # a sheet then crosses one more layer of cells
+            tried = float(np.sqrt(low * high))
     if best is None:
         return *thicken_asset(asset, repairs, spacing=None, particles=particles), None
-    asked = best[1] * particles / wanted
-    filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(asked))
+    tried = best[1] * particles / wanted
+    filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(tried))
     thickness = max(one.thickness for one in done)
     return filled, done, thickness / LAYER if thickness else None
 

@@ -68,10 +68,10 @@ def ray_lengths(solid: Solid, rays: int) -> Floats:
     with np.errstate(invalid="ignore"):  # of two that are not met
         gap = np.diff(ends, axis=1, append=np.inf)
     goes_on = gap <= clear  # two surfaces meet there
-    asked = np.isfinite(gap) & ~goes_on
-    middle = np.where(asked, ends + 0.5 * np.where(asked, gap, 0.0), 0.0)
+    ends_inside = np.isfinite(gap) & ~goes_on
+    middle = np.where(ends_inside, ends + 0.5 * np.where(ends_inside, gap, 0.0), 0.0)
     probes = start[:, None, :] + middle[:, :, None] * inward[:, None, :]
-    goes_on[asked] = solid.inside(probes[asked] + center)
+    goes_on[ends_inside] = solid.inside(probes[ends_inside] + center)
     last = np.argmin(goes_on, axis=1)
     length = ends[np.arange(len(ends)), last] + clear
     return length[np.isfinite(length)]

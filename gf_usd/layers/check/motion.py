@@ -136,8 +136,8 @@ class Tally:
         """
         v2, v4, k = motion
         squares = (v4 * v4).sum(0)
-        speed, said = np.sqrt(squares), np.sqrt((v * v).sum(0))
-        moving = np.maximum(speed, said) > floor
+        speed, rated = np.sqrt(squares), np.sqrt((v * v).sum(0))
+        moving = np.maximum(speed, rated) > floor
         off = np.sqrt(((v2 - v4) ** 2).sum(0))
         smooth = moving & (off <= SMOOTH * np.maximum(speed, floor))
         self.moving += int(moving.sum())
@@ -152,7 +152,7 @@ class Tally:
             odd, even = (abs(float((part * v4).sum(0)[smooth].sum())) for part in (v2 - v4, k))
             self.bounds.append(2.0 * (odd + even) / square)
             self.weights.append(int(smooth.sum()))
-            self.leaps.append(bool(said[smooth].mean() > range_[smooth].mean()))
+            self.leaps.append(bool(rated[smooth].mean() > range_[smooth].mean()))
 
     @property
     def decided(self) -> bool:
@@ -221,7 +221,7 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
             yield speak.skip(f"{name}: {count} samples of motion; this check needs {WINDOW}")
             continue
         near = judged.setdefault(_key(position), [])
-        alike = (said for *both, said in near if _is_twin(both, (position, velocity)))
+        alike = (seen for *both, seen in near if _is_twin(both, (position, velocity)))
         tally = next(alike, None) or tally_of(position, velocity, rate)
         near.append((position, velocity, tally))
         if not tally.moving:

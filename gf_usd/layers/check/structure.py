@@ -119,12 +119,12 @@ TIME_CODES = "time-codes-per-second"
 def time_codes_per_second(stage: Usd.Stage) -> Iterator[Finding]:
     """Zero or NaN over a sublayer makes USD search for samples forever, so this rule is first."""
     for layer in stage.GetUsedLayers():
-        for key, said in (
+        for key, present in (
             ("timeCodesPerSecond", layer.HasTimeCodesPerSecond()),
             ("framesPerSecond", layer.HasFramesPerSecond()),
         ):
             value = getattr(layer, key)
-            if said and not (math.isfinite(value) and value > 0.0):
+            if present and not (math.isfinite(value) and value > 0.0):
                 yield about(TIME_CODES, "/").error(
                     f"layer {layer.identifier} authors {key} = {value:g}",
                     f"author a positive {key} in that layer, for example 24",

@@ -188,7 +188,7 @@ class SplatTrack:
             )
         if not self._halves:
             return ()
-        off = ", ".join(track.said for track in self._halves)
+        off = ", ".join(track.text for track in self._halves)
         notes = (f"<{self._path}>: largest errors in half precision: {off}",)
         if self._range:
             why = f"half precision is too coarse for {self._range}"
@@ -283,7 +283,7 @@ class Track:
         self.error = max(self.error, float(error.max(initial=0.0)))
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """A note on the largest error."""
         if self._relative:
             return f"{self.name} by {100.0 * self.error:.2g} %"

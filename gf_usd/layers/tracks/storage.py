@@ -229,7 +229,7 @@ class Storage:
     def as_json(self) -> dict[str, Any]:
         """Plain values; docs/guide.md has the keys."""
         return {
-            "precision": self.precision.said if self.precision else None,
+            "precision": self.precision.text if self.precision else None,
             "bytes": self.bytes,
             "bytes_without": self.bytes_without,
             "saved": {
@@ -242,7 +242,7 @@ class Storage:
         }
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """A note on the saved space."""
         parts = [
             f"{_size(size)} by {how}"
@@ -256,13 +256,13 @@ class Storage:
         if self.samples and not self.samples_left_out:
             parts.append("nothing from samples, because none could be left out")
         saved = f"{', '.join(parts)}" if parts else "nothing"
-        said = f"{_size(self.bytes)} instead of {_size(self.bytes_without)}; saved: {saved}"
+        text = f"{_size(self.bytes)} instead of {_size(self.bytes_without)}; saved: {saved}"
         if "positions_m" in self.errors:
             off = self.errors["positions_m"]
-            said += f"; the largest error of points is {off:.3g} m"
+            text += f"; the largest error of points is {off:.3g} m"
             if self.precision is not None and self.precision.relative:
-                said += f", {100.0 * off / self.radius:.2g} % of the radius"
-        return said
+                text += f", {100.0 * off / self.radius:.2g} % of the radius"
+        return text
 
     def _left(self) -> str:
         kept, of = (sum(pair[i] for pair in self.samples.values()) for i in (0, 1))

@@ -197,7 +197,7 @@ class Coupled(Solver):
 
 def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None:
     """Raise UsageError for options that a bake of solid and flowing bodies does not support."""
-    asked = {
+    unsupported = {
         "--flesh and attachments that pull": goals is not None,
         "--rigid": any(pin.rigid for pin in pins),
         "pins that move": any(len(pin.path) > 1 for pin in pins),
@@ -206,7 +206,7 @@ def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None
         "--field and gravity that changes": bool(settings.fields),
         "--preset paper": settings.contact_rate is not None,
     }
-    for what, wanted in asked.items():
+    for what, wanted in unsupported.items():
         if wanted:
             raise UsageError(
                 f"a bake with both flowing and solid bodies does not support {what}",

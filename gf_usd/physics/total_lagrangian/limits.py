@@ -83,12 +83,12 @@ def arrays(
     h : [m] edge of a cell; converged : change at which the iteration for a rotation ends.
     watched : the number of contact samples or of nodes, whichever is greater.
     """
-    asked, lanes = options_of(settings), batches.source.size
+    chosen, lanes = options_of(settings), batches.source.size
     particles = int(batches.source.max()) + 1
     low, high = settings.clamp or (0.0, 0.0)
     return {
         "F0": layout.lanes(batches, np.tile(np.eye(3).ravel(), (particles, 1)), fill=True)
-        if asked.anchored
+        if chosen.anchored
         else np.zeros((1, layout.LANES)),
         "numbers": np.concatenate(
             [
@@ -97,9 +97,9 @@ def arrays(
             ]
         ),
         "clip_buffer": np.zeros(
-            (CLIP_BUFFER * len(batches.source) if asked.clamped else 1, layout.LANES)
+            (CLIP_BUFFER * len(batches.source) if chosen.clamped else 1, layout.LANES)
         ),
-        "touched": np.zeros(lanes if asked.clamped or asked.capped else 1, int),
+        "touched": np.zeros(lanes if chosen.clamped or chosen.capped else 1, int),
     }
 
 

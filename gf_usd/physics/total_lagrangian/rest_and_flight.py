@@ -61,14 +61,14 @@ class Shortcuts:
         s = body.settings
         bodies = bodies_of(body.particles, body.per["density"])
         held = body.in_place
-        asked = s.shortcuts and not is_active(s) and body.regions is None and not s.fields
-        asked = asked and body.particles.keys is None
+        possible = s.shortcuts and not is_active(s) and body.regions is None and not s.fields
+        possible = possible and body.particles.keys is None
         self._body = body
         self._g = np.asarray(s.gravity, float)
-        self._free = asked and not held and s.drag == 0.0
+        self._free = possible and not held and s.drag == 0.0
         self._flies = self._free and not state.acceleration.any()
         pressed = held or presses(self._g)
-        self._sleeps = asked and pressed and not body.driven
+        self._sleeps = possible and pressed and not body.driven
         self._wave = float(body.per["wave_speed"].min())
         self._limit = AT_REST * bodies.mass * G0 * bodies.radius
         self._patience = np.array([time_scale(float(r)) for r in bodies.radius])

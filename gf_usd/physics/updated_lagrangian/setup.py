@@ -135,12 +135,12 @@ def build_body(
 
 def refuse(settings: Settings, pins: Sequence[Pin]) -> None:
     """Raise UsageError for options that this solver does not support."""
-    asked = {
+    unsupported = {
         "--pin": bool(pins),
         "the WLS recomputation of F": settings.wls,
         "the Procrustes correction": settings.procrustes > 0.0,
     }
-    for what, wanted in asked.items():
+    for what, wanted in unsupported.items():
         if wanted:
             raise UsageError(
                 f"--solver ul does not support {what}: its grid has no rest state",

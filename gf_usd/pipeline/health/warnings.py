@@ -69,9 +69,9 @@ def health_warnings(health: HealthSummary, laws: Collection[str] = ()) -> tuple[
     found = []
     known = {**health, LAWS_OF: laws}
     for about, rule in RULES.items():
-        if (said := rule(known)) is not None:
+        if (text := rule(known)) is not None:
             level = ERROR if about in ERRORS else WARNING
-            found.append(HealthWarning(about=about, message=said[0], hint=said[1], level=level))
+            found.append(HealthWarning(about=about, message=text[0], hint=text[1], level=level))
     return tuple(found)
 
 

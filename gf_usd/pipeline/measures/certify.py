@@ -45,7 +45,7 @@ class Certificate:
             "figures": {
                 name: {
                     "words": FIGURES[name].words,
-                    "told": interval_text(name, one),
+                    "text": interval_text(name, one),
                     "unit": FIGURES[name].unit,
                     **one.as_json(),
                 }
@@ -59,7 +59,7 @@ class Certificate:
                 "frames": until,
                 "contacts": list(self.contacts),
                 "reason": self.center.reason,
-                "told": self._path(self.center),
+                "text": self._path(self.center),
             }
         return out
 
@@ -67,11 +67,13 @@ class Certificate:
         """A line of text per figure: its interval, or why it has none."""
         if self.reason:
             return (f"nothing is certified: {self.reason}",)
-        said = [
+        sentences = [
             f"{FIGURES[name].words} {interval_text(name, one)}"
             for name, one in self.figures.items()
         ]
-        return (*said, self._path(self.center)) if self.center is not None else tuple(said)
+        return (
+            (*sentences, self._path(self.center)) if self.center is not None else tuple(sentences)
+        )
 
     def _path(self, center: Band) -> str:
         count = len(center.half)

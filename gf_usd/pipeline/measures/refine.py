@@ -88,17 +88,19 @@ def next_step(
     found : certificate of each variant of the last bake.
     seconds : [s] that it took; spent : [s] that all bakes took; budget : [s] for all.
     """
-    asked = f"{100.0 * until.share:g} %"
+    target = f"{100.0 * until.share:g} %"
     widest = until.of_certificates(found)
     if widest is None:
         names = ", ".join(until.names or USUAL)
         return Refinement(
-            spacing=None, reason=f"--until {asked}: the bake has none of the figures {names}"
+            spacing=None, reason=f"--until {target}: the bake has none of the figures {names}"
         )
     width, order, words = widest
     edge = found[0].runs[0][1]
     if width <= until.share:
-        return Refinement(spacing=None, reason=f"--until {asked}: {words} +- {100.0 * width:.2g} %")
+        return Refinement(
+            spacing=None, reason=f"--until {target}: {words} +- {100.0 * width:.2g} %"
+        )
     p = min(max(order, LOWEST), HIGHEST)
     ratio = min(max(MARGIN * (until.share / width) ** (1.0 / p), FINEST), COARSEST)
     needed = seconds * ratio**-WORK
@@ -106,7 +108,7 @@ def next_step(
     if spent + needed > budget:
         return Refinement(
             spacing=None,
-            reason=f"--until {asked} was not reached: {words} is {known}, and the next bake would "
+            reason=f"--until {target} was not reached: {words} is {known}, and the next bake would "
             f"take about {duration(needed)}, but --max-hours leaves"
             f" {duration(max(0.0, budget - spent))}",
         )

@@ -57,7 +57,7 @@ def answer_errors(answer: object, paths: Sequence[str], presets: Sequence[str]) 
         if not isinstance(one, Advice):
             return f"it answered with a {type(one).__name__} in the list, not an Advice"
         if one.path not in paths:
-            return f"it answered for <{one.path}>, which it was not asked about"
+            return f"it answered for <{one.path}>, which was not in the question"
         if one.material not in presets:
             return f"it named {one.material!r} for <{one.path}>, which is not a preset"
         sure = one.confidence

@@ -46,7 +46,7 @@ def parse_auto(material: str | None, preset: str | None) -> Auto | None:
         )
     if preset is not None:
         raise UsageError(
-            f"--preset {preset} and --material {mine[0]} were both asked for: the paper has one"
+            f"--preset {preset} and --material {mine[0]} were both given: the paper has one"
             " material for a body",
             "name the material, or leave the preset out",
         )

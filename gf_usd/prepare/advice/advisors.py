@@ -51,17 +51,17 @@ def ask(name: str, question: Question) -> tuple[Advice, ...]:
     call.start()
     call.join(TIMEOUT)
     hint = f"fix the advisor or what it calls, or use --material {AUTO} without it"
-    said = f"{question.file}: the material advisor {name!r}"
+    where = f"{question.file}: the material advisor {name!r}"
     if call.is_alive():
-        raise BakeError(f"{said} gave no answer in {TIMEOUT:g} s", hint)
+        raise BakeError(f"{where} gave no answer in {TIMEOUT:g} s", hint)
     if isinstance(call.error, GfUsdError):
-        raise BakeError(f"{said} failed: {call.error.message}", call.error.hint) from call.error
+        raise BakeError(f"{where} failed: {call.error.message}", call.error.hint) from call.error
     if call.error is not None:
         kind = type(call.error).__name__
-        raise BakeError(f"{said} failed: {kind}: {call.error}", hint) from call.error
+        raise BakeError(f"{where} failed: {kind}: {call.error}", hint) from call.error
     wrong = answer_errors(call.answer, [s.path for s in question.subjects], list(question.presets))
     if wrong:
-        raise BakeError(f"{said} gave a wrong answer: {wrong}", hint)
+        raise BakeError(f"{where} gave a wrong answer: {wrong}", hint)
     by_path = {one.path: one for one in call.answer}
     return tuple(with_fallback(replace(by_path[s.path], by=name)) for s in question.subjects)
 

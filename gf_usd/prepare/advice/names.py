@@ -1,6 +1,6 @@
 """A preset by names alone: the rule of ``--material auto``.
 
-Names are asked in the order of SOURCES, and the first that holds a known phrase decides.  Its
+Names are tried in the order of SOURCES, and the first that holds a known phrase decides.  Its
 confidence is that of the source times the weight of the phrase (`words`), halved where other
 phrases of the same name want other presets; the last phrase of a name decides, for a name ends in
 what a thing is.

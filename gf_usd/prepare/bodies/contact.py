@@ -117,9 +117,9 @@ def contact_setup(
             through.add((body[one], body[other]))
         elif one in body and other in wall:
             through_colliders.add((body[one], wall[other]))
-    for said in physics.bodies:
-        if not said.collides and said.path in body:
-            mine = body[said.path]
+    for physics_body in physics.bodies:
+        if not physics_body.collides and physics_body.path in body:
+            mine = body[physics_body.path]
             through |= {(mine, k) for k in range(bodies.count)}
             through_colliders |= {(mine, k) for k in range(len(colliders))}
     made = skins(solid, bodies.of_surface, spacing)

@@ -31,7 +31,7 @@ JUMP = 2.0  # times the longest way between two frames: a cycle whose end is far
 
 
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
-    """The animation of the skeletons that pose an asset; start : its first time code, as asked for.
+    """The animation of the skeletons that pose an asset; start : its first time code, as given.
 
     Where no skeleton poses any of it, that of its points, or else of the only skeleton of the
     stage.  Raises InputError where there is none, and for a broken skeleton.
@@ -97,20 +97,20 @@ def flesh_of(
     file: Path,
     *,
     bodies: BodyPlan,
-    **asked: Any,
+    **options: Any,
 ) -> Flesh:
     """The cores of the bones of each body, and its springs; for the others see `_of_character`.
 
     bodies : one for each character.
     """
     if bodies.count == 1:
-        return _of_character(asset, solid, X, samples, settings, animation, file, **asked)
+        return _of_character(asset, solid, X, samples, settings, animation, file, **options)
     every = []
     for k, paths in enumerate(character_paths(bodies)):
         own = replace(asset, surfaces=tuple(s for s in asset.surfaces if s.path in paths))
         part = solid.part(np.flatnonzero(bodies.of_surface == k))
         near = samples.some(np.flatnonzero(samples.body == k))
-        every.append(_of_character(own, part, X, near, settings, animation, file, **asked))
+        every.append(_of_character(own, part, X, near, settings, animation, file, **options))
     goals = None
     if any(one.goals for one in every):
         first, *others = (one.goals or FREE for one in every)
@@ -143,13 +143,13 @@ def _of_character(
     cycle: int = 0,
     repeats: int = 0,
 ) -> Flesh:
-    """The cores of the bones, and the springs that are asked for, of the surfaces of one body.
+    """The cores of the bones, and the springs that are requested, of the surfaces of one body.
 
     X : (n, 3) [m] of the particles.  settings : as `sampled`.  share, frequency [Hz], damping,
     squish, stretch : of --bone-radius, --goal-frequency, --goal-damping, --squish and --stretch;
-    None: not said.  rigid : names of --rigid.  lattice : [m] half the edge of a cell; spacing : [m]
-    of the samples.  cycle : samples of a period, which comes `repeats` times before it is written;
-    0: the animation is none.  Raises InputError as
+    None: not given.  rigid : names of --rigid.  lattice : [m] half the edge of a cell;
+    spacing : [m] of the samples.  cycle : samples of a period, which comes `repeats` times before
+    it is written; 0: the animation is none.  Raises InputError as
     `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
     """
     from gf_usd.geometry.flesh.carried import carried_meshes, carried_pins, named_carried_meshes

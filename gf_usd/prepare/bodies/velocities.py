@@ -23,7 +23,7 @@ CARRIED = (
 
 
 def unpinned_animation_notes(
-    bodies: BodyPlan, said: dict[str, BodyPhysics], particles: Particles, pins: Sequence[Pin]
+    bodies: BodyPlan, physics: dict[str, BodyPhysics], particles: Particles, pins: Sequence[Pin]
 ) -> tuple[str, ...]:
     """Notes on surfaces with an animated transform whose body has no pin."""
     held = np.zeros(len(particles), bool)
@@ -39,7 +39,7 @@ def unpinned_animation_notes(
     notes = Notes()
     for k, paths in enumerate(bodies.surfaces):
         for path in paths:
-            if k not in followed and path in said and said[path].carried:
+            if k not in followed and path in physics and physics[path].carried:
                 notes.add(CARRIED, path)
     return notes.lines()
 
@@ -47,7 +47,7 @@ def unpinned_animation_notes(
 def start_velocities(
     asset: Asset,
     bodies: BodyPlan,
-    said: dict[str, BodyPhysics],
+    physics: dict[str, BodyPhysics],
     time_scale: float,
     particles: Particles,
     *,
@@ -67,9 +67,9 @@ def start_velocities(
     out: list[Any] = []
     for k, paths in enumerate(bodies.surfaces):
         center = np.concatenate([points[p] for p in paths]).mean(0)
-        known = [said[p] for p in paths if p in said]
+        known = [physics[p] for p in paths if p in physics]
         stated = next((b for b in known if b.velocity or b.angular_velocity), None)
-        moving = [(points[p], said[p].moving) for p in paths if p in said]
+        moving = [(points[p], physics[p].moving) for p in paths if p in physics]
         # of Points the first are their own, which alone have velocities
         moving = [(x if v is None else x[: len(v)], v) for x, v in moving]
         if velocity or spin:

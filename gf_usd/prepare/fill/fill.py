@@ -218,12 +218,12 @@ def _plan_contact(
 def _start_velocities(
     inputs: Inputs, filled: SampledBodies, limbs: LimbPlan, settings: Settings
 ) -> tuple[Any, ...]:
-    asked = inputs.request.parsed
+    options = inputs.request.parsed
     return tuple(
         start_velocities(
             inputs.asset, filled.bodies, inputs.spec.bodies, settings.time_scale, limbs.particles,
-            velocity=_scaled(asked["velocity"], inputs.unit),
-            spin=_scaled(asked["spin"], np.pi / 180.0),
+            velocity=_scaled(options["velocity"], inputs.unit),
+            spin=_scaled(options["spin"], np.pi / 180.0),
         )
     )  # fmt: skip
 

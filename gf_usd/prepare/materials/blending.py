@@ -134,15 +134,15 @@ def painted(
     touched = np.zeros(len(particles), bool)
     for k, surface in enumerate(solid.surfaces):
         mine = np.flatnonzero(at.surface == k)
-        said = spec.painted.get(surface.path, {})
+        paints = spec.painted.get(surface.path, {})
         corners = surface.triangle_corners[at.triangle[mine]]
         for name, column in (("youngs_modulus", young), ("poissons_ratio", nu)):
-            if name in said:
-                column[mine] = (said[name][corners] * at.barycentric[mine]).sum(1)
+            if name in paints:
+                column[mine] = (paints[name][corners] * at.barycentric[mine]).sum(1)
                 touched[mine] = True
         for name, column in {"density": density, **own}.items():
-            if name in said:
-                column[mine] = (said[name][corners] * at.barycentric[mine]).sum(1)
+            if name in paints:
+                column[mine] = (paints[name][corners] * at.barycentric[mine]).sum(1)
     mu, lam = lame(young, nu)
     return {
         **values,

@@ -141,7 +141,7 @@ def require_standing(
         ratio = weight / material.youngs_modulus
         if ratio < SPREADS:
             continue
-        said = (
+        problem = (
             f"{material.name} cannot carry its own weight: {height:.3g} m of it weigh"
             f" {weight:.3g} Pa,"
             f" {ratio:.3g} times its Young's modulus of {material.youngs_modulus:.3g} Pa"
@@ -149,10 +149,10 @@ def require_standing(
         change = f"a Young's modulus of {weight:.2g} Pa"
         if ratio >= FLAT:
             raise InputError(
-                f"{path}: {said}",
+                f"{path}: {problem}",
                 f"take {change} or more, a preset such as jelly, whose stiffness grows with the"
                 " body, or check the unit (--meters-per-unit)",
             )
         if not carried:
-            notes.append(f"{said}, so it spreads on the floor; {change} would keep its shape")
+            notes.append(f"{problem}, so it spreads on the floor; {change} would keep its shape")
     return tuple(notes)

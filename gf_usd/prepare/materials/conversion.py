@@ -33,7 +33,7 @@ OPTION = "--conversion"
 class ConversionRule:
     """One rule of the option."""
 
-    text: str  # as asked for
+    text: str  # as given
     path: str  # of a prim, all below it included; "": everything, or what is in the box
     box: MaterialBox | None
     material: str  # name of a preset that flows without end
@@ -156,7 +156,7 @@ def with_conversions(
         names = ", ".join(f"<{p}>" for b in touched for p in bodies.surfaces[b][:4])
         notes.append(
             f"{len(rows)} of {len(particles)} particles, of {names}, become {rule.material}"
-            f" {rule.limit.said}; from the first of them on {shown}, not the mesh"
+            f" {rule.limit.text}; from the first of them on {shown}, not the mesh"
         )
     targets = tuple(rule.becomes(stated) for rule in rules)
     return replace(

@@ -24,7 +24,7 @@ BOX_OPTION = "--material-box"
 class MaterialBox:
     """A preset for the particles whose rest position is in a box, faces included."""
 
-    text: str  # as asked for
+    text: str  # as given
     material: str  # name of a preset
     low: Floats  # (3,) [stage units]
     high: Floats  # (3,) [stage units]
@@ -42,7 +42,7 @@ LABEL_OPTION = "--material-label"
 class MaterialLabel:
     """A preset for the particles whose nearest Gaussian has a given value of a property."""
 
-    text: str  # as asked for
+    text: str  # as given
     material: str  # name of a preset
     name: str  # of the PLY property or the primvar
     value: int
@@ -137,7 +137,7 @@ def parse_corners(option: str, text: str, corners: str) -> tuple[Floats, Floats]
     return low, high
 
 
-LATTICE = 9  # points along each edge of a box, where it is asked whether a surface is in it
+LATTICE = 9  # points along each edge of a box, that test whether a surface is in it
 
 
 def inside_some(box: MaterialBox, surface: Surface, unit: float) -> bool:
@@ -189,7 +189,7 @@ SHOWN = 8  # names or values in a message
 def parse_labels(texts: Sequence[str]) -> tuple[MaterialLabel, ...]:
     """The labels of "NAME=VALUE:PRESET".
 
-    Raises UsageError for anything else, for an unknown preset and for a value that is asked twice.
+    Raises UsageError for anything else, for an unknown preset and for a value that is given twice.
     """
     found: dict[tuple[str, int], MaterialLabel] = {}
     for text in texts:
@@ -204,8 +204,8 @@ def parse_labels(texts: Sequence[str]) -> tuple[MaterialLabel, ...]:
 
 
 def _parse_label(text: str) -> MaterialLabel:
-    asked, _, preset = text.rpartition(":")
-    name, _, value = asked.rpartition("=")
+    selector, _, preset = text.rpartition(":")
+    name, _, value = selector.rpartition("=")
     try:
         number = int(value)
     except ValueError:

@@ -45,7 +45,7 @@ def chosen(
         )
     if files.flat and request.clip_frames:
         raise UsageError(
-            f"--clip-frames {request.clip_frames} and a package were both asked for",
+            f"--clip-frames {request.clip_frames} and a package were both given",
             "a package is one file: leave one of them out",
         )
     if request.certify and flow.bodies:
@@ -95,12 +95,12 @@ def split_again(
 
     A cache that would be split automatically is split only if it is still large.
     """
-    said = split_note(frame_bytes, planned, choices.clip_frames)
-    if said not in notes:
+    note = split_note(frame_bytes, planned, choices.clip_frames)
+    if note not in notes:
         return choices, notes
     length = clip_length(None, frame_bytes, frames)
     now = (split_note(frame_bytes, frames, length),) if length else ()
-    at = notes.index(said)
+    at = notes.index(note)
     return replace(choices, clip_frames=length), (*notes[:at], *now, *notes[at + 1 :])
 
 
@@ -123,7 +123,7 @@ def require_stored(precision: Precision | None, particles: Particles, settings: 
     least = precision.meters(float(radii[radii > 0.0].min()))
     if least < rounding:
         raise UsageError(
-            f"--precision {precision.said} is {least:.3g} m for the smallest body, and points have"
+            f"--precision {precision.text} is {least:.3g} m for the smallest body, and points have"
             f" single precision, which is off by {rounding:.2g} m at {farthest:.3g} m from the"
             " origin",
             f"give {rounding:.2g}m or more",
@@ -143,8 +143,8 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     rounding = _rounding(height)
     if rounding <= LOST * spacing:
         return
-    said = {"--floor": request.floor, "--drop": request.drop}
-    words = " ".join(f"{name} {text}" for name, text in said.items() if text is not None)
+    placed = {"--floor": request.floor, "--drop": request.drop}
+    words = " ".join(f"{name} {text}" for name, text in placed.items() if text is not None)
     raise UsageError(
         f"{words or 'the stage'}: bodies would be {height:.3g} m from the origin, where points,"
         f" which have single precision, are off by {rounding:.2g} m; particles are {spacing:.2g} m"

@@ -38,18 +38,18 @@ def parse_field(text: str, option: str = "--field") -> Field:
     where = f"{option} {text or repr(text)}"
     kind, _, rest = text.partition(":")
     first, *pairs = rest.split(":")
-    said = {key: value for key, _, value in (pair.partition("=") for pair in pairs)}
-    if kind not in KINDS or len(said) < len(pairs) or not set(said) <= set(KEYS):
+    parts = {key: value for key, _, value in (pair.partition("=") for pair in pairs)}
+    if kind not in KINDS or len(parts) < len(pairs) or not set(parts) <= set(KEYS):
         raise UsageError(f"{where} is no field", f"give {FORM}")
-    missing = [key for key in KINDS[kind] if key not in said]
-    if missing or ("radius" in said and "at" not in said):
+    missing = [key for key in KINDS[kind] if key not in parts]
+    if missing or ("radius" in parts and "at" not in parts):
         raise UsageError(f"{where} does not say {missing[0] if missing else 'at'}", f"give {FORM}")
     there = Field(
         kind=kind,
-        center=_triple(where, said["at"]) if "at" in said else (0.0, 0.0, 0.0),
-        radius=_positive(where, said["radius"]) if "radius" in said else None,
-        length=_positive(where, said["length"]) if "length" in said else 1.0,
-        rate=_positive(where, said["rate"]) if "rate" in said else 0.0,
+        center=_triple(where, parts["at"]) if "at" in parts else (0.0, 0.0, 0.0),
+        radius=_positive(where, parts["radius"]) if "radius" in parts else None,
+        length=_positive(where, parts["length"]) if "length" in parts else 1.0,
+        rate=_positive(where, parts["rate"]) if "rate" in parts else 0.0,
     )
     if kind == "wind":
         return replace(there, vector=_strong(where, _triple(where, first)))
@@ -105,11 +105,11 @@ def is_key_file(text: str) -> bool:
     return text.lower().endswith(KEY_FILES)
 
 
-def upward_note(asked: object) -> tuple[str, ...]:
-    """What is said of a negative number, which in other programs points down; of keys nothing."""
-    if not isinstance(asked, float) or asked >= 0.0:
+def upward_note(value: object) -> tuple[str, ...]:
+    """A note on a negative number, which in other programs points down; none on keys."""
+    if not isinstance(value, float) or value >= 0.0:
         return ()
-    return (f"gravity of {asked:g} m/s^2 points up: numbers above 0 point down",)
+    return (f"gravity of {value:g} m/s^2 points up: numbers above 0 point down",)
 
 
 def read_gravity_keys(path: Path) -> GravityKeys:

@@ -53,10 +53,12 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
             notes.append(f"{counted}, so there is no floor; --floor 0 adds one")
     for name in ("seed", "solver"):
         if getattr(request, name) is None:
-            said = agreed_value(name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path)
-            if said is not None:
-                more[name] = said
-                notes.append(f"{name} is {said}, from the stage")
+            agreed = agreed_value(
+                name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path
+            )
+            if agreed is not None:
+                more[name] = agreed
+                notes.append(f"{name} is {agreed}, from the stage")
     return replace(request, **more), tuple(notes)
 
 
@@ -123,12 +125,12 @@ def stated_values(request: Request) -> dict[str, float]:
     return own
 
 
-def agreed_value(what: str, said: Sequence[tuple[str, object]], file: Path) -> object | None:
+def agreed_value(what: str, agreed: Sequence[tuple[str, object]], file: Path) -> object | None:
     """The value on which all that state one agree; None where none does.
 
-    said : (prim path, value or None).  Raises InputError where two disagree.
+    agreed : (prim path, value or None).  Raises InputError where two disagree.
     """
-    known = [(path, value) for path, value in said if value is not None]
+    known = [(path, value) for path, value in agreed if value is not None]
     for path, value in known:
         if value != known[0][1]:
             raise InputError(

@@ -151,10 +151,10 @@ def _row(field: Field[Any]) -> Option | None:
     return replace(option, name=field.name, kind=kind, default=field.default, repeated=repeated)
 
 
-def command_arguments(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str]:
+def command_arguments(options: Mapping[str, Option], given: Mapping[str, Any]) -> list[str]:
     """The command-line arguments for these values; None and False are omitted."""
     out: list[str] = []
-    for name, value in asked.items():
+    for name, value in given.items():
         flag = options[name].flag
         if value is None:
             continue

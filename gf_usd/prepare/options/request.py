@@ -1,4 +1,4 @@
-"""The options of a bake as asked, checked before anything is read."""
+"""The options of a bake as given, checked before anything is read."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Request(RequestOptions):
 
     @cached_property
     def parsed(self) -> Mapping[str, Any]:
-        """The values of the options that are texts, by name; None where nothing was said.
+        """The values of the options that are texts, by name; None where none was given.
 
         Raises UsageError for a text that says nothing.
         """
@@ -48,9 +48,9 @@ class Request(RequestOptions):
     @property
     def length_is_open(self) -> bool:
         """Whether no option sets the length or excludes ending at rest."""
-        said = (self.frames, self.range, self.handles, self.flesh, self.preset, self.settle_only)
+        given = (self.frames, self.range, self.handles, self.flesh, self.preset, self.settle_only)
         acts = self.solver not in ("ul", MIXED) and not (self.wls or self.procrustes or self.rigid)
-        return acts and not any(said) and not self.no_settling
+        return acts and not any(given) and not self.no_settling
 
     @property
     def until_rest(self) -> bool:

@@ -442,13 +442,13 @@ def options_of(command: str) -> tuple[Option, ...]:
     return tuple(row for row in OPTIONS.values() if command in row.commands)
 
 
-def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:
+def taken(given: Mapping[str, Any], function: str) -> dict[str, Any]:
     """Command-line values of Python values, by option name.
 
     Raises UsageError for an unknown name, and for an invalid value.
     """
     out: dict[str, Any] = {}
-    for name, value in asked.items():
+    for name, value in given.items():
         if name == PROGRESS:
             out[name] = values.listener(name, value)
         elif name in OPTIONS:
@@ -475,6 +475,6 @@ def nearest(name: str, known: Collection[str]) -> str:
     return f"did you mean {close[0]}? " if close else ""
 
 
-def arguments(asked: Mapping[str, Any]) -> list[str]:
+def arguments(given: Mapping[str, Any]) -> list[str]:
     """The arguments after ``gf-usd bake ASSET`` for these values of options."""
-    return command_arguments(OPTIONS, asked)
+    return command_arguments(OPTIONS, given)

@@ -38,7 +38,7 @@ class Height:
 class Floor:
     """A plane."""
 
-    text: str  # as asked for
+    text: str  # as given
     height: float | None = 0.0  # [stage units] of where it meets the up axis; None: no floor
     normal: Triple | None = None  # not zero, of any length; None: the up axis
 
@@ -283,12 +283,12 @@ def parse_precision(text: str) -> Precision:
     Raises UsageError for anything else, and for more than a tenth of the radius.
     """
     hint = "give a share of the radius or a length: --precision 0.5%, --precision 0.2mm"
-    said = text.strip().lower()
-    unit = next((unit for unit in ("%", *LENGTHS) if said.endswith(unit)), "")
+    plain = text.strip().lower()
+    unit = next((unit for unit in ("%", *LENGTHS) if plain.endswith(unit)), "")
     if not unit:
         raise UsageError(f"--precision {text!r} has no unit", hint)
     try:
-        value = float(said.removesuffix(unit))
+        value = float(plain.removesuffix(unit))
     except ValueError as error:
         raise UsageError(f"--precision {text!r} is no length", hint) from error
     value *= 0.01 if unit == "%" else LENGTHS[unit]

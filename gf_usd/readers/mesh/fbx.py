@@ -50,21 +50,21 @@ def convert_fbx(
     except (OSError, subprocess.TimeoutExpired) as error:
         raise InputError(f"{path}: {PROGRAM} could not be run: {error}", HINT) from error
     if done.returncode != 0 or not made.is_file():
-        said = (done.stderr or done.stdout).strip().splitlines()
+        output = (done.stderr or done.stdout).strip().splitlines()
         raise InputError(
             f"{path}: {PROGRAM} failed with status {done.returncode}"
-            + (f": {said[-1]}" if said else ""),
+            + (f": {output[-1]}" if output else ""),
             "check that the file opens in another program, or export the asset as glb or obj",
         )
     _flatten(path, made, folder.layer, meters_per_unit, up_axis)
     unit_from, axis_from = source_of(meters_per_unit, True), source_of(up_axis, True)
-    said = unit_and_axis("FBX", meters_per_unit or 0.0, up_axis or "", unit_from, axis_from)
+    output = unit_and_axis("FBX", meters_per_unit or 0.0, up_axis or "", unit_from, axis_from)
     sources = {"unit_from": unit_from, "axis_from": axis_from}
     return MeshSource(
         path,
         folder,
         record_of(path, [path], meters_per_unit, up_axis),
-        (f"FBX was converted by {PROGRAM}", *said),
+        (f"FBX was converted by {PROGRAM}", *output),
         {name: origin for name, origin in sources.items() if origin == OPTION},
     )
 

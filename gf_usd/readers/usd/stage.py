@@ -50,9 +50,9 @@ def reading(path: Path) -> Iterator[None]:
 
 def _first_words(error: Tf.ErrorException) -> str:
     """The first line of a USD error, without its location in USD's source."""
-    said = _text(error)
-    quoted = re.search(r": '(.*?)'(?:\n|$)", said, re.DOTALL)
-    return _first_line(quoted.group(1) if quoted else said)
+    text = _text(error)
+    quoted = re.search(r": '(.*?)'(?:\n|$)", text, re.DOTALL)
+    return _first_line(quoted.group(1) if quoted else text)
 
 
 def _text(error: object) -> str:

@@ -67,7 +67,7 @@ def read_weighted(
 
     Raises InputError where no mesh has that weight map, or no weight reaches HALF.
     """
-    said = f"{option} {name}"
+    label = f"{option} {name}"
     with reading(file):
         stage = open_stage(file)
         first = Usd.TimeCode(first_time_code(facts, rest))
@@ -81,10 +81,10 @@ def read_weighted(
                 known += joints
             if weight is None:
                 continue
-            points, triangles = _triangles([prim], facts, first, said)
+            points, triangles = _triangles([prim], facts, first, label)
             if len(weight) != len(points):
                 raise InputError(
-                    f"{facts.path}: {said}: <{path}> has {len(weight)} weights for"
+                    f"{facts.path}: {label}: <{path}> has {len(weight)} weights for"
                     f" {len(points)} points",
                     "paint a weight for each point",
                 )
@@ -109,7 +109,7 @@ def read_weighted(
     if not made:
         what = "joints are " + ", ".join(dict.fromkeys(known)) if known else "no mesh has it"
         raise InputError(
-            f"{facts.path}: {said}: no face of {counted(len(meshes), 'mesh', 'meshes')} has a"
+            f"{facts.path}: {label}: no face of {counted(len(meshes), 'mesh', 'meshes')} has a"
             f" weight of at least {HALF:g}",
             f"name a float primvar on points, or a joint of the skeleton; {what}",
         )
@@ -154,7 +154,7 @@ def _region(
     times: Sequence[float],
     option: str,
 ) -> Region:
-    said = f"{option} {name}"
+    label = f"{option} {name}"
     prim = named_prim(stage, facts.path, name)
     subset = UsdGeom.Subset(prim)
     if subset:
@@ -163,12 +163,12 @@ def _region(
         prims = [p for p in Usd.PrimRange(prim, PROXIES) if has_surface(p)]
     if not prims:
         raise InputError(
-            f"{facts.path}: {said}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
+            f"{facts.path}: {label}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
             " without a mesh under it",
             "name a GeomSubset, a mesh or an ancestor of meshes, or give a box:"
             f" {option} box:x0,y0,z0,x1,y1,z1",
         )
-    points, triangles = _triangles(prims, facts, rest, said)
+    points, triangles = _triangles(prims, facts, rest, label)
     moving = _posed(prims, facts, times)
     path = points[None]
     if moving is not None:
@@ -176,7 +176,7 @@ def _region(
         path = moving
     if not subset:
         return Region(name=name, kind="volume", points=points, triangles=triangles, path=path)
-    chosen = _chosen(subset, prims[0], triangles, rest, facts, said)
+    chosen = _chosen(subset, prims[0], triangles, rest, facts, label)
     used, renumbered = np.unique(chosen, return_inverse=True)
     return Region(
         name=name,
@@ -189,7 +189,7 @@ def _region(
 
 
 def _triangles(
-    prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, said: str
+    prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, label: str
 ) -> tuple[Floats, Ints]:
     """The concatenated points (V, 3) [m] and triangles (T, 3) of some prims."""
     context, points, triangles, count = bare_reading(facts, rest), [], [], 0
@@ -198,7 +198,7 @@ def _triangles(
             surface = read_surface(prim, context)
         except SkippedPrim as reason:
             raise InputError(
-                f"{facts.path}: {said}: <{prim.GetPath()}> {reason}", "name other prims"
+                f"{facts.path}: {label}: <{prim.GetPath()}> {reason}", "name other prims"
             ) from reason
         points.append(surface.points)
         triangles.append(surface.triangles + count)
@@ -234,7 +234,7 @@ def _chosen(
     triangles: Ints,
     rest: Usd.TimeCode,
     facts: StageFacts,
-    said: str,
+    label: str,
 ) -> Ints:
     """Triangles (n, 3) of the mesh that belong to a subset of its faces or points."""
     indices = np.asarray(subset.GetIndicesAttr().Get(rest) or [], dtype=np.int64)
@@ -245,12 +245,12 @@ def _chosen(
         mine = np.isin(_faces_of(mesh, len(triangles), rest), indices)
     else:
         raise InputError(
-            f"{facts.path}: {said} is a subset of elementType {kind!r}",
+            f"{facts.path}: {label} is a subset of elementType {kind!r}",
             "name a subset of faces or points",
         )
     if not mine.any():
         raise InputError(
-            f"{facts.path}: {said} holds {len(indices)} indices but contains no face of its mesh",
+            f"{facts.path}: {label} holds {len(indices)} indices but contains no face of its mesh",
             "name a subset that contains faces",
         )
     return triangles[mine]

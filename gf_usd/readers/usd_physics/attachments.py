@@ -188,8 +188,8 @@ def read_written_pins(
             raise invalid_value(
                 facts.path, prim, PIN, region, "author the path of an existing prim"
             )
-        said = authored(prim, ANCHORS, time) is not None
-        places = _Targets(prim, readings, ANCHORS if said else "")
+        has_anchors = authored(prim, ANCHORS, time) is not None
+        places = _Targets(prim, readings, ANCHORS if has_anchors else "")
         if not places.at(time).size:
             raise invalid_value(
                 facts.path, prim, places.name, [], "author the positions that are held, or bake"

@@ -247,23 +247,25 @@ def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
     surface = read_surface(prim, reading)
     points, triangles = np.asarray(surface.points, np.float64), surface.triangles
     carriers = np.arange(len(points))
-    asked = _approximation(prim, reading)
+    approximation = _approximation(prim, reading)
     where = str(prim.GetPath())
-    if asked == "convexHull":
+    if approximation == "convexHull":
         hull = _hull(points)
         if hull is None:
             notes.add("is flat: its own triangles are used instead of a convex hull", where)
         else:
             carriers, triangles = hull
             points = points[carriers]
-    elif asked in ("boundingCube", "boundingSphere"):
-        make = _box if asked == "boundingCube" else _ball
+    elif approximation in ("boundingCube", "boundingSphere"):
+        make = _box if approximation == "boundingCube" else _ball
         points, triangles = make(points, prim, reading)
         carriers = None
-    elif asked != "none":
-        notes.add(f"approximation {asked}: its own triangles, which are finer, are used", where)
+    elif approximation != "none":
+        notes.add(
+            f"approximation {approximation}: its own triangles, which are finer, are used", where
+        )
     return Shape(
-        prim=prim, kind="mesh", points=points, triangles=triangles, approximation=asked,
+        prim=prim, kind="mesh", points=points, triangles=triangles, approximation=approximation,
         n_points=len(surface.points), carriers=carriers,
     )  # fmt: skip
 

@@ -153,10 +153,10 @@ def ignored_pairs(
     if not pairs and not groups.disable:
         return ()
     stand_ins = {**bodies, **{path: (Sdf.Path(path),) for path in colliders}}
-    asked = [*combinations(bodies, 2), *((body, one) for body in bodies for one in colliders)]
+    candidates = [*combinations(bodies, 2), *((body, one) for body in bodies for one in colliders)]
     return tuple(
         (one, other)
-        for one, other in asked
+        for one, other in candidates
         if _paired(pairs, stand_ins[one], stand_ins[other])
         or groups.apart(stand_ins[one], stand_ins[other])
     )

@@ -98,15 +98,15 @@ def _short_position(self: Any, node: Any) -> str:
     """
     function = self.func.func
     try:
-        said_of, said = node.said
-        if said_of is function:
-            return said
+        location_of, location = node.location
+        if location_of is function:
+            return location
     except AttributeError:
         pass
     line = node.lineno + self.lineno_offset
-    said = f'File "{self.file}", line {line}, in {function.__name__}:\n'
-    node.said = function, said
-    return said
+    location = f'File "{self.file}", line {line}, in {function.__name__}:\n'
+    node.location = function, location
+    return location
 
 
 def faster_inside_class(

@@ -70,9 +70,9 @@ class ForkServer:
         if not self._busy.acquire(blocking=False):
             return sandbox.start(request)
         out, err = os.pipe(), os.pipe()
-        asked = {"request": str(request), "folder": os.getcwd()}
+        message = {"request": str(request), "folder": os.getcwd()}
         try:
-            send(self._end, asked, [out[1], err[1]])
+            send(self._end, message, [out[1], err[1]])
             answer = receive(self._end)
         except (BrokenPipeError, ConnectionResetError):  # somebody ended it
             answer = None
@@ -228,8 +228,8 @@ def run(descriptor: int, modules: Sequence[str]) -> None:
     for module in modules:
         importlib.import_module(module)
     end = socket.socket(fileno=descriptor)
-    while (asked := receive(end)) is not None:
-        request, descriptors = asked
+    while (message := receive(end)) is not None:
+        request, descriptors = message
         if "request" not in request:  # the child has already ended
             continue
         process = os.fork() if _threads() == 1 else -1

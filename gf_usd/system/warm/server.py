@@ -109,12 +109,12 @@ class Server:
 
     def _answer(self, client: socket.socket, send: _Events) -> None:
         try:
-            asked = _request(client)
-            if "ask" in asked:
-                self._tell(_question(asked), send)
+            request = _request(client)
+            if "ask" in request:
+                self._tell(_question(request), send)
                 return
-            words, folder = self._words(asked), _folder(asked)
-            timeout = _timeout(asked, self._timeout)
+            words, folder = self._words(request), _folder(request)
+            timeout = _timeout(request, self._timeout)
         except GfUsdError as error:
             send("error", status=error.exit_status, message=error.message, hint=error.hint)
             send(ENDED, status=error.exit_status, seconds=0.0, cpu_seconds=0.0, peak_memory=0,
@@ -216,32 +216,32 @@ def _request(client: socket.socket) -> dict[str, Any]:
         line = b""
     client.settimeout(None)
     try:
-        asked = json.loads(line)
+        request = json.loads(line)
     except (ValueError, RecursionError):  # of the syntax, of UTF-8, or lists in lists in lists
-        asked = None
-    if not line.endswith(b"\n") or not isinstance(asked, dict):
+        request = None
+    if not line.endswith(b"\n") or not isinstance(request, dict):
         raise UsageError(
             f"a request is one line with a JSON object of at most {LONGEST} bytes, but this is "
             f"not one: {line[:80]!r}",
             "docs/farm.md shows requests",
         )
-    return asked
+    return request
 
 
-def _question(asked: dict[str, Any]) -> str:
+def _question(request: dict[str, Any]) -> str:
     """A request to the server itself.  Raises UsageError for an unknown one."""
-    what = asked["ask"]
-    if len(asked) > 1 or what not in QUESTIONS:
+    what = request["ask"]
+    if len(request) > 1 or what not in QUESTIONS:
         raise UsageError(
-            f"a request asks {what!r}" + (" and has other keys" if len(asked) > 1 else ""),
+            f"a request asks {what!r}" + (" and has other keys" if len(request) > 1 else ""),
             f'give "ask" alone, with one of {", ".join(map(repr, QUESTIONS))}',
         )
     return what
 
 
-def _timeout(asked: dict[str, Any], default: float | None) -> float | None:
+def _timeout(request: dict[str, Any], default: float | None) -> float | None:
     """[s] time limit of a request.  Raises UsageError unless it is a number above 0."""
-    seconds = asked.get("timeout", default)
+    seconds = request.get("timeout", default)
     if seconds is None:
         return None
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0.0:
@@ -249,9 +249,9 @@ def _timeout(asked: dict[str, Any], default: float | None) -> float | None:
     return float(seconds)
 
 
-def _folder(asked: dict[str, Any]) -> str:
+def _folder(request: dict[str, Any]) -> str:
     """The working directory of a request.  Raises UsageError where it is not a folder."""
-    folder = Path(str(asked.get("folder") or Path.cwd()))
+    folder = Path(str(request.get("folder") or Path.cwd()))
     if not folder.is_absolute() or not folder.is_dir():
         raise UsageError(
             f"{folder} is not the absolute path of a folder",

@@ -231,10 +231,10 @@ def commands(children: Children, *, warm: bool) -> Iterator[Commands]:
 
 
 @contextlib.contextmanager
-def listening(heard: Callable[[str], None]) -> Iterator[int]:
+def listening(on_line: Callable[[str], None]) -> Iterator[int]:
     """A file descriptor for the events of a process; all of them are handled before the block ends.
 
-    heard : called with each complete line, in a thread; a line that a crash cut short is ignored.
+    on_line : called with each complete line, in a thread; a line that a crash cut short is ignored.
     """
     reader, writer = os.pipe()
 
@@ -242,7 +242,7 @@ def listening(heard: Callable[[str], None]) -> Iterator[int]:
         with open(reader, encoding="utf-8", errors="replace") as lines:
             for line in lines:
                 if line.endswith("\n"):
-                    heard(line)
+                    on_line(line)
 
     thread = threading.Thread(target=listen, name="gf-usd events", daemon=True)
     thread.start()

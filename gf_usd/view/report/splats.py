@@ -324,4 +324,4 @@ def _describe_content(number: int, splats: SplatRecording, rounding: float) -> H
         tag("ul", *(tag("li", line) for line in notes)),
         class_="card",
     )
-    return tag("div", card, data_variant=str(number), hidden=number != 0, class_="said")
+    return tag("div", card, data_variant=str(number), hidden=number != 0, class_="splat-notes")

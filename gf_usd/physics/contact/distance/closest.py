@@ -45,11 +45,11 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
     used, local = np.unique(triangles[close], return_inverse=True)
     center = X.mean(0)
     first, last = least[close].min(0) - reach, most[close].max(0) + reach
-    asked = np.flatnonzero(((first <= X) & (last >= X)).all(1))
-    if len(asked) == 0:
+    in_box = np.flatnonzero(((first <= X) & (last >= X)).all(1))
+    if len(in_box) == 0:
         return no_points()
     S, at, C, N = igl.signed_distance(
-        np.ascontiguousarray(X[asked] - center, dtype=float),
+        np.ascontiguousarray(X[in_box] - center, dtype=float),
         np.ascontiguousarray(points[used] - center, dtype=float),
         np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
         sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
@@ -58,7 +58,7 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
     )
     gap, at = np.asarray(S).reshape(-1), np.asarray(at).reshape(-1)
     near = np.flatnonzero(np.abs(gap) < reach)
-    gap, at, point, rows = gap[near], close[at[near]], np.asarray(C)[near] + center, asked[near]
+    gap, at, point, rows = gap[near], close[at[near]], np.asarray(C)[near] + center, in_box[near]
     away = X[rows] - point
     on = np.linalg.norm(away, axis=1) <= ON_SURFACE * reach
     away[on] = np.asarray(N)[near][on]

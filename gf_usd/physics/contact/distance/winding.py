@@ -27,14 +27,14 @@ def outside_by_winding(
     libigl) is 1 inside, 2 where it overlaps itself, 0 outside, -1 in an inverted part.
     shell : the triangles are those of a `shell`, whose winding number `crossings` computes.
     """
-    asked = np.ascontiguousarray(X[seen.rows[inside]], dtype=float)
+    points_inside = np.ascontiguousarray(X[seen.rows[inside]], dtype=float)
     if shell:
-        turns = crossings(asked, points, triangles)
+        turns = crossings(points_inside, points, triangles)
     else:
         turns = igl.fast_winding_number(
             np.ascontiguousarray(points, dtype=float),
             np.ascontiguousarray(triangles, dtype=np.int64),
-            asked,
+            points_inside,
         )
     side = np.ones(len(seen.gap))
     side[inside[np.asarray(turns).reshape(-1) < WOUND]] = -1.0

@@ -134,8 +134,8 @@ def _kept(old: Stored, new: Stored) -> Floats:
     if len(kept):
         turned = along(xi[kept], new.planes.normal[kept])
         length = np.linalg.norm(turned, axis=1)
-        asked = np.linalg.norm(xi[kept], axis=1) * np.sqrt(
+        target = np.linalg.norm(xi[kept], axis=1) * np.sqrt(
             old.stiffness[kept] / new.stiffness[kept]
         )
-        out[kept] = turned * (asked / np.where(length > 0.0, length, 1.0))[:, None]
+        out[kept] = turned * (target / np.where(length > 0.0, length, 1.0))[:, None]
     return out

@@ -52,7 +52,7 @@ def divided(
     surfaces: Sequence[Surface],
     longest: float,
     *,
-    asked: bool,
+    given: bool,
     of: MeshSource | None,
     unit: float,
     note: Callable[[str, str], None],
@@ -60,7 +60,7 @@ def divided(
     """The layer over a file in which no mesh has an edge longer than this [m].
 
     surfaces : of the file.
-    asked : whether the user gave the length, rather than `fine_edge`.
+    given : whether the user gave the length, rather than `fine_edge`.
     of : the converted layer, where the file is not USD.
     unit : [m] of the stage.
     note : called with a note on a mesh and its path.
@@ -83,7 +83,7 @@ def divided(
             note(f"{faces} than --max-edge-length, not divided: {why}", surface.path)
             continue
         made = _shortened(prim, polygons, longest)
-        if made is None and not asked:
+        if made is None and not given:
             note(
                 f"{counted(count, 'face')} not divided: with edges of {longest / unit:.3g} units it"
                 f" would have more than {MOST:,} triangles; give a larger --max-edge-length",

@@ -74,8 +74,10 @@ def _bind_pose(prim: Usd.Prim, time: Usd.TimeCode) -> Floats | None:
             if not name.startswith(schema):
                 continue
             instance = name.removeprefix(schema)
-            said = [prim.GetAttribute(template.format(instance, x)) for x in ("purposes", "points")]
-            purposes, points = (one.Get(time) if one else None for one in said)
+            attributes = [
+                prim.GetAttribute(template.format(instance, x)) for x in ("purposes", "points")
+            ]
+            purposes, points = (one.Get(time) if one else None for one in attributes)
             if BIND in (purposes or ()) and points is not None:
                 return np.asarray(points, np.float64).reshape(-1, 3)
     return None
