@@ -32,6 +32,7 @@ from gf_usd.core.frames import (
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.layers.clips import ClipStore, moving_layer
 from gf_usd.layers.stage import (
+    Home,
     author_facts,
     clock,
     find_home,
@@ -45,7 +46,7 @@ from gf_usd.layers.stage import (
     show,
     visibility,
 )
-from gf_usd.layers.tracks.bounds import block_hints, skel_bounds
+from gf_usd.layers.tracks.bounds import SkelBound, block_hints, skel_bounds
 from gf_usd.layers.tracks.captured import SplatTrack
 from gf_usd.layers.tracks.health import HealthTrack, bake_root
 from gf_usd.layers.tracks.meshes import MeshTrack, end_instancing
@@ -130,17 +131,15 @@ class CacheWriter:
         self._saving = BackgroundWriter()  # while it is busy, no other code uses the layers
         source_path = source or asset.facts.path
         stage = open_source(source_path)
-        self._clock = time = clock(stage, info.settings)
+        self._clock = clock(stage, info.settings)
         home = find_home(stage, asset, choices)
         prims = [require(stage, source_path, s.path) for s in asset.surfaces]
-        self._layer = new_layer(self.path, source_path)
-        author_facts(self._layer, asset.facts, info.settings, stage)
-        self._layer.startTimeCode = time.start
-        self._layer.endTimeCode = time.start
-        self._layer.defaultPrim = (home.root if home.inside else home.scope).name
+        self._layer = _new_layer(
+            self.path, source_path, stage, asset, info, home, start=self._clock.start
+        )
         self._settled, self._held = choices.settled, ()
         self._choices, self._look, self._unit = choices, info.look, asset.facts.units.length
-        self._tolerance = self._adaptive = self._moving = self._clips = None
+        self._tolerance = self._moving = self._clips = None
         if choices.precision is not None:
             self._tolerance = Tolerance(choices.precision, particles, self._unit)
         if choices.clip_frames:
@@ -155,65 +154,32 @@ class CacheWriter:
             self._stage = Usd.Stage.Open(self._layer)
         for prim in prims:
             end_instancing(self._stage, prim)
-        unit, rates = self._unit, choices.velocities
-        self._meshes = {
-            surface.path: MeshTrack(
-                self._stage,
-                prim,
-                surface,
-                time,
-                unit,
-                velocities=rates,
-                clips=bool(choices.clip_frames),
-            )
-            for surface, prim in zip(asset.surfaces, prims)
-            if choices.drawn(surface.path) and surface.splats is None
-        }
-        self._splats = {
-            surface.path: SplatTrack(self._stage, prim, surface, time, unit)
-            for surface, prim in zip(asset.surfaces, prims)
-            if choices.drawn(surface.path) and surface.splats is not None
-        }
-        self._converting = [
-            (self._stage.GetPrimAtPath(path), body)
-            for path, body in choices.converting
-            if path in self._meshes or path in self._splats
-        ]
-        for prim, _ in self._converting:
-            visibility(prim)
+        self._meshes, self._splats = self._surface_tracks(asset, prims)
+        self._converting = self._converting_prims()
         # every root prim that a display hides something of has its payload
         self._roots = roots_of(asset, home)
         for path in self._roots:
             self._stage.OverridePrim(path)
-        root = stage.GetPrimAtPath(home.root)
         self._particles = None
         if choices.particles:
+            root = stage.GetPrimAtPath(home.root)
             self._particles = ParticleTrack(
-                self._stage, root, home, asset, particles, info, time, choices, tets,
+                self._stage, root, home, asset, particles, info, self._clock, choices, tets,
                 self._rounding(), attachments,
             )  # fmt: skip
         if tets:
             for track in self._meshes.values():
-                track.write_bind_pose(time.start)
-        moving = [*self._meshes.values(), *self._splats.values()]
-        tracks = [*moving, *([self._particles] if self._particles else [])]
-        block_hints(self._stage, stage, tracks)
-        # the particles of a mesh are inside its box
-        margin = self._tolerance.most if self._tolerance and choices.adaptive else 0.0
-        self._bounds = skel_bounds(self._stage, stage, moving or tracks, time, margin)
+                track.write_bind_pose(self._clock.start)
+        self._bounds = self._bound_tracks(stage)
         flows = any(LAWS[one.law].flows for one in info.materials)
-        root = bake_root(asset, home)
         self._health = HealthTrack(
-            self._stage, root, asset.facts.units, flows=flows, settles=info.settings.settles
-        )
+            self._stage, bake_root(asset, home), asset.facts.units,
+            flows=flows, settles=info.settings.settles,
+        )  # fmt: skip
         self._source = stage  # the tracks read its transforms frame by frame
-        if choices.adaptive:
-            assert self._tolerance is not None
-            found = [self._meshes.get(s.path) or self._splats.get(s.path) for s in asset.surfaces]
-            groups = sample_groups(self._tolerance, info.settings, found, self._particles)
-            if self._clips:  # each begins and ends with a sample of every attribute
-                groups = [replace(group, rest=None) for group in groups]
-            self._adaptive = AdaptiveSamples(groups, _samples_in(SAVE, asset, particles))
+        self._adaptive = (
+            self._adaptive_samples(asset, particles, info) if choices.adaptive else None
+        )
         save(self._layer)
         if self._clips:
             self._clips.adaptive = self._adaptive
@@ -222,6 +188,58 @@ class CacheWriter:
             self._stage.SetEditTarget(self._moving)
         if since:
             self._restore(since)
+
+    def _surface_tracks(
+        self, asset: Asset, prims: Sequence[Usd.Prim]
+    ) -> tuple[dict[str, MeshTrack], dict[str, SplatTrack]]:
+        """The tracks of the surfaces that are written, by prim path; prims : of all surfaces."""
+        choices, time, unit = self._choices, self._clock, self._unit
+        clips = bool(choices.clip_frames)
+        meshes: dict[str, MeshTrack] = {}
+        splats: dict[str, SplatTrack] = {}
+        for surface, prim in zip(asset.surfaces, prims):
+            if choices.drawn(surface.path) and surface.splats is None:
+                meshes[surface.path] = MeshTrack(
+                    self._stage, prim, surface, time, unit,
+                    velocities=choices.velocities, clips=clips,
+                )  # fmt: skip
+        for surface, prim in zip(asset.surfaces, prims):
+            if choices.drawn(surface.path) and surface.splats is not None:
+                splats[surface.path] = SplatTrack(self._stage, prim, surface, time, unit)
+        return meshes, splats
+
+    def _converting_prims(self) -> list[tuple[Usd.Prim, int]]:
+        """Prims that flowing particles replace later, and the body of each; they get a
+        visibility.
+        """
+        converting = [
+            (self._stage.GetPrimAtPath(path), body)
+            for path, body in self._choices.converting
+            if path in self._meshes or path in self._splats
+        ]
+        for prim, _ in converting:
+            visibility(prim)
+        return converting
+
+    def _bound_tracks(self, stage: Usd.Stage) -> list[SkelBound]:
+        """The tracks of bounds that the source authors above the baked prims."""
+        moving = [*self._meshes.values(), *self._splats.values()]
+        tracks = [*moving, *([self._particles] if self._particles else [])]
+        block_hints(self._stage, stage, tracks)
+        # the particles of a mesh are inside its box
+        margin = self._tolerance.most if self._tolerance and self._choices.adaptive else 0.0
+        return skel_bounds(self._stage, stage, moving or tracks, self._clock, margin)
+
+    def _adaptive_samples(
+        self, asset: Asset, particles: Particles, info: BakeInfo
+    ) -> AdaptiveSamples:
+        """The choice of the samples that are written."""
+        assert self._tolerance is not None
+        found = [self._meshes.get(s.path) or self._splats.get(s.path) for s in asset.surfaces]
+        groups = sample_groups(self._tolerance, info.settings, found, self._particles)
+        if self._clips:  # each begins and ends with a sample of every attribute
+            groups = [replace(group, rest=None) for group in groups]
+        return AdaptiveSamples(groups, _samples_in(SAVE, asset, particles))
 
     @property
     def full(self) -> bool:
@@ -421,6 +439,25 @@ class CacheWriter:
         del self._meshes, self._splats, self._bounds, self._particles, self._health
         del self._stage, self._source, self._layer, self._known, self._clips, self._moving
         del self._adaptive, self._converting
+
+
+def _new_layer(
+    path: Path,
+    source_path: Path,
+    source: Usd.Stage,
+    asset: Asset,
+    info: BakeInfo,
+    home: Home,
+    *,
+    start: float,
+) -> Sdf.Layer:
+    """A new layer over a source, with its metadata; start : time code."""
+    layer = new_layer(path, source_path)
+    author_facts(layer, asset.facts, info.settings, source)
+    layer.startTimeCode = start
+    layer.endTimeCode = start
+    layer.defaultPrim = (home.root if home.inside else home.scope).name
+    return layer
 
 
 def _samples_in(size: float, asset: Asset, particles: Particles) -> int:
