@@ -103,7 +103,7 @@ def compare(
 
 
 def lines(found: Comparison) -> list[str]:
-    """What a comparison found, in words."""
+    """The results of a comparison as text."""
     worst, (mesh, point) = found.worst_frame, found.worst
     center = int(found.center.argmax())
     ratio = found.volumes[:, 1] / found.volumes[:, 0] if found.volumes.all() else None

@@ -88,7 +88,7 @@ class Quantity:
     high: float = 1.0
     largest: float = 1.0  # of any particle over the whole motion
     chosen: bool = False  # True: the range was given; False: it is that of the source
-    source: tuple[str, ...] = ("99 % of particles", "in every frame,")  # of the range, in words
+    source: tuple[str, ...] = ("99 % of particles", "in every frame,")  # of the range, as text
 
 
 @dataclass(frozen=True, kw_only=True)

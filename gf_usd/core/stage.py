@@ -219,7 +219,7 @@ class StagePhysics:
     of_files: tuple[Collider, ...] = ()  # obstacles of other files, which are no part of the stage
     bodies: tuple[BodyPhysics, ...] = ()  # one for each baked surface, in their order
     ignored: tuple[tuple[str, str], ...] = ()  # (body, body or collider): they pass through
-    notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
+    notes: tuple[str, ...] = ()  # assumptions and omissions, as text
 
     @property
     def obstacles(self) -> tuple[Collider, ...]:

@@ -79,7 +79,7 @@ class Delivered:
     frames: int
     bodies: tuple[DeliveredBody, ...]
     splats: tuple[DeliveredSplats, ...] = ()  # that were delivered
-    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+    notes: tuple[str, ...] = ()  # assumptions and omissions, as text
 
 
 def deliver(

@@ -35,7 +35,7 @@ class Retimed:
     frames: int  # samples of the longest
     start: float  # time codes
     end: float
-    notes: tuple[str, ...] = ()  # files that could not be found, and what keeps its speed, in words
+    notes: tuple[str, ...] = ()  # missing files, and prims that keep their speed, as text
 
 
 def retime(

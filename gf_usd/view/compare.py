@@ -54,7 +54,7 @@ class Comparison:
     center: Floats  # (T,) [m] distance of the centers of mass
     worst: tuple[str, int]  # mesh of A and point where the distance is largest over all times
     tolerance: float | None = None  # [m]
-    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+    notes: tuple[str, ...] = ()  # assumptions and omissions, as text
 
     @property
     def worst_frame(self) -> int:

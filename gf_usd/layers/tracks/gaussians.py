@@ -47,7 +47,7 @@ class SplatTrack:
     settings : of the bake: whether deformation gradients and stress are written.
     units : of the stage.
     half : half precision where it is safe.
-    shape : (N,) [stage units] that the shape of each may be off by (see `accuracy`): orientations
+    shape : (N,) [stage units] tolerance of the shape of each (see `accuracy`): orientations
         and scales have half precision where that is within it.  None: as `half` says.
     velocities : whether they are written.
     laws : of the materials; their internal variables are written where the settings ask for them.

@@ -134,7 +134,7 @@ class MeshFile:
     up_axis: str = "Y"
     up_axis_known: bool = False  # False: the format does not say, up_axis is usual for it
     inputs: tuple[Path, ...] = ()  # every file that was read
-    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+    notes: tuple[str, ...] = ()  # assumptions and omissions, as text
     skeletons: tuple[FileSkeleton, ...] = ()
     fps: float | None = None  # of the frames of their motion, the first at time code 1
 
