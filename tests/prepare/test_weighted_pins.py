@@ -1,18 +1,21 @@
-"""Pins by a painted weight, and by the joint that points follow."""
+"""Pins by a painted weight, and by the joint that points follow; the floor under what they hold."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from physics_stages import mesh
 from planned import planner
 
+import gf_usd
 from gf_usd.core.errors import InputError
 from gf_usd.prepare.plan import Plan
 
+SAMPLES = Path(__file__).parents[2] / "samples"
 # A cube of a meter: the weight is on the four points of one end along x.
 PAINTED = """
     float[] primvars:held = [0, 1, 0, 1, 0, 1, 0, 1] (
@@ -36,6 +39,22 @@ def test_the_faces_with_a_painted_weight_are_held(plan) -> None:
     }
     outside = np.array([[2.0 * high, 0.5, 0.5], [-1.0 * high, 0.5, 0.5]])
     assert pin.inside(outside).tolist() == [True, False], "beyond the painted end alone"
+
+
+@pytest.mark.parametrize(
+    ("asked", "floor"),
+    [({}, None), ({"floor": 0}, 0.0), ({"floor": -1.5}, -1.5), ({"drop": 1.0}, 0.0)],
+)
+def test_the_default_floor_does_not_cut_through_what_is_pinned(
+    asked: dict[str, Any], floor: float | None
+) -> None:
+    """A ball about the origin that was held in a floor at height 0 blew up."""
+    top = ((-1, 0.6, -1), (1, 1, 1))
+    seen = gf_usd.inspect(SAMPLES / "sphere.usda", pins=[top], particles=300, **asked)
+    assert seen.plan is not None
+    assert seen.plan.settings.floor == floor
+    said = "the asset is held where it is, 1 m below height 0: there is no floor; floor adds one"
+    assert (said in seen.plan.notes) == (floor is None)
 
 
 def test_a_weight_that_nobody_has_is_refused(plan) -> None:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from gf_usd.readers.usd_bake.keys import MaterialKeys
 
 
+BELOW = 0.01  # [r] that a held body may begin in the floor at height 0: its surface is coarse
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shot:
     """The settings of a bake as requested, and what of the stage moves the bodies."""
@@ -53,6 +56,15 @@ def plan_shot(
         stated_fields=physics.fields, attached=bool(attachments or springs),
     )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
+    notes = upward_note(request.parsed["gravity"])
+    held = not any(settings.lift) and (request.pins or attachments or springs)
+    own = request.parsed["floor"] is None and request.preset != "paper"
+    if held and own and gap < -BELOW * filled.bodies.radius.max():
+        settings = replace(settings, floor=None, floor_normal=None)
+        notes += (
+            f"the asset is held where it is, {-gap:.3g} m below height 0: there is no floor;"
+            " --floor adds one",
+        )
     require_resolved(request, settings, gap, filled.particles.spacing)
     return Shot(
         settings=settings,
@@ -60,7 +72,7 @@ def plan_shot(
         animation=animation,
         attachments=attachments,
         springs=springs,
-        notes=upward_note(request.parsed["gravity"]),
+        notes=notes,
     )
 
 
