@@ -83,8 +83,10 @@ def announce(prepared: Prepared) -> None:
     for note in (*plan.notes, *shortcuts(cost, plan.materials)):
         typer.echo(_told(plan, note), err=True)
     forecast = {"frames": plan.settings.frames, **cost}
+    first = plan.settings.first
+    lead = f" (the first {first} lead in and are not written)" if first > 0 else ""
     typer.echo(
-        f"{len(plan.particles)} particles, {frames_of(forecast)}, {each} substeps per frame:"
+        f"{len(plan.particles)} particles, {frames_of(forecast)}{lead}, {each} substeps per frame:"
         f" {time_of(forecast)}, {disk_of(forecast)}",
         err=True,
     )

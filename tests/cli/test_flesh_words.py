@@ -56,6 +56,15 @@ def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
         assert "none, first" not in loose.out
 
 
+def test_frames_before_the_animation_are_told_apart(
+    gf_usd: Callable[..., Done], here: Path
+) -> None:
+    path = write(here, arm())
+    done = gf_usd("bake", path, "--flesh", "--particles", "300", "--preroll", "6", "--frames", "2")
+    assert done.status == 0, done.err
+    assert " particles, 8 frames (the first 6 lead in and are not written), " in done.err
+
+
 def test_nobody_is_told_to_lower_a_drop_that_is_not_there(tmp_path: Path) -> None:
     path = write(tmp_path, arm())
     assert "--drop" not in solver(plan_of(path))._hint()
