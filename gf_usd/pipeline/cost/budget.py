@@ -90,7 +90,7 @@ LAW_SECONDS = 0.9  # load the compiled kernels of a law; the very first bake com
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files
-FRAME_SECONDS = (3e-3, 4e-6, 4.5e-6)
+FRAME_SECONDS = (3e-3, 4e-6, 3.5e-6)
 # T from the first contact until bodies are usually at rest, by whether their law flows.  Within a
 # factor of two of the duck of 400 particles with eleven presets (`gf-usd bake samples/duck.usda
 # --particles 400 --material NAME`: 25 to 54 T for six that do not flow, 7 to 20 T for five that
