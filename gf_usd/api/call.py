@@ -110,6 +110,8 @@ def asset_path(path: Any) -> Path:
 
 
 OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
+# An option with a value that Python can be given in its place.
+GIVEN = re.compile(rf"({OPTION.pattern})(?: (auto|\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w.:,%]))?")
 # Where a hint can be cut: an aside in parentheses, and alternatives.
 ASIDE = re.compile(r"\s*\([^()]*\)")
 CLAUSES = re.compile(r"(; |, or |, )")
@@ -124,7 +126,14 @@ class Words:
 
     def text(self, text: str) -> str:
         """A message, with keywords in place of options."""
-        return OPTION.sub(lambda found: self.known.get(found[0], found[0]), text)
+        return GIVEN.sub(self._keyword, text)
+
+    def _keyword(self, found: re.Match[str]) -> str:
+        option, value = found.groups()
+        keyword = self.known.get(option)
+        if keyword is None or value is None or not keyword.isidentifier():
+            return found[0] if keyword is None else keyword + found[0][len(option) :]
+        return f"{keyword}={value!r}" if value == "auto" else f"{keyword}={value}"
 
     def hint(self, text: str) -> str:
         """A hint or a note, with keywords, and without the clauses on what cannot be given.

@@ -47,7 +47,7 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
     ({"particles": [300]}, "particles is [300], of type list", "give a whole number"),
     ({"particles": math.nan}, "particles is nan", "give a whole number"),
     ({"particles": 0}, "particles is 0", "give a number above 0"),
-    ({"particles": 300, "spacing": 0.1}, "particles 300 and spacing 0.1 were both", "give one"),
+    ({"particles": 300, "spacing": 0.1}, "particles=300 and spacing=0.1 were both", "give one"),
     ({"fps": np.array([24.0, 25.0])}, "fps is array([24., 25.]), of type ndarray", "a number"),
     ({"restitution": 1.5}, "restitution is 1.5", "give a number from 0 to 1"),
     ({"overwrite": 1}, "overwrite is 1, of type int", "give True or False: overwrite=True"),

@@ -402,7 +402,7 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.simulate(s, particles=100).push("x"), "forces is 'x', of type str"),
     (lambda s: gf_usd.simulate(s, particles=100).push(1.0), "forces has the shape ()"),
     (lambda s: gf_usd.simulate(s, particles=100).load(None), "was not made by save()"),
-    (lambda s: gf_usd.simulate(s, particles=100, spacing=0.1), "particles 100 and spacing 0.1"),
+    (lambda s: gf_usd.simulate(s, particles=100, spacing=0.1), "particles=100 and spacing=0.1"),
     (lambda s: gf_usd.simulate(s, device="tpu"), "there is no device 'tpu'"),
     (lambda s: (s.pin((5, 5, 5), (6, 6, 6)), gf_usd.simulate(s)), "pin0 touches no body"),
 ]

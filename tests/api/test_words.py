@@ -52,6 +52,19 @@ def test_a_hint_leaves_out_what_cannot_be_given(
     assert WORDS.hint(hint) == (hint if "overwrite" in hint else of_a_scene or of_a_bake)
 
 
+@pytest.mark.parametrize(
+    ("text", "keywords"),
+    [
+        ("give --max-edge-length auto", "give max_edge_length='auto'"),
+        ("give --particles 2000, or less", "give particles=2000, or less"),
+        ("--spacing 0.1 is small", "spacing=0.1 is small"),
+        ("give --range 1:20", "give range 1:20"),
+    ],
+)
+def test_values_of_options_are_those_of_keywords(text: str, keywords: str) -> None:
+    assert BAKE.text(text) == keywords
+
+
 def test_a_scene_is_not_told_of_repairs() -> None:
     with pytest.raises(gf_usd.InputError) as caught:
         gf_usd.simulate(scene(FACES[:4]), particles=100)

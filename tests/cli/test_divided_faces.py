@@ -49,7 +49,7 @@ def test_a_coarse_mesh_is_warned_of_and_a_divided_one_is_not(cube: Path) -> None
     coarse = bake(cube, **ASKED)
     (warning,) = [w for _, w in coarse.warnings if w.about == "coarse-mesh"]
     assert "</World/Cube>" in warning.message
-    assert "--max-edge-length" in warning.hint
+    assert "max_edge_length='auto'" in warning.hint
     assert coarse.health["outside_mesh_max_share"] > 0.01
     before = cube.read_bytes()
     fine = bake(cube, **ASKED, max_edge_length=0.5, output="fine.usda")

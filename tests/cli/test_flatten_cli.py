@@ -62,7 +62,7 @@ def test_one_file_holds_one_material(gf_usd, here: Path, block: Path) -> None:
     assert "--clip-frames 2 and --flatten were both given" in clips.err
     clips = gf_usd("bake", block, *SMALL, "-o", "a.usdz", "--clip-frames", "2")
     assert clips.status == 2
-    assert "--clip-frames 2 and a package were both asked for" in clips.err
+    assert "--clip-frames 2 and a package were both given" in clips.err
     assert names(here) == []
 
 

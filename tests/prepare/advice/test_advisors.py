@@ -125,7 +125,7 @@ WRONG = {
     "None": "answered with a NoneType",
     "['x']": "with a str in the list",
     "[one('/a')]": "did not answer for </b>",
-    "[one('/a'), one('/b'), one('/c')]": "answered for </c>, which it was not asked about",
+    "[one('/a'), one('/b'), one('/c')]": "answered for </c>, which was not in the question",
     "[one('/a'), one('/a'), one('/b')]": "answered 2 times for </a>",
     "[one('/a', material='wood'), one('/b')]": "named 'wood' for </a>, which is not a preset",
     "[one('/a', confidence=1.5), one('/b')]": "is 1.5, not a number from 0 to 1",
