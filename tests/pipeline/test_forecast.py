@@ -201,7 +201,7 @@ def test_a_frame_that_is_cut_leaves_what_can_be_resumed(
     with monkeypatch.context() as patched:
         patched.setattr(launch, "LAUNCH_SECONDS", 1e-9)
         patched.setattr(runs, "Forecast", partial(Forecast, clock=lambda: float(next(seconds))))
-        with pytest.raises(SolverError, match=r"max_hours 0\.003 lets it take 22 s") as caught:
+        with pytest.raises(SolverError, match=r"max_hours=0\.003 lets it take 22 s") as caught:
             gf_usd.bake(str(SPHERE), **asked, max_hours=0.003)
     assert next(seconds) in (22, 23), "at once: a frame has eight substeps and more"
     ended = caught.value.__cause__
@@ -226,7 +226,7 @@ def test_a_bake_that_is_too_long_leaves_its_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(forecasts, "OVERRUN", 0.0)
-    with pytest.raises(SolverError, match="max_hours 1 lets it take"):
+    with pytest.raises(SolverError, match="max_hours=1 lets it take"):
         gf_usd.bake(str(SPHERE), material="clay", output=f"{tmp_path}/", particles=100, frames=6)
     assert list(tmp_path.glob("*.cache.partial.usdc"))
     assert list(tmp_path.glob("*.report.json"))
