@@ -79,9 +79,11 @@ def _restore_displays(
         spec.variantSelections[root.display_set] = choices.shapes[0]
         modes = Sdf.VariantSetSpec(spec, root.display_set)
         hides = {mode: hidden(mode, switch, asset, home, choices) for mode in choices.shapes}
+        # in order, so that the same bake gives the same bytes: the order of a set of paths varies
+        every = list(dict.fromkeys(path for paths in hides.values() for path in paths))
         for mode, paths in hides.items():
             inner = Sdf.VariantSpec(modes, mode).primSpec.path
-            for path in {p for paths in hides.values() for p in paths}:
+            for path in every:
                 mine = inner.AppendPath(path.MakeRelativePath(switch)).AppendProperty("visibility")
                 authored = path.AppendProperty("visibility")
                 if path in paths:
@@ -91,7 +93,7 @@ def _restore_displays(
                 elif layer.GetPropertyAtPath(authored):
                     Sdf.CreatePrimInLayer(layer, mine.GetPrimOrPrimVariantSelectionPath())
                     Sdf.CopySpec(layer, authored, layer, mine)
-        for path in {p for paths in hides.values() for p in paths}:
+        for path in every:
             authored = layer.GetPropertyAtPath(path.AppendProperty("visibility"))
             if authored:
                 layer.GetPrimAtPath(path).RemoveProperty(authored)

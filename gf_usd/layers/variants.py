@@ -160,8 +160,9 @@ def _name_meshes(
     meshes = [Sdf.Path(surface.path) for surface in asset.surfaces]
     if all(mesh.HasPrefix(root) for mesh in meshes):
         return
-    for shape in set(PARTICLES) & set(choices.shapes):
-        name = PARTICLES[shape]
+    for shape, name in PARTICLES.items():
+        if shape not in choices.shapes:
+            continue
         path = home.scope.AppendChild(name).MakeRelativePath(root)
         prim = Sdf.CreatePrimInLayer(layer, variant.AppendPath(path))
         rel = Sdf.RelationshipSpec(prim, "gaussianFlesh:sourceMeshes", False)

@@ -108,6 +108,16 @@ def test_the_displays_still_switch(source: Source, tmp_path: Path) -> None:
     assert len(seen) == 3
 
 
+def test_prims_of_a_display_are_in_the_order_of_the_scene(tmp_path: Path) -> None:
+    """The order of a set of paths changes from run to run, and the bytes of the file with it."""
+    asset = SOURCES["plain"].asset(tmp_path)
+    _, one = flat(asset, tmp_path, ".usda")
+    layer = Sdf.Layer.FindOrOpen(str(one))
+    display = layer.GetPrimAtPath("/duck").variantSets["display"].variants
+    order = {mode: list(display[mode].primSpec.nameChildren.keys()) for mode in ALL.shapes}
+    assert order["points"] == order["gaussians"] == ["geo", "GaussianFlesh"]
+
+
 def test_an_authored_visibility_survives_the_displays(tmp_path: Path) -> None:
     body = PLAIN.body.replace(
         "rel material:binding = </_materials/red>",
