@@ -111,7 +111,9 @@ def asset_path(path: Any) -> Path:
 
 OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
 # An option with a value that Python can be given in its place.
-GIVEN = re.compile(rf"({OPTION.pattern})(?: (auto|\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w:%]|[.,]\d))?")
+GIVEN = re.compile(
+    rf"({OPTION.pattern})(?: (auto|\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w:%/]|[.,]\s?-?\d))?"
+)
 # Where a hint can be cut: an aside in parentheses, and alternatives.
 ASIDE = re.compile(r"\s*\([^()]*\)")
 CLAUSES = re.compile(r"(; |, or |, )")

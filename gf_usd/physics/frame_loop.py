@@ -22,6 +22,7 @@ from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.errors import SolverError, counted
 from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
 from gf_usd.physics.contact.floor import FloorContact, pressed_step
+from gf_usd.physics.contact.planes.intervals import Lateness
 from gf_usd.physics.taichi_arrays import Saved
 from gf_usd.physics.time_step import StableStep
 
@@ -81,12 +82,10 @@ class Solver(ABC):
     on_launch: Callable[[], None] | None = None
     takes_forces = False  # whether it implements `push`
 
-    def overlooked(self) -> bool:
-        """Whether contact was detected too late in the last frame.
-
-        The frame is then to be repeated: the detections of the next attempt are sooner.
-        """
-        return False
+    @property
+    def lateness(self) -> Lateness | None:
+        """Whether contact was detected too late in the last attempt at a frame; None without it."""
+        return None
 
     @property
     def in_place(self) -> bool:
@@ -195,7 +194,9 @@ class Solver(ABC):
         If the floor's contact springs were compressed further than the step allows, it is repeated
         with their step; and where contact was detected too late, with sooner detections.
         """
-        saved = self.state.save()
+        saved, late = self.state.save(), self.lateness
+        if late is not None:
+            late.renew()  # also after an attempt that ended with an exception
         for attempt in range(RETRIES + 1):
             substeps = self.substeps
             stats = self.advance(index, substeps)
@@ -203,7 +204,7 @@ class Solver(ABC):
             # how deep and how far bodies go within a frame is only known at its end
             while not (fault or stats.rested):
                 required = self.pressed(stats.penetration) << self.guard.halvings
-                if not self.overlooked() and required <= substeps:
+                if required <= substeps and not (late and late.repeat()):
                     break
                 self.state.load(saved)
                 substeps = max(required, substeps)

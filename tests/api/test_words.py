@@ -59,6 +59,8 @@ def test_a_hint_leaves_out_what_cannot_be_given(
         ("give --particles 2000, or less", "give particles=2000, or less"),
         ("--spacing 0.1 is small", "spacing=0.1 is small"),
         ("give --range 1:20", "give range 1:20"),
+        ("--gravity 0,-9.81,0", "gravity 0,-9.81,0"),
+        ("--slice 2/4", "slice 2/4"),
     ],
 )
 def test_values_of_options_are_those_of_keywords(text: str, keywords: str) -> None:

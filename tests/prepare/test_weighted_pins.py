@@ -57,6 +57,20 @@ def test_the_default_floor_does_not_cut_through_what_is_pinned(
     assert (said in seen.plan.notes) == (floor is None)
 
 
+def test_other_bodies_keep_the_floor_that_a_pinned_one_reaches_through(tmp_path: Path) -> None:
+    """They fell for ever beside it."""
+    path, sphere = tmp_path / "two.usda", SAMPLES / "sphere.usda"
+    place = 'uniform token[] xformOpOrder = ["xformOp:translate"]\ndouble3 xformOp:translate'
+    bodies = "".join(
+        f'def "B{k}" (\nreferences = @{sphere}@\n)\n{{\n{place} = ({3 * k}, {y}, 0)\n}}\n'
+        for k, y in enumerate((0.5, 2.0))
+    )
+    path.write_text(f'#usda 1.0\n(\nmetersPerUnit = 1\nupAxis = "Y"\n)\n{bodies}', "utf-8")
+    seen = gf_usd.inspect(path, pins=[((-1, 1.1, -1), (1, 1.6, 1))], particles=400)
+    assert seen.plan is not None
+    assert seen.plan.settings.floor == 0.0
+
+
 def test_a_weight_that_nobody_has_is_refused(plan) -> None:
     with pytest.raises(InputError) as caught:
         plan(mesh("One", PAINTED), pins=("paint:nothing",))

@@ -297,7 +297,7 @@ class BodyContact:
         time = state.time + elapsed
         x, v = self.motion(now)
         if done:
-            self.note_way(now, time)
+            self.note_way(now, time, dt)
         self._frame = frame
         old = self._stored(x, time)
         search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
@@ -347,13 +347,13 @@ class BodyContact:
         search.carry(self._skins, self._X)
         return search, min(hold, own_hold)
 
-    def note_way(self, now: StateView, time: float) -> None:
-        """Note whether a detection at a time [s], that of the state, is late."""
+    def note_way(self, now: StateView, time: float, dt: float) -> None:
+        """Note whether a detection at a time [s] of the state is late, with substeps of dt [s]."""
         took = time - self._detected
         way = self.motion(now)[0] - self._x
         if np.isfinite(way).all():  # else the frame fails
             held = self._broad_phase(self._x, way / took, self._frame, 0.0)[1]
-            self.lateness.note(self._detected, took, held)
+            self.lateness.note(self._detected, took, held, dt)
 
     def _until_landed(self, x: Floats, v: Floats, floor: Ints | None) -> float:
         """[s] until the floor has stopped samples for long enough that others may reach them.

@@ -18,6 +18,7 @@ from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings, Surface
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
+from gf_usd.physics.contact.planes.intervals import Lateness
 from gf_usd.physics.coupled.contact import Exchange, SolidBodies
 from gf_usd.physics.coupled.parts import (
     Part,
@@ -131,9 +132,10 @@ class Coupled(Solver):
                 return int(part.at[particle]), fault
         return -1, ""
 
-    def overlooked(self) -> bool:
+    @property
+    def lateness(self) -> Lateness | None:
         """See `Solver`."""
-        return self.solid.overlooked()
+        return self.solid.lateness
 
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Advance to frame `index`."""

@@ -23,6 +23,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.contact.active import ActiveSamples
 from gf_usd.physics.contact.pairs import BodyContact
+from gf_usd.physics.contact.planes.intervals import Lateness
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.grid.bodies import bodies_of
 from gf_usd.physics.grid.embedding import pose
@@ -151,9 +152,10 @@ class TotalLagrangian(Solver):
         """See `Solver`."""
         return self.state.view().not_finite()
 
-    def overlooked(self) -> bool:
+    @property
+    def lateness(self) -> Lateness | None:
         """See `Solver`."""
-        return self.pairs is not None and self.pairs.lateness.repeat()
+        return self.pairs.lateness if self.pairs else None
 
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Advance by a frame, to frame `index`."""
@@ -198,7 +200,7 @@ class TotalLagrangian(Solver):
         state.time += substeps * whole
         state.recenter()
         if pairs:
-            pairs.note_way(state.view(), state.time)
+            pairs.note_way(state.view(), state.time, whole)
         settled = self.settling.frame(state)
         stats = self._stats(index, active)
         stats = replace(

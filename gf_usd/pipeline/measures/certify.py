@@ -45,7 +45,7 @@ class Certificate:
             "figures": {
                 name: {
                     "words": FIGURES[name].words,
-                    "text": interval_text(name, one),
+                    "told": interval_text(name, one),
                     "unit": FIGURES[name].unit,
                     **one.as_json(),
                 }
@@ -59,7 +59,7 @@ class Certificate:
                 "frames": until,
                 "contacts": list(self.contacts),
                 "reason": self.center.reason,
-                "text": self._path(self.center),
+                "told": self._path(self.center),
             }
         return out
 

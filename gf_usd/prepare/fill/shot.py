@@ -57,7 +57,9 @@ def plan_shot(
     )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     notes = upward_note(request.parsed["gravity"])
-    held = not any(settings.lift) and (request.pins or attachments or springs)
+    # With several bodies some may be free, and need the floor.
+    alone = filled.bodies.count == 1
+    held = alone and not any(settings.lift) and (request.pins or attachments or springs)
     own = request.parsed["floor"] is None and request.preset != "paper"
     if held and own and gap < -BELOW * filled.bodies.radius.max():
         settings = replace(settings, floor=None, floor_normal=None)

@@ -222,11 +222,11 @@ def _certified_rows(record: Record) -> list[tuple[str, str]]:
     """The measured quantities with their intervals."""
     certificate = record.certificate
     rows = [
-        (entry["words"].capitalize(), entry["text"])
+        (entry["words"].capitalize(), entry["told"])
         for entry in certificate.get("figures", {}).values()
     ]
     if "center" in certificate:
-        rows.append(("Path", certificate["center"]["text"].removeprefix("path of the ")))
+        rows.append(("Path", certificate["center"]["told"].removeprefix("path of the ")))
     if rows:
         rows.append(
             ("From", f"bakes with {', '.join(map(str, certificate['particles']))} particles")

@@ -187,27 +187,54 @@ def test_a_frame_done_again_for_its_contact_is_forgotten_after_it():
     frame = solver.next(1, solver.read(0).health)
     assert 1 < len(attempts) <= 1 + REPEATS
     assert frame.health.rollbacks == 0  # it did not fail
+    pairs.lateness.renew()
     assert pairs.lateness.bound(solver.state.time) == np.inf
+
+
+def test_an_attempt_that_ended_with_an_exception_leaves_no_trace():
+    """Another state that is loaded after it goes on as in a solver that never failed."""
+    straight, broken = squeezed(0.8, 0.35), squeezed(0.8, 0.35)
+    start = straight.read(0).health
+    first = straight.next(1, start).health
+    kept = straight.save()
+    advance, attempts = broken.advance, []
+
+    def failing(*args):
+        attempts.append(args)
+        if len(attempts) == 2:
+            raise KeyboardInterrupt
+        return advance(*args)
+
+    broken.advance = failing
+    with pytest.raises(KeyboardInterrupt):
+        broken.next(1, start)
+    broken.load(kept)
+    again, frame = broken.next(2, first), straight.next(2, first)
+    np.testing.assert_array_equal(again.particles.x, frame.particles.x)
+    assert again.health == frame.health
 
 
 def test_a_late_detection_is_made_sooner_the_next_time():
     late = Lateness()
     late.begin()
-    late.note(1.0, took=LATE * 0.1, held=0.1)
+    late.note(1.0, took=LATE * 0.1, held=0.1, dt=0.001)
+    late.note(1.0, took=0.3, held=0.2, dt=0.3)  # there is none sooner than after a substep
     assert not late.repeat()
-    late.note(1.0, took=0.3, held=0.2)
-    late.note(2.0, took=0.3, held=0.01)  # what follows a late one is no reason
+    late.note(1.0, took=0.3, held=0.2, dt=0.001)
+    late.note(2.0, took=0.3, held=0.01, dt=0.001)  # what follows a late one is no reason
     assert late.repeat()
     assert late.bound(0.9) == np.inf
     assert late.bound(1.0) == pytest.approx(0.8 * 0.2)
     late.begin()
-    late.note(0.5, took=1.0, held=1e-9)  # as in a frame that blows up
+    late.note(0.5, took=1.0, held=1e-9, dt=0.001)  # as in a frame that blows up
     assert late.repeat()
     assert late.bound(0.5) == pytest.approx(0.8 * 0.2)
     for _ in range(REPEATS - 2):
-        late.note(0.5, took=0.1, held=0.01)
+        late.note(0.5, took=0.1, held=0.01, dt=0.001)
         assert late.repeat()
     assert late.bound(0.5) == pytest.approx(0.025)
-    late.note(0.5, took=0.1, held=0.01)
+    late.note(0.5, took=0.1, held=0.01, dt=0.001)
     assert not late.repeat()
+    late.renew()
     assert late.bound(0.5) == np.inf
+    assert not late.repeat()

@@ -63,30 +63,35 @@ class Lateness:
         self._found: tuple[float, float] | None = None  # the same, for a repetition
         self._repeats = 0
 
+    def renew(self) -> None:
+        """Forget what was found in the frame before."""
+        self._start, self._bound, self._repeats = 0.0, np.inf, 0
+        self._found = None
+
     def begin(self) -> None:
-        """A frame begins, perhaps again."""
+        """An attempt at a frame begins."""
         self._found = None
 
     def bound(self, time: float) -> float:
         """[s] that may pass until the detection after one at a time [s]."""
         return self._bound if time >= self._start else np.inf
 
-    def note(self, time: float, took: float, held: float) -> None:
+    def note(self, time: float, took: float, held: float, dt: float) -> None:
         """A detection at a time [s] was the last for `took` [s], and by the way that the bodies
         went in it, it held for `held` [s].
+
+        dt : [s] of a substep; detections are no sooner.
         """
-        if self._found is None and took > LATE * held:
+        if self._found is None and took > max(LATE * held, 1.5 * dt):
             self._found = time, took * max(SOONEST, 0.8 * held / took)
 
     def repeat(self) -> bool:
         """Whether the frame is to be repeated, with detections at shorter intervals."""
-        again = self._found is not None and self._repeats < REPEATS
-        if again and self._found is not None:
-            start, bound = self._found
-            earlier = self._start if np.isfinite(self._bound) else np.inf
-            self._start, self._bound = min(start, earlier), min(bound, self._bound)
-            self._repeats += 1
-        else:
-            self._start, self._bound, self._repeats = 0.0, np.inf, 0
+        if self._found is None or self._repeats == REPEATS:
+            return False
+        start, bound = self._found
+        earlier = self._start if np.isfinite(self._bound) else np.inf
+        self._start, self._bound = min(start, earlier), min(bound, self._bound)
+        self._repeats += 1
         self._found = None
-        return again
+        return True
