@@ -28,10 +28,13 @@ def usage_words(error: Any) -> str:
         return f"{command} needs {wanted}\n\nhint: give {command} {wanted}; {command} --help"
     if parameter is not None:
         name = parameter.opts[-1] if parameter.param_type_name == "option" else parameter.name
+        hint = parameter.help or f"{command} --help"
         for kind, words in KINDS.items():
-            message = message.replace(f"is not a valid {kind}", f"is not a {words}")
+            if (wrong := f"is not a valid {kind}") in message:
+                message = message.replace(wrong, f"is not a {words}")
+                hint = f"give a {words}. {hint}"
         reason = message.partition(": ")[2] or message
-        return f"{name}: {reason}\n\nhint: {parameter.help or f'{command} --help'}"
+        return f"{name}: {reason}\n\nhint: {hint}"
     message, _, meant = message.partition(" Did you mean ")
     meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""
     message = f"{message[:1].lower()}{message[1:].rstrip('.')}"

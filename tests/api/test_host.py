@@ -72,7 +72,7 @@ told(clip_frames=1, slice=1)
 """
     away, here = run(tmp_path, LATE + code), run(tmp_path, code)
     assert away == here
-    assert "UsageError | particles 60 and spacing 0.1 were both given" in away
+    assert "UsageError | particles=60 and spacing=0.1 were both given" in away
     assert "Unfinished" in away.splitlines()[-1]
     assert away.endswith("['done', 'frames', 'variant']")
 

@@ -176,6 +176,13 @@ def test_no_number_is_in_no_range(gf_usd, here: Path, block: Path, command: str,
     assert list(here.iterdir()) == []
 
 
+def test_a_number_of_another_kind_has_the_kind_as_its_hint(gf_usd) -> None:
+    done = gf_usd("inspect", "a.usda", "--particles", "1500.5")
+    assert done.status == 2
+    assert done.err.startswith("error: --particles: '1500.5' is not a whole number\n\n")
+    assert "hint: give a whole number. Fill the bodies" in done.err
+
+
 @pytest.mark.parametrize(
     ("line", "guess"),
     [
