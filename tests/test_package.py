@@ -71,10 +71,10 @@ def test_a_type_checker_knows_the_options_of_bake(tmp_path: Path) -> None:
         [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable, file],
         capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1],
     )  # fmt: skip
-    said = dict.fromkeys(range(1, len(calls) + 1), "")
+    faults = dict.fromkeys(range(1, len(calls) + 1), "")
     for fault in json.loads(done.stdout)["generalDiagnostics"]:
         if fault["severity"] == "error":
-            said[fault["range"]["start"]["line"]] += fault["message"]
+            faults[fault["range"]["start"]["line"]] += fault["message"]
     for line, expected in enumerate(calls.values(), start=1):
-        assert expected in said[line]
-        assert bool(expected) == bool(said[line]), said[line]
+        assert expected in faults[line]
+        assert bool(expected) == bool(faults[line]), faults[line]

@@ -45,8 +45,8 @@ def main() -> None:
     parser.add_argument("--into", type=Path, default=ROOT / ".clients", help="default: .clients")
     options = parser.parse_args()
     sections, names = options.sections.split(","), options.only.split(",")
-    for asked, known in ((sections, SHARES), (names, PEERS)):
-        unknown = [name for name in asked if name not in known]
+    for given, known in ((sections, SHARES), (names, PEERS)):
+        unknown = [name for name in given if name not in known]
         if unknown:
             parser.error(f"unknown: {', '.join(unknown)} (choose from {', '.join(known)})")
     every = sorted(os.sched_getaffinity(0))

@@ -130,14 +130,14 @@ def pixels(path: Path) -> np.ndarray:
 
 
 def main() -> None:
-    """Render what is asked for and put it side by side."""
+    """Render the requested pictures and put them side by side."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("out", type=Path, help="picture to write (.png)")
     parser.add_argument("wanted", nargs="+", metavar="STAGE:FRAME")
-    asked = parser.parse_args()
+    args = parser.parse_args()
     view, row = None, []
     with tempfile.TemporaryDirectory() as folder:
-        for number, word in enumerate(asked.wanted):
+        for number, word in enumerate(args.wanted):
             stage, _, frame = word.rpartition(":")
             picture = Path(folder) / f"{number}.png"
             view = render(stage, int(frame), view, picture)
@@ -145,7 +145,7 @@ def main() -> None:
     strip = np.concatenate(row, axis=1)
     image = bpy.data.images.new("strip", strip.shape[1], strip.shape[0])
     image.pixels.foreach_set(strip.ravel())
-    image.filepath_raw, image.file_format = str(asked.out.resolve()), "PNG"
+    image.filepath_raw, image.file_format = str(args.out.resolve()), "PNG"
     image.save()
 
 

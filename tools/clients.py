@@ -67,7 +67,7 @@ class NotInstalled(Exception):
 
 
 def main() -> None:
-    """Install the clients that are asked for; exit 1 with a message where one cannot be."""
+    """Install the requested clients; exit 1 with a message where one cannot be."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     commands = parser.add_subparsers(dest="command", required=True)
     install = commands.add_parser("install", help="create the environments")
@@ -152,13 +152,13 @@ def find_python(version: str | None, named: list[str]) -> str:
         return sys.executable
     for candidate in [*named, sys.executable, *_elsewhere(version)]:
         try:
-            said = subprocess.run(
+            done = subprocess.run(
                 [candidate, "-c", VERSION], check=False, capture_output=True, text=True
             )
         except OSError:
             continue
         # a shim of pyenv is there for versions that are not switched on, and fails
-        if said.returncode == 0 and said.stdout.strip() == version:
+        if done.returncode == 0 and done.stdout.strip() == version:
             return candidate
     raise NotInstalled(
         f"it runs on Python {version} only, and none was found\n"
@@ -183,8 +183,8 @@ def _elsewhere(version: str) -> Iterator[str]:
 def _run(command: list[str]) -> None:
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode:
-        said = (done.stderr or done.stdout).strip().splitlines()[-15:]
-        raise NotInstalled("\n".join([f"{' '.join(command)} exited {done.returncode}", *said]))
+        message = (done.stderr or done.stdout).strip().splitlines()[-15:]
+        raise NotInstalled("\n".join([f"{' '.join(command)} exited {done.returncode}", *message]))
 
 
 if __name__ == "__main__":

@@ -69,14 +69,14 @@ def gf_usd_commands(page: Path) -> Iterator[tuple[Block, list[str]]]:
         for line in command_lines(block):
             if "gf-usd " not in line or SYNTAX.search(line):
                 continue
-            words: list[str] = []
+            arguments: list[str] = []
             scan = shlex.shlex(line, posix=True, punctuation_chars=";&|")
             scan.whitespace_split = True
             scan.commenters = ""
             for word in [*scan, ";"]:
                 if word in BETWEEN:
-                    if words and words[0] == "gf-usd":
-                        yield block, words[1:]
-                    words = []
+                    if arguments and arguments[0] == "gf-usd":
+                        yield block, arguments[1:]
+                    arguments = []
                 else:
-                    words.append(word)
+                    arguments.append(word)

@@ -76,12 +76,12 @@ def main() -> None:
     ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     ask.add_argument("--only", nargs="*", metavar="NAME", help="without folder and suffix")
     ask.add_argument("--keep", type=Path, metavar="FOLDER", help="to run in, and to keep")
-    asked = ask.parse_args()
+    args = ask.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        folder: Path = asked.keep or Path(temporary)
+        folder: Path = args.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         for name, commands in pictures().items():
-            if asked.only is None or Path(name).stem in asked.only:
+            if args.only is None or Path(name).stem in args.only:
                 make(name, commands, folder.resolve())
 
 

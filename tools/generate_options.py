@@ -39,7 +39,7 @@ def parameters(command: str) -> dict[str, Any]:
 
 
 def coded(text: str) -> str:
-    """Words of a command line set as code, and nothing that ends a cell."""
+    """Options in a text set as code, and nothing that ends a cell."""
     return CODE.sub(r"`\1`", text).replace("|", "\\|")
 
 
@@ -49,7 +49,7 @@ def spelling(parameter: Any) -> str:
 
 
 def default(parameter: Any) -> str:
-    """What holds where nothing is said."""
+    """The value where the option is not given."""
     if isinstance(parameter.show_default, str):
         return coded(parameter.show_default)
     if parameter.default in (None, (), []):
@@ -70,17 +70,19 @@ def row(parameter: Any, kept: dict[str, str]) -> str:
 
 def bake_table(group: str, kept: dict[str, str]) -> list[str]:
     """The table of one group; what only the command line has stands with the last one."""
-    asked = parameters("bake").items()
-    mine = [p for name, p in asked if (OPTIONS[name].group if name in OPTIONS else WRITE) == group]
+    options = parameters("bake").items()
+    mine = [
+        p for name, p in options if (OPTIONS[name].group if name in OPTIONS else WRITE) == group
+    ]
     return HEAD + [row(parameter, kept) for parameter in mine]
 
 
 def inspect_table(kept: dict[str, str]) -> list[str]:
     """Options as in bake in one line, then those that say something else."""
-    bake, asked = parameters("bake"), parameters("inspect")
-    alike = [p for name, p in asked.items() if name in bake and p.help == bake[name].help]
+    bake, options = parameters("bake"), parameters("inspect")
+    alike = [p for name, p in options.items() if name in bake and p.help == bake[name].help]
     names = ", ".join(spelling(p) for p in alike)
-    others = [p for p in asked.values() if p not in alike]
+    others = [p for p in options.values() if p not in alike]
     return [
         *HEAD,
         line(names, "as for `bake`", "as for `bake`", kept.get(names, "")),

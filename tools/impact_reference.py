@@ -171,6 +171,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("counts", type=int, nargs="*", default=[6, 8, 12])
     parser.add_argument("--held", action="store_true", help="the foot stays on the floor")
-    said = parser.parse_args()
-    for count in said.counts:
-        impact(count, said.held)
+    args = parser.parse_args()
+    for count in args.counts:
+        impact(count, args.held)

@@ -28,7 +28,7 @@ def main() -> int:
     """Resolve, and replace the file; exit status of uv."""
     ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     ask.add_argument("--upgrade", action="store_true", help="take the newest versions")
-    asked = ask.parse_args()
+    args = ask.parse_args()
     with (ROOT / "pyproject.toml").open("rb") as file:
         builds = [*tomllib.load(file)["build-system"]["requires"], *BUILDS]
     with tempfile.TemporaryDirectory() as scratch:
@@ -36,14 +36,14 @@ def main() -> int:
         more.write_text("\n".join(builds) + "\n")
         if LOCK.exists():
             made.write_bytes(LOCK.read_bytes())  # uv keeps the versions that it finds there
-        words = [
+        command = [
             *("uv", "pip", "compile", "pyproject.toml", str(more), "--all-extras", "--quiet"),
             *("--universal", "--python-version", "3.11", "--generate-hashes", "--no-annotate"),
             *("--no-header", "--no-emit-index-url", "--no-emit-find-links", "-o", str(made)),
-            *(["--upgrade"] if asked.upgrade else []),
+            *(["--upgrade"] if args.upgrade else []),
         ]
         try:
-            done = subprocess.run(words, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+            done = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
         except FileNotFoundError:
             print("there is no uv: python -m pip install uv", file=sys.stderr)
             return 1

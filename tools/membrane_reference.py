@@ -150,7 +150,7 @@ if __name__ == "__main__":
     parser.add_argument(
         "--current", action="store_true", help="the traction acts on the edge as long as it becomes"
     )
-    said = parser.parse_args()
-    for count in said.counts:
-        right, up = corner(count, said.current)
+    args = parser.parse_args()
+    for count in args.counts:
+        right, up = corner(count, args.current)
         print(f"{count} along a side: {-right:.4f} mm left, {up:.4f} mm up", flush=True)

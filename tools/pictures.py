@@ -57,9 +57,9 @@ FILM = "420x420"
 FRAMES = 40  # to the top of the rebound and no further: the camera is fitted to the whole motion
 
 
-def gf_usd(*words: str | int | Path) -> str:
+def gf_usd(*arguments: str | int | Path) -> str:
     """Run the command line; returns its stdout.  Raises CalledProcessError where it fails."""
-    command = [sys.executable, "-m", "gf_usd", *map(str, words)]
+    command = [sys.executable, "-m", "gf_usd", *map(str, arguments)]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
@@ -108,9 +108,9 @@ def crushed(film: Path, path: Path, folder: Path) -> None:
 def thrown(path: Path, folder: Path) -> None:
     """The duck of clay: before it is hit, as it is hit, as it stays, and its plastic strain."""
     stage = folder / "duck.clay.usda"
-    asked = ("--drop", "0.6r", "--velocity", "0,-200,0", "--time-scale", "0.15", "--internal")
+    options = ("--drop", "0.6r", "--velocity", "0,-200,0", "--time-scale", "0.15", "--internal")
     length = ("--particles", "3000", "--frames", str(CLAY[-1]))
-    gf_usd("bake", DUCK, "--material", "clay", *asked, *length, "-o", stage, "--quiet")
+    gf_usd("bake", DUCK, "--material", "clay", *options, *length, "-o", stage, "--quiet")
     shown = [draw(stage, frame, (420, 400)) for frame in CLAY]
     strain = draw(stage, CLAY[-1], (560, 400), "mesh", "--color", "plastic")
     strip([*shown, strain], path)
@@ -120,9 +120,9 @@ def crumpled(path: Path, folder: Path) -> None:
     """The star of foil: before, as it folds over the ball, and as it stays."""
     write_star(folder / "star.usda")
     stage = folder / "star.dented.usda"
-    asked = ("--particles", "2500", "--frames", str(STAR[-1]), "--floor", "0", "--drop", "1.1")
-    words = (*asked, "--velocity", "0,-3,0", "-o", stage, "--quiet")
-    gf_usd("bake", folder / "star.usda", "--material", "dented", *words)
+    options = ("--particles", "2500", "--frames", str(STAR[-1]), "--floor", "0", "--drop", "1.1")
+    arguments = (*options, "--velocity", "0,-3,0", "-o", stage, "--quiet")
+    gf_usd("bake", folder / "star.usda", "--material", "dented", *arguments)
     pictures = [draw(stage, frame, (560, 560)) for frame in STAR]
     strip([p.crop((80, 60, 500, 440)) for p in pictures], path)
 
@@ -137,10 +137,10 @@ def flesh(goal: Path, bones: Path, folder: Path) -> None:
         "thick": ("--bone-radius", "0.8"),
     }
     shown = {}
-    for name, words in settings.items():
+    for name, more in settings.items():
         stage = folder / f"{name.replace(' ', '')}.usda"
-        asked = ("--material", "jelly", "--particles", "3000", "--only", "mesh", *words)
-        gf_usd("bake", CREATURE, "--flesh", *asked, "-o", stage, "--quiet")
+        options = ("--material", "jelly", "--particles", "3000", "--only", "mesh", *more)
+        gf_usd("bake", CREATURE, "--flesh", *options, "-o", stage, "--quiet")
         shown[name] = draw(stage, STRIDE, (420, 420)).crop((90, 20, 350, 400))
     strip([shown[name] for name in ("free", "2 Hz", "8 Hz")], goal)
     strip([shown[name] for name in ("thin", "free", "thick")], bones)
@@ -151,9 +151,9 @@ def limits(path: Path, folder: Path) -> None:
     shown = []
     for stretch in STRETCHES:
         stage = folder / f"stretch{len(shown)}.usda"
-        asked = ("--material", "jelly", "--particles", "3000", "--only", "mesh")
-        words = ("--bone-radius", "0.3", *(("--stretch", stretch) if stretch else ()))
-        gf_usd("bake", CREATURE, "--flesh", *asked, *words, "-o", stage, "--quiet")
+        options = ("--material", "jelly", "--particles", "3000", "--only", "mesh")
+        limit = ("--bone-radius", "0.3", *(("--stretch", stretch) if stretch else ()))
+        gf_usd("bake", CREATURE, "--flesh", *options, *limit, "-o", stage, "--quiet")
         shown.append(draw(stage, STRIDE, (420, 420)).crop((90, 20, 350, 400)))
     strip(shown, path)
 
@@ -221,10 +221,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="folder")
     parser.add_argument("--only", choices=KINDS, nargs="*", help="which of them")
-    said = parser.parse_args()
-    out: Path = said.out
+    args = parser.parse_args()
+    out: Path = args.out
     out.mkdir(parents=True, exist_ok=True)
-    made = said.only or KINDS
+    made = args.only or KINDS
     with tempfile.TemporaryDirectory() as temporary:
         if "pile" in made:
             pile(out / "ten-ducks.png", Path(temporary))

@@ -206,8 +206,8 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
         _number(outcome.attempts or None, "{:d}"),
     ]  # fmt: skip
     texts = [*(str(w.get("message", "")) for w in outcome.warnings), *outcome.bake_notes]
-    words = (outcome.job, asset, outcome.state, outcome.message, outcome.command, *texts)
-    text = " ".join(words).lower()
+    searched = (outcome.job, asset, outcome.state, outcome.message, outcome.command, *texts)
+    text = " ".join(searched).lower()
     return tag("tr", *cells, data_kind=_kind(outcome), data_text=text)
 
 

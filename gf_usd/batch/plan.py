@@ -178,14 +178,14 @@ def _require_distinct_files(jobs: Sequence[Job]) -> None:
             before, other = owners.setdefault(path, (owner, job))
             if before != owner or (owner == job.name and other is not job):
                 raise UsageError(
-                    f"{_said(other)} and {_said(job)} would both write {path}",
+                    f"{_described(other)} and {_described(job)} would both write {path}",
                     "give the jobs different names: --name '{folder}/{asset}.{material}', with a"
                     " field for each option of the matrix; frames of splats need a folder for"
                     " each job",
                 )
 
 
-def _said(job: Job) -> str:
+def _described(job: Job) -> str:
     return f"{job.asset} ({', '.join(f'{k} {v}' for k, v in job.options.items())})"
 
 

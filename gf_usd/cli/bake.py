@@ -152,7 +152,7 @@ def bake(
         if as_json:
             typer.echo(json.dumps(result.as_json(), indent=1))
         elif not quiet and events != STDOUT:
-            summarize(result, plan, show.words())
+            summarize(result, plan, show.text())
         require_healthy(result, strict=strict)
 
 

@@ -50,7 +50,7 @@ def show_plan(
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
         f"disk        {disk_of(d)}",
         *(f"would write {path}" for path in d["outputs"]),
-        *(_told(prepared.plan, note) for note in (*d["notes"], *saved)),
+        *(_note_line(prepared.plan, note) for note in (*d["notes"], *saved)),
     ]
     typer.echo("\n".join(lines), err=err)
 
@@ -81,7 +81,7 @@ def announce(prepared: Prepared) -> None:
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
     )
     for note in (*plan.notes, *shortcuts(cost, plan.materials)):
-        typer.echo(_told(plan, note), err=True)
+        typer.echo(_note_line(plan, note), err=True)
     forecast = {"frames": plan.settings.frames, **cost}
     first = plan.settings.first
     lead = f" (the first {first} lead in and are not written)" if first > 0 else ""
@@ -112,7 +112,7 @@ def time_of(forecast: Mapping[str, Any]) -> str:
     return f"about {usual}, at most {whole}"
 
 
-def _told(plan: Plan, note: str) -> str:
+def _note_line(plan: Plan, note: str) -> str:
     """A note as a line; an implausible size is a warning, as in `inspect`."""
     from gf_usd.prepare.asset_size import implausible_size
 
@@ -190,7 +190,7 @@ class Spent:
             self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + at - self._since
         self._since = at
 
-    def words(self) -> str:
+    def text(self) -> str:
         """The seconds so far, and those of each stage."""
         self._count()
         each = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in self._seconds.items())

@@ -96,7 +96,7 @@ def deliver(
         typer.echo(f"{name}{named}: {described(body.joints, body.shapes)}")
     for cloud in done.splats:
         name = f"{cloud.variant}: " if cloud.variant else ""
-        typer.echo(f"{name}{cloud.path}: {said_of(cloud)}")
+        typer.echo(f"{name}{cloud.path}: {error_text(cloud)}")
     typer.echo(
         f"{done.path}: {done.bytes / 1000:.0f} kB, {counted(done.frames, 'frame')}, largest error"
         f" {100 * done.error:.2g} % of the radius"
@@ -110,7 +110,7 @@ def described(joints: int, shapes: int) -> str:
     return f"{counted(shapes, 'blend shape')} on 1 joint" if shapes else "1 joint"
 
 
-def said_of(cloud: DeliveredSplats) -> str:
+def error_text(cloud: DeliveredSplats) -> str:
     """Text on the error of the Gaussians."""
     middle, most, largest = (f"{100 * share:.2g} %" for share in cloud.covariance)
     return (

@@ -122,8 +122,8 @@ class HelpfulCommand(TyperCommand):
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """The usage line, without the braces that typer puts around arguments."""
-        words = super().collect_usage_pieces(ctx)
-        return [word.replace("{", "").replace("}", "") for word in words]
+        pieces = super().collect_usage_pieces(ctx)
+        return [word.replace("{", "").replace("}", "") for word in pieces]
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """The examples are between the description of a command and its options."""
@@ -174,8 +174,8 @@ def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
     record = param.get_help_record(ctx)
     if record is None:
         return None
-    flag, words = record
-    return flag, DEFAULT_IN_WORDS.sub(r"[default: \1\2]", words)
+    flag, text = record
+    return flag, DEFAULT_IN_WORDS.sub(r"[default: \1\2]", text)
 
 
 def with_bare_values(arguments: Sequence[str], known: Collection[str]) -> list[str]:

@@ -36,7 +36,7 @@ def show(seen: Inspection) -> None:
     _advice(console, seen)
     _parts(console, seen)
     _lines(console, "skipped", [f"{p}: {why}" for p, why in seen.asset.skipped])
-    _lines(console, "note", _said(seen))
+    _lines(console, "note", _notes(seen))
     for warning in seen.warnings:
         console.print(f"[yellow]warning:[/] {escape(warning)}")
     if seen.refusal is None:
@@ -204,7 +204,7 @@ def _part(part: Part, unit: float) -> Sequence[str]:
     )  # fmt: skip
 
 
-def _said(seen: Inspection) -> list[str]:
+def _notes(seen: Inspection) -> list[str]:
     """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
     from gf_usd.prepare.fill.notes import not_baked_notes
 

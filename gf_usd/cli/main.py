@@ -31,7 +31,7 @@ from gf_usd.cli.fit import fit
 from gf_usd.cli.help import HelpfulCommand
 from gf_usd.cli.info import inputs, materials, schema_path
 from gf_usd.cli.inspect import inspect
-from gf_usd.cli.misuse import WrongUsage, usage_words
+from gf_usd.cli.misuse import WrongUsage, usage_message
 from gf_usd.cli.options import signed
 from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
@@ -171,7 +171,7 @@ def _execute(arguments: Sequence[str]) -> int:
         if not arguments:  # without any the help is the answer
             error.show()
             return error.exit_code
-        typer.echo(f"error: {usage_words(error)}", err=True)
+        typer.echo(f"error: {usage_message(error)}", err=True)
         return error.exit_code
     except GfUsdError as error:
         text = str(error) if isinstance(error, Unfinished) else f"error: {error}"

@@ -12,7 +12,7 @@ WrongUsage: Any = typer.BadParameter.__mro__[1]
 KINDS = {"int": "whole number", "float": "number"}
 
 
-def usage_words(error: Any) -> str:
+def usage_message(error: Any) -> str:
     """A fault of usage with its hint; without an argument the help of the command is all."""
     context = error.ctx
     command = context.command_path if context is not None else "gf-usd"
@@ -29,10 +29,10 @@ def usage_words(error: Any) -> str:
     if parameter is not None:
         name = parameter.opts[-1] if parameter.param_type_name == "option" else parameter.name
         hint = parameter.help or f"{command} --help"
-        for kind, words in KINDS.items():
+        for kind, noun in KINDS.items():
             if (wrong := f"is not a valid {kind}") in message:
-                message = message.replace(wrong, f"is not a {words}")
-                hint = f"give a {words}. {hint}"
+                message = message.replace(wrong, f"is not a {noun}")
+                hint = f"give a {noun}. {hint}"
         reason = message.partition(": ")[2] or message
         return f"{name}: {reason}\n\nhint: {hint}"
     message, _, meant = message.partition(" Did you mean ")

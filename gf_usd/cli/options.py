@@ -15,13 +15,15 @@ from gf_usd.prepare.options.table import OPTIONS, PLANNED, options_of
 
 def _completion(option: Option) -> Callable[[str], list[str]] | None:
     """The completions of the value of an option in a shell."""
-    words = option.choices
+    choices = option.choices
     if option.name == "only":
-        words = ("mesh", "gaussians", "points")
+        choices = ("mesh", "gaussians", "points")
     if option.name == "material":
         # loads NumPy, which a command that is not being completed does not need here
         return _presets
-    return (lambda incomplete: [w for w in words if w.startswith(incomplete)]) if words else None
+    return (
+        (lambda incomplete: [w for w in choices if w.startswith(incomplete)]) if choices else None
+    )
 
 
 def _presets(incomplete: str) -> list[str]:

@@ -76,7 +76,7 @@ def serve(
 
     children = Children()
     workers = Workers(children, READY)
-    server = Server(words_of, workers, children, at_once=at_once, timeout=timeout, idle=idle)
+    server = Server(arguments_of, workers, children, at_once=at_once, timeout=timeout, idle=idle)
     with listening_socket(path) as end:
         for number in STOPPED:
             signal.signal(number, lambda number, frame: _stop(server))
@@ -108,7 +108,7 @@ def _ask(path: Path, *, stop: bool) -> None:
     typer.echo(json.dumps({k: v for k, v in reply.items() if k not in ("event", "time")}))
 
 
-def words_of(request: Mapping[str, Any]) -> list[str]:
+def arguments_of(request: Mapping[str, Any]) -> list[str]:
     """The arguments of ``gf-usd`` for a request: a job of a batch, or the arguments themselves.
 
     Raises UsageError for anything but a bake, for options that a manifest may not give, and for a
@@ -126,16 +126,17 @@ def words_of(request: Mapping[str, Any]) -> list[str]:
             "stop it with gf-usd serve --stop, and start it again",
         )
     if "arguments" in request:
-        words = request["arguments"]
-        if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-            raise UsageError(f'"arguments" is {words!r}', "give a list of strings")
-        if unfit := [word for word in words if not _is_word(word)]:
+        arguments = request["arguments"]
+        if not isinstance(arguments, list) or not all(isinstance(word, str) for word in arguments):
+            raise UsageError(f'"arguments" is {arguments!r}', "give a list of strings")
+        if unfit := [word for word in arguments if not _is_word(word)]:
             raise UsageError(f'"arguments" has {unfit[0]!r}', "give UTF-8 without null characters")
-        if words[:1] != ["bake"] or "--serve" in words:
+        if arguments[:1] != ["bake"] or "--serve" in arguments:
             raise UsageError(
-                f"{' '.join(words[:2])!r} is not a bake", 'the first of "arguments" must be "bake"'
+                f"{' '.join(arguments[:2])!r} is not a bake",
+                'the first of "arguments" must be "bake"',
             )
-        return words
+        return arguments
     from gf_usd.batch.job import Job
     from gf_usd.batch.manifest import checked
     from gf_usd.prepare.options.table import OPTIONS

@@ -28,7 +28,7 @@ ZERO_PADDING = 16  # length of the zero-padded signal over its own, to interpola
 class Figure:
     """A measured quantity that can be a target."""
 
-    words: str
+    text: str
     unit: str  # SI; "" for a pure number
     # f(observation, index of its point, playback time [s] or None) -> value
     of: Callable[[Observation, int, float | None], float]
@@ -145,42 +145,42 @@ def _mean_at_rest(y: Floats) -> float:
 
 FIGURES: Mapping[str, Figure] = {
     "first_contact_time": Figure(
-        words="time of the first contact", unit="s", of=_measured_figure("first_contact_time")
+        text="time of the first contact", unit="s", of=_measured_figure("first_contact_time")
     ),
     "least_height": Figure(
-        words="least height in the first contact", unit="m", of=_measured_figure("least_height")
+        text="least height in the first contact", unit="m", of=_measured_figure("least_height")
     ),
     "squash": Figure(
-        words="peak squash: 1 - least height / height", unit="", of=_measured_figure("squash")
+        text="peak squash: 1 - least height / height", unit="", of=_measured_figure("squash")
     ),
     "rebound": Figure(
-        words="rise of the center of mass after the first contact",
+        text="rise of the center of mass after the first contact",
         unit="m", of=_measured_figure("rebound"),
     ),
     "peak_strain": Figure(
-        words="largest strain of a particle", unit="", of=_measured_figure("peak_strain")
+        text="largest strain of a particle", unit="", of=_measured_figure("peak_strain")
     ),
-    "height": Figure(words="height at a time code", unit="m", of=_height, moment=True),
+    "height": Figure(text="height at a time code", unit="m", of=_height, moment=True),
     "sag": Figure(
-        words="downward displacement of the lowest point at a time code",
+        text="downward displacement of the lowest point at a time code",
         unit="m", of=_sag, moment=True,
     ),
-    "settled_height": Figure(words="height at rest", unit="m", of=_settled_height),
+    "settled_height": Figure(text="height at rest", unit="m", of=_settled_height),
     "settled_sag": Figure(
-        words="downward displacement of the lowest point at rest", unit="m", of=_settled_sag
+        text="downward displacement of the lowest point at rest", unit="m", of=_settled_sag
     ),
     "settling_time": Figure(
-        words="time until the height stays within 5 % of its largest deviation from the height "
+        text="time until the height stays within 5 % of its largest deviation from the height "
         "at rest",
         unit="s", of=_settling_time,
     ),
     "deflection": Figure(
-        words="downward displacement of a point, at rest or at a time code",
+        text="downward displacement of a point, at rest or at a time code",
         unit="m", of=_deflection,
         position=True, moment=True,
     ),
     "frequency": Figure(
-        words="frequency at which a point vibrates, after a time code", unit="Hz", of=_frequency,
+        text="frequency at which a point vibrates, after a time code", unit="Hz", of=_frequency,
         position=True, moment=True,
     ),
 }  # fmt: skip

@@ -299,12 +299,12 @@ def command_of(request: FitRequest) -> str:
     """The equivalent ``gf-usd fit`` command."""
     from gf_usd.prepare.options.table import arguments
 
-    words = ["gf-usd", "fit", request.asset.name]
+    command = ["gf-usd", "fit", request.asset.name]
     for text in request.targets:
-        words += ["--target", text]
+        command += ["--target", text]
     if request.unknowns:
-        words += ["--unknowns", ",".join(request.unknowns)]
+        command += ["--unknowns", ",".join(request.unknowns)]
     for name, (low, high) in request.bounds.items():
-        words += ["--bounds", f"{name}={low:g}:{high:g}"]
+        command += ["--bounds", f"{name}={low:g}:{high:g}"]
     options = {k: v for k, v in request.options.items() if k != "limits"}
-    return shlex.join([*words, *arguments(options)])
+    return shlex.join([*command, *arguments(options)])

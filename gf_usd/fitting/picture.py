@@ -71,7 +71,7 @@ def _motion_panels(
 
 
 def _number_rows(result: FitResult, targets: Sequence[Target]) -> Rows | None:
-    rows, words = [], []
+    rows, texts = [], []
     for reproduced, target in zip(result.targets, targets):
         if not isinstance(target, Number):
             continue
@@ -81,6 +81,6 @@ def _number_rows(result: FitResult, targets: Sequence[Target]) -> Rows | None:
         ]
         rows.append((target.figure, 1.0, *deviations))
         unit = FIGURES[target.figure].unit
-        words.append(f"{reproduced.target:.4g}, fitted {reproduced.fitted:.4g} {unit}".rstrip())
+        texts.append(f"{reproduced.target:.4g}, fitted {reproduced.fitted:.4g} {unit}".rstrip())
     title = "numbers: distances from their targets, in standard deviations"
-    return Rows(title=title, rows=rows, words=words) if rows else None
+    return Rows(title=title, rows=rows, texts=texts) if rows else None

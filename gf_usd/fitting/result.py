@@ -177,14 +177,14 @@ def not_identifiable(rows: Sequence[Unknown], intervals: Uncertainty) -> tuple[s
 def _describe_direction(rows: Sequence[Unknown], direction: Floats, members: Sequence[int]) -> str:
     """Text of the changes along an undetermined direction."""
     share = 0.1 / max(direction[list(members)], key=abs)
-    words = []
+    parts = []
     for k in members:
         change, row = share * float(direction[k]), rows[k]
         if row.log:
-            words.append(f"{row.name} times {(row.high / row.low) ** change:.3g}")
+            parts.append(f"{row.name} times {(row.high / row.low) ** change:.3g}")
         else:
-            words.append(f"{row.name} {(row.high - row.low) * change:+.3g}")
-    return " with ".join(words) + " changes almost nothing"
+            parts.append(f"{row.name} {(row.high - row.low) * change:+.3g}")
+    return " with ".join(parts) + " changes almost nothing"
 
 
 def at_bounds(rows: Sequence[Unknown], z: Floats) -> tuple[str, ...]:

@@ -39,9 +39,9 @@ def parse_box(text: str, unit: float, option: str = "--pin") -> tuple[Floats, Fl
 
     option : the command-line option, for messages. Raises UsageError for any other text.
     """
-    words = text.removeprefix(BOX).split(",")
+    texts = text.removeprefix(BOX).split(",")
     try:
-        numbers = np.array([float(word) for word in words])
+        numbers = np.array([float(word) for word in texts])
     except ValueError:
         numbers = np.full(6, np.nan)
     if len(numbers) != 6 or not np.isfinite(numbers).all():

@@ -167,22 +167,22 @@ def _newtons_flow(material: Material, units: StageUnits) -> list[tuple[str, floa
     Its fallback of tensileYieldRatio, 0, is a material that falls apart under tension, like sand,
     and that of internalFriction would make the strength of a metal grow with pressure.
     """
-    known, words = newton.FLOW, {newton.TENSION: 1.0}
+    known, values = newton.FLOW, {newton.TENSION: 1.0}
     if material.law == newton.GRANULAR:
-        known, words = newton.GRAINS, {newton.TENSION: 0.0}
+        known, values = newton.GRAINS, {newton.TENSION: 0.0}
     elif material.law in (*VOLUME_KEEPING, newton.CRUSHABLE):
-        words["internalFriction"] = 0.0
+        values["internalFriction"] = 0.0
     else:
         known = {}
     for one in law_parameters([material.law]):
         if one.name in known:
             name, factor = known[one.name]
-            words[name] = material.parameter(one) / units.factor(one.unit) / factor
+            values[name] = material.parameter(one) / units.factor(one.unit) / factor
     if material.law == newton.CRUSHABLE:
         y, hardening, alpha, tension = map(material.parameter, LAWS[material.law].parameters)
         shear, pressure = newton.bounds(y, alpha)
-        words |= {
+        values |= {
             "yieldStress": shear / units.pressure, "yieldPressure": pressure / units.pressure,
             "hardening": hardening / y, newton.TENSION: tension,
         }  # fmt: skip
-    return [(f"newton:mpm:{name}", value) for name, value in words.items()]
+    return [(f"newton:mpm:{name}", value) for name, value in values.items()]

@@ -21,14 +21,14 @@ class Warned:
         self._delegate: UsdUtils.CoalescingDiagnosticDelegate | None = (
             UsdUtils.CoalescingDiagnosticDelegate()
         )
-        self._said: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
 
     @property
     def counts(self) -> Counter[str]:
         """Number of occurrences of each warning."""
         for one in self._delegate.TakeUncoalescedDiagnostics() if self._delegate else ():
-            self._said[_kind(one.commentary)] += 1
-        return self._said
+            self._counts[_kind(one.commentary)] += 1
+        return self._counts
 
     def end(self) -> None:
         """Stop collecting; USD prints warnings again."""

@@ -244,13 +244,13 @@ def serve(request: str) -> NoReturn:
     Errors that are not of this package are handled by the exit hook, because the exceptions of
     native parsers cannot be listed.
     """
-    reply, words = os.dup(1), os.dup(2)
+    reply, stderr = os.dup(1), os.dup(2)
     quiet = os.open(os.devnull, os.O_RDWR)
     for standard in (0, 1, 2):
         os.dup2(quiet, standard)
 
     def failed(kind: type[BaseException], error: BaseException, at: TracebackType | None) -> None:
-        os.write(words, _words(error).encode(errors="replace"))
+        os.write(stderr, _message(error).encode(errors="replace"))
         os._exit(FAILED)
 
     sys.excepthook = failed
@@ -273,7 +273,7 @@ def serve(request: str) -> NoReturn:
     os._exit(0)  # skip the teardown: freeing a stage takes time
 
 
-def _words(error: BaseException) -> str:
+def _message(error: BaseException) -> str:
     """NO_MEMORY, or the type and the first line of an error."""
     try:
         first = (str(error).strip().splitlines() or [""])[0][:300]

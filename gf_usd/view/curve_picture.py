@@ -51,7 +51,7 @@ class Rows:
     rows: Sequence[
         tuple[str, float, float, float]
     ]  # name; target, start and fit [standard deviations]
-    words: Sequence[str]  # the text after each name
+    texts: Sequence[str]  # the text after each name
 
 
 def write_panels(path: Path, panels: Sequence[Panel | Rows]) -> Path:
@@ -154,7 +154,7 @@ def _draw_rows(panel: Rows) -> Image.Image:
         draw.text(
             (x - 0.5 * draw.textlength(text, text_font), bottom + 6), text, NOTE_COLOR, text_font
         )
-    for k, ((name, spread, *values), text) in enumerate(zip(panel.rows, panel.words)):
+    for k, ((name, spread, *values), text) in enumerate(zip(panel.rows, panel.texts)):
         y = TOP + line * (k + 0.5)
         draw.text((20, y - 9), f"{name}: {text}", TEXT_COLOR, text_font)
         sigma_width = half * min(spread, limit) / limit

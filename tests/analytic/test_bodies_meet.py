@@ -60,13 +60,13 @@ def test_angular_momentum_is_kept_to_rounding():
 @pytest.mark.parametrize("material", ["rubber", "jelly"])
 def test_bodies_overlap_by_half_a_spacing_at_most(material):
     solver, frames = crash(material)
-    told = [f.health.overlap for f in frames]
+    recorded = [f.health.overlap for f in frames]
     seen = [depth(f, LEFT, RIGHT) for f in frames]
     s = solver.particles.spacing
-    assert 0.0 <= max(told) <= (0.5 - APART) * s, "they push before they touch"
+    assert 0.0 <= max(recorded) <= (0.5 - APART) * s, "they push before they touch"
     assert max(seen) <= (0.5 - APART) * s
     # Samples lie a spacing apart and frames show moments: of one depth, not of one place and time.
-    assert max(seen) == pytest.approx(max(told), abs=0.2 * s)
+    assert max(seen) == pytest.approx(max(recorded), abs=0.2 * s)
 
 
 @pytest.mark.parametrize("material", ["rubber", "jelly"])
@@ -74,7 +74,7 @@ def test_energy_is_never_made_out_of_nothing(material):
     _, frames = crash(material)
     h = [f.health for f in frames]
     scale = h[0].kinetic
-    # What new planes store is told apart (injected); 1e-5 is rounding of energies in float32.
+    # What new planes store is reported apart (injected); 1e-5 is rounding of energies in float32.
     assert max(gain_of_frames(h)) <= 1e-5 * scale
     # ... and none is put in: where nothing presses bodies together there is no budget.  Springs
     # of friction whose samples face something else are lost: each holds (mu k d)^2 / 2 k of the
@@ -168,10 +168,10 @@ def test_bodies_that_are_near_at_rest_stay_where_they_are(gap):
         np.testing.assert_allclose(last.embedded[path].x, pose.x, atol=1e-6)
 
 
-def plate(degrees: float, **said):
+def plate(degrees: float, **options):
     """A tilted plate whose upper face goes through the origin."""
     box = trimesh.creation.box(extents=(4.0, 0.4, 4.0)).subdivide().subdivide()
-    return obstacle(tilted(box.vertices - [0.0, 0.2, 0.0], degrees), box.faces, **said)
+    return obstacle(tilted(box.vertices - [0.0, 0.2, 0.0], degrees), box.faces, **options)
 
 
 def test_a_moving_obstacle_is_a_resting_one_seen_by_a_traveller():
@@ -265,16 +265,21 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
         return np.stack([speed, 0.0 * speed, 0.0 * speed], -1)
 
     gap = {}
-    for asked in (True, False):
+    for meets_itself in (True, False):
         solver = contact_solver(
-            body, particles=500, material=material, self_contact=asked, velocity=[close], frames=12
+            body,
+            particles=500,
+            material=material,
+            self_contact=meets_itself,
+            velocity=[close],
+            frames=12,
         )
         frames = list(solver.frames())
         x = [f.embedded["/Tongs"].x[:, 0] for f in frames]
-        gap[asked] = [(a[right].min() - a[left].max()) / solver.particles.spacing for a in x]
+        gap[meets_itself] = [(a[right].min() - a[left].max()) / solver.particles.spacing for a in x]
         p = np.array([f.health.momentum for f in frames])
         assert np.abs(p - p[0]).max() <= ROUNDING * solver.body.m.sum() * 3.0 * rate
-        assert (max(f.health.contact for f in frames) > 0.0) == asked
+        assert (max(f.health.contact for f in frames) > 0.0) == meets_itself
         assert max(f.health.overlap for f in frames) == 0.0
     assert gap[False][-1] < -1.0, "nothing else keeps the prongs apart"
     # Springs push from OFFSET on, and yield by less than that: measured 0.21 and 0.22.

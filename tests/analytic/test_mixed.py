@@ -52,7 +52,7 @@ def test_momentum_and_angular_momentum_are_kept(flowing: str, real: type) -> Non
     assert ball[0] < start * 5.0 / 6.0
     assert sum(h.rollbacks for h in seen) == 0
     assert max(h.overlap for h in seen) < 0.5 * run.particles.spacing
-    # nothing is gained: what new planes give is told, and little
+    # nothing is gained: what new planes give is reported, and little
     energy = np.array([h.kinetic + h.elastic + h.contact for h in seen])
     given = np.array([h.injected for h in seen])
     assert (np.diff(energy) < given[1:] + 2e-3 * energy[0]).all()

@@ -29,16 +29,23 @@ def cloud(seed: int = 0):
 def run(name="rubber", seed=0, velocity=(0.0, 0.0, 0.0), drop=False, **options):
     """The frames of the paper's set-up; a drop has its floor and contact at the particles."""
     body = cloud(seed)
-    said = {
+    values = {
         "frames": 60, "fps": 60.0, "substeps": 10, "cell": body.radius / 4.0, "followers": False,
         "filter_rate": np.inf, "contact_rate": 2000.0, "mass": "lumped", **options,
     }  # fmt: skip
     samples = None
     if drop:
-        said |= {"gravity": (0.0, -9.81, 0.0), "floor": 0.0, "lift": (0.0, 1.05, 0.0), "drag": 0.5}
+        values |= {
+            "gravity": (0.0, -9.81, 0.0),
+            "floor": 0.0,
+            "lift": (0.0, 1.05, 0.0),
+            "drag": 0.5,
+        }
         samples = SurfaceSamples(X=body.X, area=body.V0 / body.spacing)
     material = look(name, body, damping_time=0.0, law="corotated")
-    solver = TotalLagrangian(body, [material], settings(**said), samples=samples, velocity=velocity)
+    solver = TotalLagrangian(
+        body, [material], settings(**values), samples=samples, velocity=velocity
+    )
     return list(solver.frames())
 
 

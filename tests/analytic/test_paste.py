@@ -25,7 +25,7 @@ def test_sheared_at_a_rate_it_bears_its_yield_stress_and_its_viscosity(name: str
     # so heavy that its stress does not move it: its strain follows its velocity
     made = Material(**{**preset.__dict__, "density": 1e12})
     body = block((-0.5, -0.5, -0.5), (2, 2, 2), 0.5)
-    said = settings(
+    chosen = settings(
         "cpu",
         frames=2,
         fps=1.0 / END,
@@ -35,7 +35,7 @@ def test_sheared_at_a_rate_it_bears_its_yield_stress_and_its_viscosity(name: str
         stress=True,
     )
     shear = RATE * np.eye(3)[[1]].T @ np.eye(3)[[0]]
-    run = UpdatedLagrangian(body, [made], said, velocity=lambda X: X @ shear)
+    run = UpdatedLagrangian(body, [made], chosen, velocity=lambda X: X @ shear)
     *_, last = run.frames()
     own = made.parameters
     n, rate = own["flow_exponent"], RATE / np.sqrt(3.0)

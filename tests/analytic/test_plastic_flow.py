@@ -39,11 +39,11 @@ def _with_a_law_that_flows():
 
 
 def made(
-    family: str, body: Particles, materials: tuple[Material, ...], said: Settings, **more: Any
+    family: str, body: Particles, materials: tuple[Material, ...], chosen: Settings, **more: Any
 ) -> Solver:
     if family == "ul":
-        return UpdatedLagrangian(body, materials, replace(said, solver="ul"), **more)
-    return TotalLagrangian(body, materials, said, plain=family == "scalar", **more)
+        return UpdatedLagrangian(body, materials, replace(chosen, solver="ul"), **more)
+    return TotalLagrangian(body, materials, chosen, plain=family == "scalar", **more)
 
 
 def soft(density: float = 1000.0, yields: float = YIELD, **more: Any) -> Material:
@@ -71,9 +71,9 @@ class Press:
 
     def __init__(self, family: str, real: type) -> None:
         body = block((-0.5, -0.5, -0.5), (2, 2, 2), 0.5)
-        said = settings("cpu", frames=10_000, fps=1e3, substeps=1, stress=True, followers=False)
+        chosen = settings("cpu", frames=10_000, fps=1e3, substeps=1, stress=True, followers=False)
         self.family, self.F = family, np.eye(3)
-        self.solver = made(family, body, (soft(density=1e15),), said, real=real)
+        self.solver = made(family, body, (soft(density=1e15),), chosen, real=real)
         self.index, self.health = 0, self.solver.read(0).health
 
     def strain(self, F: Floats) -> Floats:
@@ -206,8 +206,8 @@ def test_flow_keeps_the_volume_over_many_steps(plain):
     """A block is sheared evenly in steps that all round alike."""
     law = elastic(E=E, nu=NU, density=1e9, law="vonMises", parameters={"yield_stress": 1.0})
     body = block((0.0, 0.0, 0.0), (1, 1, 1), 1.0)
-    said = settings("cpu", fps=1e9, substeps=1, followers=False)
-    solver = TotalLagrangian(body, [law], said, plain=plain)
+    chosen = settings("cpu", fps=1e9, substeps=1, followers=False)
+    solver = TotalLagrangian(body, [law], chosen, plain=plain)
     for a in np.linspace(0.0, 0.04, 201):
         set_state(
             solver, solver.body.stencil.node_X @ (np.diag(np.exp([a, -a, 0.0])) - np.eye(3)).T
@@ -222,8 +222,8 @@ def test_flow_keeps_the_volume_over_many_steps(plain):
 def thrown(family: str, frames: int = 8, options: Any = None, **more: Any) -> Solver:
     """A block that its own motion strains far beyond yield."""
     body = block((0.0, 0.0, 0.0), (4, 3, 3), 0.25)
-    said = settings("cpu", frames=frames, substeps=60, **(options or {}))
-    return made(family, body, (soft(**more),), said, velocity=lambda X: X @ RATE.T)
+    chosen = settings("cpu", frames=frames, substeps=60, **(options or {}))
+    return made(family, body, (soft(**more),), chosen, velocity=lambda X: X @ RATE.T)
 
 
 OPTIONS = {"clamp": (0.985, 1.015), "stress_cap": 250.0, "stress": True}
@@ -381,10 +381,10 @@ def test_three_laws_in_one_bake_each_move_as_alone(family):
         body = replace(body, body=which)
     laws = (elastic(E=E, nu=NU, density=1000.0), elastic(E=E, nu=NU, density=1000.0,
             law="neoHookean"), soft())  # fmt: skip
-    said = settings("cpu", frames=5, substeps=60, stress=True)
+    chosen = settings("cpu", frames=5, substeps=60, stress=True)
 
     def run(body: Particles, materials: tuple[Material, ...]):
-        solver = made(family, body, materials, said, velocity=lambda X: X @ RATE.T)
+        solver = made(family, body, materials, chosen, velocity=lambda X: X @ RATE.T)
         return list(solver.frames())[-1], solver
 
     mixed, solver = run(replace(body, material=which), laws)

@@ -31,11 +31,11 @@ def strained(kind: Any, law: str, solver: str) -> tuple[float, float, dict[str, 
     made = elastic(E=E, nu=0.3, density=1e12, law=law, parameters=own)
     body = block((-0.5, -0.5, -0.5), (2, 2, 2), 0.5)
     end = STRAIN / float(np.abs(RATE).max())
-    said = settings(
+    chosen = settings(
         "cpu", frames=2, fps=1.0 / end, substeps=SUBSTEPS, followers=False, solver=solver,
         internal=True, stress=True,
     )  # fmt: skip
-    run = kind(body, (made,), said, velocity=lambda X: X @ RATE.T)
+    run = kind(body, (made,), chosen, velocity=lambda X: X @ RATE.T)
     frame = list(run.frames())[-1]
     internal = {name: float(np.mean(v)) for name, v in (frame.internal or {}).items()}
     assert frame.stress is not None

@@ -33,8 +33,8 @@ def twins() -> Particles:
 
 
 def frames(body: Particles, materials: tuple[Material, ...], solver: str) -> list[Frame]:
-    said = settings("cpu", frames=5, substeps=60, solver=solver, stress=True)
-    made = make_solver(said, body, materials, velocity=lambda X: X @ RATE.T)
+    chosen = settings("cpu", frames=5, substeps=60, solver=solver, stress=True)
+    made = make_solver(chosen, body, materials, velocity=lambda X: X @ RATE.T)
     assert len(made.body.law.set.laws) == len({m.law for m in materials})
     return list(made.frames())
 

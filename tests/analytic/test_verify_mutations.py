@@ -19,9 +19,9 @@ pytestmark = pytest.mark.slow  # each fault is compiled anew, some ten seconds
 
 def verify(program: list[str], *cases: str) -> dict[str, bool]:
     """Whether each case passes, as `gf-usd verify` says."""
-    words = [word for case in cases for word in ("--case", case)]
+    arguments = [word for case in cases for word in ("--case", case)]
     done = subprocess.run(
-        [sys.executable, *program, "verify", "--json", *words],
+        [sys.executable, *program, "verify", "--json", *arguments],
         env={
             **os.environ,
             "PYTHONPATH": str(Path(gf_usd.__file__).parents[1]),

@@ -53,9 +53,9 @@ def scene() -> gf_usd.Scene:
 def run(text: str, known: dict[str, Any]) -> None:
     test = doctest.DocTest(doctest.DocTestParser().get_examples(text), {}, "", None, None, None)
     test.globs = known
-    said: list[str] = []
-    done = doctest.DocTestRunner().run(test, out=said.append, clear_globs=False)
-    assert done.failed == 0, "".join(said)
+    messages: list[str] = []
+    done = doctest.DocTestRunner().run(test, out=messages.append, clear_globs=False)
+    assert done.failed == 0, "".join(messages)
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ seen = []
 
 
 def test_a_bake_after_stages_were_opened(tmp_path: Path) -> None:
-    said = run(
+    output = run(
         tmp_path,
         LATE
         + """
@@ -50,7 +50,7 @@ print(gf_usd.check(result.root).ok, len(read), len(read.health))
 print(gf_usd.inspect(SPHERE, particles=60).refusal)
 """,
     )
-    first, notes, *rest = said.splitlines()
+    first, notes, *rest = output.splitlines()
     assert first == "BakeResult out/sphere.soft.usda soft [(1, 3), (2, 3), (3, 3)]"
     assert "a separate process: USD read its schema definitions before" in notes
     assert rest[0].startswith("True 3 2")
@@ -60,15 +60,15 @@ print(gf_usd.inspect(SPHERE, particles=60).refusal)
 @pytest.mark.slow
 def test_errors_of_a_bake_in_another_process_are_the_same(tmp_path: Path) -> None:
     code = """
-def told(**more):
+def report(**more):
     try:
         bake(**more)
     except gf_usd.GfUsdError as error:
         print(type(error).__name__, '|', error.message, '|', error.hint, '|', more, end=' ')
         print(sorted(set(vars(error)) - {'message', 'hint'}))
-told(spacing=0.1)
-told(max_hours=1e-9)
-told(clip_frames=1, slice=1)
+report(spacing=0.1)
+report(max_hours=1e-9)
+report(clip_frames=1, slice=1)
 """
     away, here = run(tmp_path, LATE + code), run(tmp_path, code)
     assert away == here
@@ -79,7 +79,7 @@ told(clip_frames=1, slice=1)
 
 @pytest.mark.slow
 def test_a_program_that_uses_taichi_keeps_it(tmp_path: Path) -> None:
-    said = run(
+    output = run(
         tmp_path,
         """
 import taichi as ti
@@ -96,22 +96,22 @@ for call in (lambda: gf_usd.inspect(SPHERE), lambda: gf_usd.simulate(gf_usd.Scen
 print(gf_usd.preview(result.root, size=(32, 24)).pixels.shape, mine.to_numpy())
 """,
     ).splitlines()
-    assert said[2:5] == [  # behind Taichi's own words
+    assert output[2:5] == [  # behind Taichi's own words
         "True [7. 7. 7.]",
         "another part of this program already runs Taichi, and a process can run it only once:"
         " inspect would end that computation",
         "another part of this program already runs Taichi, and a process can run it only once:"
         " simulate would end that computation",
     ]
-    assert said[5] == "(24, 32, 3) [7. 7. 7.]"
+    assert output[5] == "(24, 32, 3) [7. 7. 7.]"
 
 
 @pytest.mark.slow
 def test_a_program_that_starts_taichi_after_us_keeps_it(tmp_path: Path) -> None:
-    said = run(
+    output = run(
         tmp_path,
         """
-def told(simulation):
+def report(simulation):
     try:
         next(simulation)
     except gf_usd.UsageError as error:
@@ -125,25 +125,25 @@ running = gf_usd.simulate(scene, particles=60)
 next(running)
 import taichi as ti
 ti.reset()
-told(running)
+report(running)
 print(bake().frames)
 running = gf_usd.simulate(scene, particles=60)
 ti.init(arch=ti.cpu, log_level=ti.ERROR)
 mine = ti.field(float, 3)
 mine.fill(7.0)
-told(running)
+report(running)
 result = bake()
 print(any('already runs Taichi' in note for note in result.notes), mine.to_numpy())
 """,
     )
     ended = "another part of this program started or reset Taichi, which ended the simulation"
-    words = [line for line in said.splitlines() if not line.startswith("[Taichi]")]
-    assert words == [ended, "3", ended, "True [7. 7. 7.]"]
+    lines = [line for line in output.splitlines() if not line.startswith("[Taichi]")]
+    assert lines == [ended, "3", ended, "True [7. 7. 7.]"]
 
 
 @pytest.mark.slow
 def test_nothing_stays_replaced(tmp_path: Path) -> None:
-    said = run(
+    output = run(
         tmp_path,
         """
 import gc, inspect, logging, os, signal, sys, threading, types
@@ -180,13 +180,13 @@ print([i for i, (a, b) in enumerate(zip(before, after)) if a != b])
 print([key for key in known if key in now and now[key] != known[key] and key[-1] not in COUNTERS])
 """,
     )
-    assert said.splitlines()[-2:] == ["[]", "[]"]
+    assert output.splitlines()[-2:] == ["[]", "[]"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("late", ["", LATE], ids=["here", "away"])
 def test_it_may_be_called_from_a_thread_and_interrupted(tmp_path: Path, late: str) -> None:
-    said = run(
+    output = run(
         tmp_path,
         late
         + """
@@ -208,11 +208,11 @@ for thread in threads:
 print(results, bake().frames)
 """,
     )
-    assert said.splitlines() == ["interrupted", "[3, 3] 3"]
+    assert output.splitlines() == ["interrupted", "[3, 3] 3"]
 
 
 def test_what_a_crash_of_the_other_process_says(tmp_path: Path) -> None:
-    said = run(
+    lines = run(
         tmp_path,
         """
 from gf_usd.api.host.own_process import call
@@ -223,8 +223,8 @@ for task in ('os:abort', 'gf_usd.api.host.guest:nothing'):
         print(error.message)
 """,
     ).splitlines()
-    assert said[0].startswith("the process that did the work ended by signal 6")
-    assert "with status 1: AttributeError: module 'gf_usd.api.host.guest'" in said[1]
+    assert lines[0].startswith("the process that did the work ended by signal 6")
+    assert "with status 1: AttributeError: module 'gf_usd.api.host.guest'" in lines[1]
 
 
 EDITED = """
@@ -235,13 +235,13 @@ Path('root.usda').write_text('#usda 1.0\\n(defaultPrim = "Sphere"\\nsubLayers = 
 over = Sdf.Layer.FindOrOpen('over.usda')
 {open}
 Sdf.CreatePrimInLayer(over, '/Sphere').typeName = 'Scope'
-def told(call, **more):
+def report(call, **more):
     try:
         call('root.usda', particles=60, **more)
     except gf_usd.InputError as error:
         print(error.message, '|', error.hint)
-told(gf_usd.bake, output='out/', frames=3)
-told(gf_usd.inspect)
+report(gf_usd.bake, output='out/', frames=3)
+report(gf_usd.inspect)
 print(over.dirty)
 """
 
@@ -251,19 +251,19 @@ def test_what_the_program_has_not_saved_is_neither_baked_nor_passed_over(
     tmp_path: Path, schema: str
 ) -> None:
     opened = "stage = Usd.Stage.Open('root.usda')"
-    said = run(tmp_path, schema + EDITED.replace("{open}", opened)).splitlines()
-    assert len(said) == 3
-    for line in said[:2]:
+    lines = run(tmp_path, schema + EDITED.replace("{open}", opened)).splitlines()
+    assert len(lines) == 3
+    for line in lines[:2]:
         assert line.startswith("root.usda: the layer over.usda has unsaved changes in this program")
         assert "layer.Save()" in line
-    assert said[2] == "True"
+    assert lines[2] == "True"
     assert not (tmp_path / "out").exists()
 
 
 def test_a_sublayer_with_edits_is_found_where_the_asset_is_not_open(tmp_path: Path) -> None:
-    said = run(tmp_path, EDITED.replace("{open}", "")).splitlines()
-    assert len(said) == 3
-    assert all("over.usda has unsaved changes" in line for line in said[:2])
+    lines = run(tmp_path, EDITED.replace("{open}", "")).splitlines()
+    assert len(lines) == 3
+    assert all("over.usda has unsaved changes" in line for line in lines[:2])
 
 
 FORKED = """
@@ -275,7 +275,7 @@ scene.add_body([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], [
 running = gf_usd.simulate(scene, particles=60)
 next(running)
 
-def told(call):
+def report(call):
     try:
         call()
     except gf_usd.GfUsdError as error:
@@ -290,20 +290,20 @@ print(os.wait()[1], next(running).index)
 
 def test_a_forked_process_says_that_taichi_does_not_run_in_it(tmp_path: Path) -> None:
     calls = "inspect(SPHERE)", "simulate(scene, particles=60)"
-    work = [f"told(lambda: gf_usd.{call})" for call in calls]
-    work += ["told(lambda: next(running))", "told(init_taichi)"]
-    *said, last = run(tmp_path, FORKED.replace("{work}", "; ".join(work))).splitlines()
+    work = [f"report(lambda: gf_usd.{call})" for call in calls]
+    work += ["report(lambda: next(running))", "report(init_taichi)"]
+    *lines, last = run(tmp_path, FORKED.replace("{work}", "; ".join(work))).splitlines()
     assert last == "0 1"
-    assert len(said) == 4
-    for line in said:
+    assert len(lines) == 4
+    for line in lines:
         assert "this process was forked from one that had started Taichi" in line
         assert "use the spawn method" in line
-    assert said[-1].startswith("GfUsdError")
+    assert lines[-1].startswith("GfUsdError")
 
 
 @pytest.mark.slow
 def test_a_forked_process_bakes_in_one_of_its_own(tmp_path: Path) -> None:
     work = "result = bake(); print(result.frames, result.notes[-1], flush=True)"
-    said, last = run(tmp_path, FORKED.replace("{work}", work)).splitlines()
-    assert said.startswith("3 baked in a separate process: this process was forked")
+    line, last = run(tmp_path, FORKED.replace("{work}", work)).splitlines()
+    assert line.startswith("3 baked in a separate process: this process was forked")
     assert last == "0 1"

@@ -110,12 +110,12 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
 
 
 @pytest.mark.parametrize("function", [gf_usd.bake])
-@pytest.mark.parametrize(("asked", "message", "hint"), MISUSES, ids=named)
+@pytest.mark.parametrize(("options", "message", "hint"), MISUSES, ids=named)
 def test_a_misuse_is_answered_in_our_words(
-    function: Any, asked: dict[str, Any], message: str, hint: str, tmp_path: Path
+    function: Any, options: dict[str, Any], message: str, hint: str, tmp_path: Path
 ) -> None:
     with pytest.raises(gf_usd.UsageError) as caught:
-        function(SPHERE, **{"output": f"{tmp_path}/", **asked})
+        function(SPHERE, **{"output": f"{tmp_path}/", **options})
     assert message in caught.value.message
     assert hint in caught.value.hint
     assert "--" not in str(caught.value), "an option of the command line"
@@ -214,8 +214,8 @@ def test_python_values_bake_and_the_command_says_them(tmp_path: Path) -> None:
     assert (result.settings.frames, result.settings.lift[1] > 0.0, len(done)) == (3, True, 6)
     soft = result.bakes[1].material
     assert (soft.name, soft.youngs_modulus) == ("soft", 3e4)
-    said = "--material jelly,soft --drop 1 --floor 0 --range 1:3 --gravity 0,-9.81,0 --particles"
-    assert said in result.report.read_text(encoding="utf-8").replace("--prim /Sphere ", "")
+    command = "--material jelly,soft --drop 1 --floor 0 --range 1:3 --gravity 0,-9.81,0 --particles"
+    assert command in result.report.read_text(encoding="utf-8").replace("--prim /Sphere ", "")
     assert any("material soft were given by the caller" in note for note in result.notes)
 
 

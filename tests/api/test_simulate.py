@@ -76,8 +76,8 @@ def test_bodies_that_overlap_at_the_start_have_a_note(apart: float) -> None:
     scene = alone()
     scene.add_body(UNIT + (apart, 0.0, 0.0), FACES, name="other")
     notes = gf_usd.simulate(scene, frames=1, particles=100).notes
-    said = "</block> and </other> are different physics bodies that overlap"
-    assert any(note.startswith(said) for note in notes) == (apart < 1.0)
+    message = "</block> and </other> are different physics bodies that overlap"
+    assert any(note.startswith(message) for note in notes) == (apart < 1.0)
     assert not [note for note in notes if "--" in note or "asset" in note]
 
 

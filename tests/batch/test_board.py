@@ -75,8 +75,8 @@ def test_openjd_lines_are_those_of_its_specification() -> None:
     started = {"event": "started", "job": "a", "attempt": 1}
     frame = {"event": "frame", "job": "a", "done": 2, "total": 4, "frames_per_second": 1.0}
     end = ended("a", "done", 2.0)
-    said = [openjd_lines(board, event, board.handle(event)) for event in (started, frame, end)]
-    assert said == [
+    printed = [openjd_lines(board, event, board.handle(event)) for event in (started, frame, end)]
+    assert printed == [
         ["openjd_progress: 0.0", "openjd_status: 0 of 2 done; a: running"],
         ["openjd_progress: 25.0", "openjd_status: 0 of 2 done; a: frame 2 of 4"],
         ["openjd_progress: 50.0", "openjd_status: 1 of 2 done; a: done"],

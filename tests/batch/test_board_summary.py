@@ -35,13 +35,13 @@ def test_what_needs_a_look_comes_first() -> None:
 
 
 def test_the_command_names_just_those() -> None:
-    asked = ["gf-usd", "batch", "my toys.toml"]
-    assert rerun_command(asked, ENDS) == (
+    command = ["gf-usd", "batch", "my toys.toml"]
+    assert rerun_command(command, ENDS) == (
         "gf-usd batch 'my toys.toml' --select d --select c --select 'f b'"
     )
-    assert rerun_command(asked, [o for o in ENDS if o.good]) == ""
+    assert rerun_command(command, [o for o in ENDS if o.good]) == ""
     many = [outcome(f"j{i}", "failed") for i in range(21)]
-    assert rerun_command(asked, many) == "gf-usd batch 'my toys.toml' --failed"
+    assert rerun_command(command, many) == "gf-usd batch 'my toys.toml' --failed"
 
 
 def test_the_file_keeps_what_was_not_run_this_time(tmp_path: Path) -> None:

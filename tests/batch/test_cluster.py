@@ -105,9 +105,9 @@ def test_the_workers_are_looked_at_until_the_batch_ends(monkeypatch: pytest.Monk
     )
     thread.start()
     workers.clear()
-    said = events.get(timeout=60.0)
-    assert said["event"] == "note"
-    assert said["message"].startswith("the cluster at tcp://here has no worker")
+    event = events.get(timeout=60.0)
+    assert event["event"] == "note"
+    assert event["message"].startswith("the cluster at tcp://here has no worker")
     ended.set()
     thread.join()
     assert events.empty()

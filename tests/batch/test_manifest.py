@@ -79,7 +79,7 @@ def test_json_says_the_same(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "lists no assets"),
         ('file = "x"', "unknown key 'file'"),
@@ -104,11 +104,13 @@ def test_json_says_the_same(folder: Path) -> None:
         ('settings = 3\n[[assets]]\nfiles = ["a.usd"]', "settings is 3"),
     ],
 )  # fmt: skip
-def test_what_makes_no_sense_is_refused_with_its_place(folder: Path, text: str, said: str) -> None:
+def test_what_makes_no_sense_is_refused_with_its_place(
+    folder: Path, text: str, message: str
+) -> None:
     path = written(folder, text)
     with pytest.raises(UsageError) as refused:
         read_manifest(path)
-    assert said in refused.value.message
+    assert message in refused.value.message
     assert str(path) in refused.value.message
     assert refused.value.hint
 

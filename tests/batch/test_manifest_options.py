@@ -21,17 +21,17 @@ def test_every_option_is_one_of_the_command() -> None:
     for name, option in KNOWN.items():
         value = ["/A", "/B"] if option.repeated else VALUES[option.kind]
         job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options={name: value})
-        words = [word for word in job.arguments()[4:] if word.startswith("--")]
-        assert words, name
-        assert set(words) <= there, name
+        flags = [word for word in job.arguments()[4:] if word.startswith("--")]
+        assert flags, name
+        assert set(flags) <= there, name
     assert {name for name, option in KNOWN.items() if option.two_way} == {"wls", "self_contact"}
     indifferent = {name for name, option in KNOWN.items() if not option.decides}
     assert indifferent == {"strict", "max_hours", "threads", "limits"}
 
 
 def test_what_does_not_decide_is_left_out_of_the_identity() -> None:
-    asked = {"threads": 2, "strict": True, "seed": 3}
-    assert result_options(asked) == {"material": "rubber", "seed": 3}
+    options = {"threads": 2, "strict": True, "seed": 3}
+    assert result_options(options) == {"material": "rubber", "seed": 3}
 
 
 @pytest.mark.parametrize(

@@ -69,8 +69,8 @@ def test_failures_are_on_top_with_why_and_what_to_do(tmp_path: Path) -> None:
     assert len(head[1]) == len(bad[1]) == len(good[1]) == len(COLUMNS)
     assert bad[0]["data-kind"] == "bad"
     assert good[0]["data-kind"] == "warned"
-    for words in (NASTY, "fewer at once", "SIGSEGV"):
-        assert words in bad[1][1]
+    for message in (NASTY, "fewer at once", "SIGSEGV"):
+        assert message in bad[1][1]
     assert "too dark" in good[1][1]
     numbers = good[1][3:]
     assert numbers == ["1", "2", "", "0.50", "1.0e-05", "120", "4", "", "3.2", "3.0", "300", "1"]
@@ -110,8 +110,8 @@ def test_notes_and_warnings_of_a_bake_are_on_the_page(tmp_path: Path) -> None:
     plan = BatchPlan(jobs=(one,), out=tmp_path, title="t", timeout=None, retries=1)
     text = build_page(plan, [Outcome.of(made.as_json())], {}, {})
     attributes, cells = Table(text).rows[1]
-    for said in ("warning: rubber: still in the air", "take more frames", "note: floor at 0"):
-        assert said in cells[1]
+    for message in ("warning: rubber: still in the air", "take more frames", "note: floor at 0"):
+        assert message in cells[1]
     assert "2 more notes" in cells[1]
     assert "note: </A/Hat> is not baked" in cells[1], "can be opened"
     assert "gravity is 1.62" in str(attributes["data-text"]), "can be searched"

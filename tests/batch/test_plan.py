@@ -75,7 +75,7 @@ def test_flags_and_lists_become_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("groups", "said"),
+    ("groups", "message"),
     [
         # two assets of one name
         ([{"files": ["x/a.usda", "y/a.usda"]}], "would both write"),
@@ -102,11 +102,11 @@ def test_flags_and_lists_become_words(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_names_that_cannot_be_are_refused(
-    tmp_path: Path, groups: list[dict[str, Any]], said: str
+    tmp_path: Path, groups: list[dict[str, Any]], message: str
 ) -> None:
     with pytest.raises(UsageError) as refused:
         plan(tmp_path, *groups)
-    assert said in refused.value.message
+    assert message in refused.value.message
 
 
 def test_results_cannot_be_in_a_file(tmp_path: Path) -> None:

@@ -36,14 +36,14 @@ def plan(folder: Path, count: int = 3, **options: Any) -> BatchPlan:
 
 
 def test_jobs_come_back_as_they_went(tmp_path: Path) -> None:
-    asked = plan(tmp_path, pins=["/A"], repair=True)
+    planned = plan(tmp_path, pins=["/A"], repair=True)
     path = tmp_path / "jobs.json"
-    path.write_text(jobs_text(asked), encoding="utf-8")
+    path.write_text(jobs_text(planned), encoding="utf-8")
     assert is_bundle(path)
-    assert read_jobs(path) == asked
-    elsewhere = with_output_folder(asked, Path("/other"))
+    assert read_jobs(path) == planned
+    elsewhere = with_output_folder(planned, Path("/other"))
     assert elsewhere.jobs[1].root == Path("/other/a.seed1.usda")
-    assert elsewhere.jobs[1].asset == asked.jobs[1].asset
+    assert elsewhere.jobs[1].asset == planned.jobs[1].asset
     path.write_text('{"form": "gf-usd jobs 1", "jobs": [{}]}', encoding="utf-8")
     with pytest.raises(InputError, match="contains no jobs"):
         read_jobs(path)
@@ -62,11 +62,11 @@ def rules(folder: Path, *rows: tuple[str, str, str]) -> Path:
 def test_paths_become_those_of_the_worker(tmp_path: Path) -> None:
     first = plan(tmp_path, 1)
     material = str(tmp_path / "looks" / "wax.usda")
-    asked = replace(
+    planned = replace(
         first, jobs=(replace(first.jobs[0], options={"material": f"rubber,{material}"}),)
     )
     made = with_mapped_paths(
-        asked,
+        planned,
         # the longer source counts, whatever the order
         rules(tmp_path, ("POSIX", "/", "/wrong"), ("POSIX", str(tmp_path), "/sent"),
               ("POSIX", str(tmp_path / "out"), "/results")),
@@ -78,15 +78,15 @@ def test_paths_become_those_of_the_worker(tmp_path: Path) -> None:
     assert found.options["material"] == "rubber,/sent/looks/wax.usda"
     # whole parts of a path, not letters
     other = rules(tmp_path, ("POSIX", str(tmp_path)[:-1], "/wrong"))
-    assert with_mapped_paths(asked, other).jobs == asked.jobs
-    windows = replace(asked.jobs[0], asset=PurePosixPath(r"C:\props\duck.usda"))
+    assert with_mapped_paths(planned, other).jobs == planned.jobs
+    windows = replace(planned.jobs[0], asset=PurePosixPath(r"C:\props\duck.usda"))
     drive = rules(tmp_path, ("WINDOWS", "c:/props", "/mnt/props"))
-    assert with_mapped_paths(replace(asked, jobs=(windows,)), drive).jobs[0].asset == Path(
+    assert with_mapped_paths(replace(planned, jobs=(windows,)), drive).jobs[0].asset == Path(
         "/mnt/props/duck.usda"
     )
     drive.write_text("[]", encoding="utf-8")
     with pytest.raises(InputError, match="no path mapping rules"):
-        with_mapped_paths(asked, drive)
+        with_mapped_paths(planned, drive)
 
 
 @pytest.mark.parametrize(
@@ -103,13 +103,13 @@ def test_ranges_that_name_none_are_refused(text: str) -> None:
 
 
 def test_a_bundle_holds_what_a_farm_asks_for(tmp_path: Path) -> None:
-    asked = plan(tmp_path)
-    asked.jobs[0].asset.write_text(
+    planned = plan(tmp_path)
+    planned.jobs[0].asset.write_text(
         TRIANGLE.replace("{\n", "{\n    asset inputs:file = @./t.png@\n", 1), encoding="utf-8"
     )
     (tmp_path / "t.png").touch()
     folder = tmp_path / "bundle"
-    files = write_bundle(asked, folder, chunk=2, program="py", table=InputTable(Children()))
+    files = write_bundle(planned, folder, chunk=2, program="py", table=InputTable(Children()))
     assert sorted(p.name for p in folder.iterdir()) == sorted(p.name for p in files)
     sent = json.loads((folder / "asset_references.json").read_text("utf-8"))["assetReferences"]
     assert sent["inputs"]["filenames"] == [str(tmp_path / "a.usda"), str(tmp_path / "t.png")]
@@ -119,8 +119,8 @@ def test_a_bundle_holds_what_a_farm_asks_for(tmp_path: Path) -> None:
     assert {row["name"]: row["value"] for row in values} == flat
     assert (flat["Jobs"], flat["JobsPerTask"], flat["Python"]) == ("0-2", 2, "py")
     with pytest.raises(UsageError, match="--chunk is 0"):
-        write_bundle(asked, folder, chunk=0, program="py", table=InputTable(Children()))
-    empty = replace(asked, jobs=())
+        write_bundle(planned, folder, chunk=0, program="py", table=InputTable(Children()))
+    empty = replace(planned, jobs=())
     with pytest.raises(UsageError, match="no jobs"):
         write_bundle(empty, folder, chunk=1, program="py", table=InputTable(Children()))
 
@@ -138,8 +138,8 @@ def test_a_task_is_ended_in_time(tmp_path: Path) -> None:
 
 
 def test_chunks_grow_only_where_tasks_have_no_bound(tmp_path: Path) -> None:
-    def target(asked: BatchPlan, slice: int | None = None) -> int:
-        space = template(asked, 1, slice)["steps"][0]["parameterSpace"]
+    def target(planned: BatchPlan, slice: int | None = None) -> int:
+        space = template(planned, 1, slice)["steps"][0]["parameterSpace"]
         return space["taskParameterDefinitions"][0]["chunks"]["targetRuntimeSeconds"]
 
     limited = plan(tmp_path, frames=9, clip_frames=2)
@@ -157,19 +157,19 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
 
 
 def test_slices_are_steps_that_wait_for_each_other(tmp_path: Path) -> None:
-    asked = plan(tmp_path, frames=25, clip_frames=4)
-    steps = template(asked, chunk=1, slice=2)["steps"]
+    planned = plan(tmp_path, frames=25, clip_frames=4)
+    steps = template(planned, chunk=1, slice=2)["steps"]
     names = [step["name"] for step in steps]
     assert names == ["Bake 1 of 3", "Bake 2 of 3", "Bake 3 of 3", "Report"]
     before = [step.get("dependencies") for step in steps]
     assert before == [None, *([{"dependsOn": name}] for name in names[:3])]
     for number, step in enumerate(steps[:3], 1):
-        words = step["script"]["actions"]["onRun"]["args"]
-        assert words[-4:] == ["--slice", "2", "--part", f"{number}/3"]
+        arguments = step["script"]["actions"]["onRun"]["args"]
+        assert arguments[-4:] == ["--slice", "2", "--part", f"{number}/3"]
     # the longest job says how many there are, and jobs that fit into one slice have one step
-    mixed = replace(asked, jobs=(*asked.jobs, job(tmp_path, "b", frames=41, clip_frames=4)))
+    mixed = replace(planned, jobs=(*planned.jobs, job(tmp_path, "b", frames=41, clip_frames=4)))
     assert len(template(mixed, chunk=1, slice=2)["steps"]) == 5 + 1
-    assert [s["name"] for s in template(asked, chunk=1, slice=6)["steps"]] == ["Bake", "Report"]
+    assert [s["name"] for s in template(planned, chunk=1, slice=6)["steps"]] == ["Bake", "Report"]
 
 
 @pytest.mark.slow
@@ -178,19 +178,19 @@ def test_slices_are_steps_that_wait_for_each_other(tmp_path: Path) -> None:
 def test_the_real_openjd_accepts_it(tmp_path: Path, slice: int | None, steps: int) -> None:
     program = str(OPENJD) if OPENJD.is_file() else "openjd"
     folder = tmp_path / "bundle"
-    asked = plan(tmp_path, frames=9, clip_frames=2)
-    write_bundle(asked, folder, chunk=2, program="py", table=InputTable(Children()), slice=slice)
+    planned = plan(tmp_path, frames=9, clip_frames=2)
+    write_bundle(planned, folder, chunk=2, program="py", table=InputTable(Children()), slice=slice)
 
-    def ask(*words: str) -> subprocess.CompletedProcess[str]:
+    def ask(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [program, words[0], str(folder / "template.json"), *words[1:]],
+            [program, arguments[0], str(folder / "template.json"), *arguments[1:]],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
 
     assert ask("check").returncode == 0
-    said = ask("summary", "-p", f"file://{folder / 'parameters.json'}", "--output", "json")
-    assert said.returncode == 0, said.stdout + said.stderr
-    assert json.loads(said.stdout)["total_steps"] == steps
+    done = ask("summary", "-p", f"file://{folder / 'parameters.json'}", "--output", "json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads(done.stdout)["total_steps"] == steps
     # and it would say if it were none
     tree = json.loads((folder / "template.json").read_text("utf-8"))
     tree["steps"][0]["parameterSpace"]["taskParameterDefinitions"][0]["type"] = "CHUNK[WORD]"

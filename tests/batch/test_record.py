@@ -19,13 +19,13 @@ class Fragile(Children):
 
     def __init__(self, deadly: Sequence[str], slow: Sequence[str] = ()) -> None:
         super().__init__()
-        self._deadly, self._slow, self.asked = deadly, slow, list[list[str]]()
+        self._deadly, self._slow, self.requests = deadly, slow, list[list[str]]()
 
     def run(
         self, command: Sequence[str], on_line: Callable[[str], None], **how: Any
     ) -> ProcessResult | None:
         names = list(command[command.index("--json") + 1 :])
-        self.asked.append(names)
+        self.requests.append(names)
         out, status, late = "", 0, False
         for name in names:
             if name in self._deadly:
@@ -49,9 +49,9 @@ def test_a_crash_costs_one_asset(tmp_path: Path) -> None:
     assert [key for key, row in rows.items() if "error" in row] == [str(paths[1]), str(paths[3])]
     assert "ended with status -11" in rows[str(paths[1])]["error"]
     assert "took too long" in rows[str(paths[3])]["error"]
-    assert [len(names) for names in children.asked] == [5, 3, 1]
+    assert [len(names) for names in children.requests] == [5, 3, 1]
     table.read(paths)
-    assert len(children.asked) == 3, "what is known is not read again"
+    assert len(children.requests) == 3, "what is known is not read again"
 
 
 def test_nothing_is_read_once_all_is_stopped(tmp_path: Path) -> None:

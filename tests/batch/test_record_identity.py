@@ -87,7 +87,7 @@ def test_what_does_not_decide_it_does_not(tmp_path: Path) -> None:
     assert name_of(replace(of, options={**of.options, **more})) == before
     os.utime(of.asset, (1, 1))
     assert name_of(of) == before
-    # rubber is what a bake takes where nothing is said
+    # rubber is what a bake takes where no material is given
     plain = {k: v for k, v in of.options.items() if k != "material"}
     assert name_of(replace(of, options=plain)) == before
 

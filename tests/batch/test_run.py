@@ -46,14 +46,14 @@ class Bakes(Children):
         self.before(name)
         self.locked.append(acquire(root) is None)
         status, last, err = self.script[name].pop(0)
-        told = [last] if last else []
+        events = [last] if last else []
         if status == 0:
             root.write_text("#usda 1.0\n", encoding="utf-8")
-            told = [{"event": "frame", "done": k, "total": 2, "particles": 120} for k in (1, 2)]
-            told.append({"event": "finished", **RESULT, "outputs": [str(root)]})
+            events = [{"event": "frame", "done": k, "total": 2, "particles": 120} for k in (1, 2)]
+            events.append({"event": "finished", **RESULT, "outputs": [str(root)]})
         writer = int(command[command.index("--events") + 1])
         assert writer in how["inherit"]
-        for event in told:
+        for event in events:
             os.write(writer, json.dumps(event).encode() + b"\n")
         if status < 0:
             os.write(writer, b'{"event": "fini')  # cut short

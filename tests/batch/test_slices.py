@@ -48,14 +48,14 @@ def test_a_job_takes_so_many_runs(
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [({"frames": 9}, "counts value clips"), ({"clip_frames": 2}, "depends on the number of frames"),
      ({"frames": 9, "clip_frames": 0}, "counts value clips")],
 )  # fmt: skip
 def test_what_cannot_be_counted_is_refused(
-    tmp_path: Path, options: dict[str, Any], said: str
+    tmp_path: Path, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(UsageError, match=rf"^a\.rubber: .*{said}"):
+    with pytest.raises(UsageError, match=rf"^a\.rubber: .*{message}"):
         slices(job(tmp_path, **options), 1)
 
 
@@ -99,31 +99,31 @@ def test_a_slice_is_no_alarm() -> None:
 
 
 def test_what_an_earlier_slice_settled_is_not_begun_again(tmp_path: Path) -> None:
-    asked = job(tmp_path)
-    asked.root.parent.mkdir()
+    sliced = job(tmp_path)
+    sliced.root.parent.mkdir()
 
     def record(state: str) -> None:
-        told = outcome(asked.name, state, seconds=2.0, cpu_seconds=3.0)
-        write_record(asked, told, identity="x", description={})
+        made = outcome(sliced.name, state, seconds=2.0, cpu_seconds=3.0)
+        write_record(sliced, made, identity="x", description={})
 
-    assert final_outcome(asked, "x") is None
+    assert final_outcome(sliced, "x") is None
     for state in ("failed", "refused", "unsound"):
         record(state)
-        told = final_outcome(asked, "x")
-        assert told is not None
-        assert told.state == state
-        assert final_outcome(asked, "y") is None, "it would be another bake"
-        assert final_outcome(asked, None) is None, "nobody knows"
+        final = final_outcome(sliced, "x")
+        assert final is not None
+        assert final.state == state
+        assert final_outcome(sliced, "y") is None, "it would be another bake"
+        assert final_outcome(sliced, None) is None, "nobody knows"
     record("crashed")
-    assert final_outcome(asked, "x") is None
+    assert final_outcome(sliced, "x") is None
     # a disk that was full then may have room now: there is something to go on from
     record("failed")
-    checkpoint = asked.sibling(".checkpoint.npz")
+    checkpoint = sliced.sibling(".checkpoint.npz")
     checkpoint.touch()
-    assert final_outcome(asked, "x") is None
-    assert time_spent(asked, "x") == (0.0, 0.0)
+    assert final_outcome(sliced, "x") is None
+    assert time_spent(sliced, "x") == (0.0, 0.0)
     record("sliced")
-    assert time_spent(asked, "x") == (2.0, 3.0)
-    assert time_spent(asked, "y") == (0.0, 0.0)
+    assert time_spent(sliced, "x") == (2.0, 3.0)
+    assert time_spent(sliced, "y") == (0.0, 0.0)
     checkpoint.unlink()
-    assert time_spent(asked, "x") == (0.0, 0.0), "the next slice begins anew"
+    assert time_spent(sliced, "x") == (0.0, 0.0), "the next slice begins anew"

@@ -1,4 +1,4 @@
-"""The command line run in this process, from its words to its exit status."""
+"""The command line run in this process, from its arguments to its exit status."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def gf_usd(
     monkeypatch: pytest.MonkeyPatch,
     start_reader: Callable[[Path], sandbox.Reader],
 ) -> Iterator[Callable[..., Done]]:
-    """Run ``gf-usd`` with these words, catching what any part of the process prints."""
+    """Run ``gf-usd`` with these arguments, catching what any part of the process prints."""
     numbers = (signal.SIGTERM, signal.SIGINT)
     handlers = {number: signal.getsignal(number) for number in numbers}
     sandbox.set_starter(start_reader)
 
-    def call(*words: object) -> Done:
+    def call(*arguments: object) -> Done:
         capfd.readouterr()
-        monkeypatch.setattr(sys, "argv", ["gf-usd", *map(str, words)])
+        monkeypatch.setattr(sys, "argv", ["gf-usd", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             main.run()
         out, err = capfd.readouterr()

@@ -158,7 +158,7 @@ def test_a_mesh_file_is_judged_by_its_materials(gf_usd, here, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (["-m", "auto,rubber"], "auto stands in a list"),
         (["-m", "rubber,auto:x"], "auto:x stands in a list"),
@@ -167,8 +167,8 @@ def test_a_mesh_file_is_judged_by_its_materials(gf_usd, here, tmp_path):
         (["-m", "auto:"], "there is no material advisor ''"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_words(gf_usd, here, stage, words, message):
-    done = gf_usd("bake", stage(cube("a", 0)), *words, *SMALL)
+def test_what_makes_no_sense_is_refused_in_words(gf_usd, here, stage, arguments, message):
+    done = gf_usd("bake", stage(cube("a", 0)), *arguments, *SMALL)
     assert done.status == 2
     assert message in done.err
     assert names(here) == []
@@ -176,15 +176,15 @@ def test_what_makes_no_sense_is_refused_in_words(gf_usd, here, stage, words, mes
 
 @pytest.fixture
 def server(monkeypatch):
-    """The stub server, running; what it was asked is in `requests`."""
+    """The stub server, running; its requests are in `requests`."""
     monkeypatch.syspath_prepend(str(VISION))
     import stub_server
 
-    asked = []
+    requests = []
     reply = stub_server.reply_to
-    monkeypatch.setattr(stub_server, "reply_to", lambda r: (asked.append(r), reply(r))[1])
+    monkeypatch.setattr(stub_server, "reply_to", lambda r: (requests.append(r), reply(r))[1])
     running = stub_server.serve()
-    running.requests = asked
+    running.requests = requests
     thread = threading.Thread(target=running.serve_forever, daemon=True)
     thread.start()
     monkeypatch.setenv("VISION_ADVISOR_URL", f"http://127.0.0.1:{running.server_port}/v1")
@@ -221,8 +221,8 @@ def test_a_batch_takes_auto_and_asks_no_advisor(vision):
 
 @pytest.mark.slow
 def test_the_sample_advisor_asks_the_stub_server(gf_usd, here, stage, server, vision):
-    said = cube("Said", 4, "rel material:binding:physics = </All/Stiff>", BINDS)
-    asset = stage(MATERIALS, cube("SteelBlock", 0), cube("Other", 2), said)
+    authored = cube("Said", 4, "rel material:binding:physics = </All/Stiff>", BINDS)
+    asset = stage(MATERIALS, cube("SteelBlock", 0), cube("Other", 2), authored)
     done = gf_usd("bake", asset, "-m", "auto:vision", *SMALL, "--dry-run", "--json")
     advice = advice_of(done)
     assert [(a["material"], a["by"]) for a in advice.values()] == [

@@ -26,10 +26,10 @@ LONG = ("--particles", "200", "--frames", "100000", "--drop", "150", "--max-hour
 
 def test_a_second_bake_is_refused_until_the_first_is_gone(gf_usd, here: Path, block: Path) -> None:
     first = start("bake", block, *LONG)
-    words = ("bake", block, "--particles", "200", "--frames", "2", "-q", "--overwrite")
+    arguments = ("bake", block, "--particles", "200", "--frames", "2", "-q", "--overwrite")
     try:
         wait_for(first, here / f"{STEM}.checkpoint.npz")
-        second = gf_usd(*words)
+        second = gf_usd(*arguments)
         assert second.status == 2
         assert f"another bake is writing {STEM}.usda" in second.err
         assert "hint: wait until it is done, or choose another -o" in second.err
@@ -41,13 +41,13 @@ def test_a_second_bake_is_refused_until_the_first_is_gone(gf_usd, here: Path, bl
     require_whole(here)
     # the file of a lock whose process was killed is in nobody's way, and goes with the next one
     assert lock_path(here / f"{STEM}.usda").exists()
-    assert gf_usd(*words).status == 0
+    assert gf_usd(*arguments).status == 0
     assert names(here) == [f"{STEM}.{end}" for end in ("cache.usdc", "report.json", "usda")]
 
 
 def test_a_result_that_came_after_the_look_is_not_replaced(here: Path, block: Path) -> None:
-    asked = {"particles": 200, "frames": 2}
-    plan, other = prepare(block, **asked), prepare(block, **asked)
+    options = {"particles": 200, "frames": 2}
+    plan, other = prepare(block, **options), prepare(block, **options)
     run(other)
     before = (here / f"{STEM}.usda").read_bytes()
     with pytest.raises(UsageError, match=r"another bake wrote .* while this one was prepared"):
@@ -60,13 +60,13 @@ def test_frames_of_one_name_have_one_writer(gf_usd, here: Path, tmp_path: Path) 
     path = write_ply(tmp_path / "ball.ply", ball(300, degree=0))
     held = acquire(here / "all" / "ball.rubber.ply")
     assert held is not None
-    words = ("bake", path, "--particles", "200", "--frames", "2", "-q", "--export-ply", "all")
-    refused = gf_usd(*words)
+    arguments = ("bake", path, "--particles", "200", "--frames", "2", "-q", "--export-ply", "all")
+    refused = gf_usd(*arguments)
     assert refused.status == 2
     assert "another bake is writing all/ball.rubber.ply" in refused.err
     assert "give another folder for the frames" in refused.err
     held.release(remove=True)
-    assert gf_usd(*words).status == 0
+    assert gf_usd(*arguments).status == 0
     assert names(here / "all") == ["ball.rubber.0001.ply", "ball.rubber.0002.ply"]
 
 
@@ -85,9 +85,9 @@ def cubes(tmp_path: Path) -> tuple[Path, Path]:
 def test_two_mesh_files_of_one_name_do_not_share_a_layer(
     here: Path, cubes: tuple[Path, Path]
 ) -> None:
-    asked = {"particles": 200, "frames": 2}
+    options = {"particles": 200, "frames": 2}
     one, same, other = (
-        prepare(path, output=f"{stem}.usda", **asked)
+        prepare(path, output=f"{stem}.usda", **options)
         for path, stem in zip((cubes[0], cubes[0], cubes[1]), ("one", "same", "other"))
     )
     run(one)
@@ -103,4 +103,4 @@ def test_two_mesh_files_of_one_name_do_not_share_a_layer(
     assert layer.read_bytes() == before
     # who comes after the first is there hears it before anything is prepared
     with pytest.raises(UsageError, match="was not made of this file in this way"):
-        prepare(cubes[1], output="other.usda", **asked)
+        prepare(cubes[1], output="other.usda", **options)

@@ -16,11 +16,11 @@ SMALL = ("--particles", "300", "--frames", "3")
 
 
 def refused(done, status: int, message: str, hint: str) -> None:
-    """It ended with these words on stderr, which hold no traceback, and with nothing on stdout."""
-    said, _, advice = done.err.partition("\n\nhint: ")
+    """It ended with this message on stderr, which hold no traceback, and with nothing on stdout."""
+    error, _, advice = done.err.partition("\n\nhint: ")
     assert done.status == status, done.err
     assert done.out == ""
-    assert said.startswith(f"error: {message}")
+    assert error.startswith(f"error: {message}")
     assert hint in advice
     assert "Traceback" not in done.err
     assert len(done.err) < 1000
@@ -80,8 +80,12 @@ def test_too_few_particles(gf_usd, here: Path, block: Path) -> None:
 
 
 def test_words_that_are_no_option(gf_usd, here: Path, block: Path) -> None:
-    for words, named in ((("--frames", "x"), "--frames"), (("--speed",), "--speed"), (("b",), "b")):
-        done = gf_usd("bake", block, *words)
+    for arguments, named in (
+        (("--frames", "x"), "--frames"),
+        (("--speed",), "--speed"),
+        (("b",), "b"),
+    ):
+        done = gf_usd("bake", block, *arguments)
         assert (done.status, done.out) == (2, "")
         assert named in done.err
     assert names(here) == []

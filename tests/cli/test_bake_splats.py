@@ -97,8 +97,8 @@ def test_the_result_is_a_sound_layer_over_the_capture(gf_usd, here, tmp_path):
 def test_sequences_of_ply_and_spz(gf_usd, here, tmp_path):
     rest = ball(300, degree=1)
     path = write_ply(tmp_path / "ball.ply", rest)
-    words = ("bake", path, "--material", "jelly", *SMALL)
-    done = gf_usd(*words, "--export-ply", "frames", "--export-spz", "frames")
+    arguments = ("bake", path, "--material", "jelly", *SMALL)
+    done = gf_usd(*arguments, "--export-ply", "frames", "--export-spz", "frames")
     assert done.status == 0, done.err
     expected = [f"ball.jelly.{n:04d}.{kind}" for n in range(1, 5) for kind in ("ply", "spz")]
     assert names(here / "frames") == expected
@@ -112,11 +112,11 @@ def test_sequences_of_ply_and_spz(gf_usd, here, tmp_path):
         packed = read_spz(here / "frames" / f"ball.jelly.{number:04d}.spz")
         np.testing.assert_allclose(packed.positions, frame.positions, atol=1e-5)
     # a second bake of fewer frames leaves none of the first behind
-    again = gf_usd(*words, "--export-ply", "frames", "-o", "again.usda")
+    again = gf_usd(*arguments, "--export-ply", "frames", "-o", "again.usda")
     assert again.status == 2
     assert "ball.jelly.0001.ply exists already" in again.err
-    words = [word if word != "4" else "2" for word in words]
-    again = gf_usd(*words, "--export-ply", "frames", "--overwrite")
+    arguments = [word if word != "4" else "2" for word in arguments]
+    again = gf_usd(*arguments, "--export-ply", "frames", "--overwrite")
     assert again.status == 0, again.err
     kept = [name for name in names(here / "frames") if name.endswith("ply")]
     assert kept == ["ball.jelly.0001.ply", "ball.jelly.0002.ply"]
@@ -169,11 +169,11 @@ def test_inspect_knows_captures(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
     done = gf_usd("inspect", path, "--json", "--particles", "200")
     assert done.status == 0, done.err
-    said = json.loads(done.out)
-    assert said["bakeable"]
-    (mesh,) = said["meshes"]
+    report = json.loads(done.out)
+    assert report["bakeable"]
+    (mesh,) = report["meshes"]
     assert (mesh["type"], mesh["watertight"]) == ("ParticleField3DGaussianSplat", True)
-    assert any("a surface was constructed around" in note for note in said["notes"])
+    assert any("a surface was constructed around" in note for note in report["notes"])
 
 
 def test_samples_handles_and_clips_hold_for_captures(gf_usd, here, tmp_path):
@@ -219,8 +219,8 @@ def test_a_held_capture_stands_still_under_a_turning_prim(gf_usd, here, tmp_path
 
 def test_without_the_mesh_a_capture_stays_and_still_gives_its_sequence(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
-    words = ("bake", path, "--material", "jelly", *SMALL, "--export-ply", "frames")
-    done = gf_usd(*words, "--only", "gaussians")
+    arguments = ("bake", path, "--material", "jelly", *SMALL, "--export-ply", "frames")
+    done = gf_usd(*arguments, "--only", "gaussians")
     assert done.status == 0, done.err
     stage = Usd.Stage.Open("ball.jelly.usda")
     splats = stage.GetPrimAtPath("/ball/Splats")
@@ -233,8 +233,8 @@ def test_without_the_mesh_a_capture_stays_and_still_gives_its_sequence(gf_usd, h
 
 def test_a_box_pins_a_capture(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
-    words = ("bake", path, "--material", "jelly", *SMALL, "--pin", "box:-1,0.2,-1,1,1,1")
-    done = gf_usd(*words)
+    arguments = ("bake", path, "--material", "jelly", *SMALL, "--pin", "box:-1,0.2,-1,1,1,1")
+    done = gf_usd(*arguments)
     assert done.status == 0, done.err
     rest = ball(300).positions
     first, last = (positions("ball.jelly.usda", "/ball/Splats", float(t)) for t in (1, 4))

@@ -78,9 +78,11 @@ def test_the_recorded_command_bakes_the_same_again(gf_usd, here: Path, block: Pa
     )  # fmt: skip
     assert first.status == 0, first.err
     command = strict((here / "first/block.jelly.report.json").read_text())["command"]
-    program, *words = shlex.split(command)
+    program, *arguments = shlex.split(command)
     assert program == "gf-usd"
-    again = gf_usd(*(str(block) if w == "block.usda" else w for w in words), "-o", "again/", "-q")
+    again = gf_usd(
+        *(str(block) if w == "block.usda" else w for w in arguments), "-o", "again/", "-q"
+    )
     assert again.status == 0, again.err
     caches = [(here / n / "block.jelly.cache.usdc").read_bytes() for n in ("first", "again")]
     assert caches[0] == caches[1]
@@ -94,8 +96,8 @@ def test_a_dry_run_says_what_the_bake_then_does(gf_usd, here: Path, block: Path)
     assert (plan["particles"], plan["frames"]) == (done["particles"], done["frames"])
     assert plan["materials"] == [done["bakes"][0]["material"]]
     # In free flight nothing makes the solver halve its step: five frames of motion.
-    words = (*SMALL, "--no-shortcuts", "--json", "-o", "new/", "--overwrite")
-    done = strict(gf_usd("bake", block, *words).out)
+    arguments = (*SMALL, "--no-shortcuts", "--json", "-o", "new/", "--overwrite")
+    done = strict(gf_usd("bake", block, *arguments).out)
     assert done["bakes"][0]["health"]["substeps"] == 5 * plan["substeps_per_frame"]["rubber"]
 
 

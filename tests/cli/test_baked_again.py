@@ -29,9 +29,9 @@ def test_the_result_of_a_bake_is_refused_before_work(gf_usd, baked: str) -> None
 def test_inspect_refuses_the_result_of_a_bake(gf_usd, baked: str) -> None:
     done = gf_usd("inspect", baked, *SMALL)
     assert (done.status, done.out, done.err) == (3, "", REFUSAL)
-    told = json.loads(gf_usd("inspect", baked, *SMALL, "--json").out)
-    assert told["bakeable"] is False
-    assert "is the result of a bake" in told["refusal"]["message"]
+    report = json.loads(gf_usd("inspect", baked, *SMALL, "--json").out)
+    assert report["bakeable"] is False
+    assert "is the result of a bake" in report["refusal"]["message"]
 
 
 def test_the_result_of_a_bake_can_be_an_obstacle(gf_usd, baked: str, block: Path) -> None:

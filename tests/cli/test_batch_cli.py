@@ -45,8 +45,8 @@ def assets(block: Path) -> Path:
 def test_one_asset_stops_no_other_and_a_rerun_does_what_is_missing(
     gf_usd: Call, here: Path, assets: Path
 ) -> None:
-    words = ("batch", assets / "*.usda", "-m", "rubber,jelly", *SMALL, "-o", "out")
-    first = gf_usd(*words, "--json", "-q")
+    arguments = ("batch", assets / "*.usda", "-m", "rubber,jelly", *SMALL, "-o", "out")
+    first = gf_usd(*arguments, "--json", "-q")
     assert first.status == 1
     assert states(first) == {
         "block.rubber": "done", "block.jelly": "done",
@@ -75,7 +75,7 @@ def test_one_asset_stops_no_other_and_a_rerun_does_what_is_missing(
     assert begun(again) == ["block.rubber"]
     assert check_file(out / "block.rubber.usda").ok
 
-    failed = gf_usd(*words, "--failed", "--json", "-q", "--no-report")
+    failed = gf_usd(*arguments, "--failed", "--json", "-q", "--no-report")
     assert sorted(states(failed)) == ["cut.jelly", "cut.rubber"]
 
 
@@ -95,10 +95,12 @@ def test_a_result_that_another_run_writes_is_left_to_it(
 @pytest.fixture
 def running(here: Path, block: Path) -> Iterator[subprocess.Popen[str]]:
     """A batch of many long bakes, of which the first frame was had."""
-    words = ["batch", block, "-m", "rubber", "--seed", "0,1,2,3", "--particles", "3000",
-             "--frames", "3000", "-j", "1", "-o", "out", "--json", "-q", "--no-report"]  # fmt: skip
+    arguments = [
+        "batch", block, "-m", "rubber", "--seed", "0,1,2,3", "--particles", "3000",
+        "--frames", "3000", "-j", "1", "-o", "out", "--json", "-q", "--no-report",
+    ]  # fmt: skip
     process = subprocess.Popen(
-        [sys.executable, "-m", "gf_usd", *map(str, words)],
+        [sys.executable, "-m", "gf_usd", *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=here,
     )  # fmt: skip
     assert process.stdout is not None
@@ -141,11 +143,11 @@ def test_kill_9_leaves_no_bake_and_no_lock(running: subprocess.Popen[str], here:
 
 @pytest.mark.slow
 def test_an_interrupted_job_with_clips_goes_on(gf_usd: Call, here: Path, block: Path) -> None:
-    words = ("--particles", "150", "--frames", "5")
-    cut = gf_usd("bake", block, "-m", "rubber", *words, "--clip-frames", "1", "--slice", "2",
+    arguments = ("--particles", "150", "--frames", "5")
+    cut = gf_usd("bake", block, "-m", "rubber", *arguments, "--clip-frames", "1", "--slice", "2",
                  "-o", "out/block.rubber.usda", "-q")  # fmt: skip
     assert cut.status == 5
-    done = gf_usd("batch", block, "-m", "rubber", *words, "--set", "clip_frames=1", "-o", "out",
+    done = gf_usd("batch", block, "-m", "rubber", *arguments, "--set", "clip_frames=1", "-o", "out",
                   "--no-report", "-q")  # fmt: skip
     assert done.status == 0
     report = json.loads((here / "out" / "block.rubber.report.json").read_text("utf-8"))
@@ -155,32 +157,34 @@ def test_an_interrupted_job_with_clips_goes_on(gf_usd: Call, here: Path, block: 
 
 @pytest.mark.slow
 def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
-    words = ["batch", block, "--particles", "300", "--frames", "40", "-o", "out", "--json", "-q",
-             "--no-report"]  # fmt: skip
+    arguments = [
+        "batch", block, "--particles", "300", "--frames", "40", "-o", "out", "--json", "-q",
+        "--no-report",
+    ]  # fmt: skip
     process = subprocess.Popen(
-        [sys.executable, "-m", "gf_usd", *map(str, words)],
+        [sys.executable, "-m", "gf_usd", *map(str, arguments)],
         stdout=subprocess.PIPE, text=True, cwd=here,
     )  # fmt: skip
     assert process.stdout is not None
-    told: list[dict[str, Any]] = []
+    reported: list[dict[str, Any]] = []
     for line in process.stdout:
-        told.append(json.loads(line))
-        if told[-1]["event"] == "frame" and [e["event"] for e in told].count("frame") == 1:
+        reported.append(json.loads(line))
+        if reported[-1]["event"] == "frame" and [e["event"] for e in reported].count("frame") == 1:
             children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
             found = {int(pid) for task in children.parents[1].iterdir()
                      for pid in (task / "children").read_text().split()}  # fmt: skip
             for pid in found:
                 os.kill(pid, signal.SIGKILL)
     assert process.wait() == 0
-    (retry,) = [e for e in told if e["event"] == "retry"]
+    (retry,) = [e for e in reported if e["event"] == "retry"]
     assert retry["why"] == "the bake was ended by SIGKILL"
-    (end,) = [e for e in told if e["event"] == "finished"]
+    (end,) = [e for e in reported if e["event"] == "finished"]
     assert (end["state"], end["attempts"]) == ("done", 2)
     assert check_file(here / "out" / "block.rubber.usda").ok
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (("nothing*.usda",), "no file matches nothing*.usda"),
         (("a.usda", "b.toml"), "give one manifest, or assets"),
@@ -201,12 +205,16 @@ def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
     ],
 )  # fmt: skip
 def test_wrong_usage_starts_nothing(
-    gf_usd: Call, here: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
+    gf_usd: Call,
+    here: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    message: str,
 ) -> None:
     monkeypatch.setattr(cluster, "CONNECT", 0.5)
-    done = gf_usd("batch", *words)
+    done = gf_usd("batch", *arguments)
     assert done.status == 2
-    assert said in done.err
+    assert message in done.err
     assert names(here) == []
 
 

@@ -44,8 +44,14 @@ def workers(address: str, tmp_path: Path) -> Iterator[list[subprocess.Popen[byte
     """A scheduler and two workers, each a process; the workers are yielded."""
     with (tmp_path / "dask.log").open("wb") as log:
 
-        def start(module: str, *words: str) -> subprocess.Popen[bytes]:
-            command = [sys.executable, "-m", f"distributed.cli.{module}", "--no-dashboard", *words]
+        def start(module: str, *arguments: str) -> subprocess.Popen[bytes]:
+            command = [
+                sys.executable,
+                "-m",
+                f"distributed.cli.{module}",
+                "--no-dashboard",
+                *arguments,
+            ]
             return subprocess.Popen(command, stdout=log, stderr=log)
 
         host, port = address.removeprefix("tcp://").split(":")
@@ -59,8 +65,8 @@ def workers(address: str, tmp_path: Path) -> Iterator[list[subprocess.Popen[byte
             process.wait()
 
 
-def batch(folder: Path, address: str, *words: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "gf_usd", "batch", *words, "--scheduler", address,
+def batch(folder: Path, address: str, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "gf_usd", "batch", *arguments, "--scheduler", address,
                "--resource", "seats=1", "-o", "out", "--json", "-q", "--no-report"]  # fmt: skip
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder)
 
@@ -71,33 +77,33 @@ def test_a_dead_workers_job_is_done_by_another(
     from distributed import Client
 
     block.with_name("cut.usda").write_text(BLOCK[:500], encoding="utf-8")
-    words = ("-m", "rubber", "--seed", "0,1", "--particles", "300", "--frames", "40")
-    told: list[dict[str, Any]] = []
+    arguments = ("-m", "rubber", "--seed", "0,1", "--particles", "300", "--frames", "40")
+    events: list[dict[str, Any]] = []
     with Client(address, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
         pids = client.run(os.getpid)
-        process = batch(here, address, str(block), str(block.with_name("cut.usda")), *words)
+        process = batch(here, address, str(block), str(block.with_name("cut.usda")), *arguments)
         assert process.stdout is not None
         for line in process.stdout:
-            told.append(json.loads(line))
-            if told[-1]["event"] == "frame" and all(worker.poll() is None for worker in workers):
+            events.append(json.loads(line))
+            if events[-1]["event"] == "frame" and all(worker.poll() is None for worker in workers):
                 baking = [pids[worker] for worker, keys in client.processing().items()
-                          if any(key.startswith(told[-1]["job"]) for key in keys)]  # fmt: skip
+                          if any(key.startswith(events[-1]["job"]) for key in keys)]  # fmt: skip
                 for worker in workers:
                     if worker.pid in baking:
                         worker.kill()
                         worker.wait()
         assert process.wait() == 1
-    ends = {e["job"]: e for e in told if e["event"] == "finished"}
+    ends = {e["job"]: e for e in events if e["event"] == "finished"}
     assert {name: e["state"] for name, e in ends.items()} == {
         "block.rubber.seed0": "done", "block.rubber.seed1": "done",
         "cut.rubber.seed0": "refused", "cut.rubber.seed1": "refused",
     }  # fmt: skip
-    begun = [e["job"] for e in told if e["event"] == "started" and e["job"].startswith("block")]
+    begun = [e["job"] for e in events if e["event"] == "started" and e["job"].startswith("block")]
     assert len(begun) == 3, "one of the two was begun twice"
     for seed in (0, 1):
         assert check_file(here / "out" / f"block.rubber.seed{seed}.usda").ok
-    again = batch(here, address, str(block), *words)
+    again = batch(here, address, str(block), *arguments)
     out, _ = again.communicate(timeout=120)
     assert again.returncode == 0
     assert out.count('"state": "kept"') == 2
@@ -211,9 +217,9 @@ def _bakes(folder: Path) -> list[str]:
     found = []
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
-            words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+            arguments = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
         except OSError:
             continue
-        if "bake" in words and any(word.startswith(str(folder)) for word in words):
+        if "bake" in arguments and any(word.startswith(str(folder)) for word in arguments):
             found.append(pid)
     return found

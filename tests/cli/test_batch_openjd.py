@@ -25,10 +25,10 @@ pytestmark = [
 ]
 
 
-def bundle(here: Path, block: Path, *words: str) -> list[str]:
+def bundle(here: Path, block: Path, *arguments: str) -> list[str]:
     """The command that runs a new bundle of three jobs, two in a task."""
     command = [sys.executable, "-m", "gf_usd", "batch", str(block), "--seed", "0,1,2", "-o", "out",
-               "--openjd", "bundle", "--chunk", "2", *words]  # fmt: skip
+               "--openjd", "bundle", "--chunk", "2", *arguments]  # fmt: skip
     subprocess.run(command, check=True, cwd=here, capture_output=True)
     folder = here / "bundle"
     return [str(OPENJD), "run", str(folder / "template.json"),
@@ -39,9 +39,9 @@ def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -
     command = bundle(here, block, "--particles", "150", "--frames", "2")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
-    said = [line.split("\t", 1)[-1] for line in done.stdout.splitlines()]
-    assert said.count("openjd_progress: 100.0") >= 2
-    assert [s for s in said if s.startswith("openjd_status: 2 of 2 done; ")]
+    lines = [line.split("\t", 1)[-1] for line in done.stdout.splitlines()]
+    assert lines.count("openjd_progress: 100.0") >= 2
+    assert [s for s in lines if s.startswith("openjd_status: 2 of 2 done; ")]
     for seed in range(3):
         assert check_file(here / "out" / f"block.rubber.seed{seed}.usda").ok
     entry = json.loads((here / "out" / "out.batch.json").read_text("utf-8"))
@@ -77,8 +77,8 @@ def test_slices_of_a_bundle_come_to_the_bits_of_one_run(here: Path, block: Path)
     gf_usd = (sys.executable, "-m", "gf_usd", "batch")
     common = ("--particles", "150", "--frames", "6", "--set", "clip_frames=1")
     sliced = ("-o", "out", "--openjd", "bundle", "--slice", "2")
-    for words in ((block, "-o", "whole", "--no-report"), (block, cut, *sliced)):
-        subprocess.run([*gf_usd, *words, *common], check=True, cwd=here, capture_output=True)
+    for arguments in ((block, "-o", "whole", "--no-report"), (block, cut, *sliced)):
+        subprocess.run([*gf_usd, *arguments, *common], check=True, cwd=here, capture_output=True)
     folder = here / "bundle"
     checked = subprocess.run([str(OPENJD), "check", folder / "template.json"], check=False)
     assert checked.returncode == 0
@@ -89,8 +89,8 @@ def test_slices_of_a_bundle_come_to_the_bits_of_one_run(here: Path, block: Path)
     assert done.returncode == 1
     assert done.stdout.count("cut.rubber: refused") >= 3
     assert done.stdout.count("openjd_fail: ") == 1
-    for told in ("3 of 6", "5 of 6"):
-        assert f"sliced: block.rubber: rubber: {told} frames are done" in done.stdout
+    for progress in ("3 of 6", "5 of 6"):
+        assert f"sliced: block.rubber: rubber: {progress} frames are done" in done.stdout
     assert "block.rubber: done" in done.stdout
     cut.unlink()
     for name in ("cut.rubber.job.json", *(p.name for p in (here / "out").glob(".*"))):

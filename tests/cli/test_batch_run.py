@@ -45,12 +45,12 @@ def test_a_second_signal_leaves_the_page_of_what_was_stopped(
         for job in jobs:
             yield {"event": "finished", **outcome(job.name, "stopped").as_json()}
 
-    def told_again(*arguments, **named):
+    def signal_again(*arguments, **named):
         signal.raise_signal(signal.SIGINT)
         return write_summary(*arguments, **named)
 
     monkeypatch.setattr("gf_usd.cli.batch.run.run_locally", interrupted)
-    monkeypatch.setattr("gf_usd.cli.batch.results.write_summary", told_again)
+    monkeypatch.setattr("gf_usd.cli.batch.results.write_summary", signal_again)
     assert gf_usd("batch", block, "-o", "out", "-q").status == 130
     assert {"out.batch.json", "out.batch.html"} <= {*names(here / "out")}
 
@@ -58,30 +58,30 @@ def test_a_second_signal_leaves_the_page_of_what_was_stopped(
 def test_without_a_page_the_failed_jobs_are_still_known(
     gf_usd: Call, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = []
+    jobs_run = []
 
     def nothing(jobs, limits, **how):
-        asked.extend(job.name for job in jobs)
+        jobs_run.extend(job.name for job in jobs)
         for job in jobs:
             state = "stopped" if job.name == "block.jelly" else "done"
             yield {"event": "finished", **outcome(job.name, state).as_json()}
 
     monkeypatch.setattr("gf_usd.cli.batch.run.run_locally", nothing)
-    words = ("batch", block, "-m", "rubber,jelly", "-o", "out", "--no-report", "-q")
-    none = gf_usd(*words, "--failed")
+    arguments = ("batch", block, "-m", "rubber,jelly", "-o", "out", "--no-report", "-q")
+    none = gf_usd(*arguments, "--failed")
     assert none.status == 2
     assert "no earlier run is known" in none.err
-    assert asked == []
-    assert gf_usd(*words, "--tasks", "0").status == 0
+    assert jobs_run == []
+    assert gf_usd(*arguments, "--tasks", "0").status == 0
     assert not (here / "out" / "out.batch.json").exists()
-    assert gf_usd(*words).status == 1
+    assert gf_usd(*arguments).status == 1
     assert json.loads((here / "out" / "out.batch.json").read_text("utf-8"))["counts"] == {
         "done": 1, "stopped": 1,
     }  # fmt: skip
     assert not (here / "out" / "out.batch.html").exists()
-    asked.clear()
-    gf_usd(*words, "--failed")
-    assert asked == ["block.jelly"]
+    jobs_run.clear()
+    gf_usd(*arguments, "--failed")
+    assert jobs_run == ["block.jelly"]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no such files")

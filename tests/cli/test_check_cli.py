@@ -79,15 +79,15 @@ def test_json(gf_usd, block: Path, broken: str, sound: bool) -> None:
     file = str(block) if sound else broken
     done = gf_usd("check", file, "--json")
     assert (done.status, done.err) == (0 if sound else 1, "")
-    told = json.loads(done.out)
-    assert list(told) == KEYS
-    assert (told["file"], told["ok"]) == (file, sound)
-    assert (told["layers"], told["skipped"]) == (2, [])  # the file and the session's
-    assert told["prims"] == (2 if sound else 1)
-    assert told["rules"] > 10
-    for finding in told["findings"]:
+    report = json.loads(done.out)
+    assert list(report) == KEYS
+    assert (report["file"], report["ok"]) == (file, sound)
+    assert (report["layers"], report["skipped"]) == (2, [])  # the file and the session's
+    assert report["prims"] == (2 if sound else 1)
+    assert report["rules"] > 10
+    for finding in report["findings"]:
         assert set(finding) == {"rule", "severity", "prim_path", "message", "fix"}
-    found = {(f["rule"], f["prim_path"]) for f in told["findings"]}
+    found = {(f["rule"], f["prim_path"]) for f in report["findings"]}
     assert found == set() if sound else ("mesh-topology", "/Shard") in found
 
 

@@ -1,4 +1,4 @@
-"""Value clips from the command line: what is written, replaced, left and said."""
+"""Value clips from the command line: what is written, replaced, left and reported."""
 
 from __future__ import annotations
 

@@ -45,8 +45,8 @@ def falling_box(
 def run(capfd: pytest.CaptureFixture[str]) -> Run:
     """The command: exit status, stdout, stderr."""
 
-    def call(*words: object) -> tuple[int, str, str]:
-        status = execute(["compare", *map(str, words)])
+    def call(*arguments: object) -> tuple[int, str, str]:
+        status = execute(["compare", *map(str, arguments)])
         return status, *capfd.readouterr()
 
     return call
@@ -54,13 +54,13 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
 
 def test_the_distance_the_place_and_the_time_are_said(run: Run, tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5)
-    status, told, _ = run(a, b, "--tolerance", "4mm")
+    status, output, _ = run(a, b, "--tolerance", "4mm")
     assert status == 1
-    assert "1 mesh, 8 points, 4 frames" in told
-    assert "largest distance 5 mm" in told  # half a unit of a cm
-    assert "of </Box> at time code 3" in told
-    assert "different: distance above 4 mm from time code 3 on" in told
-    assert "volume of B relative to A: 1 to 1" in told
+    assert "1 mesh, 8 points, 4 frames" in output
+    assert "largest distance 5 mm" in output  # half a unit of a cm
+    assert "of </Box> at time code 3" in output
+    assert "different: distance above 4 mm from time code 3 on" in output
+    assert "volume of B relative to A: 1 to 1" in output
 
 
 @pytest.mark.parametrize(("tolerance", "status"), [("6mm", 0), ("1%", 1), ("50%", 0)])
@@ -73,15 +73,15 @@ def test_the_exit_status_is_for_scripts(
 
 def test_without_a_tolerance_nothing_fails(run: Run, tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5)
-    status, told, _ = run(a, b)
+    status, output, _ = run(a, b)
     assert status == 0
-    assert "different" not in told
+    assert "different" not in output
 
 
 def test_json_has_every_frame(run: Run, tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5, up="Z")
-    status, told, _ = run(a, b, "--tolerance", "1mm", "--json")
-    found = json.loads(told)
+    status, output, _ = run(a, b, "--tolerance", "1mm", "--json")
+    found = json.loads(output)
     assert status == 1
     assert found["same"] is False
     assert found["first_over"] == 3.0
@@ -97,9 +97,9 @@ def test_json_has_every_frame(run: Run, tmp_path: Path) -> None:
 def test_a_page_and_a_picture_are_written(run: Run, tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5)
     page, picture = tmp_path / "out.html", tmp_path / "out.png"
-    status, _, said = run(a, b, "-o", page, "-o", picture, "--size", "320x240")
-    assert status == 0, said
-    assert "out.html" in said
+    status, _, errors = run(a, b, "-o", page, "-o", picture, "--size", "320x240")
+    assert status == 0, errors
+    assert "out.html" in errors
     text = page.read_text(encoding="utf-8")
     assert '"Distance"' in text
     assert "a and b" in text  # the title names both files
@@ -116,8 +116,8 @@ def test_a_page_and_a_picture_are_written(run: Run, tmp_path: Path) -> None:
 def test_a_film_has_three_parts(run: Run, tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5)
     for name in ("film.gif", "film.mp4"):
-        status, _, said = run(a, b, "-o", tmp_path / name, "--size", "321x241")
-        assert status == 0, said
+        status, _, errors = run(a, b, "-o", tmp_path / name, "--size", "321x241")
+        assert status == 0, errors
     from PIL import Image
 
     with Image.open(tmp_path / "film.gif") as film:
@@ -127,7 +127,7 @@ def test_a_film_has_three_parts(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("arguments", "says"),
     [
         (["--tolerance", "3"], "has no unit"),
         (["--align", "middle"], "choose one of: time, start"),
@@ -138,12 +138,12 @@ def test_a_film_has_three_parts(run: Run, tmp_path: Path) -> None:
     ],
 )
 def test_what_makes_no_sense_is_refused(
-    run: Run, tmp_path: Path, words: list[str], says: str
+    run: Run, tmp_path: Path, arguments: list[str], says: str
 ) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5)
-    status, _, said = run(a, b, *words)
-    assert status == 2, said
-    assert says in said
+    status, _, errors = run(a, b, *arguments)
+    assert status == 2, errors
+    assert says in errors
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.usda", "b.usda"]
 
 
@@ -156,10 +156,10 @@ def test_motions_at_other_times_are_refused_and_aligned(run: Run, tmp_path: Path
     for code, value in values.items():
         points.Set(value, code + 100)
     stage.Export(str(b))
-    status, _, said = run(a, b)
+    status, _, errors = run(a, b)
     assert status == 3
-    assert "these ranges do not overlap" in said
-    assert "--align start" in said
+    assert "these ranges do not overlap" in errors
+    assert "--align start" in errors
     assert run(a, b, "--align", "start", "--tolerance", "0mm")[0] == 0
 
 

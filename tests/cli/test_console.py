@@ -29,8 +29,8 @@ def frame(done: int, left: float = 40.0) -> Activity:
 
 
 def test_each_stage_has_a_line_and_every_tenth_of_the_frames() -> None:
-    said: list[str] = []
-    lines = Lines(said.append, Clock())
+    printed: list[str] = []
+    lines = Lines(printed.append, Clock())
     for now in (
         Activity(stage=READING, what="duck.usda"),
         Activity(stage=FILLING),
@@ -40,7 +40,7 @@ def test_each_stage_has_a_line_and_every_tenth_of_the_frames() -> None:
         Activity(stage=CHECKING),
     ):
         lines(now)
-    assert said == [
+    assert printed == [
         "simulating rubber",
         "simulating rubber: frame 10/100, about 40 s left",
         "simulating rubber: frame 20/100, about 40 s left",
@@ -50,42 +50,42 @@ def test_each_stage_has_a_line_and_every_tenth_of_the_frames() -> None:
 
 
 def test_a_bake_that_ends_at_rest_has_frames_and_time_at_most() -> None:
-    said: list[str] = []
-    lines = Lines(said.append, Clock())
+    printed: list[str] = []
+    lines = Lines(printed.append, Clock())
     lines(replace(frame(10), ends_early=True))
-    assert said == ["simulating rubber: frame 10 of at most 100, at most 40 s left"]
-    told = {
+    assert printed == ["simulating rubber: frame 10 of at most 100, at most 40 s left"]
+    forecast = {
         "frames": 100, "usual_frames": 60, "estimated_seconds": 50.0, "usual_seconds": 30.0,
         "estimated_bytes": 2e6, "ends_early": True,
     }  # fmt: skip
-    assert frames_of(told) == "at most 100 frames (usually about 60)"
-    assert time_of(told) == "about 30 s, at most 50 s"
-    assert disk_of(told) == "at most 2 MB"
-    told |= {"ends_early": False}
-    assert (frames_of(told), time_of(told)) == ("100 frames", "about 50 s")
-    assert disk_of(told) == "about 2 MB"
+    assert frames_of(forecast) == "at most 100 frames (usually about 60)"
+    assert time_of(forecast) == "about 30 s, at most 50 s"
+    assert disk_of(forecast) == "at most 2 MB"
+    forecast |= {"ends_early": False}
+    assert (frames_of(forecast), time_of(forecast)) == ("100 frames", "about 50 s")
+    assert disk_of(forecast) == "about 2 MB"
 
 
 def test_what_takes_long_is_said_again() -> None:
-    said: list[str] = []
+    printed: list[str] = []
     clock = Clock()
-    lines = Lines(said.append, clock)
+    lines = Lines(printed.append, clock)
     lines(Activity(stage=READING, what="duck.usda"))
     for clock.now in (1.0, 4.0, 5.5, 20.0, 36.0):
         lines.tick()
-    assert said == ["reading duck.usda"] * 2
+    assert printed == ["reading duck.usda"] * 2
     lines(frame(3))
     clock.now = 67.0
     lines.tick()
-    assert said[2:] == ["simulating rubber: frame 3/100, about 40 s left"] * 2
+    assert printed[2:] == ["simulating rubber: frame 3/100, about 40 s left"] * 2
 
 
 def test_compiling_is_said_once() -> None:
-    said: list[str] = []
-    lines = Lines(said.append, Clock())
+    printed: list[str] = []
+    lines = Lines(printed.append, Clock())
     for now in (frame(1), Activity(stage=COMPILING), frame(1), Activity(stage=COMPILING), frame(2)):
         lines(now)
-    assert [line.partition(" (")[0] for line in said[1:]] == ["compiling kernels"]
+    assert [line.partition(" (")[0] for line in printed[1:]] == ["compiling kernels"]
 
 
 def test_every_second_belongs_to_a_stage() -> None:
@@ -102,17 +102,17 @@ def test_every_second_belongs_to_a_stage() -> None:
         spent(now)
     clock.now = 10.5
     assert (
-        spent.words() == "10.5 s: reading 2.0, simulating 4.0, compiling kernels 4.0, checking 0.5"
+        spent.text() == "10.5 s: reading 2.0, simulating 4.0, compiling kernels 4.0, checking 0.5"
     )
     assert len(shown) == 5
 
 
 @pytest.mark.parametrize("done", [0, 5])
 def test_a_frame_that_takes_minutes_is_not_silent(done: int) -> None:
-    said: list[str] = []
+    printed: list[str] = []
     clock = Clock()
-    lines = Lines(said.append, clock)
+    lines = Lines(printed.append, clock)
     lines(frame(done))
     for clock.now in range(0, 120, 10):
         lines.tick()
-    assert len(said) >= 4
+    assert len(printed) >= 4

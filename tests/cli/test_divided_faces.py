@@ -30,7 +30,7 @@ def Xform "World"
     }
 }
 """
-ASKED = {"material": "jelly", "particles": 600, "frames": 24, "drop": 3.0}
+OPTIONS = {"material": "jelly", "particles": 600, "frames": 24, "drop": 3.0}
 
 
 @pytest.fixture
@@ -46,13 +46,13 @@ def points(stage: Usd.Stage, code: float) -> np.ndarray:
 
 
 def test_a_coarse_mesh_is_warned_of_and_a_divided_one_is_not(cube: Path) -> None:
-    coarse = bake(cube, **ASKED)
+    coarse = bake(cube, **OPTIONS)
     (warning,) = [w for _, w in coarse.warnings if w.about == "coarse-mesh"]
     assert "</World/Cube>" in warning.message
     assert "max_edge_length='auto'" in warning.hint
     assert coarse.health["outside_mesh_max_share"] > 0.01
     before = cube.read_bytes()
-    fine = bake(cube, **ASKED, max_edge_length=0.5, output="fine.usda")
+    fine = bake(cube, **OPTIONS, max_edge_length=0.5, output="fine.usda")
     assert cube.read_bytes() == before
     assert [w for _, w in fine.warnings if w.about == "coarse-mesh"] == []
     assert (fine.health["outside_mesh_max_share"] or 0.0) <= 0.01
@@ -76,49 +76,49 @@ def test_a_coarse_mesh_is_warned_of_and_a_divided_one_is_not(cube: Path) -> None
 
 
 def test_the_layer_is_used_again_for_the_same_and_refused_for_another(cube: Path) -> None:
-    asked = {**ASKED, "frames": 2}
-    bake(cube, **asked, max_edge_length=0.5)
+    options = {**OPTIONS, "frames": 2}
+    bake(cube, **options, max_edge_length=0.5)
     layer = Path("cube.jelly.source.usdc")
     made = layer.read_bytes()
     for path in Path().glob("cube.jelly.*"):
         if path != layer:
             path.unlink()
-    bake(cube, **asked, max_edge_length=0.5)
+    bake(cube, **options, max_edge_length=0.5)
     assert layer.read_bytes() == made
     for path in Path().glob("cube.jelly.*"):
         if path != layer:
             path.unlink()
     with pytest.raises(UsageError, match="exists already, and was not made of this file"):
-        bake(cube, **asked, max_edge_length=0.7)
-    bake(cube, **asked, max_edge_length=0.7, overwrite=True)
+        bake(cube, **options, max_edge_length=0.7)
+    bake(cube, **options, max_edge_length=0.7, overwrite=True)
     assert layer.read_bytes() != made
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [("0", "max_edge_length is 0"), ("nan", "not a number"), ("inf", "not a number"),
      ("fine", "not a number")],
 )  # fmt: skip
-def test_lengths_that_are_none_are_refused(cube: Path, given: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said) as error:
-        bake(cube, **ASKED, max_edge_length=given)
+def test_lengths_that_are_none_are_refused(cube: Path, given: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message) as error:
+        bake(cube, **OPTIONS, max_edge_length=given)
     assert "auto" in error.value.hint
 
 
 def test_two_spacings_of_the_particles(cube: Path) -> None:
-    asked = {**ASKED, "frames": 2}
-    by_count = bake(cube, **asked, max_edge_length="auto")
+    options = {**OPTIONS, "frames": 2}
+    by_count = bake(cube, **options, max_edge_length="auto")
     there = len(points(Usd.Stage.Open(str(by_count.root)), 1))
     spacing = (8.0 / 600) ** (1.0 / 3.0)
-    same = bake(cube, **asked, max_edge_length=2.0 * spacing, output="same.usda")
+    same = bake(cube, **options, max_edge_length=2.0 * spacing, output="same.usda")
     assert len(points(Usd.Stage.Open(str(same.root)), 1)) == there
-    del asked["particles"]
-    spaced = bake(cube, **asked, spacing=spacing, max_edge_length="auto", output="spaced.usda")
+    del options["particles"]
+    spaced = bake(cube, **options, spacing=spacing, max_edge_length="auto", output="spaced.usda")
     assert len(points(Usd.Stage.Open(str(spaced.root)), 1)) == there
 
 
 def test_one_file_needs_no_layer(cube: Path) -> None:
-    asked = {**ASKED, "frames": 2}
-    bake(cube, **asked, max_edge_length=0.5, output="one.usdz")
+    options = {**OPTIONS, "frames": 2}
+    bake(cube, **options, max_edge_length=0.5, output="one.usdz")
     assert names(Path()) == ["cube.usda", "one.report.json", "one.usdz"]
     assert len(points(Usd.Stage.Open("one.usdz"), 1)) > 8

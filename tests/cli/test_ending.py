@@ -11,7 +11,7 @@ import pytest
 
 from gf_usd.cli import exit
 
-SAID = """
+SCRIPT = """
 import atexit, sys, threading, time
 from gf_usd.cli.exit import leave, prepare_to_leave
 prepare_to_leave()
@@ -26,7 +26,7 @@ WORKER = 'threading.Thread(target=lambda: (time.sleep(0.2), print("worked "))).s
 
 
 def end(status: int, more: str = "") -> subprocess.CompletedProcess[str]:
-    code = SAID.format(status=status, more=more)
+    code = SCRIPT.format(status=status, more=more)
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
@@ -121,15 +121,15 @@ main.run()
 """
 
 
-@pytest.mark.parametrize(("number", "said"), [(2, "interrupted"), (15, "terminated")])
+@pytest.mark.parametrize(("number", "message"), [(2, "interrupted"), (15, "terminated")])
 def test_an_interrupt_of_the_import_of_usd_is_not_lost(
-    tmp_path: Path, number: int, said: str
+    tmp_path: Path, number: int, message: str
 ) -> None:
     code = EARLY.format(number=number)
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
     )
-    assert done.stderr == f"{said}\n"
+    assert done.stderr == f"{message}\n"
     assert done.returncode == 128 + number
 
 

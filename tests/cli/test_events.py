@@ -15,7 +15,7 @@ from gf_usd.core import __version__
 
 CRUSH = ("-m", "jelly", "--law", "corotated", "--particles", "300", "--frames", "12",
          "--drop", "60", "--fps", "24")  # fmt: skip
-TOLD = {"event", "time"}
+COMMON = {"event", "time"}
 
 
 def events(text: str) -> list[dict[str, Any]]:
@@ -43,15 +43,15 @@ def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, blo
         "event": "started", "time": first["time"], "asset": str(block), "version": __version__,
         "pid": os.getpid(),
     }  # fmt: skip
-    asked = (*SMALL, "--floor", "none", "--dry-run", "--json")
-    shown = strict(gf_usd("bake", block, *asked).out)
-    assert {key: plan[key] for key in plan.keys() - TOLD} == shown
+    arguments = (*SMALL, "--floor", "none", "--dry-run", "--json")
+    shown = strict(gf_usd("bake", block, *arguments).out)
+    assert {key: plan[key] for key in plan.keys() - COMMON} == shown
     assert set(plan) >= (REPORT - {"settings", "seconds", "bakes", "check", "warnings"}) | ESTIMATE
     count = plan["particles"]
     assert [(f["done"], f["total"], f["particles"]) for f in frames] == [
         (k, 6, count) for k in range(1, 7)
     ]
-    assert set(last) == TOLD | set(RESULT)
+    assert set(last) == COMMON | set(RESULT)
     report = strict((here / "block.rubber.report.json").read_text())
     assert last["outputs"] == report["outputs"]
     assert last["bakes"][0]["health"] == report["bakes"][0]["health"]
@@ -59,10 +59,10 @@ def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, blo
 
 def test_the_words_of_a_bake_stay_as_they_are(gf_usd, here: Path, block: Path) -> None:
     plain = gf_usd("bake", block, *SMALL)
-    told = gf_usd("bake", block, *SMALL, "--events", "events.ndjson", "--overwrite")
-    assert told.err == plain.err
+    done = gf_usd("bake", block, *SMALL, "--events", "events.ndjson", "--overwrite")
+    assert done.err == plain.err
     # but for the seconds
-    assert [line.split(" particles,")[0] for line in told.out.splitlines()] == [
+    assert [line.split(" particles,")[0] for line in done.out.splitlines()] == [
         line.split(" particles,")[0] for line in plain.out.splitlines()
     ]
 
@@ -103,7 +103,7 @@ def test_notes_and_warnings_are_told(gf_usd, here: Path, tmp_path: Path) -> None
         "metersPerUnit is not authored: 0.01 (centimeters), the default of USD, is assumed" in notes
     )
     warnings = [event for event in found if event["event"] == "warning"]
-    assert [{k: w[k] for k in w.keys() - TOLD} for w in warnings] == found[-2]["warnings"]
+    assert [{k: w[k] for k in w.keys() - COMMON} for w in warnings] == found[-2]["warnings"]
     assert "inside-out" in [warning["about"] for warning in warnings]
     assert kinds(found)[-2:] == ["finished", "error"]
     assert found[-1]["status"] == 4
@@ -121,8 +121,8 @@ def test_an_error_is_told_with_its_status_and_hint(gf_usd, here: Path, tmp_path:
 
 
 def test_the_end_of_a_slice_is_no_error(gf_usd, here: Path, block: Path) -> None:
-    words = ("bake", block, *SMALL, "-q", "--clip-frames", "2", "--slice", "1", "--resume")
-    done = gf_usd(*words, "--events", "-")
+    arguments = ("bake", block, *SMALL, "-q", "--clip-frames", "2", "--slice", "1", "--resume")
+    done = gf_usd(*arguments, "--events", "-")
     assert done.status == 5
     last = events(done.out)[-1]
     assert (last["event"], last["look"], last["frames"]) == ("sliced", "rubber", 6)
@@ -146,9 +146,11 @@ def test_a_full_disk_ends_the_bake_in_words(gf_usd, here: Path, block: Path) -> 
 
 @pytest.mark.skipif(os.name == "nt", reason="no SIGTERM")
 def test_a_signal_is_told(here: Path, block: Path) -> None:
-    words = ("--particles", "200", "--frames", "100000", "--drop", "150", "--max-hours", "1000",
-             "--clip-frames", "1", "-q", "--events", "events.ndjson")  # fmt: skip
-    process = start("bake", block, *words)
+    arguments = (
+        "--particles", "200", "--frames", "100000", "--drop", "150", "--max-hours", "1000",
+        "--clip-frames", "1", "-q", "--events", "events.ndjson",
+    )  # fmt: skip
+    process = start("bake", block, *arguments)
     wait_for(process, here / "block.rubber.checkpoint.npz")
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=60)

@@ -26,7 +26,7 @@ def cache_of_truth(folder: Path, frames: int) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("targets", "options", "said"),
+    ("targets", "options", "message"),
     [
         ([], {}, "no target was given"),
         (["rebond=0.6"], {}, "did you mean rebound"),
@@ -40,11 +40,11 @@ def cache_of_truth(folder: Path, frames: int) -> Path:
     ],
 )
 def test_what_makes_no_sense_is_refused(
-    targets: list[str], options: dict[str, object], said: str
+    targets: list[str], options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(UsageError) as refused:
         gf_usd.fit(SPHERE, targets, **options)  # type: ignore[arg-type]
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 @pytest.mark.slow

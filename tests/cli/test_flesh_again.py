@@ -26,7 +26,7 @@ material = ["jelly", "rubber"]
 [[assets]]
 files = ["arm.usda"]
 """
-WORDS = (
+ARGUMENTS = (
     *("--flesh", "--particles", "300", "--preroll", "6", "--goal-frequency", "3"),
     *("--stretch", "0.4", "--self-contact"),
     *("--field", "noise:9:length=0.5:rate=2", "--field", "wind:0,0,3"),
@@ -38,7 +38,7 @@ def test_flesh_again_and_in_a_batch_is_the_same(gf_usd: Call, here: Path) -> Non
     write(here, arm())
     for folder in ("one/", "two/"):
         for material in ("jelly", "rubber"):
-            done = gf_usd("bake", "arm.usda", *WORDS, "-m", material, "-o", folder, "-q")
+            done = gf_usd("bake", "arm.usda", *ARGUMENTS, "-m", material, "-o", folder, "-q")
             assert done.status == 0, done.err
     (here / "jobs.toml").write_text(MANIFEST, encoding="utf-8")
     done = gf_usd("batch", "jobs.toml", "-j", "1", "--json", "-q", "--no-report")

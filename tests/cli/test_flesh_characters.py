@@ -65,8 +65,8 @@ def test_each_character_is_a_body_that_only_its_own_bones_hold(tmp_path: Path) -
     ]  # fmt: skip
     assert plan.contact_setup is not None
     assert plan.contact_setup.meet_from == 12 == plan.settings.first
-    said = "2 characters, which collide, from the first frame of the animation on: </Shot/A/Skin>"
-    assert said in " ".join(plan.notes)
+    note = "2 characters, which collide, from the first frame of the animation on: </Shot/A/Skin>"
+    assert note in " ".join(plan.notes)
     # a point that is in both goes where the skeleton of each takes it: A's is bent up by 60 degrees
     assert plan.goals is not None
     X = np.array([[1.85, 0.0, 0.0]] * 2)
@@ -86,8 +86,8 @@ def test_skeletons_under_one_skelroot_are_one_character(tmp_path: Path) -> None:
     plan, _ = prepare(path, **FEW, output=tmp_path / "out.usda", draw=None)
     assert plan.bodies is not None
     assert plan.bodies.count == 1
-    said = "2 skeletons under the SkelRoot </Shot> are one character, and one body: </Shot/A/Skel>"
-    assert said in " ".join(plan.notes)
+    note = "2 skeletons under the SkelRoot </Shot> are one character, and one body: </Shot/A/Skel>"
+    assert note in " ".join(plan.notes)
 
 
 def test_combine_makes_one_body_of_all_characters(tmp_path: Path) -> None:

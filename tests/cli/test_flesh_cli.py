@@ -94,7 +94,7 @@ def test_a_baked_gltf_file_is_a_layer_over_its_skeleton(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"flesh": True, "pins": ["box:0,0,0,1,1,1"]}, "flesh=True does not go with pins"),
         ({"flesh": True, "drop": "1"}, "flesh=True does not go with drop"),
@@ -110,17 +110,17 @@ def test_a_baked_gltf_file_is_a_layer_over_its_skeleton(tmp_path: Path) -> None:
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
-    tmp_path: Path, options: dict[str, object], words: str
+    tmp_path: Path, options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(gf_usd.GfUsdError) as caught:
         gf_usd.bake(write(tmp_path, arm()), **options)
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert caught.value.hint
 
 
 def test_an_asset_without_a_skeleton_is_refused(tmp_path: Path) -> None:
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-    for name, text, words in (
+    for name, text, message in (
         ("block.usda", BLOCK, "no skeleton poses"),
         ("triangle.obj", triangle, "skeletons of .obj files are not supported"),
     ):
@@ -128,7 +128,7 @@ def test_an_asset_without_a_skeleton_is_refused(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(gf_usd.GfUsdError) as caught:
             gf_usd.bake(path, flesh=True, output=tmp_path / "out.usda")
-        assert words in caught.value.message
+        assert message in caught.value.message
         assert str(path) in caught.value.message
 
 
@@ -154,14 +154,14 @@ def paint(goal: float) -> str:
 
 
 @pytest.mark.parametrize(
-    ("more", "asked", "frequency"),
+    ("more", "given", "frequency"),
     [("", None, None), ("", 2.0, 2.0), (paint(0.2), None, 2.0), (paint(0.2), 6.0, 3.0)],
 )
 def test_goals_are_springs_of_the_frequency_asked_for_or_painted(
-    tmp_path: Path, more: str, asked: float | None, frequency: float | None
+    tmp_path: Path, more: str, given: float | None, frequency: float | None
 ) -> None:
     path = write(tmp_path, arm(more=more))
-    options = {"particles": 300, "goal_frequency": asked, "output": tmp_path / "out.usda"}
+    options = {"particles": 300, "goal_frequency": given, "output": tmp_path / "out.usda"}
     plan, _ = prepare(path, flesh=True, draw=None, **options)
     if frequency is None:
         assert plan.goals is None
@@ -169,7 +169,7 @@ def test_goals_are_springs_of_the_frequency_asked_for_or_painted(
     assert plan.goals is not None
     rate = plan.goals.rate(np.array([[0.5, 0.0, 0.0]]))
     np.testing.assert_allclose(rate, 2.0 * np.pi * frequency, rtol=1e-6)
-    assert ("painted goals" in " ".join(plan.notes)) == (bool(more) and asked is None)
+    assert ("painted goals" in " ".join(plan.notes)) == (bool(more) and given is None)
 
 
 @pytest.mark.parametrize("on_subset", [False, True])
@@ -226,7 +226,7 @@ def test_a_goal_of_a_subset_goes_before_that_of_the_mesh(
 
 
 @pytest.mark.parametrize(
-    ("faces", "goal", "words"),
+    ("faces", "goal", "message"),
     [
         (FOREARM, paint(1.5), "1 of 1 values out of range; the first is 1.5"),
         (FOREARM, "float[] primvars:gaussianFlesh:goal = [0, 1]", "has 2 values on a subset of"),
@@ -234,12 +234,12 @@ def test_a_goal_of_a_subset_goes_before_that_of_the_mesh(
     ],
 )
 def test_a_goal_of_a_subset_that_is_none_is_refused(
-    tmp_path: Path, faces: list[int], goal: str, words: str
+    tmp_path: Path, faces: list[int], goal: str, message: str
 ) -> None:
     path = write(tmp_path, arm(more=subset(faces, goal)))
     with pytest.raises(gf_usd.InputError) as caught:
         gf_usd.bake(path, flesh=True, output=tmp_path / "out.usda", **FEW)
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert "</Arm/Skin/Forearm>" in caught.value.message
     assert caught.value.hint
 
@@ -263,17 +263,19 @@ def test_limits_are_shares_of_the_distance_to_the_bone(tmp_path: Path) -> None:
 def test_flesh_that_hangs_keeps_its_limit(tmp_path: Path) -> None:
     """Without it, jelly around thin bones leaves its skinned pose by more."""
     path, away = write(tmp_path, arm()), {}
-    asked = {"material": "jelly", "bone_radius": 0.2, "particles": 400}
+    options = {"material": "jelly", "bone_radius": 0.2, "particles": 400}
     for stretch in (None, 0.2):
         out = tmp_path / f"out{stretch}.usda"
         result = gf_usd.bake(
             path, flesh=True, output=out, stretch=stretch, gravity=19.6, preroll=12,
-            progress=None, **asked,
+            progress=None, **options,
         )  # fmt: skip
         assert result.health["rollbacks"] == 0
         way = drawn(Usd.Stage.Open(str(out)), LAST) - skinned(path, LAST)
         away[stretch] = np.linalg.norm(way, axis=1)
-    plan, _ = prepare(path, flesh=True, draw=None, stretch=0.2, output=tmp_path / "o.usda", **asked)
+    plan, _ = prepare(
+        path, flesh=True, draw=None, stretch=0.2, output=tmp_path / "o.usda", **options
+    )
     assert plan.goals is not None
     assert plan.goals.limits is not None
     limit = plan.goals.limits.away(points())
@@ -316,16 +318,16 @@ def test_a_repeated_cycle_is_nearer_to_periodic(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_cycle_that_ends_by_itself_is_the_one_that_so_many_times_make(tmp_path: Path) -> None:
     path = write(tmp_path, swinging())
-    asked = {"material": "jelly", "gravity": 0.0, **FEW}
-    asked |= {"goal_frequency": 3.0, "samples_per_frame": 2}
-    auto = gf_usd.bake(path, flesh=True, output=tmp_path / "auto.usda", loop=True, **asked)
+    options = {"material": "jelly", "gravity": 0.0, **FEW}
+    options |= {"goal_frequency": 3.0, "samples_per_frame": 2}
+    auto = gf_usd.bake(path, flesh=True, output=tmp_path / "auto.usda", loop=True, **options)
     times, share = auto.health["loop_cycles"], auto.health["loop_difference_share"]
     assert 2 < times < MOST_CYCLES
     # two cycles differed by no more before the last one was made, and differences shrink
     assert share <= PERIODIC
     first = auto.bakes[0].per_frame[0]["time_code"]
     assert first + (auto.health["frames"] - 1) == LAST
-    counted = gf_usd.bake(path, flesh=True, output=tmp_path / "counted.usda", loop=times, **asked)
+    counted = gf_usd.bake(path, flesh=True, output=tmp_path / "counted.usda", loop=times, **options)
     assert counted.health["frames"] == auto.health["frames"]
     assert counted.health["loop_difference_share"] == share
     stages = [Usd.Stage.Open(str(tmp_path / f"{name}.usda")) for name in ("auto", "counted")]

@@ -38,10 +38,10 @@ def booted(folder: Path) -> Path:
 def test_a_mesh_of_one_joint_is_named_with_the_way_to_keep_it_rigid(tmp_path: Path) -> None:
     path, out = booted(tmp_path), tmp_path / "out.usda"
     plan, _ = prepare(path, **FEW, output=out, draw=None)
-    words = "</Arm/Boot> moves with a single joint and becomes as soft as the rest; --rigid keeps"
-    assert words in " ".join(plan.notes)
+    note = "</Arm/Boot> moves with a single joint and becomes as soft as the rest; --rigid keeps"
+    assert note in " ".join(plan.notes)
     kept, _ = prepare(path, **FEW, rigid=["/Arm/Boot"], output=out, draw=None)
-    assert words not in " ".join(kept.notes)
+    assert note not in " ".join(kept.notes)
     *bones, boot = kept.pins
     assert (boot.name, boot.rigid, boot.meshes) == ("/Arm/Boot", False, {"/Arm/Boot"})
     np.testing.assert_array_equal(boot.path, bones[1].path)

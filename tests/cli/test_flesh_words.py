@@ -1,4 +1,4 @@
-"""What is told of a bake with --flesh: bones hold it, so nothing of a fall on a floor is."""
+"""What is reported of a bake with --flesh: bones hold it, so nothing of a fall on a floor is."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ def test_flesh_that_its_bones_carry_spreads_on_no_floor(tmp_path: Path) -> None:
     path = write(tmp_path, arm(bend=(0.0, 0.0)))
     options = {"material": "jelly", "gravity": "80"}
     loose = prepare(path, particles=300, output=tmp_path / "out.usda", **options).plan
-    words = "cannot carry its own weight"
-    assert words in " ".join(loose.notes)
-    assert words not in " ".join(plan_of(path, **options).notes)
+    note = "cannot carry its own weight"
+    assert note in " ".join(loose.notes)
+    assert note not in " ".join(plan_of(path, **options).notes)
 
 
 def test_an_animation_that_is_followed_is_not_told_as_left(tmp_path: Path) -> None:
     source = write(tmp_path, arm())
     path = tmp_path / "cache.usda"
     path.write_text(cached(source), encoding="utf-8")
-    words = "starts from its pose at the first frame"
-    assert words not in " ".join(plan_of(path).notes)
+    note = "starts from its pose at the first frame"
+    assert note not in " ".join(plan_of(path).notes)
     loose = prepare(path, particles=300, output=tmp_path / "out.usda").plan
-    assert words in " ".join(loose.notes)
+    assert note in " ".join(loose.notes)
 
 
 def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
@@ -49,9 +49,9 @@ def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
     for command in (("inspect",), ("bake", "--dry-run")):
         flesh, loose = gf_usd(*command, *few, "--flesh"), gf_usd(*command, *few)
         assert (flesh.status, loose.status) == (0, 0)
-        told = [line for line in flesh.out.splitlines() if "first contact" in line]
-        assert len(told) == 1
-        assert "no drop, first contact" in told[0] or "drop        none, first" in told[0]
+        lines = [line for line in flesh.out.splitlines() if "first contact" in line]
+        assert len(lines) == 1
+        assert "no drop, first contact" in lines[0] or "drop        none, first" in lines[0]
         assert "no drop" not in loose.out
         assert "none, first" not in loose.out
 

@@ -63,11 +63,11 @@ def attribute(stage: Usd.Stage, name: str) -> Usd.Attribute:
 def test_a_painted_yield_stress_through_filling_checkpoint_and_layers(
     gf_usd, here: Path, bar: Path
 ) -> None:
-    words = ("bake", bar, *SMALL, "-q")
-    assert gf_usd(*words, "-o", "one/").status == 0
-    assert gf_usd(*words, "-o", "two/", "--slice", "1").status == 5
-    assert gf_usd(*words, "-o", "two/", "--slice", "1", "--resume").status == 5
-    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    arguments = ("bake", bar, *SMALL, "-q")
+    assert gf_usd(*arguments, "-o", "one/").status == 0
+    assert gf_usd(*arguments, "-o", "two/", "--slice", "1").status == 5
+    assert gf_usd(*arguments, "-o", "two/", "--slice", "1", "--resume").status == 5
+    assert gf_usd(*arguments, "-o", "two/", "--resume").status == 0
     require_same(here / "one", here / "two")
 
     (root,) = (here / "one").glob("*.usda")

@@ -36,11 +36,11 @@ def test_an_unhealthy_bake_says_so_and_is_written(gf_usd, here: Path, block: Pat
     warned = [w for w in report["warnings"] if w["about"] == "inside-out"]
     assert [set(w) for w in warned] == [{"variant", "look", "about", "message", "hint", "level"}]
     assert f"up to {health['inverted_max']} at once" in warned[0]["message"]
-    said = f"warning: jelly: {warned[0]['message']} [inside-out]\n  hint: {warned[0]['hint']}"
-    assert said in done.out
+    written = f"warning: jelly: {warned[0]['message']} [inside-out]\n  hint: {warned[0]['hint']}"
+    assert written in done.out
     stage = Usd.Stage.Open(str(here / "block.jelly.usda"))
-    said = stage.GetDefaultPrim().GetAttribute("gaussianFlesh:health:warnings").Get()
-    assert list(said) == [w["message"] for w in report["warnings"]]
+    written = stage.GetDefaultPrim().GetAttribute("gaussianFlesh:health:warnings").Get()
+    assert list(written) == [w["message"] for w in report["warnings"]]
 
 
 def test_strict_ends_with_status_4_and_keeps_the_files(gf_usd, here: Path, block: Path) -> None:

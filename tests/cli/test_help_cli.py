@@ -64,14 +64,14 @@ def test_the_options_of_a_folder_hold_below_it(
     done = gf_usd("bake", block, "--frames", "4", "--dry-run", "--json")
     assert done.status == 0, done.err
     assert done.err.startswith(f"note: {file}: material = 'jelly', particles = 200, drop = '2.5'")
-    told = json.loads(done.out)
-    assert told["frames"] == 4, "the command line has priority"
-    assert list(told["substeps_per_frame"]) == ["jelly"]
-    assert told["outputs"][0] == "block.jelly.usda"
+    report = json.loads(done.out)
+    assert report["frames"] == 4, "the command line has priority"
+    assert list(report["substeps_per_frame"]) == ["jelly"]
+    assert report["outputs"][0] == "block.jelly.usda"
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("[bake]\npartikles = 4\n", "partikles is not an option of gf-usd bake"),
         ("[bake]\npin = '/A'\n", "hint: did you mean pins? "),
@@ -82,12 +82,12 @@ def test_the_options_of_a_folder_hold_below_it(
         ("[bake\n", "cannot be read"),
     ],
 )
-def test_a_wrong_file_is_refused(gf_usd, here: Path, block: Path, text: str, words: str) -> None:
+def test_a_wrong_file_is_refused(gf_usd, here: Path, block: Path, text: str, message: str) -> None:
     (here / "gf-usd.toml").write_text(text)
     done = gf_usd("bake", block, "--dry-run")
     assert (done.status, done.out) == (2, "")
-    assert done.err.startswith(f"error: {here / 'gf-usd.toml'}: ") or words == "cannot be read"
-    assert words in done.err
+    assert done.err.startswith(f"error: {here / 'gf-usd.toml'}: ") or message == "cannot be read"
+    assert message in done.err
     assert "\n\nhint: " in done.err
 
 

@@ -24,7 +24,7 @@ def asset(here: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ("bake", LATIN), ("bake", LATIN, "--limits", "none", "-o", "a.usda"), ("inspect", LATIN),
         ("inputs", LATIN), ("check", LATIN), ("preview", LATIN), ("report", LATIN),
@@ -33,9 +33,9 @@ def asset(here: Path) -> Path:
     ],
 )  # fmt: skip
 def test_an_asset_with_such_a_name_is_refused(
-    gf_usd: Call, asset: Path, words: tuple[str, ...]
+    gf_usd: Call, asset: Path, arguments: tuple[str, ...]
 ) -> None:
-    done = gf_usd(*words)
+    done = gf_usd(*arguments)
     assert done.status == 3
     assert r"d\udcfcck.usda: its path has bytes that are not UTF-8" in done.err
     assert "rename the file" in done.err

@@ -1,4 +1,4 @@
-"""gf-usd materials, schema-path, --version and --help: what is said without an asset."""
+"""gf-usd materials, schema-path, --version and --help: what is printed without an asset."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def test_every_preset_is_listed_with_its_numbers_and_source(gf_usd) -> None:
 
 def test_the_restitution_is_said_not_to_be_the_rebound_of_a_body(gf_usd) -> None:
     """A ball of metal, with 0.85 in this table, rebounds with 0.97 of its speed."""
-    said = " ".join(gf_usd("materials").out.split())
-    assert "restitution: of one contact sample on its spring." in said
-    assert "rebounds according to its damping time" in said
+    output = " ".join(gf_usd("materials").out.split())
+    assert "restitution: of one contact sample on its spring." in output
+    assert "rebounds according to its damping time" in output
 
 
 def test_every_number_has_its_unit(gf_usd) -> None:
-    # rich reads brackets as markup unless it is told not to.
+    # rich reads brackets as markup unless it is switched off.
     done = gf_usd("materials")
     assert done.out.count("[rho g0 r]") == 2
     assert done.out.count("[kg/m^3]") == 2

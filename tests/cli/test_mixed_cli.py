@@ -18,13 +18,15 @@ def test_a_mixed_bake_is_whole_and_comes_to_the_same_bits(
     gf_usd, here: Path, tmp_path: Path
 ) -> None:
     """In one go and in slices, with any number of threads, and again."""
-    words = ("bake", castle_of(tmp_path), "--particles", "300", "--frames", "7", "--drop", "0",
-             "-q", "--clip-frames", "2", "--internal", "--stress")  # fmt: skip
-    assert gf_usd(*words, "-o", "one/").status == 0
-    assert gf_usd(*words, "-o", "again/", "--threads", "1").status == 0
-    assert gf_usd(*words, "-o", "two/", "--slice", "1").status == 5
-    assert gf_usd(*words, "-o", "two/", "--slice", "1", "--resume").status == 5
-    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    arguments = (
+        "bake", castle_of(tmp_path), "--particles", "300", "--frames", "7", "--drop", "0",
+        "-q", "--clip-frames", "2", "--internal", "--stress",
+    )  # fmt: skip
+    assert gf_usd(*arguments, "-o", "one/").status == 0
+    assert gf_usd(*arguments, "-o", "again/", "--threads", "1").status == 0
+    assert gf_usd(*arguments, "-o", "two/", "--slice", "1").status == 5
+    assert gf_usd(*arguments, "-o", "two/", "--slice", "1", "--resume").status == 5
+    assert gf_usd(*arguments, "-o", "two/", "--resume").status == 0
     require_same(here / "one", here / "two")
     clips = sorted((here / "one").glob("*.clips/*.usdc"))
     assert len(clips) == 3
@@ -45,8 +47,17 @@ def test_a_mixed_job_of_a_batch_is_the_bake_alone(gf_usd, here: Path, tmp_path: 
     )
     done = gf_usd("batch", manifest, "-j", "1", "--no-report", "-q")
     assert done.status == 0, done.err
-    words = ("bake", tmp_path / "scene.usda", "--particles", "300", "--frames", "4", "--drop", "0")
-    assert gf_usd(*words, "-q", "-o", "alone/").status == 0
+    arguments = (
+        "bake",
+        tmp_path / "scene.usda",
+        "--particles",
+        "300",
+        "--frames",
+        "4",
+        "--drop",
+        "0",
+    )
+    assert gf_usd(*arguments, "-q", "-o", "alone/").status == 0
     (cache,) = (here / "night").rglob("*.cache.usdc")
     (alone,) = (here / "alone").rglob("*.cache.usdc")
     assert cache.read_bytes() == alone.read_bytes()
@@ -61,8 +72,8 @@ def test_captured_gaussians_fall_on_sand(gf_usd, here: Path, tmp_path: Path) -> 
     capture = replace(capture, positions=capture.positions + np.float32([0.0, 0.31, 0.0]))
     define(stage, "/World/Ball", capture)
     stage.GetRootLayer().Save()
-    words = ("bake", path, "--particles", "400", "--frames", "6", "--drop", "0", "-q")
-    done = gf_usd(*words, "-m", "rubber", "-o", "out/")
+    arguments = ("bake", path, "--particles", "400", "--frames", "6", "--drop", "0", "-q")
+    done = gf_usd(*arguments, "-m", "rubber", "-o", "out/")
     assert done.status == 0, done.err
     (root,) = (here / "out").glob("*.usda")
     baked = Usd.Stage.Open(str(root))

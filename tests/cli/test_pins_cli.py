@@ -72,7 +72,7 @@ def test_what_is_held_follows_the_source_and_the_rest_swings(arm: Path, pin: str
 
 
 def test_pins_and_floors_that_do_nothing_are_refused(arm: Path) -> None:
-    for options, words in (
+    for options, message in (
         ({"pins": ["box:900,0,0,901,1,1"]}, "does not touch the asset"),
         ({"pins": ["/Arm/Bar"]}, "hold all"),
         ({"pins": ["/Arm/Bra"]}, "there is no prim"),
@@ -81,7 +81,7 @@ def test_pins_and_floors_that_do_nothing_are_refused(arm: Path) -> None:
     ):
         with pytest.raises(gf_usd.GfUsdError) as caught:
             gf_usd.bake(arm, particles=300, frames=3, output=arm.with_name("x.usda"), **options)
-        assert words in caught.value.message
+        assert message in caught.value.message
         assert caught.value.hint
         assert sorted(p.name for p in arm.parent.iterdir()) == ["arm.usda"]
 

@@ -82,8 +82,8 @@ def test_a_gif_is_thinned_to_what_browsers_play(stage, tmp_path):
 
 def test_a_sheet_has_a_tile_for_each_frame(stage, tmp_path):
     out = tmp_path / "a.png"
-    words = ("--sheet", "3", "--columns", "3", "--size", "120x90")
-    assert run(stage, "-o", out, *words).exit_code == 0
+    arguments = ("--sheet", "3", "--columns", "3", "--size", "120x90")
+    assert run(stage, "-o", out, *arguments).exit_code == 0
     page = pixels(out)
     gap = 2
     assert page.shape[:2] == (90 + 2 * gap, 3 * 120 + 4 * gap)
@@ -98,8 +98,8 @@ def test_a_time_at_which_nothing_is_visible_is_an_empty_tile(stage, tmp_path, or
     seen = f'{{ 1: "{first}", 3: "{last}" }}'
     hidden = BOX.replace("size = 2\n", f"size = 2\n token visibility.timeSamples = {seen}\n")
     stage.write_text(hidden, encoding="utf-8")
-    words = ("--sheet", "2", "--columns", "2", "--size", "120x90")
-    done = run(stage, "-o", tmp_path / "a.png", *words)
+    arguments = ("--sheet", "2", "--columns", "2", "--size", "120x90")
+    done = run(stage, "-o", tmp_path / "a.png", *arguments)
     assert done.exit_code == 0, done.output
     assert "note: pictures of times at which nothing is visible are empty" in done.output
     page = pixels(tmp_path / "a.png")
@@ -180,8 +180,8 @@ def test_a_bake_in_colors_has_a_legend_beside_the_body(gf_usd, here, block):
     pictures = {}
     for color, more in (("none", ()), ("strain", ()), ("stress", ("--color-range", "0:1e3"))):
         out = here / f"{color}.png"
-        words = ("--color", color, *more, "--size", "320x240")
-        done = gf_usd("preview", here / "block.rubber.usda", "-o", out, "--frame", 105, *words)
+        arguments = ("--color", color, *more, "--size", "320x240")
+        done = gf_usd("preview", here / "block.rubber.usda", "-o", out, "--frame", 105, *arguments)
         assert done.status == 0, done.err
         pictures[color] = pixels(out)
     for color in ("strain", "stress"):

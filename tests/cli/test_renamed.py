@@ -64,12 +64,12 @@ def test_the_guide_lists_them() -> None:
     guide = (Path(__file__).resolve().parents[2] / "docs" / "guide.md").read_text(encoding="utf-8")
     table = guide.partition("| command | former name | current name |\n|---|---|---|\n")[2]
     rows = [row.split("|")[1:4] for row in table.partition("\n\n")[0].splitlines()]
-    told = {
+    listed = {
         (command.strip(), old.strip(" `")): new.strip(" `")
         for commands_of, old, new in rows
         for command in commands_of.split(",")
     }
-    assert told == RENAMED
+    assert listed == RENAMED
 
 
 @pytest.mark.parametrize(("command", "former"), RENAMED)
@@ -102,9 +102,12 @@ def test_other_commands_keep_their_words() -> None:
 
 
 def test_a_batch_by_its_former_options(gf_usd, here: Path, block: Path) -> None:
-    words = ("batch", block, "-m", "rubber,jelly", "--frames", "rest:40", "--dry-run")
-    done = gf_usd(*words, "--out", "out", "--only", "block.jelly")
-    assert (done.status, done.out) == (0, gf_usd(*words, "-o", "out", "--select", "*.jelly").out)
+    arguments = ("batch", block, "-m", "rubber,jelly", "--frames", "rest:40", "--dry-run")
+    done = gf_usd(*arguments, "--out", "out", "--only", "block.jelly")
+    assert (done.status, done.out) == (
+        0,
+        gf_usd(*arguments, "-o", "out", "--select", "*.jelly").out,
+    )
     assert "--frames rest:40" in done.out
     assert "block.rubber" not in done.out
     assert "note: --out is now called --output" in done.err
@@ -112,9 +115,9 @@ def test_a_batch_by_its_former_options(gf_usd, here: Path, block: Path) -> None:
 
 def test_a_picture_by_the_former_options(gf_usd, here: Path) -> None:
     (here / "box.usda").write_text(FALLING_BOX, encoding="utf-8")
-    words = ("preview", "box.usda", "--size", "60x40")
-    old = gf_usd(*words, "-o", "a.gif", "--frames", "1:3", "--colour", "none")
-    new = gf_usd(*words, "-o", "b.gif", "--time-codes", "1:3")
+    arguments = ("preview", "box.usda", "--size", "60x40")
+    old = gf_usd(*arguments, "-o", "a.gif", "--frames", "1:3", "--colour", "none")
+    new = gf_usd(*arguments, "-o", "b.gif", "--time-codes", "1:3")
     assert (old.status, new.status) == (0, 0), old.err + new.err
     assert (here / "a.gif").read_bytes() == (here / "b.gif").read_bytes()
     assert "note: --colour is now called --color" in old.err

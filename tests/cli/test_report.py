@@ -98,7 +98,7 @@ def test_a_page_is_replaced(gf_usd, work):
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "message"),
+    ("arguments", "status", "message"),
     [
         (("block.soft.usda", "--variant", "liquid"), 2, "no variant 'liquid'"),
         (("block.soft.usda", "-o", "page.pdf"), 2, "does not end in .html"),
@@ -110,11 +110,11 @@ def test_a_page_is_replaced(gf_usd, work):
         (("gone.usda",), 3, "does not exist"),
     ],
 )
-def test_wrong_uses_are_refused_in_words(gf_usd, work, words, status, message):
+def test_wrong_uses_are_refused_in_words(gf_usd, work, arguments, status, message):
     (work / "folder.html").mkdir()
     (work / "loop.usda").symlink_to("loop.usda")
     before = names(work)
-    done = gf_usd("report", *words)
+    done = gf_usd("report", *arguments)
     assert (done.status, done.out) == (status, "")
     assert message in done.err
     assert names(work) == before

@@ -51,14 +51,14 @@ LONGER = {
     "state", [pytest.param(s, marks=[pytest.mark.slow] if s in LONGER else []) for s in STATES]
 )
 def test_slices_come_to_the_same_bits(gf_usd, here: Path, block: Path, state: str) -> None:
-    words = ("bake", block, *SMALL, *STATES[state], "-q")
-    assert gf_usd(*words, "-o", "one/").status == 0
+    arguments = ("bake", block, *SMALL, *STATES[state], "-q")
+    assert gf_usd(*arguments, "-o", "one/").status == 0
     runs = 1
-    first = gf_usd(*words, "-o", "two/", "--slice", "1")
+    first = gf_usd(*arguments, "-o", "two/", "--slice", "1")
     assert first.status == 5
     assert "the slice of 1 clip ends here; two/block." in first.err
     assert "hint: the same command with --resume continues" in first.err
-    while gf_usd(*words, "-o", "two/", "--slice", "1", "--resume").status == 5:
+    while gf_usd(*arguments, "-o", "two/", "--slice", "1", "--resume").status == 5:
         require_whole(here / "two")
         runs += 1
     # nine frames of two a clip; a range begins three frames later, looks come one after another
@@ -92,10 +92,12 @@ def Xform "World"
 def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
     scene = tmp_path / "two.usda"
     scene.write_text(TWO, encoding="utf-8")
-    words = ("bake", scene, "--particles", "400", "--frames", "9", "--drop", "0", "-q",
-             "-m", "jelly", "--clip-frames", "3")  # fmt: skip
-    assert gf_usd(*words, "-o", "one/").status == 0
-    assert gf_usd(*words, "-o", "two/", "--slice", "2").status == 5
+    arguments = (
+        "bake", scene, "--particles", "400", "--frames", "9", "--drop", "0", "-q",
+        "-m", "jelly", "--clip-frames", "3",
+    )  # fmt: skip
+    assert gf_usd(*arguments, "-o", "one/").status == 0
+    assert gf_usd(*arguments, "-o", "two/", "--slice", "2").status == 5
     found = samples(here / "two/two.jelly.clips/0002.usdc")
     planes = [
         np.frombuffer(value[2], value[0])[0]
@@ -103,7 +105,7 @@ def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> No
         if key[0].endswith("health:injectedEnergy")
     ]
     assert any(planes)  # they push each other before the state is kept
-    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    assert gf_usd(*arguments, "-o", "two/", "--resume").status == 0
     require_same(here / "one", here / "two")
 
 
@@ -118,13 +120,15 @@ def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> No
 def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(
     gf_usd, here: Path, block: Path, kills: int, frames: int
 ) -> None:
-    words = ("bake", block, "--particles", "200", "--frames", frames, "--drop", "0.05r",
-             "--clip-frames", "1", "-q")  # fmt: skip
-    assert gf_usd(*words, "-o", "one/").status == 0
+    arguments = (
+        "bake", block, "--particles", "200", "--frames", frames, "--drop", "0.05r",
+        "--clip-frames", "1", "-q",
+    )  # fmt: skip
+    assert gf_usd(*arguments, "-o", "one/").status == 0
     moments = np.random.default_rng(5).integers(1, frames - 11, kills)
     reached = 0
     for moment in sorted(int(m) for m in moments):
-        process = start(*words, "-o", "two/", "--resume")
+        process = start(*arguments, "-o", "two/", "--resume")
         try:
             if moment > reached:
                 wait_for(process, here / f"two/{STEM}.clips/{moment:04d}.usdc")
@@ -134,15 +138,17 @@ def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(
         require_whole(here / "two")
         reached = max(reached, moment)
         assert not (here / f"two/{STEM}.usda").exists()
-    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    assert gf_usd(*arguments, "-o", "two/", "--resume").status == 0
     require_same(here / "one", here / "two")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_signal_says_how_to_go_on(gf_usd, here: Path, block: Path) -> None:
-    words = ("bake", block, "--particles", "200", "--frames", "100000", "--drop", "150",
-             "--max-hours", "1000", "--clip-frames", "1", "-q")  # fmt: skip
-    process = start(*words)
+    arguments = (
+        "bake", block, "--particles", "200", "--frames", "100000", "--drop", "150",
+        "--max-hours", "1000", "--clip-frames", "1", "-q",
+    )  # fmt: skip
+    process = start(*arguments)
     try:
         wait_for(process, here / KEPT)
         process.send_signal(signal.SIGTERM)
@@ -159,16 +165,16 @@ def test_a_signal_says_how_to_go_on(gf_usd, here: Path, block: Path) -> None:
 
 @pytest.mark.slow
 def test_what_is_not_the_same_bake_is_refused(gf_usd, here: Path, block: Path) -> None:
-    words = ("bake", block, *SMALL, "-q")
-    assert gf_usd(*words, "--slice", "1").status == 5
+    arguments = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*arguments, "--slice", "1").status == 5
     before = (here / KEPT).read_bytes()
-    other = gf_usd(*words, "--resume", "--friction", "0.1")
+    other = gf_usd(*arguments, "--resume", "--friction", "0.1")
     assert other.status == 2
     assert f"{KEPT} is of another bake: its options differed" in other.err
     block.write_text(block.read_text() + "\n", encoding="utf-8")
-    assert "its asset differed" in gf_usd(*words, "--resume").err
+    assert "its asset differed" in gf_usd(*arguments, "--resume").err
     assert (here / KEPT).read_bytes() == before
-    assert gf_usd(*words, "--resume", "--overwrite").status == 0
+    assert gf_usd(*arguments, "--resume", "--overwrite").status == 0
     assert KEPT not in names(here)
     report = (here / f"{STEM}.report.json").read_text()
     assert "its asset differed; with --overwrite the bake starts over" in report
@@ -181,12 +187,12 @@ WALL = "v {x} 0 -50\nv {x} 0 50\nv {x} 300 0\nv -90 0 0\nf 1 2 3\nf 2 1 4\nf 3 2
 def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path) -> None:
     wall = here / "wall.obj"
     wall.write_text(WALL.format(x=-60), encoding="utf-8")
-    words = ("bake", block, *SMALL, "--collider", "wall.obj", "-q")
-    assert gf_usd(*words, "--slice", "1").status == 5
+    arguments = ("bake", block, *SMALL, "--collider", "wall.obj", "-q")
+    assert gf_usd(*arguments, "--slice", "1").status == 5
     wall.write_text("# the same shape\n" + WALL.format(x=-60), encoding="utf-8")
-    assert gf_usd(*words, "--slice", "1", "--resume").status == 5
+    assert gf_usd(*arguments, "--slice", "1", "--resume").status == 5
     wall.write_text(WALL.format(x=-59), encoding="utf-8")
-    other = gf_usd(*words, "--resume")
+    other = gf_usd(*arguments, "--resume")
     assert other.status == 2
     assert f"{KEPT} is of another bake: its obstacles differed" in other.err
     assert "with unchanged files" in other.err
@@ -194,15 +200,17 @@ def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path
 
 @pytest.mark.slow
 def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Path) -> None:
-    words = ("bake", block, *SMALL, "-q")
-    assert gf_usd(*words, "--slice", "2").status == 5
+    arguments = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*arguments, "--slice", "2").status == 5
     (here / f"{STEM}.clips" / "0001.usdc").unlink()
-    again = gf_usd(*words, "--resume")
+    again = gf_usd(*arguments, "--resume")
     assert again.status == 2
     assert f"{STEM}.clips/0001.usdc is gone" in again.err
     (here / KEPT).write_bytes(b"no checkpoint")
-    assert f"{KEPT} is no checkpoint that this program can read" in gf_usd(*words, "--resume").err
-    assert gf_usd(*words).status == 0
+    assert (
+        f"{KEPT} is no checkpoint that this program can read" in gf_usd(*arguments, "--resume").err
+    )
+    assert gf_usd(*arguments).status == 0
     assert names(here / f"{STEM}.clips") == [
         *(f"{k:04d}.usdc" for k in (1, 2, 3, 4)),
         "manifest.usda",
@@ -210,20 +218,20 @@ def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Pa
 
 
 def test_without_a_checkpoint_it_begins_anew_and_says_so(gf_usd, here: Path, block: Path) -> None:
-    words = ("bake", block, "--particles", "200", "--frames", "3")
-    done = gf_usd(*words, "--resume")
+    arguments = ("bake", block, "--particles", "200", "--frames", "3")
+    done = gf_usd(*arguments, "--resume")
     assert done.status == 0
     assert f"--resume: there is no {KEPT}" in done.err
     assert "there will be none without --clip-frames; the bake starts over" in done.err
-    refused = gf_usd(*words, "--slice", "1", "--overwrite")
+    refused = gf_usd(*arguments, "--slice", "1", "--overwrite")
     assert refused.status == 2
     assert "--slice 1 counts value clips, but this bake has none" in refused.err
 
 
 @pytest.mark.slow
 def test_a_new_bake_removes_what_it_does_not_go_on_with(gf_usd, here: Path, block: Path) -> None:
-    words = ("bake", block, *SMALL, "-q")
-    assert gf_usd(*words, "--slice", "1").status == 5
+    arguments = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*arguments, "--slice", "1").status == 5
     assert gf_usd("bake", block, "--particles", "200", "--frames", "3", "-q").status == 0
     assert names(here) == [f"{STEM}.{end}" for end in ("cache.usdc", "report.json", "usda")]
 
@@ -234,28 +242,28 @@ def test_a_bake_cut_between_its_last_files_is_resumed(
 ) -> None:
     from gf_usd.pipeline.run import run
 
-    words = ("bake", block, *SMALL, "-q")
-    assert gf_usd(*words, "-o", "one/").status == 0
+    arguments = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*arguments, "-o", "one/").status == 0
 
     def killed(*args: object) -> None:
         raise SystemExit(137)
 
     with monkeypatch.context() as patch:
         patch.setattr(run, "publish_text", killed)
-        assert gf_usd(*words, "-o", "two/").status == 137
+        assert gf_usd(*arguments, "-o", "two/").status == 137
     assert (here / "two" / f"{STEM}.usda").exists()
-    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    assert gf_usd(*arguments, "-o", "two/", "--resume").status == 0
     require_same(here / "one", here / "two")
 
 
 @pytest.mark.slow  # a capture takes long to fill
 def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
     path = write_ply(tmp_path / "block.ply", ball(300, degree=1))
-    words = ("bake", path, *SMALL, "-q")
-    assert gf_usd(*words, "-o", "one/", "--export-ply", "all").status == 0
-    words = (*words, "-o", "two/", "--export-ply", "parts")
-    assert gf_usd(*words, "--slice", "1").status == 5
-    while gf_usd(*words, "--slice", "1", "--resume").status == 5:
+    arguments = ("bake", path, *SMALL, "-q")
+    assert gf_usd(*arguments, "-o", "one/", "--export-ply", "all").status == 0
+    arguments = (*arguments, "-o", "two/", "--export-ply", "parts")
+    assert gf_usd(*arguments, "--slice", "1").status == 5
+    while gf_usd(*arguments, "--slice", "1", "--resume").status == 5:
         pass
     require_same(here / "one", here / "two")
     assert len(names(here / "all")) == 9
@@ -275,20 +283,24 @@ def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> N
 )
 def test_flesh_goes_on_alike(gf_usd, here: Path, more: tuple[str, ...]) -> None:
     write(here, arm())
-    words = ("bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "400", "--preroll", "6",
-             "--clip-frames", "4", *more)  # fmt: skip
-    assert gf_usd(*words, "-o", "whole/").status == 0
-    assert gf_usd(*words, "-o", "parts/", "--slice", "1").status == 5
-    assert gf_usd(*words, "-o", "parts/", "--resume").status == 0
+    arguments = (
+        "bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "400", "--preroll", "6",
+        "--clip-frames", "4", *more,
+    )  # fmt: skip
+    assert gf_usd(*arguments, "-o", "whole/").status == 0
+    assert gf_usd(*arguments, "-o", "parts/", "--slice", "1").status == 5
+    assert gf_usd(*arguments, "-o", "parts/", "--resume").status == 0
     require_same(here / "whole", here / "parts")
 
 
 @pytest.mark.slow
 def test_a_cycle_that_ends_by_itself_goes_on_alike(gf_usd, here: Path) -> None:
     write(here, swinging())
-    words = ("bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "300", "--preroll", "12",
-             "--goal-frequency", "8", "--gravity", "0", "--clip-frames", "5", "--loop")  # fmt: skip
-    assert gf_usd(*words, "-o", "whole/").status == 0
-    assert gf_usd(*words, "-o", "parts/", "--slice", "1").status == 5
-    assert gf_usd(*words, "-o", "parts/", "--resume").status == 0
+    arguments = (
+        "bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "300", "--preroll", "12",
+        "--goal-frequency", "8", "--gravity", "0", "--clip-frames", "5", "--loop",
+    )  # fmt: skip
+    assert gf_usd(*arguments, "-o", "whole/").status == 0
+    assert gf_usd(*arguments, "-o", "parts/", "--slice", "1").status == 5
+    assert gf_usd(*arguments, "-o", "parts/", "--resume").status == 0
     require_same(here / "whole", here / "parts")

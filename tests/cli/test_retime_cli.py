@@ -39,7 +39,7 @@ def test_json(gf_usd, here: Path, root: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         ((), "either --speed or --keys is needed, but not both"),
         (("--speed", "0"), "--speed is 0"),
@@ -48,10 +48,10 @@ def test_json(gf_usd, here: Path, root: Path) -> None:
         (("--keys", "1:10,2:99"), "is outside the time codes 10 to 13"),
     ],
 )
-def test_misuse_ends_in_words(gf_usd, here: Path, root: Path, words, said: str) -> None:
-    done = gf_usd("retime", root, *words, "-o", "slow.usda")
+def test_misuse_ends_in_words(gf_usd, here: Path, root: Path, arguments, message: str) -> None:
+    done = gf_usd("retime", root, *arguments, "-o", "slow.usda")
     assert done.status == 2
-    assert said in done.err
+    assert message in done.err
     assert "hint: " in done.err
     assert not list(here.iterdir())
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from small_bakes import Done
 
-from gf_usd.cli.serve import words_of
+from gf_usd.cli.serve import arguments_of
 from gf_usd.core.errors import UsageError
 from gf_usd.system.warm.client import events
 from gf_usd.system.warm.local_socket import AVAILABLE
@@ -59,11 +59,20 @@ def test_without_a_server_it_is_refused(gf_usd: Call, block: Path, path: Path) -
 
 def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:
     job = {"asset": "/a.usda", "root": "/b.usda", "options": {"particles": 9, "pins": ["/A"]}}
-    words = words_of(job)
-    assert words == ["bake", "/a.usda", "--output", "/b.usda", "--particles", "9", "--pin", "/A"]
-    assert words_of({"arguments": words}) == words
+    arguments = arguments_of(job)
+    assert arguments == [
+        "bake",
+        "/a.usda",
+        "--output",
+        "/b.usda",
+        "--particles",
+        "9",
+        "--pin",
+        "/A",
+    ]
+    assert arguments_of({"arguments": arguments}) == arguments
     more = {"overwrite": True, "seed": None, "slice": 2}
-    assert words_of({**job, "options": more})[4:] == ["--overwrite", "--slice", "2"]
+    assert arguments_of({**job, "options": more})[4:] == ["--overwrite", "--slice", "2"]
     wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"asset": "/a.usda"}, "a job has no root"),
         ({**job, "options": 3}, "no object of options"),
@@ -71,7 +80,7 @@ def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:
         ({"arguments": ["batch", "x"]}, "'batch x' is not a bake"),
         ({**job, "version": "0.0"}, "but its client is 0.0"),
         ({**job, "colour": 1}, "a request has 'colour' next to 'asset'"),
-        ({**job, "arguments": words}, "a request has 'asset' next to 'arguments'"),
+        ({**job, "arguments": arguments}, "a request has 'asset' next to 'arguments'"),
         ({**job, "asset": "a.usda"}, "'asset' is 'a.usda'"),
         ({**job, "root": 3}, "'root' is 3"),
         ({**job, "asset": "/a\0.usda"}, "'asset' is '/a"),
@@ -88,7 +97,7 @@ def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:
     )
     for request, message in wrong:
         with pytest.raises(UsageError, match=message):
-            words_of(request)
+            arguments_of(request)
 
 
 @pytest.mark.slow
@@ -96,10 +105,10 @@ def test_served_bakes_equal_single_ones(
     gf_usd: Call, here: Path, block: Path, path: Path, server: object
 ) -> None:
     for material in ("rubber", "clay"):
-        words = ("bake", block, "--material", material, *SMALL)
-        alone = gf_usd(*words, "-o", here / "alone" / f"{material}.usda", "--json")
+        arguments = ("bake", block, "--material", material, *SMALL)
+        alone = gf_usd(*arguments, "-o", here / "alone" / f"{material}.usda", "--json")
         # a path that is relative to where the client is
-        served = gf_usd(*words, "-o", f"served/{material}.usda", "--serve", "--json")
+        served = gf_usd(*arguments, "-o", f"served/{material}.usda", "--serve", "--json")
         assert (alone.status, served.status) == (0, 0), served.err
         assert json.loads(served.out).keys() == json.loads(alone.out).keys()
         for name in (f"{material}.usda", f"{material}.cache.usdc"):
@@ -118,8 +127,12 @@ def test_served_bakes_equal_single_ones(
     os.kill(started["pid"], signal.SIGKILL)
     assert list(running)[-1]["status"] == -signal.SIGKILL
     job["options"] = {"frames": 3, "particles": 150, "overwrite": True}
-    told = list(events(path, job))
-    assert [told[0]["event"], told[-2]["event"], told[-1]["status"]] == ["started", "finished", 0]
+    lines = list(events(path, job))
+    assert [lines[0]["event"], lines[-2]["event"], lines[-1]["status"]] == [
+        "started",
+        "finished",
+        0,
+    ]
     assert not list(here.glob("*.partial.*"))
     status = json.loads(gf_usd("serve", "--status").out)
     assert (status["done"], status["running"]) == (6, 0)

@@ -45,8 +45,8 @@ def same(ply, spz, turn: np.ndarray) -> None:
 )
 def test_a_capture_stands_in_spz_as_it_does_in_the_bake(gf_usd, here, tmp_path, axis, turn):
     path = write_ply(tmp_path / "ball.ply", ball(300, degree=3))
-    words = ("bake", path, "--material", "jelly", "--up-axis", axis, *SMALL)
-    done = gf_usd(*words, "--export-ply", "frames", "--export-spz", "frames")
+    arguments = ("bake", path, "--material", "jelly", "--up-axis", axis, *SMALL)
+    done = gf_usd(*arguments, "--export-ply", "frames", "--export-spz", "frames")
     assert done.status == 0, done.err
     ply, spz = frames(here / "frames", "ball.jelly")
     same(ply, spz, turn)
@@ -70,8 +70,8 @@ def test_several_captures_and_particles_stand_too(gf_usd, here, tmp_path):
     block = tmp_path / "block.usda"
     block.write_text(BLOCK, encoding="utf-8")
     for path in (tmp_path / "two.usda", block):
-        words = ("bake", path, "--material", "jelly", *SMALL)
-        done = gf_usd(*words, "--export-ply", "frames", "--export-spz", "frames")
+        arguments = ("bake", path, "--material", "jelly", *SMALL)
+        done = gf_usd(*arguments, "--export-ply", "frames", "--export-spz", "frames")
         assert done.status == 0, done.err
     same(*frames(here / "frames", "two.jelly"), STOOD)
     ply, spz = frames(here / "frames", "block.jelly")

@@ -16,11 +16,11 @@ pytestmark = pytest.mark.skipif(
 NO_ROOM = "error: the output cannot be written: No space left on device\n"
 
 
-def run(folder: Path, words: str) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
     """A shell's command; GF is gf-usd."""
     gf = f"'{sys.executable}' -m gf_usd"
     return subprocess.run(
-        ["sh", "-c", words.replace("GF", gf)],
+        ["sh", "-c", command.replace("GF", gf)],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -48,9 +48,9 @@ def test_a_refusal_keeps_its_status(here: Path) -> None:
     assert run(here, "GF bake nothing.usda 2>/dev/full").returncode == 3
 
 
-@pytest.mark.parametrize("words", ["materials", "materials --json", "bake --help"])
-def test_a_result_that_cannot_be_written_is_an_error(here: Path, words: str) -> None:
-    done = run(here, f"GF {words} >/dev/full")
+@pytest.mark.parametrize("command", ["materials", "materials --json", "bake --help"])
+def test_a_result_that_cannot_be_written_is_an_error(here: Path, command: str) -> None:
+    done = run(here, f"GF {command} >/dev/full")
     assert (done.returncode, done.stderr) == (1, NO_ROOM)
 
 
@@ -66,16 +66,16 @@ def test_a_reader_that_has_enough_gets_no_traceback(here: Path) -> None:
 
 # `head` is gone when the jobs begin; of events, the first is out before
 @pytest.mark.parametrize(
-    ("where", "status", "said"), [("| head -1", 0, ""), (">/dev/full", 1, NO_ROOM)]
+    ("where", "status", "message"), [("| head -1", 0, ""), (">/dev/full", 1, NO_ROOM)]
 )
 def test_a_batch_ends_its_work_before_an_error_of_stdout(
-    here: Path, block: Path, where: str, status: int, said: str
+    here: Path, block: Path, where: str, status: int, message: str
 ) -> None:
     few = "--particles 100 --frames 2 -j 1 --material rubber,jelly"
     done = run(here, f"GF batch {block} -o out {few} --json -q {where}")
     assert done.returncode == status
     assert done.stderr.startswith("2 done, ")
-    assert done.stderr.endswith(f"out.batch.html\n{said}")
+    assert done.stderr.endswith(f"out.batch.html\n{message}")
     there = {path.name for path in (here / "out").rglob("*") if path.is_file()}
     assert {"out.batch.html", "out.batch.json"} <= there
     assert {"block.rubber.job.json", "block.jelly.job.json"} <= there

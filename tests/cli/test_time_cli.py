@@ -69,9 +69,9 @@ def test_samples_between_frames_are_simulated_states(baked) -> None:
 @pytest.mark.slow
 def test_health_stays_that_of_frames(baked, here: Path) -> None:
     # without flight, whose frames have no substeps
-    said = ("--frames", "14", "--no-shortcuts")
-    _, one = baked("one", *said)
-    _, four = baked("four", *said, "--samples-per-frame", "4")
+    options = ("--frames", "14", "--no-shortcuts")
+    _, one = baked("one", *options)
+    _, four = baked("four", *options, "--samples-per-frame", "4")
     reports = [strict((here / f"{name}.report.json").read_text()) for name in ("one", "four")]
     frames = [report["bakes"][0]["per_frame"] for report in reports]
     assert [len(rows) for rows in frames] == [14, 14]

@@ -83,8 +83,8 @@ def test_wrong_words_are_usage_errors(gf_usd) -> None:
 
 @pytest.mark.slow
 def test_cases_in_processes_are_what_they_are_in_one(gf_usd) -> None:
-    words = ("verify", "--case", "thin", "--case", "inertia", "--case", "uniaxial", "--json")
-    one, two = (gf_usd(*words, "--jobs", number) for number in ("1", "2"))
+    arguments = ("verify", "--case", "thin", "--case", "inertia", "--case", "uniaxial", "--json")
+    one, two = (gf_usd(*arguments, "--jobs", number) for number in ("1", "2"))
     assert one.status == two.status == 0
     figures = [
         [{k: v for k, v in row.items() if k != "seconds"} for row in json.loads(done.out)["cases"]]

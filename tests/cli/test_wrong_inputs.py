@@ -56,7 +56,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "message", "hint"),
+    ("arguments", "status", "message", "hint"),
     [
         (["gone.usda"], 3, "gone.usda does not exist", "did you mean"),
         (["text.usda"], 3, "text.usda is not a USD file", "check the type of the file"),
@@ -67,28 +67,28 @@ def files(folder: Path) -> dict[str, bytes]:
     ids=["missing file", "text file", "no volume", "unknown material", "unwritable folder"],
 )
 def test_refused_in_words_and_without_a_file(
-    tmp_path: Path, words: list[str], status: int, message: str, hint: str
+    tmp_path: Path, arguments: list[str], status: int, message: str, hint: str
 ) -> None:
     here = tmp_path / "here"
     here.mkdir()
     for name, text in (("ball", BALL), ("sheet", SHEET), ("text", "Dear artist,\nhello.\n")):
         (here / f"{name}.usda").write_text(text, encoding="utf-8")
-    if words[-1] == "SEALED/":
-        words = [*words[:-1], f"{unwritable(tmp_path / 'sealed')}/"]
+    if arguments[-1] == "SEALED/":
+        arguments = [*arguments[:-1], f"{unwritable(tmp_path / 'sealed')}/"]
     before, began = files(tmp_path), child_seconds()
     done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", "bake", *words],
+        [sys.executable, "-m", "gf_usd", "bake", *arguments],
         cwd=here, capture_output=True, text=True, check=False,
     )  # fmt: skip
     # What people are promised, in seconds of the processor: a busy machine proves nothing.
     assert child_seconds() - began < 5.0
     assert done.returncode == status
     assert done.stdout == ""
-    # A machine that takes seconds to start a process is told of the stage first.
-    told = done.stderr.removeprefix(f"reading {words[0]}\n")
-    said, _, advice = told.partition("\n\nhint: ")
-    assert said.startswith("error: ")
-    assert message in said
+    # A machine that takes seconds to start a process is shown the stage first.
+    printed = done.stderr.removeprefix(f"reading {arguments[0]}\n")
+    error, _, advice = printed.partition("\n\nhint: ")
+    assert error.startswith("error: ")
+    assert message in error
     assert hint in advice
     assert "Traceback" not in done.stderr
     assert len(done.stderr) < 1000  # short: a screen's third
@@ -108,19 +108,19 @@ def test_an_option_that_does_not_parse_is_a_matter_of_usage(tmp_path: Path) -> N
 
 @pytest.mark.skipif(os.name == "nt", reason="a folder that is worked in cannot be deleted there")
 @pytest.mark.parametrize(
-    "words",
+    "line",
     [
         "-m gf_usd bake FILE", "-m gf_usd inspect FILE", "-m gf_usd batch FILE",
         "-c import_gf_usd;gf_usd.bake('FILE')", "-c import_gf_usd;gf_usd.inspect('FILE')",
         "-c import_gf_usd;gf_usd.simulate(gf_usd.Scene())",
     ],
 )  # fmt: skip
-def test_a_deleted_folder_to_work_in_is_said_in_words(tmp_path: Path, words: str) -> None:
+def test_a_deleted_folder_to_work_in_is_said_in_words(tmp_path: Path, line: str) -> None:
     file = tmp_path / "ball.usda"
     file.write_text(BALL)
     gone = tmp_path / "gone"
     gone.mkdir()
-    arguments = [word.replace("FILE", str(file)) for word in words.split()]
+    arguments = [word.replace("FILE", str(file)) for word in line.split()]
     arguments = [word.replace("import_gf_usd", "import gf_usd") for word in arguments]
     root = str(Path(__file__).parents[2])
     command = [sys.executable, *arguments]
@@ -129,6 +129,6 @@ def test_a_deleted_folder_to_work_in_is_said_in_words(tmp_path: Path, words: str
         [sys.executable, "-c", code], cwd=gone, env={**os.environ, "PYTHONPATH": root},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode == (2 if "-m" in words else 1)
+    assert done.returncode == (2 if "-m" in line else 1)
     assert "the current folder cannot be found: No such file or directory" in done.stderr
     assert "change to a folder that exists" in done.stderr

@@ -32,7 +32,7 @@ def outcomes() -> list[Outcome]:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Any]:
-    """The page, open; whatever a test did, nothing was fetched or said."""
+    """The page, open; whatever a test did, nothing was fetched or logged."""
     from playwright.sync_api import sync_playwright
 
     jobs = tuple(
@@ -43,19 +43,19 @@ def page(tmp_path: Path) -> Iterator[Any]:
     file = tmp_path / "toys.batch.html"
     file.write_text(build_page(plan, outcomes(), {"seconds": 3.0}, {}), encoding="utf-8")
     flags = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
-    asked, said = [], []
+    requests, messages = [], []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
         opened = browser.new_page(viewport={"width": 1500, "height": 800})
-        opened.on("request", lambda request: asked.append(request.url))
-        opened.on("console", lambda message: said.append(message.text))
-        opened.on("pageerror", lambda error: said.append(str(error)))
+        opened.on("request", lambda request: requests.append(request.url))
+        opened.on("console", lambda message: messages.append(message.text))
+        opened.on("pageerror", lambda error: messages.append(str(error)))
         opened.goto(file.as_uri())
         yield opened
         assert opened.title() == "toys: 5 jobs"
         browser.close()
-    assert asked == [file.as_uri()]
-    assert said == []
+    assert requests == [file.as_uri()]
+    assert messages == []
 
 
 def shown(page: Any) -> list[str]:

@@ -34,13 +34,13 @@ def test_every_vertex_is_where_we_put_it_in_every_frame(
 ) -> None:
     baked: Baked = request.getfixturevalue(asset)
     ours = world_points(baked.root)
-    theirs, said = in_blender(baked.root, tmp_path)
+    theirs, report = in_blender(baked.root, tmp_path)
     assert all(points.shape[0] in (FRAMES, LAST) for points in ours.values())
     # it does move: a still picture would pass otherwise
     assert all(np.ptp(points, axis=0).max() > 100 * NEAR for points in ours.values())
     assert off(theirs, ours) < NEAR
     stage = Usd.Stage.Open(str(baked.root))
-    assert said["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+    assert report["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
 
 
 @pytest.mark.parametrize("what", DRIVEN)
@@ -48,11 +48,11 @@ def test_flesh_plays_as_it_was_baked(what: str, tmp_path: Path) -> None:
     """Springs, limits, fields and a loop: where we put every vertex, and so not skinned twice."""
     baked = bake_driven(tmp_path, what)
     ours = world_points(baked.root)
-    theirs, said = in_blender(baked.root, tmp_path)
+    theirs, report = in_blender(baked.root, tmp_path)
     assert all(np.ptp(points, axis=0).max() > 100 * NEAR for points in ours.values())
     assert off(theirs, ours) < NEAR
     stage = Usd.Stage.Open(str(baked.root))
-    assert said["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+    assert report["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
 
 
 def test_samples_that_are_left_out_are_interpolated(sparse: Baked, tmp_path: Path) -> None:
@@ -61,9 +61,9 @@ def test_samples_that_are_left_out_are_interpolated(sparse: Baked, tmp_path: Pat
     for path in ours:
         points = UsdGeom.Mesh(stage.GetPrimAtPath(path)).GetPointsAttr()
         assert 1 < points.GetNumTimeSamples() < FRAMES
-    theirs, said = in_blender(sparse.root, tmp_path)
+    theirs, report = in_blender(sparse.root, tmp_path)
     assert off(theirs, ours) < NEAR
-    assert said["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+    assert report["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
 
 
 @pytest.mark.parametrize("asset", ["duck", "blocks"])
@@ -94,20 +94,20 @@ def test_points_arrive_with_samples_in_a_shot_that_selects_them(
 ) -> None:
     baked: Baked = request.getfixturevalue(asset)
     root = shot(baked, tmp_path / "shot.usda", "points")
-    theirs, said = in_blender(root, tmp_path)
+    theirs, report = in_blender(root, tmp_path)
     ours = world_points(root, "Points")
     assert len(ours) == 1
     assert off(theirs, ours) < NEAR
-    assert "MESH" not in said["objects"].values()
-    (names,) = said["attributes"].values()
+    assert "MESH" not in report["objects"].values()
+    (names,) = report["attributes"].values()
     assert {"position", "radius", "id", "velocity", "displayColor"} <= set(names)
 
 
 def test_gaussians_are_an_empty_in_blender(duck: Baked, tmp_path: Path) -> None:
     root = shot(duck, tmp_path / "shot.usda", "gaussians")
-    _, said = in_blender(root, tmp_path)
-    assert said["objects"]["Gaussians"] == "EMPTY"
-    assert not {"MESH", "POINTCLOUD"} & set(said["objects"].values())
+    _, report = in_blender(root, tmp_path)
+    assert report["objects"]["Gaussians"] == "EMPTY"
+    assert not {"MESH", "POINTCLOUD"} & set(report["objects"].values())
 
 
 def test_a_vertex_out_of_place_is_seen(blocks: Baked, tmp_path: Path) -> None:

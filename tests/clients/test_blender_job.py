@@ -17,7 +17,7 @@ import pytest
 from small_bakes import BLOCK
 
 ADDON = Path(__file__).resolve().parents[2] / "integrations" / "blender" / "gf_usd_bake"
-WORDS = [sys.executable, "-m", "gf_usd"]
+PROGRAM = [sys.executable, "-m", "gf_usd"]
 SMALL = ["--particles", "150", "--overwrite"]
 
 
@@ -31,8 +31,8 @@ def addon() -> Iterator[Any]:
     if not job.server.AVAILABLE:
         pytest.skip("no Unix sockets here")
     # where it is installed, gf-usd needs no path
-    words = job.server.surroundings
-    job.server.surroundings = lambda: {**words(), "PYTHONPATH": os.pathsep.join(sys.path)}
+    surroundings = job.server.surroundings
+    job.server.surroundings = lambda: {**surroundings(), "PYTHONPATH": os.pathsep.join(sys.path)}
     yield job
     job.server.server.stop()
     for name in [name for name in sys.modules if name.startswith(package.__name__)]:
@@ -47,11 +47,11 @@ def block(tmp_path: Path) -> Path:
 
 
 def test_a_program_that_does_not_start_is_said(addon: Any, tmp_path: Path) -> None:
-    for words, message in (
+    for program, message in (
         ([str(tmp_path / "nowhere")], "does not run"),
         ([sys.executable, "-c", "raise KeyError('broken')"], "KeyError: 'broken'"),
     ):
-        job = addon.Job(words, ["bake", "a.usda"], str(tmp_path))
+        job = addon.Job(program, ["bake", "a.usda"], str(tmp_path))
         job.wait(0.01)
         assert message in job.error.message
 
@@ -59,7 +59,7 @@ def test_a_program_that_does_not_start_is_said(addon: Any, tmp_path: Path) -> No
 @pytest.mark.slow
 def test_bakes_of_one_server(addon: Any, block: Path, tmp_path: Path) -> None:
     def bake(*arguments: str) -> Any:
-        return addon.Job(WORDS, ["bake", "block.usda", *SMALL, *arguments], str(tmp_path))
+        return addon.Job(PROGRAM, ["bake", "block.usda", *SMALL, *arguments], str(tmp_path))
 
     first = bake("--frames", "3")
     first.wait(0.01)
@@ -86,7 +86,7 @@ def test_bakes_of_one_server(addon: Any, block: Path, tmp_path: Path) -> None:
     again.wait(0.01)
     assert again.error is None
     assert addon.server.server._process is server
-    alone = [*WORDS, "bake", "block.usda", *SMALL, "--frames", "3", "-o", "again.usda", "-q"]
+    alone = [*PROGRAM, "bake", "block.usda", *SMALL, "--frames", "3", "-o", "again.usda", "-q"]
     served = (tmp_path / "again.cache.usdc").read_bytes()
     subprocess.run(alone, check=True, cwd=tmp_path)
     assert (tmp_path / "again.cache.usdc").read_bytes() == served
@@ -101,7 +101,7 @@ package.__path__ = [{str(ADDON)!r}]
 sys.modules["addon"] = package
 server = importlib.import_module("addon.server")
 server.surroundings = lambda: dict(os.environ)
-with server.server.connect({WORDS!r}):
+with server.server.connect({PROGRAM!r}):
     print(json.dumps([server.server._process.pid, server.server._path]), flush=True)
 os.kill(os.getpid(), 9)
 """

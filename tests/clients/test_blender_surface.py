@@ -47,6 +47,6 @@ def test_every_frame_has_its_points_faces_and_colors(tmp_path: Path, clips: int)
         assert np.array_equal(seen[f"velocity:{code}"], speed)  # in the axes of the prim, a second
         counts.add(len(ours))
     assert len(counts) > 1, "its points do change"
-    said = json.loads(target.with_suffix(".json").read_text())
-    assert said["meshes"]["Surface"], "it is rendered"
-    assert not said["meshes"].get("Body", False), "the mesh of the asset is not"
+    report = json.loads(target.with_suffix(".json").read_text())
+    assert report["meshes"]["Surface"], "it is rendered"
+    assert not report["meshes"].get("Body", False), "the mesh of the asset is not"

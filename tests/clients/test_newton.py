@@ -32,7 +32,7 @@ class Reading:
     material: Material
     unit: float  # [m]
     moduli: list[float]  # [stage units] of each particle, by its index into our materials
-    said: dict[str, Any]
+    report: dict[str, Any]
 
     def lame(self) -> tuple[float, float]:
         """mu and lambda [stage units] of the moduli as single precision holds them in the file."""
@@ -49,7 +49,7 @@ def readings(
     apart: Baked,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Reading]:
-    """All that Newton is asked to read, in one process: it takes seconds to start."""
+    """All that Newton reads, in one process: it takes seconds to start."""
     folder = tmp_path_factory.mktemp("newton")
     cases = {
         "rubber": (duck, 0),
@@ -72,7 +72,7 @@ def readings(
             material=baked.materials[number],
             unit=UsdGeom.GetStageMetersPerUnit(stages[name]),
             moduli=_moduli(_points(stages[name])),
-            said=json.loads(files[name].with_suffix(".json").read_text()),
+            report=json.loads(files[name].with_suffix(".json").read_text()),
         )
         for name, (baked, number) in cases.items()
     }
@@ -84,8 +84,10 @@ def test_newton_reads_exact_mu_lambda_and_density(name: str, readings: dict[str,
     mu, lam = r.lame()
     density = r.material.density * r.unit**3
     # by the words of the proposal, in stage units
-    assert r.said["tetmesh"] == [[pytest.approx(value, rel=SINGLE)] for value in (mu, lam, density)]
-    assert r.said["soft"][0][:2] == pytest.approx([mu, lam], rel=SINGLE)
+    assert r.report["tetmesh"] == [
+        [pytest.approx(value, rel=SINGLE)] for value in (mu, lam, density)
+    ]
+    assert r.report["soft"][0][:2] == pytest.approx([mu, lam], rel=SINGLE)
     # and what these are about: pascals
     assert mu / r.unit == pytest.approx(r.material.mu, rel=SINGLE)
     # in lambda, the rounding of nu counts 2 / (1 - 2 nu) times
@@ -108,7 +110,7 @@ def test_newton_makes_an_elastic_body_of_the_points(
     ):
         # a density is a mass over the cube of a width: four roundings more
         wanted = pytest.approx([value] * len(r.moduli), rel=4 * SINGLE)
-        assert r.said["particles"][key] == wanted, key
+        assert r.report["particles"][key] == wanted, key
 
 
 def test_newton_gives_each_particle_the_material_of_its_subset(
@@ -117,13 +119,13 @@ def test_newton_gives_each_particle_the_material_of_its_subset(
     r = readings["apart"]
     assert len(set(r.moduli)) == 2
     wanted = [modulus / r.unit for modulus in r.moduli]
-    assert r.said["particles"]["young_modulus"] == pytest.approx(wanted, rel=4 * SINGLE)
+    assert r.report["particles"]["young_modulus"] == pytest.approx(wanted, rel=4 * SINGLE)
 
 
 @pytest.mark.parametrize("name", ["without the proposal", "in pascals"])
 def test_a_damaged_material_is_seen(name: str, readings: dict[str, Reading]) -> None:
     r = readings[name]
-    found = r.said["tetmesh"][0]
+    found = r.report["tetmesh"][0]
     assert found is None or abs(found[0] / r.lame()[0] - 1) > 0.5
 
 

@@ -33,22 +33,24 @@ def test_vbd_simulates_ten_frames_of_the_body(tmp_path: Path) -> None:
     path = next(str(p.GetPath()) for p in stage.Traverse() if p.GetTypeName() == "TetMesh")
     prim = stage.GetPrimAtPath(path)
     run([programs("newton") / "python", PROBES / "newton_tets.py", done.root, path, FRAMES])
-    said = json.loads(done.root.with_suffix(".json").read_text())
+    report = json.loads(done.root.with_suffix(".json").read_text())
     # All of the tetrahedra and points, masses and moduli of the bake arrive.
-    assert said["tets"] == len(prim.GetAttribute("tetVertexIndices").Get())
-    assert said["points"] == len(prim.GetAttribute("points").Get())
-    np.testing.assert_allclose(said["masses"], prim.GetAttribute("physics:masses").Get(), rtol=1e-6)
+    assert report["tets"] == len(prim.GetAttribute("tetVertexIndices").Get())
+    assert report["points"] == len(prim.GetAttribute("points").Get())
+    np.testing.assert_allclose(
+        report["masses"], prim.GetAttribute("physics:masses").Get(), rtol=1e-6
+    )
     material = done.bakes[0].material
     much = SINGLE * (1 + 2 / (1 - 2 * material.poissons_ratio))
     np.testing.assert_allclose(
-        said["lame"], np.tile((material.mu, material.lam), (said["tets"], 1)), rtol=much
+        report["lame"], np.tile((material.mu, material.lam), (report["tets"], 1)), rtol=much
     )
-    start, end = np.array(said["start"]), np.array(said["end"])
+    start, end = np.array(report["start"]), np.array(report["end"])
     np.testing.assert_allclose(start, prim.GetAttribute("points").Get(), atol=1e-6)
     # Implicit Euler falls by g dt^2 n (n + 1) / 2; the body has no stress at rest, so that all of
     # it falls alike, up to what single precision leaves of positions over the steps.
     n = FRAMES * 10
-    fallen = said["gravity"][1] * said["step"] ** 2 * n * (n + 1) / 2
+    fallen = report["gravity"][1] * report["step"] ** 2 * n * (n + 1) / 2
     np.testing.assert_allclose((end - start).mean(axis=0), (0, fallen, 0), atol=1e-3 * abs(fallen))
     np.testing.assert_allclose(
         end - start, np.tile((0, fallen, 0), (len(end), 1)), atol=5e-3 * abs(fallen)

@@ -30,11 +30,11 @@ class Browser:
     """A page in Chromium, with all that it says and asks for."""
 
     def __init__(self, page: Any, file: Path) -> None:
-        self.page, self.said, self.asked = page, [], []
+        self.page, self.messages, self.requests = page, [], []
         page.set_default_timeout(180_000)  # Chromium without a graphics card on a busy machine
-        page.on("console", lambda message: self.said.append(message.text))
-        page.on("pageerror", lambda error: self.said.append(str(error)))
-        page.on("request", lambda request: self.asked.append(request.url))
+        page.on("console", lambda message: self.messages.append(message.text))
+        page.on("pageerror", lambda error: self.messages.append(str(error)))
+        page.on("request", lambda request: self.requests.append(request.url))
         page.goto(f"{file.as_uri()}#paused")
         page.evaluate("report.ready.then((player) => { window.player = player; })")
 
@@ -79,7 +79,7 @@ def opened(file: Path) -> Iterator[Browser]:
     from playwright.sync_api import sync_playwright
 
     # as root, as in most containers, Chromium refuses its sandbox; without a graphics card it
-    # draws WebGL by software only when told
+    # draws WebGL by software only when required
     flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     if os.name == "posix" and os.geteuid() == 0:
         flags.append("--no-sandbox")
@@ -99,8 +99,8 @@ def browser(opened: Browser, file: Path) -> Iterator[Browser]:
     page.select_option("#mode", "color")
     yield opened
     # whatever a test did: nothing was fetched, and nothing went wrong
-    assert [url for url in opened.asked if url.split("#")[0] != file.as_uri()] == []
-    assert opened.said == []
+    assert [url for url in opened.requests if url.split("#")[0] != file.as_uri()] == []
+    assert opened.messages == []
     assert page.title() == f"{NASTY}: rubber and jelly"
 
 
@@ -219,5 +219,5 @@ def test_a_surface_whose_faces_change_plays(opened: Browser, tmp_path: Path) -> 
     assert drawn[0] != drawn[1]
     page.click("[data-show=gaussians]")
     assert browser.picture() != drawn[1]
-    assert browser.said == []
+    assert browser.messages == []
     page.close()

@@ -32,8 +32,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / f"ball{degree}.ply").write_bytes(ply_bytes(rest))
         (folder / f"ball{degree}.spz").write_bytes(spz_bytes(rest))
     (folder / "sanity.spz").write_bytes(SANITY.read_bytes())
-    words = [] if has_nvidia() else ["no-nvidia"]
-    run([programs("splats") / "python", PROBES / "splats_read.py", folder, *words])
+    arguments = [] if has_nvidia() else ["no-nvidia"]
+    run([programs("splats") / "python", PROBES / "splats_read.py", folder, *arguments])
     return folder
 
 

@@ -64,18 +64,18 @@ class Page:
         self.uri = file.as_uri()
         self.page = chromium.new_page(viewport={"width": 800, "height": 600})
         self.page.set_default_timeout(180_000)
-        self.said: list[str] = []
-        self.asked: list[str] = []
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.messages: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.messages.append(message.text))
+        self.page.on("pageerror", lambda error: self.messages.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.goto(f"{self.uri}#paused")
         self.page.evaluate("report.ready.then((player) => { window.player = player; })")
 
     def close(self) -> None:
         """Whatever a test did: nothing was fetched, and nothing went wrong."""
-        assert [url for url in self.asked if url.split("#")[0] != self.uri] == []
-        assert self.said == []
+        assert [url for url in self.requests if url.split("#")[0] != self.uri] == []
+        assert self.messages == []
         self.page.close()
 
     def stand(self, place: np.ndarray) -> list[float]:

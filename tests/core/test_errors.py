@@ -19,7 +19,7 @@ RAISED = [
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "text"),
     [
         ((0, "error"), "0 errors"),
         ((1, "error"), "1 error"),
@@ -28,8 +28,8 @@ RAISED = [
         ((3, "mesh", "meshes"), "3 meshes"),
     ],
 )
-def test_a_noun_agrees_with_its_number(words: tuple[int, str], said: str) -> None:
-    assert counted(*words) == said
+def test_a_noun_agrees_with_its_number(arguments: tuple[int, str], text: str) -> None:
+    assert counted(*arguments) == text
 
 
 @pytest.mark.parametrize("error", RAISED, ids=[type(error).__name__ for error in RAISED])

@@ -78,9 +78,9 @@ def test_a_physical_preset_is_the_same_at_every_size(preset) -> None:
     small, large = preset.material(0.01), preset.material(10.0)
     assert small == large
     assert small.youngs_modulus == preset.youngs_modulus
-    said = asdict(preset)
-    own = {p.name: said["parameters"].get(p.name, p.default) for p in law_parameters([small.law])}
-    assert small.values.items() <= {**said, **own, "parameters": None}.items()
+    values = asdict(preset)
+    own = {p.name: values["parameters"].get(p.name, p.default) for p in law_parameters([small.law])}
+    assert small.values.items() <= {**values, **own, "parameters": None}.items()
     assert preset.source
 
 

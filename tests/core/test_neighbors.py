@@ -42,7 +42,7 @@ def test_squared_distances_are_those_of_scipy() -> None:
     np.testing.assert_array_equal(neighbors.squared_distances(a, b), cdist(a, b, "sqeuclidean"))
 
 
-def told(pairs: np.ndarray) -> set[tuple[int, ...]]:
+def as_set(pairs: np.ndarray) -> set[tuple[int, ...]]:
     return {tuple(sorted(map(int, pair))) for pair in pairs}
 
 
@@ -52,7 +52,7 @@ def test_pairs_within_reach_are_those_of_a_tree(n: int, reach: float) -> None:
     points = cloud(n)
     points[n // 2 :] = points[: n - n // 2] + 1e-7  # every second one has a twin
     wanted = cKDTree(points).query_pairs(reach, output_type="ndarray")
-    assert told(neighbors.pairs_within(points, reach)) == told(wanted)
+    assert as_set(neighbors.pairs_within(points, reach)) == as_set(wanted)
 
 
 def test_a_wall_across_the_line_is_no_trap() -> None:
@@ -61,7 +61,7 @@ def test_a_wall_across_the_line_is_no_trap() -> None:
     flat = np.random.default_rng(0).normal(size=(2000, 3))
     flat -= (flat @ way)[:, None] * way
     flat[1000] = flat[3]
-    assert told(neighbors.pairs_within(flat, 1e-9)) == {(3, 1000)}
+    assert as_set(neighbors.pairs_within(flat, 1e-9)) == {(3, 1000)}
 
 
 @pytest.mark.parametrize("edges", [0, 5, 700, 9000])

@@ -226,9 +226,9 @@ def test_the_box_is_that_of_the_pose_that_is_delivered(tmp_path: Path) -> None:
 def test_the_file_says_of_the_variants_that_it_has_only(tmp_path: Path) -> None:
     root, *_ = bake(PAINTED.asset(tmp_path), tmp_path, looks=("rubber", "jelly"))
     done = deliver(root.path, tmp_path / "out.usda", error=TOLERANCE, variant="jelly")
-    said = Sdf.Layer.FindOrOpen(str(done.path)).customLayerData["gaussianFlesh"]
-    assert list(said["looks"]) == ["jelly"]
-    assert "variants" not in said
+    metadata = Sdf.Layer.FindOrOpen(str(done.path)).customLayerData["gaussianFlesh"]
+    assert list(metadata["looks"]) == ["jelly"]
+    assert "variants" not in metadata
 
 
 def test_the_same_bytes_each_time(ball: Path, tmp_path: Path) -> None:
@@ -259,7 +259,7 @@ def test_limits_that_do_not_allow_the_error_are_named(ball: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"error": 0.0}, "--error"),
         ({"kind": "bones"}, "--as"),
@@ -267,8 +267,8 @@ def test_limits_that_do_not_allow_the_error_are_named(ball: Path, tmp_path: Path
         ({"variant": "steel"}, "steel"),
     ],
 )
-def test_wrong_options_are_refused(ball: Path, tmp_path: Path, options: dict, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_wrong_options_are_refused(ball: Path, tmp_path: Path, options: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         deliver(ball, tmp_path / "out.glb", **options)
     assert list(tmp_path.iterdir()) == []
 

@@ -203,8 +203,8 @@ def test_it_can_lie_in_another_folder(root: Path, tmp_path: Path) -> None:
     assert Usd.Stage.Open(str(done.path)).GetPrimAtPath(BODY).GetAttribute("normals").Get(11.0)
 
 
-def refused(kind: type[Exception], words: str, *given: object, **options: object) -> None:
-    with pytest.raises(kind, match=words):
+def refused(kind: type[Exception], message: str, *given: object, **options: object) -> None:
+    with pytest.raises(kind, match=message):
         retime(*given, **options)
 
 

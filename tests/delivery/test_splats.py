@@ -54,18 +54,18 @@ def test_gltf_is_where_it_says_and_shaped_as_it_says(
 ) -> None:
     path: Path = request.getfixturevalue(source)
     done = deliver(path, tmp_path / "out.glb", error=ERROR, kind=kind)
-    (told,) = done.splats
+    (cloud,) = done.splats
     (body,) = done.bodies
-    assert told.path == "/Ball/Splats"
-    assert told.count == 200
+    assert cloud.path == "/Ball/Splats"
+    assert cloud.count == 200
     assert body.splats == ("/Ball/Splats",)
     assert bool(body.meshes) == (source == "over_mesh")
-    far, shapes = measured(path, done, told.path, body.radius)
-    assert far == pytest.approx(told.position, abs=SINGLE)
-    assert 0.0 < told.position <= done.error <= ERROR
+    far, shapes = measured(path, done, cloud.path, body.radius)
+    assert far == pytest.approx(cloud.position, abs=SINGLE)
+    assert 0.0 < cloud.position <= done.error <= ERROR
     statistics = (np.median(shapes), np.percentile(shapes, 99), shapes.max())
-    assert told.covariance == pytest.approx(statistics, rel=1e-3, abs=1e-4)
-    assert told.covariance[0] > 0.01  # the ball is squashed: this error is there
+    assert cloud.covariance == pytest.approx(statistics, rel=1e-3, abs=1e-4)
+    assert cloud.covariance[0] > 0.01  # the ball is squashed: this error is there
 
 
 @pytest.mark.parametrize("source", ["over_mesh", "alone"])
@@ -75,7 +75,7 @@ def test_on_nodes_any_loader_moves_them(
     """Each Gaussian stands below one joint: nodes alone place it, turn its light, and shape it."""
     path: Path = request.getfixturevalue(source)
     done = deliver(path, tmp_path / "out.glb", error=ERROR, bind_splats="nodes")
-    (told,) = done.splats
+    (cloud,) = done.splats
     (body,) = done.bodies
     file = Glb.read(done.path)
     parts = file.splats()
@@ -85,16 +85,16 @@ def test_on_nodes_any_loader_moves_them(
     for frame in range(FRAMES):
         placed = [file.posed(node, primitive, frame, skins=False) for node, primitive in parts]
         at = np.concatenate([one[0] for one in placed])
-        ours, _ = upright(*world_splats(path, told.path, 1.0 + frame))
+        ours, _ = upright(*world_splats(path, cloud.path, 1.0 + frame))
         if frame == 0:
             # they are sorted by joint: each is the Gaussian that it coincides with at first
             gap, of = kd_tree(ours).query(at)
             assert sorted(of) == list(range(200))
             assert gap.max() < SINGLE
         far = max(far, np.linalg.norm(at - ours[of], axis=1).max())
-    assert far / body.radius == pytest.approx(told.position, abs=SINGLE)
-    assert done.error == told.position > ERROR  # what one joint can do
-    assert told.position < 0.25
+    assert far / body.radius == pytest.approx(cloud.position, abs=SINGLE)
+    assert done.error == cloud.position > ERROR  # what one joint can do
+    assert cloud.position < 0.25
 
 
 def test_the_radius_of_a_capture_is_that_of_its_hull(alone: Path, tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ def test_usd_holds_samples_that_are_where_they_say(
     over_mesh: Path, tmp_path: Path, suffix: str
 ) -> None:
     done = deliver(over_mesh, tmp_path / f"out{suffix}", error=ERROR)
-    (told,) = done.splats
+    (cloud,) = done.splats
     radius = done.bodies[0].radius
     far, shapes = 0.0, []
     for code in np.arange(1.0, FRAMES + 1):
@@ -209,10 +209,10 @@ def test_usd_holds_samples_that_are_where_they_say(
         far = max(far, np.linalg.norm(at - wanted_at, axis=1).max() / radius)
         gap = np.linalg.norm(found - wanted, axis=(1, 2))
         shapes.append(gap / np.linalg.norm(wanted, axis=(1, 2)))
-    assert far == pytest.approx(told.position, abs=1e-5)
+    assert far == pytest.approx(cloud.position, abs=1e-5)
     assert 0.0 < far <= ERROR
-    assert told.covariance[2] == pytest.approx(np.max(shapes), rel=1e-3)
-    assert told.covariance[2] < 2e-3  # halves: 2^-11, squared
+    assert cloud.covariance[2] == pytest.approx(np.max(shapes), rel=1e-3)
+    assert cloud.covariance[2] < 2e-3  # halves: 2^-11, squared
     stage = Usd.Stage.Open(str(done.path))
     prim = stage.GetPrimAtPath("/Ball/Splats")
     for name in ("positions", "orientations", "scales"):

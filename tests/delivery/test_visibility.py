@@ -172,16 +172,16 @@ def sand(folder: Path, **options: Any) -> Path:
 @pytest.mark.parametrize("suffix", [".glb", ".usda"])
 def test_the_hint_about_what_flows_can_be_followed(tmp_path: Path, suffix: str) -> None:
     bake = sand(tmp_path)
-    with pytest.raises(InputError, match="flows without end: particles stand for") as said:
+    with pytest.raises(InputError, match="flows without end: particles stand for") as caught:
         deliver(bake, tmp_path / f"out{suffix}")
-    assert said.value.hint.endswith("deliver the particles as Gaussians to a .glb: --splats only")
+    assert caught.value.hint.endswith("deliver the particles as Gaussians to a .glb: --splats only")
     assert deliver(bake, tmp_path / "out.glb", splats="only").splats
 
 
 def test_without_gaussians_the_hint_says_how_to_get_them(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="flows without end") as said:
+    with pytest.raises(InputError, match="flows without end") as caught:
         deliver(sand(tmp_path, only="points"), tmp_path / "out.glb")
-    assert "bake again with gaussians among --only" in said.value.hint
+    assert "bake again with gaussians among --only" in caught.value.hint
 
 
 def test_a_mesh_that_tears_is_delivered_with_a_note(tmp_path: Path) -> None:

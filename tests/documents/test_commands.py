@@ -11,7 +11,7 @@ import typer.main
 from pasted import paste
 
 from gf_usd.cli.main import program
-from gf_usd.cli.misuse import WrongUsage, usage_words
+from gf_usd.cli.misuse import WrongUsage, usage_message
 from tools.documents import PAGES, ROOT, Block, blocks, command_lines, gf_usd_commands
 
 # what a recipe adds to the program before it uses it
@@ -19,9 +19,9 @@ ADDED = {"extending.md": "--opacity"}
 INSTALLS = re.compile(r"pip install (?:-\S+ )*'?gf[-_]usd")
 
 
-def parse(group: Any, words: list[str]) -> str:
+def parse(group: Any, command: list[str]) -> str:
     """What is wrong with the arguments of `gf-usd`; empty where nothing is."""
-    name, *arguments = words[: words.index(">")] if ">" in words else words
+    name, *arguments = command[: command.index(">")] if ">" in command else command
     if name not in group.commands:
         return f"there is no command {name}"
     try:
@@ -29,7 +29,7 @@ def parse(group: Any, words: list[str]) -> str:
     except typer.Exit:
         return ""  # --help
     except WrongUsage as error:
-        return usage_words(error)
+        return usage_message(error)
     return ""
 
 
@@ -37,10 +37,10 @@ def test_every_command_of_the_documents_can_be_parsed() -> None:
     group = typer.main.get_command(program())
     checked = 0
     for page in PAGES:
-        for block, words in gf_usd_commands(page):
-            if ADDED.get(page.name) not in words:
-                place = f"{page.relative_to(ROOT)}:{block.line}: gf-usd {' '.join(words)}"
-                assert parse(group, words) == "", place
+        for block, arguments in gf_usd_commands(page):
+            if ADDED.get(page.name) not in arguments:
+                place = f"{page.relative_to(ROOT)}:{block.line}: gf-usd {' '.join(arguments)}"
+                assert parse(group, arguments) == "", place
                 checked += 1
     assert checked > 50
 
@@ -51,10 +51,10 @@ def test_a_wrong_command_of_a_document_is_found(tmp_path: Path) -> None:
         "Text\n\n    gf-usd bake a.usda --partikles 4  # few\n\n"
         "```bash\nx; gf-usd bale \\\n  b\n```\n"
     )
-    commands = [words for _, words in gf_usd_commands(page)]
+    commands = [arguments for _, arguments in gf_usd_commands(page)]
     assert commands == [["bake", "a.usda", "--partikles", "4"], ["bale", "b"]]
     group = typer.main.get_command(program())
-    assert [parse(group, words).partition("\n")[0] for words in commands] == [
+    assert [parse(group, arguments).partition("\n")[0] for arguments in commands] == [
         "bake has no option --partikles",
         "there is no command bale",
     ]
@@ -84,10 +84,10 @@ def test_the_readme_installs_and_activates_before_it_uses() -> None:
     shell = [
         line for block in of_the_readme() if block.language == "" for line in command_lines(block)
     ]
-    words = [word.strip() for line in shell for word in line.split("&&")]
-    assert words[:3] == ["python3 -m venv .venv", ". .venv/bin/activate", "pip install ."]
-    assert len(words) > 8
-    assert all(word.startswith("gf-usd ") for word in words[3:])
+    commands = [word.strip() for line in shell for word in line.split("&&")]
+    assert commands[:3] == ["python3 -m venv .venv", ". .venv/bin/activate", "pip install ."]
+    assert len(commands) > 8
+    assert all(word.startswith("gf-usd ") for word in commands[3:])
 
 
 @pytest.mark.slow

@@ -49,15 +49,15 @@ End
 """
 
 
-def block(words: str) -> str:
+def block(excerpt: str) -> str:
     """The only block of Python that holds these words."""
-    (found,) = (text for text in CODE if words in text)
+    (found,) = (text for text in CODE if excerpt in text)
     return found
 
 
-def row(words: str, module: ModuleType) -> Any:
+def row(excerpt: str, module: ModuleType) -> Any:
     """The row of a table that a block shows, as the module of the table makes it."""
-    return eval(block(words), dict(vars(module)))[0]
+    return eval(block(excerpt), dict(vars(module)))[0]
 
 
 @pytest.fixture
@@ -66,9 +66,9 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(tmp_path))
     names: list[str] = []
 
-    def make(words: str, name: str) -> Any:
+    def make(excerpt: str, name: str) -> Any:
         names.append(name)
-        (tmp_path / f"{name}.py").write_text(block(words), "utf-8")
+        (tmp_path / f"{name}.py").write_text(block(excerpt), "utf-8")
         importlib.invalidate_caches()
         return importlib.import_module(name)
 
@@ -78,9 +78,9 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 @contextmanager
-def law(words: str, code: str) -> Iterator[str]:
+def law(excerpt: str, code: str) -> Iterator[str]:
     """The token of the row with these words, whose functions are in another module, in LAWS."""
-    spec = replace(row(words, laws), code=code)
+    spec = replace(row(excerpt, laws), code=code)
     laws.LAWS[spec.token] = spec
     try:
         yield spec.token

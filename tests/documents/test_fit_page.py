@@ -29,7 +29,7 @@ def test_the_example_runs(tmp_path: Path) -> None:
         ("--drop 1 ", "--drop 0.3 "),
     ):
         script = script.replace(many, few)
-    said = paste(script, tmp_path)
-    assert "youngs_modulus" in said
+    output = paste(script, tmp_path)
+    assert "youngs_modulus" in output
     assert (tmp_path / "sphere.fit.png").stat().st_size > 1000
     assert (tmp_path / "again.usda").is_file()

@@ -135,12 +135,12 @@ def test_no_page_loads_anything_of_another_host(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 20
     for page in pages:
-        asked = loads(page.read_text("utf-8"))
-        assert asked
-        assert [address for address in asked if foreign(address)] == [], page.name
+        requested = loads(page.read_text("utf-8"))
+        assert requested
+        assert [address for address in requested if foreign(address)] == [], page.name
         missing = [
             address
-            for address in asked
+            for address in requested
             if not address.startswith(("data:", "/"))
             and not (page.parent / re.split("[?#]", address)[0]).is_file()
         ]
@@ -154,22 +154,22 @@ def opened(pages: Iterator[Path]) -> set[str]:
     """Addresses that Chromium asks for while it shows the pages."""
     from playwright.sync_api import sync_playwright
 
-    asked: set[str] = set()
+    requested: set[str] = set()
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         tab = browser.new_page()
-        tab.on("request", lambda request: asked.add(request.url))
+        tab.on("request", lambda request: requested.add(request.url))
         for page in pages:
             tab.goto(page.as_uri())
             tab.wait_for_timeout(100)
         browser.close()
-    return asked
+    return requested
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium")
 def test_a_browser_asks_no_other_host(site: Path) -> None:
     names = ("index", "architecture", "guide", "gallery", "tutorials/duck")
-    asked = opened(site / f"{name}.html" for name in names)
-    assert len(asked) > 10
-    assert {address for address in asked if not address.startswith(("file:", "data:"))} == set()
+    requested = opened(site / f"{name}.html" for name in names)
+    assert len(requested) > 10
+    assert {address for address in requested if not address.startswith(("file:", "data:"))} == set()

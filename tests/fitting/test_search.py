@@ -50,9 +50,9 @@ def test_the_truth_is_found_and_what_has_no_effect_stays() -> None:
     # the prior pulls by its share of the information, some 1e-6 here; the rest is the tolerance
     assert minimum.z[:2] == pytest.approx(TRUTH[:2], abs=1e-4)
     assert minimum.z[2] == pytest.approx(START[2], abs=1e-9)  # rounding of the normal equations
-    told = judged(minimum)
-    assert told.identifiable == (True, True, False)
-    assert [members for members, _ in told.undetermined] == [(2,)]
+    judgment = judged(minimum)
+    assert judgment.identifiable == (True, True, False)
+    assert [members for members, _ in judgment.undetermined] == [(2,)]
 
 
 def test_a_search_repeats_itself() -> None:
@@ -66,9 +66,9 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     for seed in range(runs):
         noise = NOISE * np.random.default_rng(seed).standard_normal((POINTS, 40))
         minimum = found(motion(TRUTH) + noise)
-        told = judged(minimum)
-        hits += np.abs(minimum.z - TRUTH)[:2] <= told.half[:2]
-        widths.append(told.half[:2])
+        judgment = judged(minimum)
+        hits += np.abs(minimum.z - TRUTH)[:2] <= judgment.half[:2]
+        widths.append(judgment.half[:2])
     # 3 standard deviations of a binomial count below LEVEL; the larger of two variances is wider
     least = LEVEL - 3.0 * np.sqrt(LEVEL * (1.0 - LEVEL) / runs)
     assert (hits / runs >= least).all()
@@ -103,10 +103,10 @@ def test_two_that_act_alike_are_told_as_one_combination() -> None:
         return [((motion([z[0] - z[1] + 0.5, z[2]]) - target) / NOISE).ravel() for z in points]
 
     minimum = search(evaluate, START)
-    told = uncertainty(minimum.jacobian, minimum.residual, [], prior=PRIOR, stated=True)
-    assert told.identifiable == (False, False, True)
-    assert [members for members, _ in told.undetermined] == [(0, 1)]
-    assert told.correlation[0, 1] == pytest.approx(1.0, abs=1e-3)
+    judgment = uncertainty(minimum.jacobian, minimum.residual, [], prior=PRIOR, stated=True)
+    assert judgment.identifiable == (False, False, True)
+    assert [members for members, _ in judgment.undetermined] == [(0, 1)]
+    assert judgment.correlation[0, 1] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_failed_simulations_are_walked_around() -> None:

@@ -79,7 +79,7 @@ def test_a_text_is_taken_apart(text: str, expected: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("film.mov", "is not a target"),
         ("rebound", "is not a target"),
@@ -94,10 +94,10 @@ def test_a_text_is_taken_apart(text: str, expected: dict[str, object]) -> None:
         ("deflection=0.1:at=5,0,0", "nearest vertex"),
     ],
 )
-def test_a_text_that_makes_no_sense_is_refused(text: str, said: str) -> None:
+def test_a_text_that_makes_no_sense_is_refused(text: str, message: str) -> None:
     with pytest.raises(UsageError) as refused:
         target_of(text)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 def test_lengths_are_in_stage_units_and_deviations_in_shares() -> None:

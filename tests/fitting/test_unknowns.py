@@ -37,7 +37,7 @@ def test_short_names_and_bounds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "bounds", "said"),
+    ("names", "bounds", "message"),
     [
         (["youngs"], {}, "did you mean youngs_modulus"),
         (["yield_stress"], {}, "neoHookean"),
@@ -48,9 +48,9 @@ def test_short_names_and_bounds() -> None:
     ],
 )
 def test_what_makes_no_sense_is_refused(
-    names: list[str], bounds: dict[str, tuple[float, float]], said: str
+    names: list[str], bounds: dict[str, tuple[float, float]], message: str
 ) -> None:
     rubber = find_preset("rubber").material(RADIUS)
     with pytest.raises(UsageError) as refused:
         unknowns(rubber, RADIUS, names, bounds)
-    assert said in str(refused.value)
+    assert message in str(refused.value)

@@ -31,7 +31,7 @@ def flipped(which):
 
 @pytest.mark.parametrize("which", FLIPS.values(), ids=FLIPS)
 def test_a_ball_with_flipped_faces_is_the_ball(which):
-    body, said = consistently_oriented_asset(asset(flipped(which)))
+    body, notes = consistently_oriented_asset(asset(flipped(which)))
     (made,) = body.surfaces
     assert signed_volume(made.points, made.triangles) == pytest.approx(
         signed_volume(BALL.points, BALL.triangles), rel=1e-12
@@ -41,7 +41,7 @@ def test_a_ball_with_flipped_faces_is_the_ball(which):
     verb = (
         "triangle facing the other way is" if count == 1 else "triangles facing the other way are"
     )
-    assert said == (
+    assert notes == (
         f"</Ball>: {count} {verb} turned for the fill; the mesh itself does not change",
     )
     # what hangs on corners stays with them
@@ -53,9 +53,9 @@ def test_what_agrees_stays_as_it_is():
     inner = sphere(subdivisions=2)
     hollow = surface(0.5 * inner.points, inner.triangles[:, ::-1], path="/Hollow")
     whole = asset(BALL, hollow)
-    body, said = consistently_oriented_asset(whole)
+    body, notes = consistently_oriented_asset(whole)
     assert body is whole
-    assert said == ()
+    assert notes == ()
 
 
 def test_a_lid_of_a_box(tmp_path: Path, monkeypatch):

@@ -164,11 +164,11 @@ def test_what_is_no_part_of_the_body_is_set_aside():
     everything = together(rest, far, island, haze, giant)
     surface, notes = hull(everything, up=1)
     assert off(surface).max() < NEAR
-    said = "\n".join(notes)
-    assert f"40 of {len(everything)} Gaussians are faint" in said
-    assert "3 of 2075 Gaussians are strays" in said
-    assert "2 of 2075 Gaussians are giants" in said
-    assert "30 of 2075 Gaussians are islands" in said
+    text = "\n".join(notes)
+    assert f"40 of {len(everything)} Gaussians are faint" in text
+    assert "3 of 2075 Gaussians are strays" in text
+    assert "2 of 2075 Gaussians are giants" in text
+    assert "30 of 2075 Gaussians are islands" in text
     # they ride all the same, those outside on the nearest point of the surface
     assert surface.splats is not None
     assert len(surface.splats) == len(everything)

@@ -117,7 +117,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def cached(path: Path, *, every: int = 1, range_said: bool = True, more: str = "") -> str:
+def cached(path: Path, *, every: int = 1, with_range: bool = True, more: str = "") -> str:
     """The arm of a file as a usda file without its skeleton: its points at each frame.
 
     every : frames between the samples; more : of the prim above the mesh.
@@ -128,12 +128,12 @@ def cached(path: Path, *, every: int = 1, range_said: bool = True, more: str = "
         for code in codes
     )
     corners = [c for face in faces() for c in face]
-    said = f"startTimeCode = {FIRST}\n  endTimeCode = {LAST}" if range_said else ""
+    metadata = f"startTimeCode = {FIRST}\n  endTimeCode = {LAST}" if with_range else ""
     return f"""#usda 1.0
 ( metersPerUnit = 1
   upAxis = "Y"
   defaultPrim = "Arm"
-  {said}
+  {metadata}
   timeCodesPerSecond = 24 )
 def Xform "Arm"
 {{

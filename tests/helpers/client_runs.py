@@ -45,7 +45,7 @@ def run(command: list[object], *, status: tuple[int, ...] = (0,), **variables: s
 
 
 def in_blender(stage: Path, folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """What Blender makes of a stage: arrays by `KIND:PRIM`, and what it said."""
+    """What Blender makes of a stage: arrays by `KIND:PRIM`, and its report."""
     times = time_codes(stage)
     target = folder / f"{stage.stem}.npz"
     python = programs("blender") / "python"
@@ -59,15 +59,15 @@ def findings(stage: Path, folder: Path) -> set[tuple[str, str, str]]:
 
     Warnings are left out.
     """
-    said = folder / f"{stage.stem}.json"
+    report = folder / f"{stage.stem}.json"
     # it exits 1 on a warning too: only the JSON tells
     run(
-        [programs("validation") / "nvidia_usd_validate", stage, "--json-output", said],
+        [programs("validation") / "nvidia_usd_validate", stage, "--json-output", report],
         status=(0, 1),
     )
     return {
         (issue["severity"], row["rule"]["name"], issue["message"])
-        for row in json.loads(said.read_text())["rules"]
+        for row in json.loads(report.read_text())["rules"]
         for issue in row.get("issues", [])
         if issue["severity"] not in {"WARNING", "INFO"}
     }

@@ -32,11 +32,11 @@ def contact_solver(
     self_contact: bool = False,
     pins: Sequence[Pin] = (),
     changes: dict[str, Any] | None = None,
-    **said: Any,
+    **options: Any,
 ) -> TotalLagrangian:
     """A solver of surfaces that are bodies of their own where they lie apart.
 
-    changes : fields of the material; said : settings.  Every surface is embedded by its path.
+    changes : fields of the material; options : settings.  Every surface is embedded by its path.
     """
     made = solid(*surfaces)
     of = find_bodies(made, float(np.cbrt(made.volume / particles)))
@@ -44,7 +44,7 @@ def contact_solver(
     return TotalLagrangian(
         filled,
         [look(material, filled, **(changes or {}))],
-        settings(**{"filter_rate": FILTER, **said}),
+        settings(**{"filter_rate": FILTER, **options}),
         samples=sample_surface(made, filled.spacing, of),
         embedded={s.path: s.points for s in surfaces},
         embedded_body={s.path: int(k) for s, k in zip(surfaces, of)},
@@ -87,10 +87,10 @@ def tilted(points: Any, degrees: float) -> np.ndarray:
     return np.asarray(points, float) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
 
 
-def half_space(degrees: float = 0.0, height: float = 0.0, **said: Any) -> Collider:
+def half_space(degrees: float = 0.0, height: float = 0.0, **options: Any) -> Collider:
     """The `plane` collider through the origin, or at a height [m] along its own normal."""
     corners = [[-1, height, -1], [-1, height, 1], [1, height, 1], [1, height, -1]]
-    return obstacle(tilted(corners, degrees), [[0, 1, 2], [0, 2, 3]], shape="plane", **said)
+    return obstacle(tilted(corners, degrees), [[0, 1, 2], [0, 2, 3]], shape="plane", **options)
 
 
 def momenta(solver: TotalLagrangian, frame: Frame) -> np.ndarray:

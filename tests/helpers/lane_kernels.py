@@ -153,7 +153,7 @@ def flow(
 
 
 def compile_anew() -> None:
-    """Return mappings are compiled again when they are next asked for."""
+    """Return mappings are compiled again when they are next used."""
     _flow_kernel.cache_clear()
 
 

@@ -29,7 +29,7 @@ def mixed_solver(
     changes: dict[str, Any] | None = None,
     velocity: Any = (0.0, 0.0, 0.0),
     real: type = np.float32,
-    **said: Any,
+    **options: Any,
 ) -> Coupled:
     """A solver of surfaces that are a body each, of a preset each; changes : to all materials."""
     made = solid(*surfaces)
@@ -46,7 +46,7 @@ def mixed_solver(
     flows = np.array([LAWS[m.law].unbounded for m in table])
     samples = on.with_grains(filled, flows)
     solver = make_solver(
-        settings(**{"solver": MIXED, **said}), filled, table, samples=samples,
+        settings(**{"solver": MIXED, **options}), filled, table, samples=samples,
         embedded={s.path: s.points for s in surfaces},
         embedded_body={s.path: k for k, s in enumerate(surfaces)},
         velocity=velocity, real=real,

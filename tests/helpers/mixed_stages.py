@@ -22,7 +22,7 @@ CUBE = """    def Cube "%s" %s
     }
 """
 API = '(prepend apiSchemas = ["GaussianFleshBakeAPI"])'
-SAID = 'uniform token gaussianFlesh:material = "%s"'
+MATERIAL = 'uniform token gaussianFlesh:material = "%s"'
 TRAY = """    def Cube "Tray" (prepend apiSchemas = ["PhysicsCollisionAPI"])
     {
         double size = 1
@@ -33,7 +33,7 @@ TRAY = """    def Cube "Tray" (prepend apiSchemas = ["PhysicsCollisionAPI"])
 
 
 def body(name: str, material: str, at: str) -> str:
-    return CUBE % (name, API, SAID % material, at)
+    return CUBE % (name, API, MATERIAL % material, at)
 
 
 def scene(folder: Path, *prims: str) -> Path:

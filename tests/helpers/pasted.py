@@ -19,9 +19,9 @@ def paste(script: str, folder: Path, **options: float) -> str:
     """
     programs = folder / ".programs"
     programs.mkdir()
-    for name, words in (("gf-usd", " -m gf_usd"), ("python", "")):
+    for name, arguments in (("gf-usd", " -m gf_usd"), ("python", "")):
         program = programs / name
-        program.write_text(f'#!/bin/sh\nexec "{sys.executable}"{words} "$@"\n')
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}"{arguments} "$@"\n')
         program.chmod(0o755)
     (folder / "samples").symlink_to(ROOT / "samples")
     table = "".join(f"{name} = {value}\n" for name, value in options.items())

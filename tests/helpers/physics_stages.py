@@ -62,18 +62,18 @@ def physics_of(
 def beside_a_body(write: Callable[..., Path]) -> Callable[..., StagePhysics]:
     """A reader of what a stage says besides the mesh /Body, which is baked."""
 
-    def said(
+    def read_beside(
         *prims: str, layer: str = head(), bodies: tuple[str, ...] = ("/Body",)
     ) -> StagePhysics:
         path = write(layer + mesh("Body") + "".join(prims))
         return physics_of(path, *bodies, facts_from="/Body")
 
-    return said
+    return read_beside
 
 
-def only(said: StagePhysics) -> Collider:
+def only(physics: StagePhysics) -> Collider:
     """The one collider."""
-    (collider,) = said.colliders
+    (collider,) = physics.colliders
     return collider
 
 

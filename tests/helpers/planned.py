@@ -40,8 +40,8 @@ def planner(tmp_path: Path) -> Callable[..., Plan]:
     def plan(*prims: str, layer: str = head(), **options: Any) -> Plan:
         path = tmp_path / "asset.usda"
         path.write_text(layer + "".join(prims), encoding="utf-8")
-        asked = {"output": tmp_path / "out.usda", "overwrite": True, **FEW, **options}
-        return prepare(path, **asked).plan
+        request = {"output": tmp_path / "out.usda", "overwrite": True, **FEW, **options}
+        return prepare(path, **request).plan
 
     return plan
 
@@ -60,9 +60,9 @@ def mass(plan: Plan, body: int) -> float:
     return float((density * plan.particles.V0)[mine].sum())
 
 
-def noted(plan: Plan, words: str) -> bool:
-    """Whether a note has these words."""
-    return any(words in note for note in plan.notes)
+def noted(plan: Plan, text: str) -> bool:
+    """Whether a note has this text."""
+    return any(text in note for note in plan.notes)
 
 
 @pytest.fixture(name="plan")

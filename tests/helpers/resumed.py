@@ -72,10 +72,10 @@ def require_whole(folder: Path) -> None:
             json.loads(path.read_text())
 
 
-def start(*words: object) -> subprocess.Popen:
+def start(*arguments: object) -> subprocess.Popen:
     """``gf-usd`` in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "gf_usd", *map(str, words)],
+        [sys.executable, "-m", "gf_usd", *map(str, arguments)],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env={**os.environ},
     )  # fmt: skip
 

@@ -35,7 +35,7 @@ CUBE_TRIANGLES = np.array(
 
 def facts(**changes: Any) -> StageFacts:
     """A stage in meters, Y up, that says nothing else."""
-    said: dict[str, Any] = {
+    values: dict[str, Any] = {
         "path": Path("asset.usda"),
         "units": StageUnits(),
         "up_axis": "Y",
@@ -45,7 +45,7 @@ def facts(**changes: Any) -> StageFacts:
         "root_prims": ("/Root",),
         "default_prim": "/Root",
     }
-    return StageFacts(**{**said, **changes})
+    return StageFacts(**{**values, **changes})
 
 
 def surface(points: np.ndarray, triangles: np.ndarray, path: str = "/Body", **more: Any) -> Surface:
@@ -116,7 +116,7 @@ def look(name: str, particles: Particles, **changes: Any) -> Material:
 
 def settings(**changes: Any) -> Settings:
     """Free flight without gravity at 24 fps, threads as the machine has them."""
-    said: dict[str, Any] = {
+    values: dict[str, Any] = {
         "frames": 10,
         "fps": 24.0,
         "time_codes_per_second": 24.0,
@@ -125,7 +125,7 @@ def settings(**changes: Any) -> Settings:
         "up": (0.0, 1.0, 0.0),
         "floor": None,
     }
-    return Settings(**{**said, **changes})
+    return Settings(**{**values, **changes})
 
 
 def without(body, rows):

@@ -29,12 +29,12 @@ def made(
     **options,
 ):
     """A ball like rubber that floats, in two substeps a frame so short that it hardly moves."""
-    said = {"frames": 2, "fps": 1e5, "substeps": 2, **options}
+    values = {"frames": 2, "fps": 1e5, "substeps": 2, **options}
     material = look("rubber", body(), damping_time=0.0, law=law)
     return TotalLagrangian(
         body(),
         [material],
-        settings(**said),
+        settings(**values),
         velocity=velocity,
         embedded=embedded,
         pins=pins,

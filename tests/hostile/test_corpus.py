@@ -123,13 +123,13 @@ def test_mutated_files(tmp_path: Path, seed: int) -> None:
     for number, file in enumerate(sound(tmp_path / "sound")):
         cases.append(tmp_path / f"case{number}{file.suffix}")
         cases[-1].write_bytes(broken(file.read_bytes(), file.suffix, dice))
-    for case, words in stopped(cases, EACH).items():
+    for case, message in stopped(cases, EACH).items():
         # A count in a crate that USD believes: nothing but a limit stops it.  Which one comes first
         # depends on how fast the machine hands out memory.
         crate = case.suffix in (".usdc", ".usdz")
-        limited = "asked for more than 8 GB" in words or "took longer than 30 s" in words
-        assert crate, words
-        assert limited, words
+        limited = "asked for more than 8 GB" in message or "took longer than 30 s" in message
+        assert crate, message
+        assert limited, message
 
 
 @pytest.mark.slow
@@ -139,12 +139,12 @@ def test_fuzzer_finds_no_error_of_others_in_a_short_run() -> None:
     A crash, a hang or want of memory in USD's own parser is what the child is for, and has been
     seen; an error that is not ours would be a fault of our readers.
     """
-    words = [
+    command = [
         *(sys.executable, "-m", "tools.acceptance.fuzz"),
         *("--seed", "1000", "--count", "100000", "--seconds", "20"),
     ]
     done = subprocess.run(
-        words, capture_output=True, text=True, timeout=150, check=False,
+        command, capture_output=True, text=True, timeout=150, check=False,
         cwd=Path(__file__).parents[2],
     )  # fmt: skip
     assert "caused its reader to fail" not in done.stdout, done.stdout

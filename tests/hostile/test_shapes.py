@@ -60,10 +60,10 @@ QUICK = {"half_inside_out", "flat", "back_to_back", "spike", "noise"}
 def test_odd_mesh(tmp_path: Path, name: str) -> None:
     file = tmp_path / f"{name}.usda"
     file.write_text(usda(SHAPES[name]()))
-    said = outcome(file)
+    ending = outcome(file)
     if name in SOUND:
-        assert said == "baked"
-    if said != "baked":
+        assert ending == "baked"
+    if ending != "baked":
         outcome(file, repair=True)
 
 
@@ -87,9 +87,18 @@ def test_thousands_of_shells_end(tmp_path: Path) -> None:
     """In one mesh; the time limit is for a hang, not for speed."""
     file = tmp_path / "shells.usda"
     file.write_text(usda(shells(4000)))
-    words = ["bake", str(file), "-o", f"{tmp_path}/out/", "--particles", "8000", "--frames", "2"]
+    arguments = [
+        "bake",
+        str(file),
+        "-o",
+        f"{tmp_path}/out/",
+        "--particles",
+        "8000",
+        "--frames",
+        "2",
+    ]
     done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", *words], capture_output=True, text=True, timeout=300,
+        [sys.executable, "-m", "gf_usd", *arguments], capture_output=True, text=True, timeout=300,
         check=False,
     )  # fmt: skip
     assert done.returncode in (0, 3), done.stderr

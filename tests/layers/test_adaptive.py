@@ -1,4 +1,4 @@
-"""A cache that leaves samples out is within what was asked for, as plain USD reads it."""
+"""A cache that leaves samples out is within the required tolerance, as plain USD reads it."""
 
 from __future__ import annotations
 
@@ -83,11 +83,11 @@ def test_the_error_that_is_told_is_the_largest_that_is_read(tmp_path: Path) -> N
         for code in attribute.GetTimeSamples():
             apart = np.array(attribute.Get(code)) - np.array(other.Get(code))
             worst = max(worst, float(np.linalg.norm(apart, axis=1).max()))
-    told = summary.storage
-    assert told is not None
-    # what is told holds the rounding of single precision, which is 1e-6 here
-    assert worst <= told.errors["positions_m"] <= worst + 1e-5
-    assert told.errors["positions_m"] <= SHARE * particles.radii.min()
+    storage = summary.storage
+    assert storage is not None
+    # the reported error holds the rounding of single precision, which is 1e-6 here
+    assert worst <= storage.errors["positions_m"] <= worst + 1e-5
+    assert storage.errors["positions_m"] <= SHARE * particles.radii.min()
     # every value has a sample at every frame: the health is complete
     health = mine.GetPrimAtPath("/duck").GetAttribute("gaussianFlesh:health:kineticEnergy")
     assert health.GetNumTimeSamples() == FRAMES
@@ -112,18 +112,18 @@ def test_the_bytes_that_are_told_are_those_of_the_other_bake(tmp_path: Path) -> 
     choices = Choices(precision=COARSE, adaptive=True, velocities=False)
     (tmp_path / "all").mkdir()
     # in one save, after which nothing is stored twice
-    asked = {"frames": FRAMES, "save_every": FRAMES}
-    plain, _, _ = write_cache(tmp_path / "all" / "c.usdc", asset, **asked)
-    less, _, _ = write_cache(tmp_path / "c.usdc", asset, choices=choices, **asked)
-    told = less.storage
-    assert told is not None
+    options = {"frames": FRAMES, "save_every": FRAMES}
+    plain, _, _ = write_cache(tmp_path / "all" / "c.usdc", asset, **options)
+    less, _, _ = write_cache(tmp_path / "c.usdc", asset, choices=choices, **options)
+    storage = less.storage
+    assert storage is not None
     assert plain.storage is None
-    assert told.bytes == (tmp_path / "c.usdc").stat().st_size
-    assert told.samples_left_out > 0
-    assert told.half_precision > 0
-    assert told.velocities_left_out > 0
-    # these arrays are so small that what is about them counts, which is not told
-    assert told.bytes_without == pytest.approx(plain.bytes, rel=0.1)
+    assert storage.bytes == (tmp_path / "c.usdc").stat().st_size
+    assert storage.samples_left_out > 0
+    assert storage.half_precision > 0
+    assert storage.velocities_left_out > 0
+    # these arrays are so small that what is about them counts, which is not reported
+    assert storage.bytes_without == pytest.approx(plain.bytes, rel=0.1)
 
 
 def test_another_run_gives_the_same_bytes(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def test_a_writer_goes_on_from_a_full_clip_with_the_same_bytes(tmp_path: Path) -
     choices = Choices(precision=COARSE, adaptive=True, velocities=False, clip_frames=6)
     info, particles = info_of(asset, frames=FRAMES), particles_of(asset)
     frames = list(frames_of(asset, particles, info))
-    told = []
+    summaries = []
     for name in ("whole", "parts"):
         cache = tmp_path / name / "c.usdc"
         cache.parent.mkdir()
@@ -154,8 +154,8 @@ def test_a_writer_goes_on_from_a_full_clip_with_the_same_bytes(tmp_path: Path) -
                 for frame in left:
                     writer.write(frame)
         publish(cache)
-        told.append(writer.close().storage)
-    assert told[0] == told[1]
+        summaries.append(writer.close().storage)
+    assert summaries[0] == summaries[1]
     clips = sorted((tmp_path / "whole" / "c.clips").iterdir())
     assert len(clips) > 6
     for clip in clips:
@@ -195,5 +195,5 @@ def test_halves_are_used_within_the_error_only(tmp_path: Path) -> None:
         assert prim.GetAttribute(name).GetNumTimeSamples() > 1
         assert summary.storage is not None
         assert summary.storage.errors.get("shapes_m", 0.0) <= share * particles.radii.min()
-        said = any("stay in single precision" in note for note in summary.notes)
-        assert said == (name == "orientations")
+        noted = any("stay in single precision" in note for note in summary.notes)
+        assert noted == (name == "orientations")

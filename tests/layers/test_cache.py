@@ -212,10 +212,10 @@ def test_a_save_that_failed_is_told_by_what_comes_next_and_the_layer_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asset, particles, info, frames = PLAIN.scene(tmp_path)
-    asked: list[str] = []
+    saved: list[str] = []
 
     def full(layer: Sdf.Layer) -> None:
-        asked.append(layer.identifier)
+        saved.append(layer.identifier)
         raise BakeError("the disk is full.", "free some space")
 
     writer = CacheWriter(tmp_path / "c.usdc", asset, particles, info, save_every=1)
@@ -224,9 +224,9 @@ def test_a_save_that_failed_is_told_by_what_comes_next_and_the_layer_left_alone(
     for again in (partial(writer.write, frames[1]), writer.close, writer.close):
         with pytest.raises(BakeError, match="the disk is full"):
             again()
-    assert len(asked) == 1
+    assert len(saved) == 1
     writer.__exit__(BakeError, None, None)
-    assert len(asked) == 1
+    assert len(saved) == 1
 
 
 def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:

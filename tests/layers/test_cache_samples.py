@@ -18,19 +18,19 @@ def writer_of(tmp_path: Path, frames: int, **options: object) -> tuple[CacheWrit
 
 def test_a_stage_is_told_of_a_frame_once(tmp_path: Path) -> None:
     writer, frames = writer_of(tmp_path, 3, save_every=10)
-    told: list[int] = []
+    changes: list[int] = []
     listener = Tf.Notice.RegisterGlobally(
         Usd.Notice.ObjectsChanged,
-        lambda notice, _: told.append(len(notice.GetChangedInfoOnlyPaths())),
+        lambda notice, _: changes.append(len(notice.GetChangedInfoOnlyPaths())),
     )
     with writer:
         writer.write(frames[0])
-        told.clear()
+        changes.clear()
         writer.write(frames[1])
-        assert len(told) == 1
-        assert told[0] > 20, "positions and points, velocities, extents, two dozen of health"
+        assert len(changes) == 1
+        assert changes[0] > 20, "positions and points, velocities, extents, two dozen of health"
         writer.write(frames[2])
-        assert len(told) == 2
+        assert len(changes) == 2
     listener.Revoke()
 
 

@@ -167,8 +167,10 @@ def test_a_full_clip_is_there_before_the_bake_is_done(tmp_path: Path) -> None:
             if frame.index == 5:
                 # what a kill at this moment would leave
                 stage = Usd.Stage.Open(Sdf.Layer.OpenAsAnonymous(str(partial_path(cache))))
-                told = stage.GetRootLayer().GetPrimAtPath("/duck").GetInfo("clips")["gaussianFlesh"]
-                names = [Path(path.path).name for path in told["assetPaths"]]
+                clips = (
+                    stage.GetRootLayer().GetPrimAtPath("/duck").GetInfo("clips")["gaussianFlesh"]
+                )
+                names = [Path(path.path).name for path in clips["assetPaths"]]
                 assert names == ["0001.usdc", "0002.usdc"]
                 assert stage.GetEndTimeCode() == 14.0
                 del stage

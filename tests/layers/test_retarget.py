@@ -66,7 +66,7 @@ def Scope "_materials"
 
 
 def quiet(capfd: pytest.CaptureFixture[str]) -> str:
-    """What USD said on the terminal."""
+    """What USD printed on the terminal."""
     return capfd.readouterr().err
 
 
@@ -132,11 +132,11 @@ def test_edits_of_sublayers_are_one_list(tmp_path: Path) -> None:
 def test_instances_end_where_their_targets_could_not_be_kept(tmp_path: Path) -> None:
     asset = INSTANCES.asset(tmp_path)
     root, _, _ = bake(asset, tmp_path)
-    words = (
+    message = (
         "is no longer an instance: its relationships have targets outside its root prim, "
         "which only an ordinary prim can have"
     )
-    assert root.notes == (f"</root/left> {words}", f"</root/right> {words}")
+    assert root.notes == (f"</root/left> {message}", f"</root/right> {message}")
     stage = Usd.Stage.Open(str(root.path))
     for side in ("left", "right"):
         rel = stage.GetRelationshipAtPath(f"/root/{side}/seat.material:binding")

@@ -31,7 +31,7 @@ def place(x: np.ndarray | None = None) -> Pose:
     return Pose(x=x, v=np.zeros_like(x), F=np.broadcast_to(np.eye(3), (len(x), 3, 3)))
 
 
-def words(guard: Guard, last: Health, now: Health) -> str:
+def message(guard: Guard, last: Health, now: Health) -> str:
     return guard.judge(last, now, place())[1]
 
 
@@ -42,14 +42,14 @@ def test_energy_is_all_four_of_its_kinds() -> None:
 @pytest.mark.parametrize("kind", ["kinetic", "elastic", "potential", "contact"])
 def test_a_gain_of_any_kind_is_seen(kind: str) -> None:
     guard = Guard(SCALE, 1.0)
-    assert words(guard, health(), health(**{kind: 0.99 * ALLOWED})) == ""
-    assert words(guard, health(), health(**{kind: 1.01 * ALLOWED})) != ""
+    assert message(guard, health(), health(**{kind: 0.99 * ALLOWED})) == ""
+    assert message(guard, health(), health(**{kind: 1.01 * ALLOWED})) != ""
 
 
 def test_the_words_have_the_numbers() -> None:
     """Energy may fall and yet be too much: it "rose from 36.35 J to 35.91 J" in a bake."""
     lost = replace(health(5.5), plastic_dissipation=20.0)
-    assert words(Guard(SCALE, 1.0), health(10.0), lost) == (
+    assert message(Guard(SCALE, 1.0), health(10.0), lost) == (
         "energy rose by 15.5 J without a cause within the frame, in which it went from 10 J to"
         " 5.5 J (at most 2 J can be rounding and integration error)"
     )
@@ -57,17 +57,17 @@ def test_the_words_have_the_numbers() -> None:
 
 def test_what_a_pin_does_to_the_body_is_no_gain() -> None:
     guard = Guard(SCALE, 1.0)
-    assert words(guard, health(), health(5.0 * ALLOWED, work=5.0 * ALLOWED)) == ""
-    assert words(guard, health(), health(5.0 * ALLOWED, work=-5.0 * ALLOWED)) != ""
+    assert message(guard, health(), health(5.0 * ALLOWED, work=5.0 * ALLOWED)) == ""
+    assert message(guard, health(), health(5.0 * ALLOWED, work=-5.0 * ALLOWED)) != ""
 
 
 def test_what_is_little_follows_the_work_of_the_frame() -> None:
     """A pin hits a body at rest: its own weight is no measure of what the integrator leaves."""
     guard, work = Guard(SCALE, 1.0), 1e3 * SCALE
-    assert words(guard, health(), health(work * (1.0 + 0.99 * GAIN), work=work)) == ""
-    assert words(guard, health(), health(work * (1.0 + 1.01 * GAIN), work=work)) != ""
+    assert message(guard, health(), health(work * (1.0 + 0.99 * GAIN), work=work)) == ""
+    assert message(guard, health(), health(work * (1.0 + 1.01 * GAIN), work=work)) != ""
     # Only of that frame: the next has no work of its own, and nothing to gain from.
-    assert words(guard, health(), health(2.0 * ALLOWED)) != ""
+    assert message(guard, health(), health(2.0 * ALLOWED)) != ""
 
 
 def test_a_particle_that_flew_off_is_named() -> None:
@@ -82,43 +82,43 @@ def test_a_particle_that_flew_off_is_named() -> None:
 
 def test_new_inversions_are_worth_one_try() -> None:
     guard = Guard(SCALE, 1.0)
-    assert "3 particles turned inside out" in words(guard, health(), health(inverted=3))
+    assert "3 particles turned inside out" in message(guard, health(), health(inverted=3))
     # half the step left two: they are the law's doing
-    assert words(guard, health(), health(inverted=2)) == ""
-    assert words(guard, health(), health(inverted=2)) == ""
-    assert words(guard, health(inverted=2), health(inverted=4)) != ""
+    assert message(guard, health(), health(inverted=2)) == ""
+    assert message(guard, health(), health(inverted=2)) == ""
+    assert message(guard, health(inverted=2), health(inverted=4)) != ""
 
 
 def test_its_state_goes_on() -> None:
     guard = Guard(SCALE, 1.0)
     guard.refine()
     guard.passed()
-    words(guard, health(), health(inverted=3))
-    words(guard, health(), health(inverted=3))
+    message(guard, health(), health(inverted=3))
+    message(guard, health(), health(inverted=3))
     other = Guard(1.0, 1.0)
     other.load(guard.save())
     assert other.save() == guard.save()
-    assert words(other, health(), health(inverted=3)) == ""
+    assert message(other, health(), health(inverted=3)) == ""
 
 
 def test_losing_energy_and_trading_it_is_sound() -> None:
     guard = Guard(SCALE, 1.0)
-    assert words(guard, health(50.0), health(0.0)) == ""
-    assert words(guard, Health(potential=80.0), Health(kinetic=60.0, elastic=20.0)) == ""
-    assert words(guard, Health(potential=-500.0), Health(potential=-500.0)) == ""
+    assert message(guard, health(50.0), health(0.0)) == ""
+    assert message(guard, Health(potential=80.0), Health(kinetic=60.0, elastic=20.0)) == ""
+    assert message(guard, Health(potential=-500.0), Health(potential=-500.0)) == ""
 
 
 def test_a_lively_body_may_swing_by_more() -> None:
     # The integrator's error is a part of what the vibrations hold.
-    assert words(Guard(SCALE, 1.0), health(), health(1.5 * ALLOWED)) != ""
+    assert message(Guard(SCALE, 1.0), health(), health(1.5 * ALLOWED)) != ""
     guard = Guard(SCALE, 1.0)
-    assert words(guard, health(2.0 * SCALE), health(2.0 * SCALE + 1.5 * ALLOWED)) == ""
+    assert message(guard, health(2.0 * SCALE), health(2.0 * SCALE + 1.5 * ALLOWED)) == ""
 
 
 @pytest.mark.parametrize("kind", ["kinetic", "elastic", "potential", "contact"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_an_energy_that_is_no_number_fails(kind: str, value: float) -> None:
-    assert "energy rose" in words(Guard(SCALE, 1.0), health(), health(**{kind: value}))
+    assert "energy rose" in message(Guard(SCALE, 1.0), health(), health(**{kind: value}))
 
 
 def test_a_halved_step_is_doubled_after_calm_frames() -> None:
@@ -281,13 +281,13 @@ def test_a_motion_that_is_no_number_is_told_with_its_place() -> None:
     next(frames)
     with pytest.raises(BakeError) as caught:
         next(frames)
-    words = re.match(
+    numbers = re.match(
         r"frame 1: (\d+) of (\d+) grid nodes are no longer finite, the first near particle (\d+) at"
         r" rest position \[(.+)\] m, with",
         caught.value.message,
     )
-    assert words is not None
-    bad, nodes, particle = (int(words[i]) for i in (1, 2, 3))
+    assert numbers is not None
+    bad, nodes, particle = (int(numbers[i]) for i in (1, 2, 3))
     assert 0 < bad <= nodes == solver.body.stencil.free_count
-    place = [float(number) for number in words[4].split(",")]
+    place = [float(number) for number in numbers[4].split(",")]
     np.testing.assert_allclose(place, solver.particles.X[particle], atol=1e-4)

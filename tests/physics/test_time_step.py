@@ -18,10 +18,10 @@ GRID = {"wave_speed": 3.0, "h": 0.1, "per_cell": 8.0}
 
 
 def step(**changes: float) -> StableStep:
-    said = {
+    values = {
         **GRID, "viscous_time": 0.0, "contact_omega2": 0.0, "contact_damping": 0.0, "safety": 1.0,
     }  # fmt: skip
-    return stable_step(**{**said, **changes})
+    return stable_step(**{**values, **changes})
 
 
 def swing(w: float, z: float, dt: float, steps: int = 4000) -> float:

@@ -1,4 +1,4 @@
-"""What a bake is said to cost, and where that is too much."""
+"""What a bake is estimated to cost, and where that is too much."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_a_solver_that_is_too_large_to_wait_is_built_again(
 
 
 @pytest.mark.parametrize(
-    ("seconds", "words"),
+    ("seconds", "text"),
     [
         (0.4, "0 s"),
         (119.0, "119 s"),
@@ -193,8 +193,8 @@ def test_a_solver_that_is_too_large_to_wait_is_built_again(
         (1.2e6, "13.9 days"),
     ],
 )
-def test_times_for_reading(seconds: float, words: str) -> None:
-    assert duration(seconds) == words
+def test_times_for_reading(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
 
 
 def test_too_long_is_refused_with_the_numbers(plan: Plan) -> None:

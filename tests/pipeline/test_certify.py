@@ -86,7 +86,7 @@ def test_several_bodies_have_no_bounce() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "volume", "error", "said"),
+    ("count", "volume", "error", "message"),
     [
         (FEWEST - 1, 1.0, None, f"63 particles, fewer than {FEWEST}; give --particles 4096"),
         (FEWEST, 1.1, None, "a different body"),
@@ -94,7 +94,7 @@ def test_several_bodies_have_no_bounce() -> None:
         (FEWEST, 1.0, SolverError("it burst", "", frame=3), "failed: it burst"),
     ],
 )
-def test_coarser_runs_of_no_use_say_why(count, volume, error, said) -> None:
+def test_coarser_runs_of_no_use_say_why(count, volume, error, message) -> None:
     def run(spacing: float) -> tuple[Observed, float]:
         if error is not None:
             raise error
@@ -102,7 +102,7 @@ def test_coarser_runs_of_no_use_say_why(count, volume, error, said) -> None:
 
     runs, why = coarser(0.05, 1.0, run)
     assert runs == ()
-    assert said in why
+    assert message in why
     found = certify([observed(0.05)], held=False, single=True, reason=why)
     assert found.lines() == (f"nothing is certified: {why}",)
     assert not any(one.known for one in found.figures.values())
@@ -131,10 +131,10 @@ def test_what_cannot_be_certified_is_refused(tmp_path: Path, options) -> None:
 
 @pytest.mark.slow
 def test_a_bake_says_how_certain_it_is(tmp_path: Path) -> None:
-    asked = {"drop": 1.0, "frames": 20, "particles": 5000, "only": "mesh", "overwrite": True}
+    options = {"drop": 1.0, "frames": 20, "particles": 5000, "only": "mesh", "overwrite": True}
     box = write_box(tmp_path)
-    plain = gf_usd.bake(box, output=f"{tmp_path}/plain/", **asked)
-    result = gf_usd.bake(box, output=f"{tmp_path}/", certify=True, **asked)
+    plain = gf_usd.bake(box, output=f"{tmp_path}/plain/", **options)
+    result = gf_usd.bake(box, output=f"{tmp_path}/", certify=True, **options)
     found = result.bakes[0].certificate
     assert found is not None
     assert [edge / found.runs[0][1] for _, edge in found.runs] == pytest.approx([1.0, 2.0, 4.0])
@@ -148,5 +148,5 @@ def test_a_bake_says_how_certain_it_is(tmp_path: Path) -> None:
     # the frames are those of a bake without it
     assert plain.bakes[0].per_frame == result.bakes[0].per_frame
     assert {path.name for path in tmp_path.glob("*partial*")} == set()
-    again = gf_usd.bake(box, output=f"{tmp_path}/", certify=True, **asked)
+    again = gf_usd.bake(box, output=f"{tmp_path}/", certify=True, **options)
     assert again.bakes[0].certificate.as_json() == found.as_json()

@@ -103,14 +103,14 @@ def test_a_limit_that_nothing_passes_is_warned_of(blocks: Path, tmp_path: Path) 
     "becomes", ["dry-sand", pytest.param("powder-snow", marks=pytest.mark.slow)]
 )
 def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path, becomes: str) -> None:
-    asked = {"conversions": f"/World/Block={becomes}@time:4", "frames": 8, "clip_frames": 3}
+    options = {"conversions": f"/World/Block={becomes}@time:4", "frames": 8, "clip_frames": 3}
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     whole.mkdir()
     parts.mkdir()
-    gf_usd.bake(blocks, output=whole / "out.usda", **asked, **SMALL)
+    gf_usd.bake(blocks, output=whole / "out.usda", **options, **SMALL)
     for more in ({}, {"resume": True}, {"resume": True}):
         try:
-            gf_usd.bake(blocks, output=parts / "out.usda", slice=1, **asked, **SMALL, **more)
+            gf_usd.bake(blocks, output=parts / "out.usda", slice=1, **options, **SMALL, **more)
         except Unfinished:
             continue
         break
@@ -161,11 +161,11 @@ def test_solids_that_overlap_stay_one_body_of_which_a_part_is_converted(tmp_path
         tmp_path, body("Block", "rubber", "0, 0.1, 0"), body("Next", "rubber", "0.15, 0.1, 0"),
         body("Far", "rubber", "2, 0.1, 0"),
     )  # fmt: skip
-    asked = {"conversions": "/World/Block=dry-sand@time:3", **SMALL}
-    plan = gf_usd.inspect(path, **asked).plan
+    options = {"conversions": "/World/Block=dry-sand@time:3", **SMALL}
+    plan = gf_usd.inspect(path, **options).plan
     assert plan.bodies.surfaces == (("/World/Block", "/World/Next"), ("/World/Far",))
     assert set(plan.choices.converting) == {("/World/Block", 0), ("/World/Next", 0)}
-    done = gf_usd.bake(path, frames=5, output=tmp_path / "out.usda", **asked)
+    done = gf_usd.bake(path, frames=5, output=tmp_path / "out.usda", **options)
     assert done.bakes[0].health["max_J"] < 1.2
     assert done.bakes[0].health["deepest_overlap_spacings"] < 0.1
 
@@ -230,7 +230,7 @@ def test_a_box_without_a_vertex_in_it_converts_what_it_holds(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("honey", "is no material and limit"),
         ("honey@melt:3", "is no material and limit"),
@@ -240,17 +240,17 @@ def test_a_box_without_a_vertex_in_it_converts_what_it_holds(tmp_path: Path) -> 
         ("marmalade@time:3", "no material 'marmalade'"),
     ],
 )
-def test_what_says_nothing_is_refused(blocks: Path, text: str, words: str) -> None:
-    with pytest.raises(UsageError, match=f"(?i){words}"):
+def test_what_says_nothing_is_refused(blocks: Path, text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=f"(?i){message}"):
         gf_usd.inspect(blocks, conversions=text, **SMALL)
 
 
 def test_what_means_nothing_is_refused_by_name(blocks: Path, tmp_path: Path) -> None:
-    for texts, error, words in (
+    for texts, error, message in (
         ("/World/Nobody=honey@time:3", InputError, "means none of the"),
         (["honey@time:3", "water@time:4"], InputError, "later ones hold for all"),
     ):
-        with pytest.raises(error, match=words):
+        with pytest.raises(error, match=message):
             gf_usd.bake(blocks, output=tmp_path / "out.usda", conversions=texts, **SMALL)
     with pytest.raises(UsageError, match="does not go with certify"):
         gf_usd.bake(blocks, conversions="honey@time:3", certify=True, **SMALL)
@@ -260,13 +260,13 @@ def test_what_means_nothing_is_refused_by_name(blocks: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("surface", "words"),
+    ("surface", "ending"),
     [(False, "particles are shown"), (True, "a surface around the particles is shown")],
 )
-def test_a_note_says_what_is_shown(blocks: Path, surface: bool, words: str) -> None:
+def test_a_note_says_what_is_shown(blocks: Path, surface: bool, ending: str) -> None:
     plan = gf_usd.inspect(blocks, conversions="honey@time:3", surface=surface, **SMALL)
     (note,) = [one for one in plan.notes if "become honey" in one]
-    assert note.endswith(f"from the first of them on {words}, not the mesh")
+    assert note.endswith(f"from the first of them on {ending}, not the mesh")
 
 
 def test_a_picture_shows_what_is_visible_then(blocks: Path, tmp_path: Path) -> None:

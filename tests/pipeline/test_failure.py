@@ -1,4 +1,4 @@
-"""Where a failed simulation is said to have failed."""
+"""Where a failed simulation is reported to have failed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of the time a bake takes while it runs, and where it ends."""
+"""What a bake reports of its time while it runs, and where it ends."""
 
 from __future__ import annotations
 
@@ -62,15 +62,15 @@ def test_a_bake_as_long_as_estimated_is_no_news() -> None:
 
 
 def test_a_shrinking_step_is_told_with_its_reason_once() -> None:
-    clock, told = Clock(), []
-    made = Forecast(cost(100.0), 100, 1.0, clock=clock, remark=told.append)
+    clock, remarks = Clock(), []
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock, remark=remarks.append)
     follow(made, clock, [100] * 10 + [400] * 90, 0.01)
     (line,) = made.take_remarks()
-    assert told == [line]
+    assert remarks == [line]
     assert "not 100 s: in its current strain clay takes " in line
     assert line.endswith("substeps where it took 100 at rest")
-    said = float(line.split("about ")[1].split(" minutes")[0]) * 60.0
-    assert 200.0 <= said <= 380.0  # 10 of 100 substeps and 90 of 400, each of .01 s: 370 s
+    seconds = float(line.split("about ")[1].split(" minutes")[0]) * 60.0
+    assert 200.0 <= seconds <= 380.0  # 10 of 100 substeps and 90 of 400, each of .01 s: 370 s
     assert made.take_remarks() == ()
 
 
@@ -82,9 +82,9 @@ def test_a_bake_that_may_end_at_rest_takes_at_most_that_long() -> None:
     assert line.startswith("the bake will take at most ")
 
 
-@pytest.mark.parametrize(("after", "told"), [(20, False), (90, True)])
+@pytest.mark.parametrize(("after", "reported"), [(20, False), (90, True)])
 def test_a_complete_bake_is_told_what_it_took_and_not_what_was_expected(
-    after: int, told: bool
+    after: int, reported: bool
 ) -> None:
     """A table came to rest after 64 s, and its last lines said that it will take 6 minutes."""
     clock = Clock()
@@ -94,7 +94,7 @@ def test_a_complete_bake_is_told_what_it_took_and_not_what_was_expected(
         "the bake took 6.17 minutes, not at most 100 s: strained, clay took 400 substeps where it"
         " took 100 at rest",
     )
-    assert made.take_outcome() == (expected if told else ())
+    assert made.take_outcome() == (expected if reported else ())
     assert made.take_remarks() == ()
 
 
@@ -194,7 +194,7 @@ def test_a_frame_that_is_cut_leaves_what_can_be_resumed(
 ) -> None:
     """Each reading of the clock takes a second, and each substep is a launch with a reading."""
     seconds = iter(range(100_000))
-    asked: dict[str, Any] = {
+    options: dict[str, Any] = {
         "material": "rubber", "output": f"{tmp_path}/", "particles": 100, "frames": 5,
         "drop": "0.05r", "clip_frames": 1,
     }  # fmt: skip
@@ -202,14 +202,14 @@ def test_a_frame_that_is_cut_leaves_what_can_be_resumed(
         patched.setattr(launch, "LAUNCH_SECONDS", 1e-9)
         patched.setattr(runs, "Forecast", partial(Forecast, clock=lambda: float(next(seconds))))
         with pytest.raises(SolverError, match=r"max_hours=0\.003 lets it take 22 s") as caught:
-            gf_usd.bake(str(SPHERE), **asked, max_hours=0.003)
+            gf_usd.bake(str(SPHERE), **options, max_hours=0.003)
     assert next(seconds) in (22, 23), "at once: a frame has eight substeps and more"
     ended = caught.value.__cause__
     assert ended is not None
     assert "launch.py" in {Path(at.filename).name for at in extract_tb(ended.__traceback__)}
     assert 0 < caught.value.frame < 4
     assert list(tmp_path.glob("*.checkpoint.npz"))
-    result = gf_usd.bake(str(SPHERE), **asked, resume=True)
+    result = gf_usd.bake(str(SPHERE), **options, resume=True)
     assert len(result.bakes[0].per_frame) == 5
     assert any("goes on after frame" in note for note in result.notes)
 
@@ -243,11 +243,11 @@ def test_the_time_left_follows_the_frames_so_far() -> None:
 
 
 def test_frames_in_flight_say_nothing_of_those_after_the_landing() -> None:
-    clock, said = Clock(), cost(100.0)
-    said["per_material"][0] |= {
+    clock, forecast = Clock(), cost(100.0)
+    forecast["per_material"][0] |= {
         "flying_samples": 50, "sample_seconds": 0.01, "moving_seconds": 1.0, "end_seconds": 2.0,
     }  # fmt: skip
-    made = Forecast(said, 100, 1.0, clock=clock)
+    made = Forecast(forecast, 100, 1.0, clock=clock)
     for index in range(21):
         clock.now += 0.01
         made.record_sample(0, index, 0, 100)
@@ -269,7 +269,7 @@ def test_compiling_is_no_pace() -> None:
 def test_long_frames_are_judged_sooner() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 100.0, clock=clock)
-    follow(made, clock, [100] * 8, 1.0)  # 100 s a sample, where 1 s was said
+    follow(made, clock, [100] * 8, 1.0)  # 100 s a sample, where 1 s was estimated
     assert len(made.take_remarks()) == 1
 
 

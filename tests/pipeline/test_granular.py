@@ -24,9 +24,9 @@ def test_granular_presets_choose_the_solver_and_what_is_written() -> None:
     assert plan.choices.shapes == ("gaussians", "points")
     assert len(plan.samples.X) == len(plan.particles), "contact at every particle"
     assert any("dry-sand: flows without end" in note and "hidden" in note for note in plan.notes)
-    asked = gf_usd.inspect(SPHERE, only="mesh,points", **SAND).plan
-    assert asked.choices.shapes == ("mesh", "points")
-    assert not any("hidden" in note for note in asked.notes)
+    planned = gf_usd.inspect(SPHERE, only="mesh,points", **SAND).plan
+    assert planned.choices.shapes == ("mesh", "points")
+    assert not any("hidden" in note for note in planned.notes)
 
 
 def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
@@ -43,7 +43,7 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         ({"material": "jelly", "surface": True}, "surface=True is for what flows"),
         ({"surface": True, "only": "points"}, "which only points leaves out"),
@@ -54,8 +54,8 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
         ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not support --pin|pins"),
     ],
 )
-def test_what_sand_does_not_go_with_is_refused_in_words(more: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
+def test_what_sand_does_not_go_with_is_refused_in_words(more: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         gf_usd.inspect(SPHERE, **(SAND | more))
 
 

@@ -329,12 +329,12 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     assert [row["center"] for row in rows] == [f.center for f in frames]
     assert [row["time_code"] for row in rows] == [101.0, 103.0, 105.0, 107.0, 109.0]
     # no law flows, nothing settles, and no frame is looked at for what is inside
-    told = set(Health.__dataclass_fields__) - {
+    expected = set(Health.__dataclass_fields__) - {
         "plastic_dissipation", "conversion_dissipation", "converted", "settling_dissipation",
         "inside_share", "inside_depth", "outside_share", "outside_depth", "outside_mesh",
         "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
     }  # fmt: skip
-    assert set(rows[0]) == {"time_code", *told, "centre", "energy", "energy_gain"}
+    assert set(rows[0]) == {"time_code", *expected, "centre", "energy", "energy_gain"}
     assert [row["centre"] for row in rows] == [f.center for f in frames], "until 1.0"
     energies = log_of(
         [Health(kinetic=1.0), Health(elastic=4.0, work=1.5, injected=1.0)]

@@ -156,11 +156,11 @@ def test_every_rule_has_its_case() -> None:
 
 @pytest.mark.parametrize("about", CASES)
 def test_both_sides_of_a_limit(about: str) -> None:
-    sound, unsound, words = CASES[about]
+    sound, unsound, message = CASES[about]
     assert health_warnings(sound) == ()
     (warning,) = health_warnings(unsound)
     assert warning.about == about
-    assert words in warning.message
+    assert message in warning.message
     assert warning.hint
     assert warning.as_json() == {
         "about": about, "message": warning.message, "hint": warning.hint,

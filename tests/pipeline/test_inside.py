@@ -52,7 +52,7 @@ def test_what_is_pressed_into_a_neighbor_counts_from_half_a_spacing(by, share):
     area = 6.0 + 2.0 * 1.4**2 + 4.0 * 1.4
     assert found.share == pytest.approx(share * 2.0 / area, abs=2.0 * 4.0 * spacing / area)
     assert (found.share == 0.0) == (share == 0.0)
-    assert found.depth >= spacing * by - 1e-9, "the depth is told even if it does not count"
+    assert found.depth >= spacing * by - 1e-9, "the depth is reported even if it does not count"
 
 
 @pytest.mark.parametrize("gap", [1e-4, 1e-2])
@@ -87,10 +87,10 @@ def test_what_overlaps_at_rest_is_the_asset():
 
 def test_a_few_frames_and_the_last_are_looked_at():
     ball = sphere(path="/Ball")
-    asked = [i for i in range(50) if InsideMeasure([ball], 0.1, 50).is_measured(i)]
-    assert asked[-1] == 49
-    assert 0 not in asked
-    assert MEASURES - 1 <= len(asked) <= MEASURES + 1
+    measured = [i for i in range(50) if InsideMeasure([ball], 0.1, 50).is_measured(i)]
+    assert measured[-1] == 49
+    assert 0 not in measured
+    assert MEASURES - 1 <= len(measured) <= MEASURES + 1
     assert [i for i in range(2) if InsideMeasure([ball], 0.1, 2).is_measured(i)] == [1]
     open_end = InsideMeasure([ball], 0.1, 50, open_end=True)
     assert [i for i in range(50) if open_end.is_measured(i)] == [8, 16, 32, 49]

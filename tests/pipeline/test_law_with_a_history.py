@@ -117,10 +117,10 @@ def sigma(prim: Usd.Prim, turns: str, scales: str, time: float | None) -> np.nda
 
 def test_particles_have_values_of_their_own_and_defaults() -> None:
     body = block((0.0, 0.0, 0.0), (1, 1, 1), 1.0)
-    said: dict[str, Any] = {"density": 1.0, "youngs_modulus": 1.0, "poissons_ratio": 0.3}
-    flows = Material(name="a", law=ROW.token, **said)
-    given = Material(name="b", law=ROW.token, parameters={"yield_stress": 7.0}, **said)
-    plain = Material(name="c", law="corotated", **said)
+    common: dict[str, Any] = {"density": 1.0, "youngs_modulus": 1.0, "poissons_ratio": 0.3}
+    flows = Material(name="a", law=ROW.token, **common)
+    given = Material(name="b", law=ROW.token, parameters={"yield_stress": 7.0}, **common)
+    plain = Material(name="c", law="corotated", **common)
     assert "yield_stress" not in of_materials(body, [plain])
     assert "yield_stress" not in plain.values
     assert (flows.values["yield_stress"], given.values["yield_stress"]) == (1e9, 7.0)

@@ -56,7 +56,7 @@ def test_sand_that_the_stage_asks_for_flows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         ({"solver": "tl"}, "cannot be combined with dry-sand"),
         (
@@ -74,9 +74,9 @@ def test_sand_that_the_stage_asks_for_flows(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_mixed_scene_does_not_go_with_is_refused_in_words(
-    castle: Path, more: dict[str, Any], said: str
+    castle: Path, more: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(UsageError, match=message):
         gf_usd.inspect(castle, **(SMALL | more))
 
 
@@ -86,11 +86,11 @@ def test_a_body_of_which_a_part_flows_is_moved_as_a_whole_by_the_solver_of_what_
 ) -> None:
     """The upper half of a block of rubber is water: the lower half stays a block."""
     path = scene(tmp_path, body("Block", "rubber", "0, 0.1, 0"), body("Far", "rubber", "3, 0.1, 0"))
-    asked = {"material": "rubber", "material_boxes": ["water:-1,0.1,-1,1,1,1"], "drop": 0}
-    seen = gf_usd.inspect(path, particles=2000, **asked).plan
+    options = {"material": "rubber", "material_boxes": ["water:-1,0.1,-1,1,1,1"], "drop": 0}
+    seen = gf_usd.inspect(path, particles=2000, **options).plan
     assert seen.settings.solver == "mixed"
     assert seen.choices.flowing == ("/World/Block",), "particles stand for it"
-    done = gf_usd.bake(path, frames=24, particles=2000, output=tmp_path / "out.usda", **asked)
+    done = gf_usd.bake(path, frames=24, particles=2000, output=tmp_path / "out.usda", **options)
     assert not done.findings
     stage = Usd.Stage.Open(str(done.root))
     flow = UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Flow"))

@@ -36,9 +36,9 @@ def certificate(**widths: float | None) -> Certificate:
 
 @pytest.mark.parametrize("text", ["2", "0%", "100%", "x%", "", "nan%", "size:2%", "rebound:2"])
 def test_what_says_nothing_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="--until") as told:
+    with pytest.raises(UsageError, match="--until") as caught:
         Until.of(text)
-    assert told.value.hint
+    assert caught.value.hint
 
 
 def test_figures_and_a_share() -> None:

@@ -29,8 +29,8 @@ def test_choice(options: dict[str, Any], skin: str, tmp_path: Path) -> None:
     prepared = prepare(SPHERE, particles=120, output=f"{tmp_path}/", **options)
     plan = prepared.plan
     assert plan.settings.skin == skin
-    assert ("--skin" in plan.command) == ("skin" in options), "the command says what was asked"
-    # What is wrong with the paper's skin is said in every bake that has it.
+    assert ("--skin" in plan.command) == ("skin" in options), "the command has the given options"
+    # What is wrong with the paper's skin is noted in every bake that has it.
     assert any(note.startswith("skin paper: ") for note in plan.notes) == (skin == "paper")
     embedded = prepared.solvers.take(plan.variants[0]).body.embedded
     assert list(embedded) == ([s.path for s in plan.asset.surfaces] if skin == "embed" else [])

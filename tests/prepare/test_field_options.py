@@ -60,15 +60,15 @@ def test_a_negative_number_of_gravity_points_up_with_a_note(tmp_path: Path) -> N
     block.write_text(BLOCK)
     up, _ = prepare(block, draw=None, particles=100, gravity="-9.81")
     assert up.settings.gravity == pytest.approx(tuple(9.81 * up.asset.facts.up))
-    said = "gravity of -9.81 m/s^2 points up: numbers above 0 point down"
-    assert said in up.notes
+    expected = "gravity of -9.81 m/s^2 points up: numbers above 0 point down"
+    assert expected in up.notes
     down, _ = prepare(block, draw=None, particles=100, gravity="9.81")
     vector, _ = prepare(block, draw=None, particles=100, gravity="0,9.81,0")
     assert not [note for note in (*down.notes, *vector.notes) if "points up" in note]
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("", "has no line"),
         ("1,2,3\n", "line 1 has 3 numbers"),
@@ -77,25 +77,25 @@ def test_a_negative_number_of_gravity_points_up_with_a_note(tmp_path: Path) -> N
         ("1,1e30\n", "line 1 says 1e+30"),
     ],
 )
-def test_a_file_that_holds_no_keys_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_a_file_that_holds_no_keys_is_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "keys.txt"
     path.write_text(text)
     with pytest.raises(UsageError) as caught:
         Request.of({"gravity": str(path)}).check()
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert str(path) in caught.value.message
     assert caught.value.hint
 
 
 def test_a_missing_file_and_what_knows_no_fields_are_refused(tmp_path: Path) -> None:
-    for options, words in (
+    for options, message in (
         ({"gravity": str(tmp_path / "gone.csv")}, "cannot be read"),
         ({"fields": ("wind:1,0,0",), "rigid": ("box:0,0,0,1,1,1",)}, "--rigid does not go with"),
         ({"fields": ("wind:1,0,0",), "solver": "ul"}, "--solver ul does not support --field"),
     ):
         with pytest.raises(UsageError) as caught:
             Request.of(options).check()
-        assert words in caught.value.message
+        assert message in caught.value.message
 
 
 def test_time_samples_of_a_scene_are_keys(tmp_path: Path) -> None:
@@ -133,8 +133,8 @@ def PhysicsScene "Scene"
 
 def test_fields_of_a_scene_count_where_no_option_is_given(tmp_path: Path) -> None:
     path = tmp_path / "block.usda"
-    said = 'string[] gaussianFlesh:fields = ["wind:3,0,0", "noise:2:length=0.5"]'
-    path.write_text(BLOCK + SCENE.replace("SAID", said))
+    authored = 'string[] gaussianFlesh:fields = ["wind:3,0,0", "noise:2:length=0.5"]'
+    path.write_text(BLOCK + SCENE.replace("SAID", authored))
     options = {"particles": 100, "output": tmp_path / "out.usda"}
     plan, _ = prepare(path, draw=None, **options)
     assert [field.kind for field in plan.settings.fields] == ["wind", "noise"]
@@ -148,17 +148,19 @@ def test_fields_of_a_scene_count_where_no_option_is_given(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("said", "words"),
+    ("authored", "message"),
     [
         ('string gaussianFlesh:fields = "wind:3,0,0"', "gaussianFlesh:fields is 'wind:3,0,0'"),
         ('string[] gaussianFlesh:fields = ["gale:3"]', "a field of the PhysicsScene gale:3 is no"),
     ],
 )
-def test_fields_of_a_scene_that_are_none_are_refused(tmp_path: Path, said: str, words: str) -> None:
+def test_fields_of_a_scene_that_are_none_are_refused(
+    tmp_path: Path, authored: str, message: str
+) -> None:
     path = tmp_path / "block.usda"
-    path.write_text(BLOCK + SCENE.replace("SAID", said))
+    path.write_text(BLOCK + SCENE.replace("SAID", authored))
     with pytest.raises(GfUsdError) as caught:
         prepare(path, draw=None, particles=100, output=tmp_path / "out.usda")
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert str(path) in caught.value.message
     assert caught.value.hint

@@ -88,8 +88,8 @@ def test_they_are_off_where_nothing_is_said() -> None:
 
 
 def test_each_is_what_was_asked_for() -> None:
-    asked = made(wls=True, procrustes=0.1, clamp="0.5:2", stress_cap="2e4")
-    assert of(asked) == (True, 0.1, (0.5, 2.0), 2e4)
+    request = made(wls=True, procrustes=0.1, clamp="0.5:2", stress_cap="2e4")
+    assert of(request) == (True, 0.1, (0.5, 2.0), 2e4)
 
 
 @pytest.mark.parametrize(("look", "alpha"), [("rubber", 0.02), ("metal", 0.0), ("jelly", 0.0)])
@@ -102,8 +102,8 @@ def test_the_paper_has_them_all(look: str, alpha: float) -> None:
 
 
 def test_what_is_asked_for_overrides_the_preset() -> None:
-    asked = made(preset="paper", wls=False, procrustes=0.04, clamp=NONE, stress_cap=NONE)
-    assert of(asked) == (False, 0.04, None, None)
+    request = made(preset="paper", wls=False, procrustes=0.04, clamp=NONE, stress_cap=NONE)
+    assert of(request) == (False, 0.04, None, None)
 
 
 def test_the_other_solver_has_the_papers_clamp_and_cap_alone() -> None:
@@ -117,10 +117,10 @@ def test_pinned_rubber_has_no_shape_correction() -> None:
 
 
 def test_every_option_is_noted() -> None:
-    said = "\n".join(notes(made(preset="paper"), "rubber"))
-    for words in ("WLS", "2 % of the way", "0.2 .. 5", "3.526e+04 Pa", "not judged"):
-        assert words in said
-    assert all(line.startswith("rubber: ") for line in said.splitlines())
+    text = "\n".join(notes(made(preset="paper"), "rubber"))
+    for expected in ("WLS", "2 % of the way", "0.2 .. 5", "3.526e+04 Pa", "not judged"):
+        assert expected in text
+    assert all(line.startswith("rubber: ") for line in text.splitlines())
 
 
 def test_the_command_says_no_where_it_was_said(tmp_path) -> None:

@@ -66,7 +66,7 @@ def result(plan: Plan, **changes) -> BakeResult:
         )
         for m, cache in zip(plan.materials, plan.outputs.caches)
     )
-    said = {
+    values = {
         "root": plan.outputs.root,
         "report": plan.outputs.report,
         "bakes": looks,
@@ -76,7 +76,7 @@ def result(plan: Plan, **changes) -> BakeResult:
         "notes": ("a note",),
         "findings": ({"rule": "finite", "prim": "/A", "message": "m", "fix": "f"},),
     }
-    return BakeResult(**{**said, **changes})
+    return BakeResult(**{**values, **changes})
 
 
 def strict(values: object) -> object:
@@ -128,10 +128,10 @@ def test_the_command_is_one_for_a_shell() -> None:
 
 def test_the_command_has_every_digit() -> None:
     # Six digits of a spacing are another number of particles.
-    asked = {"spacing": 0.123456789, "fps": 24000 / 1001, "drag": 0.0, "filter_rate": math.inf}
-    words = shlex.split(command_line(Path("a.usda"), **asked))
-    assert words[3::2] == ["--spacing", "--fps", "--drag", "--filter-rate"]
-    assert [float(word) for word in words[4::2]] == list(asked.values())
+    options = {"spacing": 0.123456789, "fps": 24000 / 1001, "drag": 0.0, "filter_rate": math.inf}
+    arguments = shlex.split(command_line(Path("a.usda"), **options))
+    assert arguments[3::2] == ["--spacing", "--fps", "--drag", "--filter-rate"]
+    assert [float(word) for word in arguments[4::2]] == list(options.values())
 
 
 def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:

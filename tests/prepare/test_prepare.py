@@ -46,11 +46,11 @@ def stage(tmp_path):
     """Writes a stage of these prims and returns its path."""
 
     def write(*prims, unit: float | None = 1.0, axis: str | None = "Y") -> Path:
-        said = [f"metersPerUnit = {unit}"] if unit else []
-        said += [f'upAxis = "{axis}"'] if axis else []
+        metadata = [f"metersPerUnit = {unit}"] if unit else []
+        metadata += [f'upAxis = "{axis}"'] if axis else []
         path = tmp_path / "asset.usda"
         path.write_text(
-            "#usda 1.0\n(\n" + "\n".join(['defaultPrim = "Root"', *said])
+            "#usda 1.0\n(\n" + "\n".join(['defaultPrim = "Root"', *metadata])
             + '\n)\ndef Xform "Root"\n{' + "".join(prims) + "}\n",
             encoding="utf-8",
         )  # fmt: skip
@@ -204,7 +204,7 @@ def test_a_fill_that_faults_have_hollowed_out_is_warned_of(stage):
 
 
 @pytest.mark.parametrize(
-    ("radius", "unit", "said"),
+    ("radius", "unit", "message"),
     [
         (56.0, 1.0, "with --meters-per-unit 0.01 it would be 1.12 m"),
         (1.0, 1.0, ""),
@@ -214,10 +214,10 @@ def test_a_fill_that_faults_have_hollowed_out_is_warned_of(stage):
         (1e6, 1.0, "check its unit (--meters-per-unit)"),
     ],
 )
-def test_sizes_that_no_one_means(stage, radius, unit, said):
+def test_sizes_that_no_one_means(stage, radius, unit, message):
     warnings = inspect(stage(ball(radius=radius), unit=unit), **FEW).warnings
-    assert len(warnings) == bool(said)
-    assert not said or warnings[0].endswith(said)
+    assert len(warnings) == bool(message)
+    assert not message or warnings[0].endswith(message)
 
 
 @pytest.mark.parametrize("stray", [(0.0, -8.0, 0.0), (40.0, 1.0, 0.0)], ids=["below", "beside"])

@@ -91,9 +91,11 @@ def gravity_of(text: str | None) -> tuple[float, float, float]:
     return gravity_vector(Request(gravity=text).parsed["gravity"], UP)
 
 
-def settled(radius: float = 1.0, lowest: float = 0.0, said: StageFacts | None = None, **options):
+def settled(
+    radius: float = 1.0, lowest: float = 0.0, stage_facts: StageFacts | None = None, **options
+):
     """The settings of a request on a body."""
-    return resolve(Request(**options), said or facts(), radius, lowest)
+    return resolve(Request(**options), stage_facts or facts(), radius, lowest)
 
 
 def height(settings: Settings) -> float:
@@ -117,8 +119,8 @@ def test_a_stage_that_says_nothing_gets_the_defaults() -> None:
 
 
 def test_what_the_stage_says_is_kept() -> None:
-    said = facts(time_codes_per_second=48.0, start_time_code=101.0, up_axis="Z")
-    s = settled(said=said)
+    stage_facts = facts(time_codes_per_second=48.0, start_time_code=101.0, up_axis="Z")
+    s = settled(stage_facts=stage_facts)
     assert (s.fps, s.time_codes_per_second, s.start) == (48.0, 48.0, 101.0)
     assert s.up == (0.0, 0.0, 1.0)
     assert s.gravity == (0.0, 0.0, -9.81)
@@ -128,31 +130,37 @@ def test_what_the_stage_says_is_kept() -> None:
 
 
 def test_frames_of_playback_lie_time_codes_apart() -> None:
-    said = facts(time_codes_per_second=48.0, frames_per_second=24.0, start_time_code=1.0)
-    s = settled(said=said)
+    stage_facts = facts(time_codes_per_second=48.0, frames_per_second=24.0, start_time_code=1.0)
+    s = settled(stage_facts=stage_facts)
     assert (s.fps, s.time_codes_per_second, s.time_code(1)) == (24.0, 48.0, 3.0)
-    assert settled(said=said, fps=48.0).fps == 48.0
+    assert settled(stage_facts=stage_facts, fps=48.0).fps == 48.0
 
 
 def test_options_win_over_the_stage() -> None:
-    said = facts(time_codes_per_second=48.0, start_time_code=101.0)
-    s = settled(said=said, fps=30.0, start=0.0, frames=7, gravity="1.62", drag=0.25, seed=3)
+    stage_facts = facts(time_codes_per_second=48.0, start_time_code=101.0)
+    s = settled(
+        stage_facts=stage_facts, fps=30.0, start=0.0, frames=7, gravity="1.62", drag=0.25, seed=3
+    )
     assert (s.fps, s.time_codes_per_second, s.start, s.frames) == (30.0, 48.0, 0.0, 7)
     assert s.gravity == (0.0, -1.62, 0.0)
     assert (s.drag, s.seed) == (0.25, 3)
 
 
 def test_drop_in_stage_units_and_in_radii() -> None:
-    said = facts(units=StageUnits(meters_per_unit=0.01))
-    assert height(settled(radius=0.5, lowest=0.25, said=said, drop="200")) == pytest.approx(1.75)
-    assert height(settled(radius=0.5, lowest=0.25, said=said, drop="2r")) == pytest.approx(0.75)
+    stage_facts = facts(units=StageUnits(meters_per_unit=0.01))
+    assert height(
+        settled(radius=0.5, lowest=0.25, stage_facts=stage_facts, drop="200")
+    ) == pytest.approx(1.75)
+    assert height(
+        settled(radius=0.5, lowest=0.25, stage_facts=stage_facts, drop="2r")
+    ) == pytest.approx(0.75)
 
 
 def test_a_stage_with_physics_stays_where_it_is() -> None:
     # A physics stage has placed its things; lifted onto the floor, not above it.
-    said = facts(says_physics=True)
-    assert height(settled(lowest=0.5, said=said)) == pytest.approx(-0.5)
-    assert height(settled(lowest=0.5, said=said, drop="1r")) == pytest.approx(0.5)
+    stage_facts = facts(says_physics=True)
+    assert height(settled(lowest=0.5, stage_facts=stage_facts)) == pytest.approx(-0.5)
+    assert height(settled(lowest=0.5, stage_facts=stage_facts, drop="1r")) == pytest.approx(0.5)
 
 
 def test_rates_are_in_units_of_the_body() -> None:
@@ -195,7 +203,9 @@ def test_options_win_over_the_paper() -> None:
     assert (s.frames, s.fps, s.drag, s.skin) == (5, 24.0, 0.0, "embed")
     assert s.filter_rate == pytest.approx(1.0 / PAPER_T)
     # the paper drops its body even onto a stage with physics
-    assert height(settled(said=facts(says_physics=True), preset="paper")) == pytest.approx(3.0)
+    assert height(settled(stage_facts=facts(says_physics=True), preset="paper")) == pytest.approx(
+        3.0
+    )
 
 
 def test_what_is_written_and_where_it_runs_is_handed_on() -> None:

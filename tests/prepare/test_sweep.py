@@ -42,9 +42,9 @@ def test_other_values_are_spaced_evenly() -> None:
     ],
 )
 def test_what_is_no_range_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="--material-sweep") as told:
+    with pytest.raises(UsageError, match="--material-sweep") as caught:
         parse_sweep(text)
-    assert told.value.hint
+    assert caught.value.hint
 
 
 @pytest.mark.parametrize("name", PROPERTIES)

@@ -42,19 +42,19 @@ def test_the_faces_with_a_painted_weight_are_held(plan) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "floor"),
+    ("options", "floor"),
     [({}, None), ({"floor": 0}, 0.0), ({"floor": -1.5}, -1.5), ({"drop": 1.0}, 0.0)],
 )
 def test_the_default_floor_does_not_cut_through_what_is_pinned(
-    asked: dict[str, Any], floor: float | None
+    options: dict[str, Any], floor: float | None
 ) -> None:
     """A ball about the origin that was held in a floor at height 0 blew up."""
     top = ((-1, 0.6, -1), (1, 1, 1))
-    seen = gf_usd.inspect(SAMPLES / "sphere.usda", pins=[top], particles=300, **asked)
+    seen = gf_usd.inspect(SAMPLES / "sphere.usda", pins=[top], particles=300, **options)
     assert seen.plan is not None
     assert seen.plan.settings.floor == floor
-    said = "the asset is held where it is, 1 m below height 0: there is no floor; floor adds one"
-    assert (said in seen.plan.notes) == (floor is None)
+    note = "the asset is held where it is, 1 m below height 0: there is no floor; floor adds one"
+    assert (note in seen.plan.notes) == (floor is None)
 
 
 def test_other_bodies_keep_the_floor_that_a_pinned_one_reaches_through(tmp_path: Path) -> None:

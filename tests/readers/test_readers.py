@@ -34,7 +34,7 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
     word.write_text("x")
     bare.write_text("x")
     (tmp_path / "none").mkdir()
-    for path, words in (
+    for path, message in (
         (tmp_path / "none", f"{tmp_path / 'none'} is a folder, not an asset file"),
         (empty, f"{empty} is empty (0 bytes)"),
         (word, f"{word} has the suffix '.docx', which is not supported"),
@@ -42,7 +42,7 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
     ):
         with pytest.raises(InputError) as error:
             read_asset(path)
-        assert error.value.message == words
+        assert error.value.message == message
         assert all(suffix in error.value.hint for suffix in SUFFIXES)
 
 

@@ -61,8 +61,8 @@ def test_curves_begin_with_the_stage(tmp_path: Path) -> None:
 
 
 def test_curves_may_say_their_time_codes(tmp_path: Path) -> None:
-    said = 'float[] primvars:timeCode = [11, 12, 14, 12, 14] ( interpolation = "vertex" )'
-    found = read_tracks(written(tmp_path, CURVES % said))
+    authored = 'float[] primvars:timeCode = [11, 12, 14, 12, 14] ( interpolation = "vertex" )'
+    found = read_tracks(written(tmp_path, CURVES % authored))
     assert found is not None
     assert found.time_codes.tolist() == [11.0, 12.0, 14.0]
     assert np.isnan(found.x[0, 1]).all()
@@ -77,17 +77,17 @@ def test_points_are_tracks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (CURVES.replace("[3, 2]", "[3, 3]") % "", "has 5 points for curves of 6"),
         (CURVES % 'float[] primvars:timeCode = [11] ( interpolation = "vertex" )', "timeCode"),
         (POINTS % ", (0, 0, 0)", "has a changing number of points"),
     ],
 )
-def test_what_does_not_fit_together_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_what_does_not_fit_together_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError) as refused:
         read_tracks(written(tmp_path, text))
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 def test_a_file_without_tracks_has_none(tmp_path: Path) -> None:

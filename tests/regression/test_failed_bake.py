@@ -53,7 +53,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 class Fault:
-    """Make every solver fail at a frame, at particle 7, until it is told to stop."""
+    """Make every solver fail at a frame, at particle 7, until it is switched off."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.frame, self.bake, self._seen = 4, 0, 0
@@ -112,8 +112,8 @@ def test_the_frames_before_it_are_kept(here: Path, fault: Fault) -> None:
     assert points.GetTimeSamples() == [1.0, 2.0, 3.0, 4.0]
     splats = stage.GetPrimAtPath("/Sphere/GaussianFlesh/Gaussians")
     assert splats.GetAttribute("positions").GetTimeSamples() == [1.0, 2.0, 3.0, 4.0]
-    said = report(here / f"{STEM}.report.json")
-    failed = said["failed"]
+    written = report(here / f"{STEM}.report.json")
+    failed = written["failed"]
     assert set(failed) == {
         "variant", "look", "frame", "time_code", "particle", "prim", "rest_position", "why", "hint",
     }  # fmt: skip
@@ -122,12 +122,12 @@ def test_the_frames_before_it_are_kept(here: Path, fault: Fault) -> None:
     assert failed["why"].startswith("it looks odd, with ")
     rest = np.array(splats.GetAttribute("gaussianFlesh:restPositions").Get())
     np.testing.assert_allclose(failed["rest_position"], rest[7], atol=1e-6)  # single precision
-    assert said["outputs"] == [LEFT[1], LEFT[0], LEFT[2]]
-    assert said["bakes"][0]["cache"] == LEFT[0]
-    assert said["bakes"][0]["health"]["frames"] == len(said["bakes"][0]["per_frame"]) == 4
+    assert written["outputs"] == [LEFT[1], LEFT[0], LEFT[2]]
+    assert written["bakes"][0]["cache"] == LEFT[0]
+    assert written["bakes"][0]["health"]["frames"] == len(written["bakes"][0]["per_frame"]) == 4
     failure = stage.GetDefaultPrim().GetAttribute("gaussianFlesh:health:failure").Get()
     assert failure.startswith("frame 4: it looks odd")
-    assert said["check"] == []
+    assert written["check"] == []
 
 
 def test_the_same_frames_as_of_a_whole_bake(here: Path, fault: Fault) -> None:

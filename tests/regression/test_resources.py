@@ -30,9 +30,9 @@ def disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of SIZE bytes."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    words = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(folder)]
+    command = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(folder)]
     try:
-        done = subprocess.run(words, capture_output=True, check=False)
+        done = subprocess.run(command, capture_output=True, check=False)
     except FileNotFoundError:
         pytest.skip("there is no mount to make a small disk with")
     if done.returncode != 0:
@@ -77,7 +77,7 @@ def test_a_disk_that_is_full_before_the_first_frame_is_an_error_without_files(
     disk: Path, materials: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another program fills it between the start and the first frame of the last material."""
-    asked = {**FEW, "material": materials, "frames": 2}
+    options = {**FEW, "material": materials, "frames": 2}
     required = budget.ResourceGuard.require
     guards: list[object] = []
 
@@ -90,7 +90,7 @@ def test_a_disk_that_is_full_before_the_first_frame_is_an_error_without_files(
 
     monkeypatch.setattr(budget.ResourceGuard, "require", require)
     with pytest.raises(BakeError) as caught:
-        gf_usd.bake(SAMPLE, output=f"{disk}/", **asked)
+        gf_usd.bake(SAMPLE, output=f"{disk}/", **options)
     assert f"{materials[-1]} failed at frame 0 (time code 1)" in caught.value.message
     assert f"{disk} has 0.0" in caught.value.message  # fewer than 100 kB are left
     assert "free some space" in caught.value.hint
@@ -107,7 +107,7 @@ def test_a_disk_that_is_full_before_the_first_frame_is_an_error_without_files(
 def test_a_disk_without_a_byte_for_the_report_leaves_the_frames_and_no_empty_files(
     disk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = {**FEW, "material": ["rubber", "jelly"], "frames": 2}
+    options = {**FEW, "material": ["rubber", "jelly"], "frames": 2}
     required = budget.ResourceGuard.require
     guards: list[object] = []
 
@@ -120,7 +120,7 @@ def test_a_disk_without_a_byte_for_the_report_leaves_the_frames_and_no_empty_fil
 
     monkeypatch.setattr(budget.ResourceGuard, "require", require)
     with pytest.raises(BakeError) as caught:
-        gf_usd.bake(SAMPLE, output=f"{disk}/", **asked)
+        gf_usd.bake(SAMPLE, output=f"{disk}/", **options)
     assert "jelly failed at frame 0 (time code 1)" in caught.value.message
     assert "there is no report: " in caught.value.message
     assert "sphere.rubber-jelly.report.partial.json could not be written" in caught.value.message
@@ -143,7 +143,7 @@ def test_a_memory_that_is_too_small_is_refused_before_work(
 
 def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> None:
     """The frames, a layer that opens them and a report are there; --resume ends what was begun."""
-    asked = {**FEW, "frames": 12, "clip_frames": 2}
+    options = {**FEW, "frames": 12, "clip_frames": 2}
     other: list[Path] = []
 
     def others(done: int, total: int) -> None:
@@ -151,7 +151,7 @@ def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> 
             other.append(fill_up(disk, 1_000_000))
 
     with pytest.raises(BakeError) as caught:
-        gf_usd.bake(SAMPLE, output=f"{disk}/", **asked, progress=others)
+        gf_usd.bake(SAMPLE, output=f"{disk}/", **options, progress=others)
     assert f"{disk} has " in caught.value.message
     assert "the same command with resume=True to continue" in caught.value.hint
     there = names(disk)
@@ -162,7 +162,7 @@ def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> 
     assert body.GetPointsAttr().GetNumTimeSamples() == 7
     del stage, body
     other[0].unlink()
-    result = gf_usd.bake(SAMPLE, output=f"{disk}/", **asked, resume=True)
+    result = gf_usd.bake(SAMPLE, output=f"{disk}/", **options, resume=True)
     assert result.frames == 12
     assert check_file(result.root).ok
 
@@ -261,13 +261,13 @@ def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     ti = import_taichi()
     if ti.lang.misc.is_arch_supported(ti.cuda):
         pytest.skip("there is a CUDA device")
-    words = ["bake", str(SAMPLE), "--device", "cuda", "-o", f"{tmp_path}/"]
+    arguments = ["bake", str(SAMPLE), "--device", "cuda", "-o", f"{tmp_path}/"]
     done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", *words], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "gf_usd", *arguments], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
-    told = done.stderr.removeprefix("reading sphere.usda\n")  # of a machine that is slow to start
-    assert told.startswith("error: No CUDA device was found.\n\nhint: use --device cpu")
+    errors = done.stderr.removeprefix("reading sphere.usda\n")  # of a machine that is slow to start
+    assert errors.startswith("error: No CUDA device was found.\n\nhint: use --device cpu")
     assert names(tmp_path) == []
 
 
@@ -292,8 +292,8 @@ def test_a_second_interrupt_ends_what_the_first_waits_for(tmp_path: Path) -> Non
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
         assert process.stderr is not None
-        said = process.stderr.readline()
-        assert said == "interrupted; only *.partial.* files remain\n"
+        line = process.stderr.readline()
+        assert line == "interrupted; only *.partial.* files remain\n"
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=30) == -signal.SIGINT
     finally:

@@ -87,9 +87,9 @@ def test_a_note_says_what_starts_in_an_obstacle(tmp_path: Path) -> None:
         scene(tmp_path / "deep.usda", 0.3, other="obstacle"),
         material="rubber", particles=800, frames=1, output=tmp_path / "deep.out.usda",
     )  # fmt: skip
-    (said,) = [note for note in deep.notes if "inside the obstacle" in note]
-    assert said.startswith("</World/Ball> starts with ")
-    assert "</World/Table>" in said
+    (found,) = [note for note in deep.notes if "inside the obstacle" in note]
+    assert found.startswith("</World/Ball> starts with ")
+    assert "</World/Table>" in found
     apart = gf_usd.bake(
         scene(tmp_path / "apart.usda", -0.1, other="obstacle"),
         material="rubber", particles=800, frames=1, output=tmp_path / "apart.out.usda",

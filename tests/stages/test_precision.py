@@ -14,7 +14,7 @@ import gf_usd
 from gf_usd.core.errors import UsageError
 
 SHARE = 0.01
-ASKED = {"precision": "1%", "adaptive_samples": True, "no_velocities": True}
+OPTIONS = {"precision": "1%", "adaptive_samples": True, "no_velocities": True}
 # so slow that most of the fall is straight within the error
 SLOW = {"particles": 200, "frames": 30, "drop": "0.2r", "time_scale": 0.1, "threads": 1}
 MESH, SPLATS = "/World/Block", "/World/GaussianFlesh/Gaussians"
@@ -26,8 +26,8 @@ def bakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, gf_usd.BakeResu
     block = folder / "block.usda"
     block.write_text(BLOCK, encoding="utf-8")
     return {
-        name: gf_usd.bake(block, output=folder / name / "block.usda", **SLOW, **asked)
-        for name, asked in {"all": {}, "few": ASKED}.items()
+        name: gf_usd.bake(block, output=folder / name / "block.usda", **SLOW, **options)
+        for name, options in {"all": {}, "few": OPTIONS}.items()
         if (folder / name).mkdir() is None
     }
 
@@ -55,12 +55,12 @@ def test_an_independent_reader_finds_the_error_that_is_told(bakes) -> None:
         for code in codes:
             apart = in_meters(true, path, name, code) - in_meters(mine, path, name, code)
             worst = max(worst, float(np.linalg.norm(apart, axis=1).max()))
-    told = storage["errors"]["positions_m"]
-    assert worst <= told <= SHARE * radius
-    assert told == pytest.approx(worst, rel=0.01)
+    error = storage["errors"]["positions_m"]
+    assert worst <= error <= SHARE * radius
+    assert error == pytest.approx(worst, rel=0.01)
     about = mine.GetRootLayer().customLayerData["gaussianFlesh"]["looks"]["rubber"]["storage"]
-    assert about["errors"]["positions_m"] == told
-    assert any(f"{told:.3g} m" in note for note in bakes["few"].notes)
+    assert about["errors"]["positions_m"] == error
+    assert any(f"{error:.3g} m" in note for note in bakes["few"].notes)
 
 
 def test_the_sizes_are_those_of_the_files(bakes) -> None:
@@ -124,7 +124,7 @@ def test_a_mesh_that_never_moves_is_not_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"precision": "0.5"}, "has no unit"),
         ({"precision": "x%"}, "is no length"),
@@ -138,11 +138,11 @@ def test_a_mesh_that_never_moves_is_not_written(tmp_path: Path) -> None:
         ({"precision": "1%", "adaptive_samples": True, "settle_only": True}, "--settle-only"),
     ],
 )
-def test_what_makes_no_sense_is_refused(tmp_path: Path, options, words: str) -> None:
+def test_what_makes_no_sense_is_refused(tmp_path: Path, options, message: str) -> None:
     block = tmp_path / "block.usda"
     block.write_text(BLOCK, encoding="utf-8")
     with pytest.raises(UsageError) as caught:
         gf_usd.bake(block, particles=100, frames=2, output=tmp_path / "o.usda", **options)
     flat = caught.value.message.replace("_", "-").replace("settle-only", "--settle-only")
-    assert words in caught.value.message or words in flat
+    assert message in caught.value.message or message in flat
     assert caught.value.hint

@@ -88,7 +88,7 @@ def bake(tmp_path: Path) -> Callable[..., tuple[Path, dict]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("mesh", "volume", "alone", "said", "cells"),
+    ("mesh", "volume", "alone", "note", "cells"),
     [
         (two_sides, 1.0, False, "12 on the second side of double-sided surfaces", 3**3),
         (rooms, 2.0, True, "4 back-to-back in walls without thickness", 5 * 3 * 3),
@@ -98,7 +98,7 @@ def bake(tmp_path: Path) -> Callable[..., tuple[Path, dict]]:
     ],
     ids=["two sides", "rooms", "crossed", "nested", "hollow"],
 )
-def test_flesh_counts_once(bake, mesh, volume: float, alone: bool, said: str, cells: int) -> None:
+def test_flesh_counts_once(bake, mesh, volume: float, alone: bool, note: str, cells: int) -> None:
     """alone : so it does without --repair; cells : of the grid, that the solid reaches.
 
     The edge of a cell is 2 (volume / 200)^(1/3), and as few as hold the box are centered on it.  A
@@ -109,11 +109,11 @@ def test_flesh_counts_once(bake, mesh, volume: float, alone: bool, said: str, ce
     assert report["volume_m3"] == pytest.approx(volume, rel=0.03)
     # A cell that the surface cuts has four at least, but for a sliver that goes to its neighbor.
     assert 0.65 * 200 <= report["particles"] <= 8 * cells
-    assert said in " ".join(report["notes"])
+    assert note in " ".join(report["notes"])
     if alone:
         as_it_is = bake(mesh(), repair=False)[1]
         assert as_it_is["volume_m3"] == pytest.approx(volume, rel=0.03)
-        assert said not in " ".join(as_it_is["notes"])
+        assert note not in " ".join(as_it_is["notes"])
     else:
         with pytest.raises(InputError):
             bake(mesh(), repair=False)

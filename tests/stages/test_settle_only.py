@@ -405,8 +405,8 @@ def test_a_ball_that_rolls_on_a_table_stops_on_it_or_falls(table: Path, tmp_path
     (bake,) = fast.bakes
     assert bake.at_rest  # nothing is left that could
     assert bake.health["fallen_bodies"] == 1
-    (said,) = [w for _, w in fast.warnings if w.about == "fallen"]
-    assert "1 of 1 bodies fell past every obstacle" in said.message
+    (warning,) = [w for _, w in fast.warnings if w.about == "fallen"]
+    assert "1 of 1 bodies fell past every obstacle" in warning.message
 
 
 @pytest.mark.slow

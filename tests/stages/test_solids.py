@@ -61,7 +61,7 @@ def test_the_points_of_both_fall_as_one(tmp_path: Path) -> None:
         assert abs(fallen[[0, 2]]).max() < 1e-4
         np.testing.assert_allclose(end - start, np.tile(fallen, (count, 1)), atol=1e-4)
         assert -fallen[1] < 0.5 * G * t * t * 1.01
-    # points are not delivered, and that is said
+    # points are not delivered, and a note says so
     done = gf_usd.deliver(tmp_path / "two.rubber.usda", tmp_path / "two.glb")
     assert [body.meshes for body in done.bodies] == [("/Two/Tets",)]
     assert "/Two/Cloud: its points move and are left out" in done.notes

@@ -34,8 +34,8 @@ RATE = "timeCodesPerSecond = 24"
 RANGE = "startTimeCode = 5\n    endTimeCode = 10"
 # what the head says, --fps, the first time code of the bake and its height
 HEADS = {
-    "nothing said": ("", None, 1.0, 3.0),
-    "nothing said, other fps": ("", 48.0, 1.0, 3.0),
+    "nothing authored": ("", None, 1.0, 3.0),
+    "nothing authored, other fps": ("", 48.0, 1.0, 3.0),
     "a range": (RANGE, None, 5.0, 15.0),
     "a range, other fps": (RANGE, 48.0, 5.0, 15.0),
     "a range and a rate, other fps": (f"{RANGE}\n    {RATE}", 48.0, 5.0, 15.0),

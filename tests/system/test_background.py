@@ -11,16 +11,16 @@ from gf_usd.system.background import BackgroundWriter, running_threads
 
 
 def test_work_goes_on_while_the_caller_does() -> None:
-    gate, said = threading.Event(), []
+    gate, done = threading.Event(), []
     writer = BackgroundWriter()
     before = running_threads()
-    writer.start(lambda: said.append(gate.wait(10.0)))
+    writer.start(lambda: done.append(gate.wait(10.0)))
     assert writer.busy
     assert running_threads() == before + 1
-    assert said == []
+    assert done == []
     gate.set()
     writer.settle()
-    assert said == [True]
+    assert done == [True]
     assert not writer.busy
     assert running_threads() == before
     writer.settle()  # nothing to wait for

@@ -39,7 +39,7 @@ def Mesh "Body" {
 
 
 @pytest.mark.parametrize(
-    ("work", "words"),
+    ("work", "message"),
     [
         ("crash", "caused its reader to crash (signal 11, SIGSEGV)"),
         ("hang", "took longer than 0.2 s"),
@@ -48,13 +48,13 @@ def Mesh "Body" {
         ("vanish", "caused its reader to crash (without output)"),
     ],
 )
-def test_what_goes_wrong_is_said(tmp_path: Path, work: str, words: str) -> None:
+def test_what_goes_wrong_is_said(tmp_path: Path, work: str, message: str) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
     seconds = 0.2 if work == "hang" else 60.0
     with pytest.raises(InputError) as caught:
         run_isolated(file, f"isolated_tasks:{work}", Limits(time=seconds))
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert str(file) in caught.value.message
     assert caught.value.hint
 
@@ -88,8 +88,8 @@ def test_output_is_limited(tmp_path: Path) -> None:
 def test_limits_are_parsed() -> None:
     assert parse_limits(None) == Limits()
     assert parse_limits("none") is None
-    asked = parse_limits("time=2.5, memory=8G,output=10M")
-    assert asked == Limits(time=2.5, memory=8e9, output=1e7)
+    limits = parse_limits("time=2.5, memory=8G,output=10M")
+    assert limits == Limits(time=2.5, memory=8e9, output=1e7)
 
 
 @pytest.mark.parametrize(
@@ -101,16 +101,16 @@ def test_wrong_limits_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("work", "words"),
+    ("work", "message"),
     [
         ("words_that_fail", "UnicodeDecodeError: "),
         ("quoting", "Quoting: its messages are not UTF-8"),
     ],
 )
-def test_errors_of_others_are_named(tmp_path: Path, work: str, words: str) -> None:
+def test_errors_of_others_are_named(tmp_path: Path, work: str, message: str) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         run_isolated(file, f"isolated_tasks:{work}", Limits())
     assert "please report it" in caught.value.hint
 

@@ -151,11 +151,11 @@ def test_the_section_of_plastic_flow_has_cases_that_there_are() -> None:
 def test_the_longest_tests_are_read_one_by_one() -> None:
     from tools.acceptance.sections import read_tests
 
-    said = (
+    output = (
         "..F\nPASSED tests/a.py::one\nPASSED tests/a.py::two[x - y]\n"
         "FAILED tests/b.py::three - assert 1 == 2\nPASSED of nothing\n"
     )
-    outcome = read_tests(subprocess.CompletedProcess([], 1, said))
+    outcome = read_tests(subprocess.CompletedProcess([], 1, output))
     assert not outcome.passed
     assert outcome.summary == "2 of 3 tests passed; not `tests/b.py::three`"
     assert outcome.table[-1] == ("`tests/b.py::three`", "**FAIL**")
@@ -203,21 +203,21 @@ def test_assets_at_defaults_are_read_one_by_one() -> None:
 def test_a_record_of_assets_has_no_paths() -> None:
     from argparse import Namespace
 
-    from tools.acceptance.sections import words_of
+    from tools.acceptance.sections import arguments_of
 
-    asked = Namespace(
+    options = Namespace(
         assets="/a/b", keep="/c", recorded="/d/e.json", rows="/f/g.jsonl", kept=True
     )  # fmt: skip
-    more, said = words_of("limbs", asked)
+    more, shown = arguments_of("limbs", options)
     assert more == ["/a/b", "--keep", "/c", "--recorded", "/d/e.json", "--kept"]
-    assert said == ["ASSETS", "--keep", "FOLDER", "--recorded", "e.json", "--kept"]
-    more, said = words_of("assets", asked)
+    assert shown == ["ASSETS", "--keep", "FOLDER", "--recorded", "e.json", "--kept"]
+    more, shown = arguments_of("assets", options)
     assert more == ["/a/b", "--rows", "/f/g.jsonl", "--kept"]
-    assert said == ["ASSETS", "--rows", "g.jsonl", "--kept"]
-    more, said = words_of("jitter", asked)
+    assert shown == ["ASSETS", "--rows", "g.jsonl", "--kept"]
+    more, shown = arguments_of("jitter", options)
     assert more == ["--rows", "/f/g.jsonl", "--kept"]
-    assert said == ["--rows", "g.jsonl", "--kept"]
-    assert words_of("verify", asked) == ([], [])
+    assert shown == ["--rows", "g.jsonl", "--kept"]
+    assert arguments_of("verify", options) == ([], [])
 
 
 def test_jittered_runs_go_on_from_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,11 +23,11 @@ def folder(tmp_path: Path) -> Path:
     return folder
 
 
-def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *words: str) -> tuple[int, str]:
+def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: str) -> tuple[int, str]:
     page = folder.parent / "page.md"
     page.write_text(f"above\n{bake_assets.BEGIN}old\n{bake_assets.END}below\n")
     monkeypatch.setattr(
-        sys, "argv", ["bake_assets", str(folder), "--write", str(page), "--frames", "2", *words]
+        sys, "argv", ["bake_assets", str(folder), "--write", str(page), "--frames", "2", *arguments]
     )
     return bake_assets.main(), page.read_text()
 
@@ -52,29 +52,29 @@ def test_what_was_baked_is_not_baked_again(
     monkeypatch: pytest.MonkeyPatch, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each row is there as soon as its asset is done, so that a run that ends early goes on."""
-    rows, asked = folder.parent / "rows.jsonl", []
+    rows, commands = folder.parent / "rows.jsonl", []
 
-    def refuse(*words: str, patience: float) -> tuple[int, str, str]:
-        asked.append(Path(words[1]).name)
+    def refuse(*arguments: str, patience: float) -> tuple[int, str, str]:
+        commands.append(Path(arguments[1]).name)
         event = {"event": "error", "status": 3, "message": "no", "hint": "yes"}
         return 3, json.dumps(event) + "\n", "error: no"
 
     monkeypatch.setattr(bake_assets, "gf_usd", refuse)
-    words = ("--rows", str(rows), "--json")
-    run(monkeypatch, folder, *words, "--only", "block")
-    run(monkeypatch, folder, *words)
-    assert asked == ["block.usda", "damaged.usda"]
+    arguments = ("--rows", str(rows), "--json")
+    run(monkeypatch, folder, *arguments, "--only", "block")
+    run(monkeypatch, folder, *arguments)
+    assert commands == ["block.usda", "damaged.usda"]
     one, two = map(json.loads, rows.read_text("utf-8").splitlines())
     assert (one["asset"], two["asset"]) == ("deep/block.usda", "damaged.usda")
     assert one["date"] < "3000"
-    told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert told == {"outcomes": [two, one], "changed": []}
+    report = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert report == {"outcomes": [two, one], "changed": []}
 
 
 def test_a_crash_and_a_changed_file_are_failures(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    def crash(*words: str, patience: float) -> tuple[int, str, str]:
+    def crash(*arguments: str, patience: float) -> tuple[int, str, str]:
         (folder / "notes.txt").write_text("changed")
         return 1, "", "Traceback\nKeyError: 'up'\n"
 
@@ -91,10 +91,10 @@ def test_a_refusal_without_a_hint_or_with_files_left_is_a_failure(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
     def refuse(
-        *words: str, patience: float, hint: str = "yes", left: str = ""
+        *arguments: str, patience: float, hint: str = "yes", left: str = ""
     ) -> tuple[int, str, str]:
         if left:
-            Path(words[3], left).write_text("")
+            Path(arguments[3], left).write_text("")
         event = {"event": "error", "status": 3, "message": "no", "hint": hint}
         return 3, json.dumps(event) + "\n", f"error: no\n\nhint: {hint}"
 
@@ -107,21 +107,21 @@ def test_a_refusal_without_a_hint_or_with_files_left_is_a_failure(
 
 
 @pytest.mark.parametrize(
-    ("health", "said"),
+    ("health", "message"),
     [
         ({"inverted_max": 2, "rollbacks": 0}, "2 particles inside out"),
         ({"inverted_max": 0, "rollbacks": 3}, "3 frames redone"),
     ],
 )
 def test_particles_inside_out_and_frames_redone_are_failures(
-    monkeypatch: pytest.MonkeyPatch, folder: Path, health: dict[str, int], said: str
+    monkeypatch: pytest.MonkeyPatch, folder: Path, health: dict[str, int], message: str
 ) -> None:
-    asked = []
+    commands = []
 
-    def unsound(*words: str, patience: float) -> tuple[int, str, str]:
-        asked.append(words)
+    def unsound(*arguments: str, patience: float) -> tuple[int, str, str]:
+        commands.append(arguments)
         assert patience == 99.0
-        if words[0] == "check":
+        if arguments[0] == "check":
             return 0, json.dumps({"findings": []}), ""
         report = folder.parent / "report.json"
         report.write_text(
@@ -131,11 +131,11 @@ def test_particles_inside_out_and_frames_redone_are_failures(
         return 0, json.dumps(end) + "\n", ""
 
     monkeypatch.setattr(bake_assets, "gf_usd", unsound)
-    words = ("--plain", "--material", "rubber", "--only", "block", "--patience", "99")
-    status, page = run(monkeypatch, folder, *words)
+    arguments = ("--plain", "--material", "rubber", "--only", "block", "--patience", "99")
+    status, page = run(monkeypatch, folder, *arguments)
     assert status == 1
     assert page.count("| failed | ") == 1
-    assert said in page
-    bake = next(words for words in asked if words[0] == "bake")
+    assert message in page
+    bake = next(arguments for arguments in commands if arguments[0] == "bake")
     assert "--frames" not in bake
     assert bake[-2:] == ("--material", "rubber")

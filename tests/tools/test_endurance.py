@@ -14,8 +14,8 @@ from tools.acceptance.sections import read_endurance
 ROOT = Path(__file__).parents[2]
 
 
-def ran(*words: str) -> subprocess.CompletedProcess[str]:
-    tool = [sys.executable, "-m", "tools.acceptance.endurance", "--json", *words]
+def ran(*arguments: str) -> subprocess.CompletedProcess[str]:
+    tool = [sys.executable, "-m", "tools.acceptance.endurance", "--json", *arguments]
     return subprocess.run(tool, capture_output=True, text=True, check=False, cwd=ROOT)
 
 
@@ -24,7 +24,7 @@ def test_cut_short_they_are_not_yet_at_rest_and_say_so() -> None:
     done = ran("--particles", "300", "--frames-scale", "0.01")
     runs = json.loads(done.stdout.splitlines()[-1])["runs"]
     assert runs[0]["name"] == "rubber sphere"
-    assert [r["frames"] for r in runs] == [r["asked"] for r in runs] == [30, 10, 10, 10]
+    assert [r["frames"] for r in runs] == [r["requested"] for r in runs] == [30, 10, 10, 10]
     # thirty frames into a bounce nothing lies still: that alone makes them unsound
     assert done.returncode == 1
     assert not runs[0]["sound"]
@@ -34,7 +34,7 @@ def test_cut_short_they_are_not_yet_at_rest_and_say_so() -> None:
 
 def test_acceptance_reads_it() -> None:
     row = {
-        "name": "a", "frames": 3, "asked": 3, "rollbacks": 0, "inverted": 0, "farthest": 4.0,
+        "name": "a", "frames": 3, "requested": 3, "rollbacks": 0, "inverted": 0, "farthest": 4.0,
         "kinetic_end": 1e-6, "energy_rise": 0.0, "seconds": 1.0, "fault": "", "sound": True,
     }  # fmt: skip
     bad = {**row, "name": "b", "frames": 1, "fault": "frame 2: it looks odd", "sound": False}

@@ -40,7 +40,7 @@ class Ladder:
 def test_the_first_of_two_right_rungs_counts_and_no_finer_one_is_run():
     ladder = Ladder({1: 0.3, 2: 0.019, 4: -0.015, 8: 0.0})
     found = ladder.found()
-    assert (found.result["particles"], found.met, found.said) == (2, True, "")
+    assert (found.result["particles"], found.met, found.remark) == (2, True, "")
     assert found.error == pytest.approx(0.019)
     assert ladder.tried == [1, 2, 4]
 
@@ -53,7 +53,7 @@ def test_a_right_last_rung_counts_and_says_that_nothing_confirms_it():
     found = Ladder({1: 0.1, 2: 0.01}).found()
     assert found.met
     assert found.result["particles"] == 2
-    assert "not confirmed" in found.said
+    assert "not confirmed" in found.remark
 
 
 def test_where_none_is_right_the_most_accurate_run_bounds_the_cost():
@@ -71,7 +71,7 @@ def test_time_ends_the_climb():
     found = ladder.found(seconds=10.0)
     assert ladder.tried == [1, 2, 4]
     assert found.result["particles"] == 2
-    assert "no result within 2 s" in found.said
+    assert "no result within 2 s" in found.remark
 
 
 def test_a_setting_that_blows_up_is_passed_over():

@@ -60,8 +60,8 @@ def test_a_stage_is_sound_and_as_the_tool_writes_it(tmp_path: Path, name: str) -
     stage = Usd.Stage.Open(str(kept))
     colliders = [p for p in stage.Traverse() if p.HasAPI(UsdPhysics.CollisionAPI)]
     assert any(p.IsA(UsdGeom.Plane) for p in colliders)
-    said = [p.GetAttribute("gaussianFlesh:material").Get() for p in stage.Traverse()]
-    assert [one for one in said if one] == {
+    materials = [p.GetAttribute("gaussianFlesh:material").Get() for p in stage.Traverse()]
+    assert [one for one in materials if one] == {
         "sandcastle": ["wet-sand", "rubber"],
         "snowball": ["powder-snow"],
         "toothpaste": ["toothpaste"],

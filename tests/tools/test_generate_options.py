@@ -24,8 +24,8 @@ def test_a_hand_edit_is_undone_and_the_last_column_is_kept(old: str, new: str) -
     text = generate_options.GUIDE.read_text("utf-8")
     assert text.count(old) == 1
     assert generate_options.renewed(text.replace(old, new)) == text
-    said = "equal seeds give equal particles and noise |"
-    assert "by hand |" in generate_options.renewed(text.replace(said, "by hand |"))
+    cell = "equal seeds give equal particles and noise |"
+    assert "by hand |" in generate_options.renewed(text.replace(cell, "by hand |"))
 
 
 def test_a_table_that_is_gone_is_missed() -> None:

@@ -49,11 +49,11 @@ def test_what_the_project_asks_for_is_pinned() -> None:
     """After a change of dependencies: python tools/lock.py."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)
-    asked = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
+    requirements = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
     for extra in project["project"]["optional-dependencies"].values():
-        asked += extra
+        requirements += extra
     pinned = pins()
-    for requirement in map(Requirement, asked):
+    for requirement in map(Requirement, requirements):
         name = canonicalize_name(requirement.name)
         if name == "gf-usd":
             continue

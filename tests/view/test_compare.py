@@ -196,6 +196,6 @@ def test_files_are_named_as_given() -> None:
 def test_surfaces_whose_faces_change_are_refused_in_words() -> None:
     with pytest.raises(
         InputError, match=r"</Box/Surface> has different points in every frame"
-    ) as said:
+    ) as caught:
         compare_motions(MeltingBox(), MeltingBox())
-    assert "gf_usd.read" in said.value.hint
+    assert "gf_usd.read" in caught.value.hint

@@ -30,6 +30,6 @@ def test_each_kind_of_curve_has_its_color(tmp_path: Path) -> None:
 
 def test_a_curve_that_is_constant_and_numbers_are_drawn(tmp_path: Path) -> None:
     flat = Curve(kind="fit", x=np.array([0.0, 1.0]), y=np.zeros(2))
-    rows = Rows(title="numbers", rows=[("rebound", 1.0, np.nan, 0.4)], words=["0.6, fitted 0.61"])
+    rows = Rows(title="numbers", rows=[("rebound", 1.0, np.nan, 0.4)], texts=["0.6, fitted 0.61"])
     path = write_panels(tmp_path / "a.png", [Panel(title="rest", unit="m", curves=[flat]), rows])
     assert {COLORS["fit"], COLORS["target"]} <= colors(path)

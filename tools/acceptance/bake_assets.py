@@ -69,11 +69,11 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-def gf_usd(*words: str, patience: float) -> tuple[int, str, str]:
+def gf_usd(*arguments: str, patience: float) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of the program; a signal or the time limit is status -1."""
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "gf_usd", *words],
+            [sys.executable, "-m", "gf_usd", *arguments],
             capture_output=True,
             text=True,
             timeout=patience,
@@ -99,14 +99,14 @@ def bake(
     seconds = cpu() - began
     events = {event["event"]: event for event in map(json.loads, stdout.splitlines())}
     if status == 0:
-        ending, words = _checked(events["finished"], patience)
+        ending, message = _checked(events["finished"], patience)
     elif "error" in events:
         refused = status == REFUSED and events["error"]["hint"] and not any(target.iterdir())
         ending = "refused" if refused else "failed"
-        words = _reason(events["error"], path, folder)
+        message = _reason(events["error"], path, folder)
     else:
-        ending, words = "failed", (stderr.strip() or "no message").splitlines()[-1]
-    return Outcome(asset=name, ending=ending, words=words, seconds=seconds)
+        ending, message = "failed", (stderr.strip() or "no message").splitlines()[-1]
+    return Outcome(asset=name, ending=ending, words=message, seconds=seconds)
 
 
 def _checked(result: dict[str, Any], patience: float) -> tuple[str, str]:
@@ -115,19 +115,19 @@ def _checked(result: dict[str, Any], patience: float) -> tuple[str, str]:
     found = [f for f in json.loads(stdout)["findings"] if f["severity"] == "error"]
     ours = report["check"]
     bodies = len(report["bodies"])
-    words = f"{bodies} mesh{'es' if bodies > 1 else ''}, {result['particles']} particles"
+    message = f"{bodies} mesh{'es' if bodies > 1 else ''}, {result['particles']} particles"
     if embedded := len(report["embedded"]):
-        words += f", {embedded} not filled"
+        message += f", {embedded} not filled"
     if found and not ours:
-        words += f"; check: {len(found)} error{'s' if len(found) > 1 else ''} of the source's own"
+        message += f"; check: {len(found)} error{'s' if len(found) > 1 else ''} of the source's own"
     if ours or (status != 0 and not found):
         return "failed", f"check: {ours or found}"
     worst = [_worst(one["health"]) for one in report["bakes"]]
     if inverted := max(inverted for inverted, _ in worst):
-        return "failed", f"{words}; {inverted} particles inside out"
+        return "failed", f"{message}; {inverted} particles inside out"
     if redone := sum(redone for _, redone in worst):
-        return "failed", f"{words}; {redone} frames redone"
-    return "baked", words
+        return "failed", f"{message}; {redone} frames redone"
+    return "baked", message
 
 
 def _worst(health: dict[str, Any]) -> tuple[int, int]:
@@ -146,8 +146,8 @@ def table(outcomes: Sequence[Outcome]) -> str:
     """The outcomes in Markdown."""
     rows = ["| asset | | CPU s | |", "|---|---|---|---|"]
     for one in outcomes:
-        words = one.words.replace("|", "\\|")
-        rows.append(f"| `{one.asset}` | {one.ending} | {one.seconds:.0f} | {words} |")
+        message = one.words.replace("|", "\\|")
+        rows.append(f"| `{one.asset}` | {one.ending} | {one.seconds:.0f} | {message} |")
     return "\n".join(rows) + "\n"
 
 
@@ -184,40 +184,40 @@ def main() -> int:
     parser.add_argument("--rows", type=Path, help="JSON lines of the outcomes, to go on from")
     parser.add_argument("--kept", action="store_true", help="bake nothing")
     parser.add_argument("--json", action="store_true", help="print the outcomes as JSON at the end")
-    asked = parser.parse_args()
-    folder: Path = asked.folder
-    few = ("--particles", str(asked.particles), "--frames", str(asked.frames))
-    options = () if asked.plain else few
-    if asked.material:
-        options = (*options, "--material", asked.material)
-    before, there = digests(folder), earlier(asked.rows)
+    args = parser.parse_args()
+    folder: Path = args.folder
+    few = ("--particles", str(args.particles), "--frames", str(args.frames))
+    options = () if args.plain else few
+    if args.material:
+        options = (*options, "--material", args.material)
+    before, there = digests(folder), earlier(args.rows)
     outcomes = []
     with tempfile.TemporaryDirectory() as out:
         for path in assets(folder):
-            if asked.only and not any(text in str(path) for text in asked.only):
+            if args.only and not any(text in str(path) for text in args.only):
                 continue
             if one := there.get(str(path.relative_to(folder))):
                 outcomes.append(one)
                 continue
-            if asked.kept:
+            if args.kept:
                 continue
-            one = bake(path, folder, Path(out), options, asked.patience)
+            one = bake(path, folder, Path(out), options, args.patience)
             date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
             one = replace(one, date=date, commit=git("rev-parse", "HEAD"))
             outcomes.append(one)
-            if asked.rows:
-                with asked.rows.open("a", encoding="utf-8") as file:
+            if args.rows:
+                with args.rows.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(one)) + "\n")
             print(
                 f"{one.ending:8} {one.seconds:5.1f} s  {one.asset}: {one.words}",
-                file=sys.stderr if asked.json else sys.stdout, flush=True,
+                file=sys.stderr if args.json else sys.stdout, flush=True,
             )  # fmt: skip
     changed = [name for name, digest in digests(folder).items() if before.get(name) != digest]
     for name in changed:
-        print(f"failed: {name} changed", file=sys.stderr if asked.json else sys.stdout)
-    if asked.write:
-        write_table(asked.write, outcomes)
-    if asked.json:
+        print(f"failed: {name} changed", file=sys.stderr if args.json else sys.stdout)
+    if args.write:
+        write_table(args.write, outcomes)
+    if args.json:
         print(json.dumps({"outcomes": [asdict(one) for one in outcomes], "changed": changed}))
     return int(bool(changed) or any(one.ending == "failed" for one in outcomes))
 

@@ -48,7 +48,7 @@ BEGUN = re.compile(r"\d+ of \d+ done; (\S+): running")
 
 @dataclass
 class Session:
-    """One run of a bundle, with all that its tasks said."""
+    """One run of a bundle, with all that its tasks printed."""
 
     process: subprocess.Popen[str]
     lines: list[str] = field(default_factory=list)
@@ -82,15 +82,15 @@ def session(bundle: Path, hear: Callable[[Session], None] = lambda session: None
         cwd=ROOT,
     )  # fmt: skip
     assert process.stdout is not None
-    found, asked = Session(process), 0.0
+    found, stopped_at = Session(process), 0.0
     for line in process.stdout:
         found.lines.append(line.rstrip())
         hear(found)
         if "Interruption signal" in line:
-            asked = time.monotonic()
+            stopped_at = time.monotonic()
     process.wait()
-    if asked:
-        found.seconds_to_end = time.monotonic() - asked
+    if stopped_at:
+        found.seconds_to_end = time.monotonic() - stopped_at
     return found
 
 
@@ -98,9 +98,9 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
     """Check, run, SIGTERM, kill, run again."""
     claim = Claims("OpenJD")
     out, bundle, good = folder / "out", folder / "bundle", 9 * seeds
-    words = [manifest(folder, seeds, 1), "--output", out, "--openjd", bundle, "--chunk", CHUNK]
+    arguments = [manifest(folder, seeds, 1), "--output", out, "--openjd", bundle, "--chunk", CHUNK]
     subprocess.run(
-        [sys.executable, "-m", "gf_usd", "batch", *map(str, words)], check=True, cwd=ROOT
+        [sys.executable, "-m", "gf_usd", "batch", *map(str, arguments)], check=True, cwd=ROOT
     )
     checked = subprocess.run(
         [program(), "check", bundle / "template.json"], capture_output=True, text=True, check=False
@@ -153,11 +153,11 @@ def local(folder: Path, seeds: int) -> list[Claim]:
     """Processes of this machine, results on a small disk."""
     claim = Claims("processes")
     out = folder / "out"
-    asked = manifest(folder, seeds, 2)
+    jobs = manifest(folder, seeds, 2)
     good = 9 * seeds
-    words = [asked, "--output", out]
+    arguments = [jobs, "--output", out]
     with tmpfs(out, SMALL) as enlarge:
-        first = run(words, lambda r, e: _full_disk_kill_and_term(r, e, out, enlarge))
+        first = run(arguments, lambda r, e: _full_disk_kill_and_term(r, e, out, enlarge))
         disk = [e for e in first.ended("failed", "refused") if "space" in json.dumps(e)]
         claim("jobs on the full disk ended and reported it", len(disk), len(disk) >= FULL)
         crashed = [e for e in first.events if e["event"] == "retry" and "SIGKILL" in e["why"]]
@@ -167,7 +167,7 @@ def local(folder: Path, seeds: int) -> list[Claim]:
         claim("SIGTERM: seconds until no bake was left", figure(none_left(out)), not bakes_in(out))
 
         second = run(
-            words, lambda r, e: _kill_the_batch(r, e, (len(first.ended("done")) + good) // 2)
+            arguments, lambda r, e: _kill_the_batch(r, e, (len(first.ended("done")) + good) // 2)
         )
         gone = none_left(out)
         claim("kill -9 of the batch: exit status", second.process.returncode,
@@ -178,7 +178,7 @@ def local(folder: Path, seeds: int) -> list[Claim]:
         wrong = kept & set(second.begun)
         claim("the second run baked no finished job again", sorted(wrong), not wrong)
 
-        third = run(words)
+        third = run(arguments)
         claim("only the damaged asset failed", third.counts,
               third.counts.get("refused") == 2 and set(third.counts) <= {"done", "kept", "refused"}
               and third.process.returncode == 1)  # fmt: skip
@@ -187,7 +187,7 @@ def local(folder: Path, seeds: int) -> list[Claim]:
         claim("the third run baked no finished job again", sorted(wrong), not wrong)
         claim(f"results of {good + 2} jobs", len(results(out)), len(results(out)) == good)
 
-        fourth = run(words)
+        fourth = run(arguments)
         claim("a final run attempts only the damaged jobs", sorted(fourth.begun),
               sorted(fourth.begun) == [f"corrupt.rubber.seed{i}" for i in range(2)])  # fmt: skip
         faults = broken(out)
@@ -220,7 +220,13 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
     """A scheduler and two workers."""
     claim = Claims("Dask")
     out = folder / "out"
-    words = [manifest(folder, seeds, 1), "--output", out, "--scheduler", f"tcp://127.0.0.1:{PORT}"]
+    arguments = [
+        manifest(folder, seeds, 1),
+        "--output",
+        out,
+        "--scheduler",
+        f"tcp://127.0.0.1:{PORT}",
+    ]
     good = 9 * seeds
     with cluster(folder, PORT) as workers:
 
@@ -238,13 +244,13 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
                 found.done["ended"] = True
                 found.process.send_signal(signal.SIGTERM)
 
-        first = run(words, meddle)
+        first = run(arguments, meddle)
         ended = workers[0].poll()
         claim("a worker was killed", ended, ended == -signal.SIGKILL)
         claim("SIGTERM: exit status", first.process.returncode, first.process.returncode == 143)
         left = none_left(out)
         claim("SIGTERM: seconds until no bake was left", figure(left), left is not None)
-        second = run(words)
+        second = run(arguments)
         twice = [job for job, n in first.begun.items() if n > 1]
         claim("a job of the dead worker was started again", twice, bool(twice))
         kept = {e["job"] for e in first.ended("done")}
@@ -254,7 +260,7 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
               second.counts.get("refused") == 1
               and set(second.counts) <= {"done", "kept", "refused"})  # fmt: skip
         claim(f"results of {good + 1} jobs", len(results(out)), len(results(out)) == good)
-        third = run(words)
+        third = run(arguments)
         claim("a final run attempts only the damaged jobs", sorted(third.begun),
               sorted(third.begun) == ["corrupt.rubber"])  # fmt: skip
     faults = broken(out)
@@ -262,28 +268,28 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
     return claim.all
 
 
-def main(words: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run all and print what came of them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--seeds", type=int, default=22, help="9 jobs each on this machine")
     parser.add_argument("--few", type=int, default=2, help="9 jobs each for Dask and OpenJD")
     parser.add_argument("--only", default="local,dask,openjd")
-    asked = parser.parse_args(words)
-    few = asked.few
-    engines = {"local": (local, asked.seeds), "dask": (dask, few), "openjd": (openjd, few)}
+    args = parser.parse_args(arguments)
+    few = args.few
+    engines = {"local": (local, args.seeds), "dask": (dask, few), "openjd": (openjd, few)}
     claims: list[Claim] = []
     seconds: dict[str, float] = {}
-    for name in asked.only.split(","):
+    for name in args.only.split(","):
         engine, seeds = engines[name]
         print(name, file=sys.stderr)
         began = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="gf-usd-night-") as folder:
             claims += engine(Path(folder), seeds)
         seconds[name] = round(time.monotonic() - began, 1)
-    if asked.json:
+    if args.json:
         rows = [asdict(claim) for claim in claims]
-        print(json.dumps({"claims": rows, "seconds": seconds, "jobs": 9 * asked.seeds + 2}))
+        print(json.dumps({"claims": rows, "seconds": seconds, "jobs": 9 * args.seeds + 2}))
     sys.exit(0 if all(claim.holds for claim in claims) else 1)
 
 

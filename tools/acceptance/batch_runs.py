@@ -43,10 +43,10 @@ class Claims:
         self._engine = engine
         self.all: list[Claim] = []
 
-    def __call__(self, words: str, found: object, holds: bool) -> None:
+    def __call__(self, claim: str, found: object, holds: bool) -> None:
         """Note a claim and say it."""
-        self.all.append(Claim(engine=self._engine, claim=words, found=str(found), holds=holds))
-        print(f"  {'ok' if holds else 'NOT'}: {words}: {found}", file=sys.stderr, flush=True)
+        self.all.append(Claim(engine=self._engine, claim=claim, found=str(found), holds=holds))
+        print(f"  {'ok' if holds else 'NOT'}: {claim}: {found}", file=sys.stderr, flush=True)
 
 
 def figure(seconds: float | None) -> str:
@@ -56,7 +56,7 @@ def figure(seconds: float | None) -> str:
 
 @dataclass
 class Run:
-    """One run of the command, with every event it told."""
+    """One run of the command, with every event it reported."""
 
     process: subprocess.Popen[str]
     events: list[Event] = field(default_factory=list)
@@ -78,9 +78,9 @@ class Run:
         return dict(Counter(e["state"] for e in self.ended()))
 
 
-def run(words: Sequence[object], meddle: Meddle = lambda run, event: None) -> Run:
+def run(arguments: Sequence[object], meddle: Meddle = lambda run, event: None) -> Run:
     """Run ``gf-usd batch --json`` to its end; `meddle` hears each event and may do harm."""
-    command = [sys.executable, "-m", "gf_usd", "batch", *map(str, words), "--json", "-q"]
+    command = [sys.executable, "-m", "gf_usd", "batch", *map(str, arguments), "--json", "-q"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     assert process.stdout is not None
     found = Run(process)
@@ -112,21 +112,21 @@ def manifest(folder: Path, seeds: int, corrupt: int) -> Path:
 
 def bakes_in(folder: Path) -> list[int]:
     """Workers that a batch into a folder started, and those that were left behind by theirs."""
-    words, parents = {}, {}
+    commands, parents = {}, {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
             continue
         try:
-            words[int(entry.name)] = (entry / "cmdline").read_bytes().split(b"\0")
+            commands[int(entry.name)] = (entry / "cmdline").read_bytes().split(b"\0")
             status = (entry / "status").read_text()
         except OSError:
             continue
         parents[int(entry.name)] = int(status.partition("PPid:")[2].split()[0])
     near = str(folder.parent).encode()
-    batches = {pid for pid, said in words.items() if any(w.startswith(near) for w in said)}
+    batches = {pid for pid, command in commands.items() if any(w.startswith(near) for w in command)}
     found = []
-    for pid, said in words.items():
-        if b"gf_usd" not in said or b"worker" not in said:
+    for pid, command in commands.items():
+        if b"gf_usd" not in command or b"worker" not in command:
             continue
         above = pid
         while above > 1 and above not in batches:
@@ -205,14 +205,14 @@ def cluster(folder: Path, port: int) -> Iterator[list[subprocess.Popen[bytes]]]:
     worker = [sys.executable, "-m", "distributed.cli.dask_worker"]
     common = ["--no-dashboard"]
 
-    def start(words: list[str]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(words, stdout=log, stderr=log, start_new_session=True)
+    def start(command: list[str]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
 
     programs = [start([*dask, "--host", "127.0.0.1", "--port", str(port), *common])]
     for number in range(2):
         place = ["--local-directory", str(folder / f"worker{number}")]
-        words = [address, "--nthreads", "1", "--no-nanny", *place, *common]
-        programs.append(start([*worker, *words]))
+        arguments = [address, "--nthreads", "1", "--no-nanny", *place, *common]
+        programs.append(start([*worker, *arguments]))
     try:
         yield programs[1:]
     finally:

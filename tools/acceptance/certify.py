@@ -39,7 +39,7 @@ from tools.acceptance.record import PAGE, Outcome, git, newest, page, record, sa
 from tools.bench import scene as bench
 
 RESOLUTIONS = (5000, 8000, 12000)  # particles
-COVERAGE, WIDTH = 0.95, 4.0  # that are asked for: share of intervals, and width over error
+COVERAGE, WIDTH = 0.95, 4.0  # that are required: share of intervals, and width over error
 UP = (0.0, 1.0, 0.0)
 G = 9.81
 
@@ -275,34 +275,34 @@ def outcome(rows: Sequence[Row]) -> Outcome:
 
 
 def main() -> int:
-    """Run what is asked for, and print the table."""
+    """Run the requested cases, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--scene", action="append", choices=[*SCENES], default=[])
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--particles", type=int, action="append", default=[])
     parser.add_argument("--rows", type=Path, help="file to add rows to; what it has is kept")
     parser.add_argument("--record", action="store_true", help="write a record of the rows")
-    asked = parser.parse_args()
+    args = parser.parse_args()
     began = time.perf_counter()
-    rows = read_rows(asked.rows) if asked.rows else []
+    rows = read_rows(args.rows) if args.rows else []
     done = {(row.scene, row.asked, row.seed) for row in rows}
     with tempfile.TemporaryDirectory() as name:
-        for scene in asked.scene or SCENES:
-            for particles in asked.particles or RESOLUTIONS:
-                for seed in range(asked.seeds):
+        for scene in args.scene or SCENES:
+            for particles in args.particles or RESOLUTIONS:
+                for seed in range(args.seeds):
                     if (scene, particles, seed) in done:
                         continue
                     made = bake_rows(SCENES[scene], particles, seed, Path(name))
                     rows += made
-                    if asked.rows:
-                        with asked.rows.open("a", encoding="utf-8") as file:
+                    if args.rows:
+                        with args.rows.open("a", encoding="utf-8") as file:
                             file.writelines(json.dumps(asdict(row)) + "\n" for row in made)
                     for row in made:
                         print(f"{row}", file=sys.stderr, flush=True)
     print("\n".join(table(rows)))
     found = outcome(rows)
     print(f"{'passed' if found.passed else 'failed'}: {found.summary}")
-    if asked.record:
+    if args.record:
         title = "Certified intervals"
         command = ["python", "-m", "tools.acceptance.certify", *sys.argv[1:]]
         save(record("certify", title, command, time.perf_counter() - began, found))

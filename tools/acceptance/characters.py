@@ -67,11 +67,11 @@ def bake(name: str, file: Path, folder: Path, particles: int | None) -> Ran:
     """One bake at defaults but for the number of particles, in a folder of its own."""
     folder.mkdir(parents=True, exist_ok=True)
     more = ("--particles", str(particles)) if particles else ()
-    words = ("bake", str(file.resolve()), "--flesh", *more, "-o", f"{folder}/", "--json")
-    status, printed, errors = gf_usd(folder, *words, "--overwrite", patience=PATIENCE)
+    arguments = ("bake", str(file.resolve()), "--flesh", *more, "-o", f"{folder}/", "--json")
+    status, printed, errors = gf_usd(folder, *arguments, "--overwrite", patience=PATIENCE)
     if status != 0:
-        said = " ".join(errors[errors.find("error:") :].split())[:600]
-        return Ran(name=name, faults=(f"status {status}: {said}",))
+        message = " ".join(errors[errors.find("error:") :].split())[:600]
+        return Ran(name=name, faults=(f"status {status}: {message}",))
     report = json.loads(printed)
     stage = Usd.Stage.Open(report["root"])
     frames = deforming(stage)[0].GetPointsAttr().GetNumTimeSamples()
@@ -87,19 +87,19 @@ def bake(name: str, file: Path, folder: Path, particles: int | None) -> Ran:
     )  # fmt: skip
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Bake them and print what came of it."""
     ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     ask.add_argument("assets", type=Path)
     ask.add_argument("--only", action="append", default=[], choices=tuple(FILES))
     ask.add_argument("--particles", type=int, help="fewer or more than the default")
     ask.add_argument("--keep", type=Path, help="folder for what was baked")
-    asked = ask.parse_args(words)
+    args = ask.parse_args(arguments)
     runs = []
     with tempfile.TemporaryDirectory() as scratch:
-        for name in asked.only or FILES:
-            folder = (asked.keep or Path(scratch)) / name
-            one = bake(name, asked.assets / FILES[name], folder, asked.particles)
+        for name in args.only or FILES:
+            folder = (args.keep or Path(scratch)) / name
+            one = bake(name, args.assets / FILES[name], folder, args.particles)
             runs.append(one)
             print(json.dumps(asdict(one)), flush=True)
     return 1 if any(one.faults for one in runs) else 0

@@ -53,7 +53,7 @@ class Lasted:
 
     name: str
     frames: int  # that were had
-    asked: int
+    requested: int
     rollbacks: int
     inverted: int  # particle-frames
     farthest: float  # [radii] of a particle from where the body was put, over all frames
@@ -67,7 +67,7 @@ class Lasted:
         """All frames, no one redone, everything near, at rest in the end."""
         return (
             not self.fault
-            and self.frames == self.asked
+            and self.frames == self.requested
             and self.rollbacks == 0
             and self.farthest < 50.0
             and self.kinetic_end < SETTLED
@@ -76,10 +76,10 @@ class Lasted:
 
 def last(run: Run, particles: int, scale: float) -> Lasted:
     """Run to the end, or to where it cannot go on."""
-    asked = max(2, round(scale * run.frames))
+    requested = max(2, round(scale * run.frames))
     prepared = prepare(
         SAMPLES / run.asset, material=run.material, law=run.law, particles=particles,
-        frames=asked, overwrite=True,
+        frames=requested, overwrite=True,
     )  # fmt: skip
     plan = prepared.plan
     material = plan.materials[0]
@@ -99,24 +99,24 @@ def last(run: Run, particles: int, scale: float) -> Lasted:
     except BakeError as error:
         fault = error.message
     return Lasted(
-        name=run.name, frames=frames, asked=asked, rollbacks=rollbacks, inverted=inverted,
+        name=run.name, frames=frames, requested=requested, rollbacks=rollbacks, inverted=inverted,
         farthest=farthest / r, kinetic_end=kinetic / unit, energy_rise=rise / unit,
         seconds=time.process_time() - began, fault=fault,
     )  # fmt: skip
 
 
-def main(words: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run all and print what came of them."""
     parser = argparse.ArgumentParser(description="Long bakes that must stay sound.")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--particles", type=int, default=PARTICLES)
     parser.add_argument("--frames-scale", type=float, default=1.0, help="shorter or longer runs")
-    asked = parser.parse_args(words)
+    args = parser.parse_args(arguments)
     found = []
     for run in RUNS:
-        found.append(last(run, asked.particles, asked.frames_scale))
+        found.append(last(run, args.particles, args.frames_scale))
         print(f"{run.name}: {found[-1]}", file=sys.stderr)
-    if asked.json:
+    if args.json:
         print(json.dumps({"runs": [{**asdict(f), "sound": f.sound} for f in found]}))
     sys.exit(0 if all(f.sound for f in found) else 1)
 

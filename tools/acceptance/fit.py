@@ -212,12 +212,12 @@ def main() -> None:
     parser.add_argument("--genesis", action="store_true")
     parser.add_argument("--into", type=Path, default=Path(".clients"), help="of genesis-world")
     parser.add_argument("--seeds", type=int, default=SEEDS)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        if asked.coverage:
-            covered(Path(folder), asked.seeds)
-        elif asked.genesis:
-            of_genesis(Path(folder), asked.into)
+        if args.coverage:
+            covered(Path(folder), args.seeds)
+        elif args.genesis:
+            of_genesis(Path(folder), args.into)
         else:
             recovered(Path(folder))
 

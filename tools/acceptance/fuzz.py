@@ -58,23 +58,23 @@ def main() -> int:
     ask.add_argument("--options", action="store_true", help="combine options instead")
     ask.add_argument("--bake", action="store_true", help="bake with each value of each option")
     ask.add_argument("--keep", type=Path, help="folder for the files that were findings")
-    asked = ask.parse_args()
-    until = time.monotonic() + asked.seconds
-    if asked.options:
-        return run_options(asked.seed, asked.count, until)
-    if asked.bake:
-        return run_bakes(asked.count, until)
+    args = ask.parse_args()
+    until = time.monotonic() + args.seconds
+    if args.options:
+        return run_options(args.seed, args.count, until)
+    if args.bake:
+        return run_bakes(args.count, until)
     ends: Counter[str] = Counter()
     findings: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as scratch:
         files = sound(Path(scratch) / "sound")
         contents = [(file.suffix, file.read_bytes()) for file in files]
-        for first in range(0, asked.count, TOGETHER):
+        for first in range(0, args.count, TOGETHER):
             if time.monotonic() > until:
                 break
             cases = []
-            for number in range(first, min(first + TOGETHER, asked.count)):
-                dice = random.Random(f"{asked.seed}:{number}")
+            for number in range(first, min(first + TOGETHER, args.count)):
+                dice = random.Random(f"{args.seed}:{number}")
                 suffix, content = dice.choice(contents)
                 cases.append(Path(scratch) / f"case{number}{suffix}")
                 cases[-1].write_bytes(broken(content, suffix, dice))
@@ -84,13 +84,13 @@ def main() -> int:
                 ends["read or refused in words" if end is None else "finding"] += 1
                 if end is not None:
                     findings[f"{case.suffix}: {_general(end, case)}"] += 1
-                    if asked.keep is not None:
-                        asked.keep.mkdir(parents=True, exist_ok=True)
-                        (asked.keep / case.name).write_bytes(case.read_bytes())
+                    if args.keep is not None:
+                        args.keep.mkdir(parents=True, exist_ok=True)
+                        (args.keep / case.name).write_bytes(case.read_bytes())
                 case.unlink()
-    print(f"seed {asked.seed}: {sum(ends.values())} cases; {dict(ends)}")
-    for words, times in findings.most_common():
-        print(f"{times:6d}  {words}")
+    print(f"seed {args.seed}: {sum(ends.values())} cases; {dict(ends)}")
+    for message, times in findings.most_common():
+        print(f"{times:6d}  {message}")
     return 1 if findings else 0
 
 
@@ -139,12 +139,12 @@ def run_bakes(count: int, until: float) -> int:
 
 
 def baked(path: Path, options: dict[str, Any]) -> str:
-    """One of ENDS, or the end of what the process said."""
+    """One of ENDS, or the end of what the process printed."""
     command = [sys.executable, "-W", "error::RuntimeWarning", "-c", BAKE]
-    said = pickle.dumps((str(path), options))
+    task = pickle.dumps((str(path), options))
     try:
         done = subprocess.run(
-            command, input=said, capture_output=True, timeout=LONGEST, check=False
+            command, input=task, capture_output=True, timeout=LONGEST, check=False
         )
     except subprocess.TimeoutExpired:
         return f"it took more than {LONGEST} s"
@@ -154,9 +154,9 @@ def baked(path: Path, options: dict[str, Any]) -> str:
     return f"exit status {done.returncode}: {done.stderr.decode()[-400:]}"
 
 
-def _general(words: str, case: Path) -> str:
+def _general(message: str, case: Path) -> str:
     """What a child met, without what differs from case to case."""
-    return re.sub(r"\d{3,}", "N", words.replace(str(case), "").strip(": "))
+    return re.sub(r"\d{3,}", "N", message.replace(str(case), "").strip(": "))
 
 
 if __name__ == "__main__":

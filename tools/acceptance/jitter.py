@@ -134,13 +134,13 @@ def bake(scene: Scene, number: int, seed: int, folder: Path) -> Ran:
     folder.mkdir(parents=True)
     where, angle = place(SAMPLES / scene.file, folder / "scene.usda", dice)
     options = {"--seed": str(dice.randrange(2**31)), **scene.options(dice)}
-    words = [word for pair in options.items() for word in pair]
+    arguments = [word for pair in options.items() for word in pair]
     began = time.perf_counter()
-    status, printed, errors = gf_usd(folder, "bake", "scene.usda", *words, "--json")
+    status, printed, errors = gf_usd(folder, "bake", "scene.usda", *arguments, "--json")
     ran = Ran(
         scene=scene.file,
         number=number,
-        command="gf-usd bake scene.usda " + " ".join(words),
+        command="gf-usd bake scene.usda " + " ".join(arguments),
         place=(where[0], where[1], where[2]),
         turned=angle,
         seconds=0.0,
@@ -159,18 +159,18 @@ def bake(scene: Scene, number: int, seed: int, folder: Path) -> Ran:
         bad = [w["message"] for w in report["warnings"] if w["about"] not in scene.known]
         if bad:
             found["fault"] = "warning: " + "; ".join(bad)
-        checked, words_of_check, _ = gf_usd(folder, "check", report["root"])
+        checked, messages, _ = gf_usd(folder, "check", report["root"])
         if checked != 0:
-            found["fault"] = words_of_check.strip().splitlines()[-1]
+            found["fault"] = messages.strip().splitlines()[-1]
     else:
-        said = errors[errors.find("error:") :]  # less the plan and the progress
-        found["fault"] = f"status {status}: {' '.join(said.split())}"[:600]
+        message = errors[errors.find("error:") :]  # less the plan and the progress
+        found["fault"] = f"status {status}: {' '.join(message.split())}"[:600]
     return Ran(**{**asdict(ran), **found, "seconds": round(time.perf_counter() - began, 1)})
 
 
-def gf_usd(folder: Path, *words: str, patience: float = PATIENCE) -> tuple[int, str, str]:
+def gf_usd(folder: Path, *arguments: str, patience: float = PATIENCE) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of a command; status 124 where it took too long."""
-    command = [sys.executable, "-m", "gf_usd", *words]
+    command = [sys.executable, "-m", "gf_usd", *arguments]
     try:
         done = subprocess.run(
             command, cwd=folder, capture_output=True, text=True, timeout=patience, check=False
@@ -188,7 +188,7 @@ def earlier(file: Path | None, seed: int) -> dict[tuple[str, int], Ran]:
     return {(ran.scene, ran.number): ran for ran in rows if ran.seed == seed}
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run all and print what came of them."""
     ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     ask.add_argument("--json", action="store_true", help="print the runs as JSON")
@@ -198,28 +198,28 @@ def main(words: Sequence[str] | None = None) -> int:
     ask.add_argument("--only", action="append", choices=[scene.file for scene in SCENES])
     ask.add_argument("--rows", type=Path, help="JSON lines of the runs, to go on from")
     ask.add_argument("--kept", action="store_true", help="bake nothing")
-    asked = ask.parse_args(words)
-    there = earlier(asked.rows, asked.seed)
+    args = ask.parse_args(arguments)
+    there = earlier(args.rows, args.seed)
     runs = []
     with tempfile.TemporaryDirectory() as scratch:
         for scene in SCENES:
-            for number in range(asked.runs):
-                if asked.only and scene.file not in asked.only:
+            for number in range(args.runs):
+                if args.only and scene.file not in args.only:
                     continue
                 if one := there.get((scene.file, number)):
                     runs.append(one)
                     continue
-                if asked.kept:
+                if args.kept:
                     continue
-                folder = (asked.keep or Path(scratch)) / scene.file.partition(".")[0] / str(number)
-                runs.append(bake(scene, number, asked.seed, folder))
-                if asked.rows:
-                    with asked.rows.open("a", encoding="utf-8") as file:
+                folder = (args.keep or Path(scratch)) / scene.file.partition(".")[0] / str(number)
+                runs.append(bake(scene, number, args.seed, folder))
+                if args.rows:
+                    with args.rows.open("a", encoding="utf-8") as file:
                         file.write(json.dumps(asdict(runs[-1])) + "\n")
                 verdict = runs[-1].fault or "sound"
                 print(f"{scene.file} {number}: {runs[-1].seconds} s, {verdict}", file=sys.stderr)
-    if asked.json:
-        print(json.dumps({"seed": asked.seed, "runs": [asdict(ran) for ran in runs]}))
+    if args.json:
+        print(json.dumps({"seed": args.seed, "runs": [asdict(ran) for ran in runs]}))
     return 1 if any(ran.fault for ran in runs) else 0
 
 

@@ -38,8 +38,10 @@ from gf_usd.layers.check.run import check_file  # noqa: E402
 
 STEM = "duck.rubber"
 FRAMES = 25
-WORDS = ("bake", ROOT / "samples" / "duck.usda", "--particles", "200", "--drop", "0.05r",
-         "--frames", FRAMES, "--clip-frames", "1", "--threads", "1", "-q")  # fmt: skip
+BAKE = (
+    "bake", ROOT / "samples" / "duck.usda", "--particles", "200", "--drop", "0.05r",
+    "--frames", FRAMES, "--clip-frames", "1", "--threads", "1", "-q",
+)  # fmt: skip
 CLIPS = FRAMES - 1  # a clip of one frame holds the samples at both its ends
 PATIENCE = 120.0  # [s] for one bake
 START, MIDDLE, RESULTS = "start", "clips", "results"
@@ -82,7 +84,7 @@ def clip(number: int) -> str:
 
 def bake(folder: Path, *more: object) -> int:
     """The exit status of a whole run into a folder."""
-    process = start(*WORDS, "-o", f"{folder}/", *more)
+    process = start(*BAKE, "-o", f"{folder}/", *more)
     _, err = process.communicate(timeout=PATIENCE)
     if process.returncode not in (0, 5):
         print(err, file=sys.stderr)
@@ -125,7 +127,7 @@ def kill(folder: Path, whole: Path, nearly: Path, target: Target) -> Kill:
     """One bake, its end, and its rest; `nearly` holds one that lacks its last clip."""
     if target.phase == RESULTS:
         shutil.copytree(nearly, folder)
-    process = start(*WORDS, "-o", f"{folder}/", "--resume")
+    process = start(*BAKE, "-o", f"{folder}/", "--resume")
     if target.after:
         wait_for(folder / clip(target.after), process)
     time.sleep(target.moment)
@@ -144,7 +146,7 @@ def kill(folder: Path, whole: Path, nearly: Path, target: Target) -> Kill:
 def measure(folder: Path) -> Pace:
     """The pace of a bake from its start to its end."""
     began = time.monotonic()
-    process = start(*WORDS, "-o", f"{folder}/")
+    process = start(*BAKE, "-o", f"{folder}/")
     first = wait_for(folder / clip(1), process)
     last = wait_for(folder / clip(CLIPS), process)
     process.communicate(timeout=PATIENCE)
@@ -186,17 +188,17 @@ def run(folder: Path, kills: int, seed: int) -> list[Kill]:
         return list(pool.map(one, enumerate(targets(kills, seed, pace))))
 
 
-def main(words: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run all and print what came of them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=9)
-    asked = parser.parse_args(words)
+    args = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="gf-usd-kill-") as folder:
-        found = run(Path(folder), asked.kills, asked.seed)
-    if asked.json:
-        print(json.dumps({"kills": [asdict(case) for case in found], "seed": asked.seed}))
+        found = run(Path(folder), args.kills, args.seed)
+    if args.json:
+        print(json.dumps({"kills": [asdict(case) for case in found], "seed": args.seed}))
     sys.exit(1 if any(case.fault for case in found) else 0)
 
 

@@ -51,7 +51,7 @@ INSIDE = 0.01  # of the surface, at the end
 PIECE = 0.01  # of the box at rest: edges of the squares as large as two pieces of the surface
 PATIENCE = 7200.0  # [s] for a bake
 RESULT = "limbs.json"  # next to a bake: what came of it
-# Of the box: how far from the surface a point is asked for, on both sides.  What is as near to
+# Of the box: how far from the surface a point is wanted, on both sides.  What is as near to
 # another place of the same mesh counts as inside although it only touches: at 2e-3 that were half
 # of the share of a figure of jelly.  1e-6 are ten times the rounding of points in single precision.
 OFF = 1e-6
@@ -211,15 +211,15 @@ def bake(name: str, look: str, file: Path, folder: Path) -> Ran:
     """One bake at defaults, in a folder of its own."""
     folder.mkdir(parents=True, exist_ok=True)
     began, date = time.perf_counter(), time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    words = ("bake", str(file.resolve()), "--material", look, "-o", f"{folder}/", "--json")
-    status, _, errors = gf_usd(folder, *words, patience=PATIENCE)
+    arguments = ("bake", str(file.resolve()), "--material", look, "-o", f"{folder}/", "--json")
+    status, _, errors = gf_usd(folder, *arguments, patience=PATIENCE)
     ran = Ran(
         asset=name, look=look, seconds=round(time.perf_counter() - began, 1), date=date,
         commit=git("rev-parse", "HEAD"),
     )  # fmt: skip
     if status != 0:
-        said = " ".join(errors[errors.find("error:") :].split())[:600]
-        return replace(ran, fault=f"status {status}: {said}")
+        message = " ".join(errors[errors.find("error:") :].split())[:600]
+        return replace(ran, fault=f"status {status}: {message}")
     return measured(ran, folder)
 
 
@@ -247,7 +247,7 @@ def recorded(file: Path) -> dict[tuple[str, str], Ran]:
     return {(ran.asset, ran.look): ran for ran in rows}
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Bake them and print what came of it."""
     from limbed import write_limbed
 
@@ -260,8 +260,8 @@ def main(words: Sequence[str] | None = None) -> int:
     ask.add_argument("--recorded", type=Path, help="record with rows that are not baked again")
     ask.add_argument("--kept", action="store_true", help="bake nothing")
     ask.add_argument("--divide", type=float, metavar="SHARE", help="divide long faces first")
-    asked = ask.parse_args(words)
-    wanted = [word.partition(":")[::2] for word in asked.only] or [("", "")]
+    args = ask.parse_args(arguments)
+    wanted = [word.partition(":")[::2] for word in args.only] or [("", "")]
     pairs = [
         (name, look)
         for name in (*FILES, *MADE)
@@ -270,30 +270,30 @@ def main(words: Sequence[str] | None = None) -> int:
     ]
     if not pairs:
         ask.error(f"--only: choose of {', '.join((*FILES, *MADE))}, each with :LOOK or without")
-    runs, before = [], recorded(asked.recorded) if asked.recorded else {}
+    runs, before = [], recorded(args.recorded) if args.recorded else {}
     with tempfile.TemporaryDirectory() as scratch:
         for name, look in pairs:
-            folder = (asked.keep or Path(scratch)) / name
+            folder = (args.keep or Path(scratch)) / name
             folder.mkdir(parents=True, exist_ok=True)
-            file = asked.assets / FILES[name] if name in FILES else folder / f"{name}.usda"
+            file = args.assets / FILES[name] if name in FILES else folder / f"{name}.usda"
             if name in MADE and not file.exists():
                 write_limbed(name, file)
-            if asked.divide:
+            if args.divide:
                 if file.suffix not in (".usda", ".usdc", ".usdz"):
                     ask.error(f"--divide: {file.name} is not USD")
                 whole, file = file, folder / f"{name}-divided.usdc"
-                divide(whole, file, asked.divide)
+                divide(whole, file, args.divide)
             seen = folder / look / RESULT
             if seen.exists():
                 one = Ran(**json.loads(seen.read_text("utf-8")))
-                if not asked.again:
+                if not args.again:
                     runs.append(one)
                     continue
                 one = measured(one, folder / look)
             elif one := before.get((name, look)):
                 runs.append(one)
                 continue
-            elif asked.kept:
+            elif args.kept:
                 continue
             else:
                 one = bake(name, look, file, folder / look)
@@ -305,7 +305,7 @@ def main(words: Sequence[str] | None = None) -> int:
                 f" {one.fault or 'sound'}",
                 file=sys.stderr, flush=True,
             )  # fmt: skip
-    if asked.json:
+    if args.json:
         print(json.dumps({"runs": [asdict(ran) for ran in runs]}))
     return 1 if any(ran.fault for ran in runs) else 0
 

@@ -41,11 +41,11 @@ def ticks(axis: Axis, values: Sequence[float]) -> list[float]:
     return [k * step for k in range(first, last + 1)]
 
 
-def text(x: float, y: float, words: str, anchor: str = "middle", more: str = "") -> str:
+def text(x: float, y: float, content: str, anchor: str = "middle", more: str = "") -> str:
     """A line of text."""
     return (
         f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{INK}" {more}>'
-        f"{escape(words)}</text>"
+        f"{escape(content)}</text>"
     )
 
 

@@ -25,7 +25,7 @@ from gf_usd.core.materials.presets import find_preset, presets
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 ASSETS = ("sphere.usda", "duck.usda", "creature.usda", "deformed_sphere.usda", "ten_ducks.usda")
-# Refusals that are meant: exit status and words.
+# Refusals that are meant: exit status and part of the message.
 REFUSED = ((3, "cannot carry its own weight"),)
 # The first contact is before the third frame, and before the seventh for grains, whose outermost
 # are half a spacing below the surface.
@@ -52,9 +52,9 @@ def bake(asset: str, preset: str, particles: int, out: Path) -> tuple[bool, str]
     )  # fmt: skip
     took = cpu() - before
     if done.returncode:
-        said = done.stderr.strip().replace("\n\n", "; ")
-        good = any(done.returncode == status and words in said for status, words in REFUSED)
-        return good, f"status {done.returncode}: {said}"
+        message = done.stderr.strip().replace("\n\n", "; ")
+        good = any(done.returncode == status and refusal in message for status, refusal in REFUSED)
+        return good, f"status {done.returncode}: {message}"
     result = json.loads(done.stdout)
     health = result["bakes"][0]["health"]
     warned = ", ".join(row["about"] for row in result["warnings"]) or "no warning"
@@ -74,9 +74,9 @@ def main() -> int:
             if given.only and not any(text in name for text in given.only):
                 continue
             with tempfile.TemporaryDirectory() as out:
-                good, words = bake(asset, preset, given.particles, Path(out))
+                good, message = bake(asset, preset, given.particles, Path(out))
             failed += not good
-            print(f"{'ok' if good else 'FAILED':6} {name}: {words}", flush=True)
+            print(f"{'ok' if good else 'FAILED':6} {name}: {message}", flush=True)
     print(f"{failed} failed")
     return int(failed > 0)
 

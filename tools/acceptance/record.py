@@ -52,9 +52,11 @@ class Record:
     outcome: Outcome
 
 
-def git(*words: str) -> str:
+def git(*arguments: str) -> str:
     """Output of a git command that reads; "" outside a repository."""
-    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     return done.stdout.strip()
 
 

@@ -39,12 +39,12 @@ class Section:
 
 
 def of_cases(names: Sequence[str]) -> tuple[str, ...]:
-    """The words of `gf-usd verify` that choose cases."""
+    """The arguments of `gf-usd verify` that choose cases."""
     return tuple(word for name in names for word in ("--case", name))
 
 
 def figure(value: float | None) -> str:
-    """A number of the table; a figure that is none is said so."""
+    """A number of the table; a figure that is no number is named as such."""
     return "none" if value is None else f"{value:.5g}"
 
 
@@ -105,7 +105,7 @@ def read_endurance(done: subprocess.CompletedProcess[str]) -> Outcome:
     rows = [
         (
             r["name"],
-            f"{r['frames']} of {r['asked']}",
+            f"{r['frames']} of {r['requested']}",
             str(r["rollbacks"]),
             f"{r['inverted']} particle-frames",
             f"{r['farthest']:.2f}",
@@ -145,7 +145,7 @@ def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
     """What `python -m tools.acceptance.kills --json` found."""
     tree = printed(done, "kills")
     kills, rows = tree["kills"], []
-    for phase, words in (
+    for phase, phase_text in (
         ("start", "before the first clip"),
         ("clips", "after a clip, before the last one"),
         ("results", "after the last clip, while the results are renamed"),
@@ -155,7 +155,7 @@ def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
         faults = [k["fault"] for k in of if k["fault"]]
         rows.append(
             (
-                words,
+                phase_text,
                 str(len(of)),
                 f"{min(clips, default=0)} to {max(clips, default=0)}",
                 str(sum(any("checkpoint" in name for name in k["final"]) for k in of)),
@@ -350,20 +350,20 @@ SECTIONS: dict[str, Section] = {
 
 
 def run(
-    name: str, section: Section, more: Sequence[str] = (), said: Sequence[str] | None = None
+    name: str, section: Section, more: Sequence[str] = (), shown: Sequence[str] | None = None
 ) -> bool:
     """Run one section and save it; whether it passed.
 
-    more : words of the command besides; said : the same as they are recorded.
+    more : further arguments of the command; shown : the same as they are recorded.
     """
-    program, *words = *section.command, *more
+    program, *arguments = *section.command, *more
     module = [] if program == "python" else ["-m", program.replace("-", "_")]
     interpreter = [sys.executable, *module]
-    command = (*section.command, *(more if said is None else said))
+    command = (*section.command, *(more if shown is None else shown))
     print(f"{name}: {' '.join(command)}", file=sys.stderr)
     began = time.perf_counter()
     done = subprocess.run(
-        [*interpreter, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
+        [*interpreter, *arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
     )
     seconds = time.perf_counter() - began
     outcome = section.read(done)
@@ -373,21 +373,21 @@ def run(
     return outcome.passed
 
 
-def words_of(name: str, options: argparse.Namespace) -> tuple[list[str], list[str]]:
-    """Words of a section's command besides, and the same without paths."""
+def arguments_of(name: str, options: argparse.Namespace) -> tuple[list[str], list[str]]:
+    """Further arguments of a section's command, and the same without paths."""
     if name not in (*OF_ASSETS, JITTER):
         return [], []
-    more, said = ([str(options.assets)], ["ASSETS"]) if name in OF_ASSETS else ([], [])
+    more, shown = ([str(options.assets)], ["ASSETS"]) if name in OF_ASSETS else ([], [])
     rest = {"--keep": options.keep, "--recorded": options.recorded}
     for word, value in (rest if name == LIMBS else {"--rows": options.rows}).items():
         if value:
             more += [word, str(value)]
-            said += [word, "FOLDER" if word == "--keep" else Path(value).name]
+            shown += [word, "FOLDER" if word == "--keep" else Path(value).name]
     kept = ["--kept"] if options.kept else []
-    return more + kept, said + kept
+    return more + kept, shown + kept
 
 
-def main(words: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", action="append", choices=sorted(SECTIONS), help="repeatable")
     parser.add_argument("--assets", metavar="FOLDER", help=f"of {' and '.join(OF_ASSETS)}")
@@ -399,7 +399,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--kept", action="store_true", help="bake nothing for these three")
     parser.add_argument("--quick", action="store_true", help="verify in its quick form")
     parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
-    options = parser.parse_args(words)
+    options = parser.parse_args(arguments)
     everything = [name for name in SECTIONS if name != PLASTIC]
     chosen = [] if options.page else options.only or everything
     if options.rows and (ASSETS in chosen) == (JITTER in chosen):
@@ -412,7 +412,7 @@ def main(words: Sequence[str] | None = None) -> None:
     sections = dict(SECTIONS)
     if options.quick:
         sections["verify"] = replace(SECTIONS["verify"], command=("gf-usd", "verify", "--json"))
-    passed = [run(name, sections[name], *words_of(name, options)) for name in chosen]
+    passed = [run(name, sections[name], *arguments_of(name, options)) for name in chosen]
     write(PAGE, page(newest()))
     sys.exit(0 if all(passed) else 1)
 

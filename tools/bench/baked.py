@@ -40,9 +40,9 @@ def bake(particles: int, frames: int, folder: Path) -> tuple[float, int]:
         env={**os.environ, **ALONE, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    said = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return spent, said["particles"] * said["bakes"][0]["health"]["substeps"]
+    return spent, report["particles"] * report["bakes"][0]["health"]["substeps"]
 
 
 def rate(particles: int) -> float:
@@ -63,13 +63,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--particles", type=int, nargs="+", default=[10_000, 100_000])
     parser.add_argument("--turns", type=int, default=3)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         bake(1000, 2, Path(folder))  # compiles the kernels
     print("| particles | whole bake, M/s | Taichi's stock MLS-MPM, M/s | ratio |")
     print("|---:|---:|---:|---:|")
-    for n in asked.particles:
-        turns = [(rate(n), stock(n)) for _ in range(asked.turns)]
+    for n in args.particles:
+        turns = [(rate(n), stock(n)) for _ in range(args.turns)]
         own, other = (median(column) for column in zip(*turns))
         ratio = median(a / b for a, b in turns)
         print(f"| {n:,} | {own:.2f} | {other:.2f} | {ratio:.1f} |", flush=True)

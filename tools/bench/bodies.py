@@ -82,12 +82,12 @@ def cost(count: int, runs: int) -> tuple[int, int, Sample]:
 def main() -> int:
     parser = argparse.ArgumentParser(description="What contact between bodies costs.")
     parser.add_argument("--runs", type=int, default=5)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     print("| balls | particles | substeps | CPU s | spread | over half as many |")
     print("|---:|---:|---:|---:|---:|---:|")
     before = 0.0
     for count in COUNTS:
-        particles, substeps, s = cost(count, asked.runs)
+        particles, substeps, s = cost(count, args.runs)
         ratio = f"{s.cpu / before:.2f}" if before else ""
         spread = f"{100 * s.spread:.0f} %"
         print(f"| {count} | {particles} | {substeps} | {s.cpu:.2f} | {spread} | {ratio} |")

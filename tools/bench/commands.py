@@ -46,7 +46,7 @@ def pace() -> float:
 def command_table(runs: int, seconds: float) -> list[str]:
     """The duck with the three looks, the paper's sphere, a first bake, --help.
 
-    Rows that there is no time for in `seconds` are left out, and said to be.
+    Rows that there is no time for in `seconds` are left out, and marked so.
     """
     end = time.perf_counter() + seconds
     lines = [
@@ -56,16 +56,16 @@ def command_table(runs: int, seconds: float) -> list[str]:
     measured: list[tuple[str, list[tuple[float, float, float]], list[float]]] = []
     program = [sys.executable, "-m", "gf_usd"]
     with tempfile.TemporaryDirectory() as folder:
-        told = {**os.environ, "PYTHONPATH": str(ROOT)}
+        variables = {**os.environ, "PYTHONPATH": str(ROOT)}
         sphere = [*program, "bake", str(SPHERE), "--overwrite", "-o", f"{folder}/"]
         duck = [*program, "bake", str(DUCK), "--overwrite", "-o", f"{folder}/", "--material"]
 
         def fresh() -> dict[str, str]:
             cache = tempfile.mkdtemp(dir=folder)
-            return {**told, "TI_OFFLINE_CACHE_FILE_PATH": cache}
+            return {**variables, "TI_OFFLINE_CACHE_FILE_PATH": cache}
 
         def warm() -> dict[str, str]:
-            return told
+            return variables
 
         rows = [
             ("`gf-usd --help`", [*program, "--help"], warm),
@@ -82,7 +82,7 @@ def command_table(runs: int, seconds: float) -> list[str]:
                 paces.append(pace())
             measured.append((name, took, paces))
             print(f"  {name}: {[round(cpu, 2) for _, cpu, _ in took]}", file=sys.stderr, flush=True)
-        facts = [dry_run(duck, look, told) for look in DIMENSIONLESS]
+        facts = [dry_run(duck, look, variables) for look in DIMENSIONLESS]
     best = min(one for _, _, paces in measured for one in paces)
     for name, took, paces in measured:
         if not took:

@@ -63,13 +63,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="What compiling the kernels of flows takes.")
     parser.add_argument("materials", nargs="*", default=FLOWS)
     parser.add_argument("--child", choices=KINDS)
-    asked = parser.parse_args()
-    if asked.child:
-        print(first_substeps(asked.materials[0], asked.child))
+    args = parser.parse_args()
+    if args.child:
+        print(first_substeps(args.materials[0], args.child))
         return 0
     print("| material | f32 | f64 | vectors made scalars |")
     print("|---|---:|---:|---:|")
-    for material in asked.materials:
+    for material in args.materials:
         seen = " | ".join(f"{compiling(material, kind):.1f} s" for kind in KINDS)
         print(f"| {material} | {seen} |", flush=True)
     return 0

@@ -66,7 +66,7 @@ class Found:
     result: dict[str, Any]  # of the rung that counts, else of the most accurate
     error: float
     met: bool
-    said: str
+    remark: str
 
 
 def search(
@@ -79,15 +79,15 @@ def search(
     """Climb until a rung and the one after it are right, or the time or the ladder ends."""
     end = clock() + seconds
     tried: list[tuple[float, dict[str, Any]]] = []
-    said = "no finer setting was tried"
+    remark = "no finer setting was tried"
     for rung in rungs:
         left = end - clock()
         if left <= 0.0:
-            said = f"{seconds:.0f} s are over"
+            remark = f"{seconds:.0f} s are over"
             break
         result = measure(rung, left)
         if "failed" in result:
-            said = f"{rung['n']:,} failed: {result['failed']}"
+            remark = f"{rung['n']:,} failed: {result['failed']}"
             if "no result within" in result["failed"]:
                 break
             continue
@@ -95,11 +95,11 @@ def search(
         if len(tried) > 1 and max(tried[-1][0], tried[-2][0]) <= WITHIN:
             return Found(tried[-2][1], tried[-2][0], True, "")
     if tried and tried[-1][0] <= WITHIN:
-        return Found(tried[-1][1], tried[-1][0], True, f"not confirmed: {said}")
+        return Found(tried[-1][1], tried[-1][0], True, f"not confirmed: {remark}")
     if not tried:
-        return Found({}, float("inf"), False, said)
+        return Found({}, float("inf"), False, remark)
     best, result = min(tried, key=lambda t: t[0])
-    return Found(result, best, False, f"not met: {said}")
+    return Found(result, best, False, f"not met: {remark}")
 
 
 def reference(
@@ -146,8 +146,8 @@ def table(pythons: dict[str, str], cores: list[int], seconds: float) -> list[str
             options = {"law": law} if PEERS[key].script.startswith("gf_usd") else {}
             job = {"kind": "drop", **rung, "options": options}
             result = run(pythons[key], PEERS[key], job, cores, left)
-            said = result.get("failed") or f"error {100 * error(result, truths[law]):.1f} %"
-            print(f"  {PEERS[key].name}, {rung['n']:,}: {said}", file=sys.stderr, flush=True)
+            outcome = result.get("failed") or f"error {100 * error(result, truths[law]):.1f} %"
+            print(f"  {PEERS[key].name}, {rung['n']:,}: {outcome}", file=sys.stderr, flush=True)
             return result
 
         # what the first ones leave over goes to those that climb longest
@@ -168,15 +168,15 @@ def table(pythons: dict[str, str], cores: list[int], seconds: float) -> list[str
 def row(key: str, law: str, found: Found, own: dict[str, float]) -> str:
     """A line of the table; a setting that is not right is a bound on the ratio."""
     if not found.result:
-        return f"| {PEERS[key].name} | {law} | {found.said} | | | | | |"
+        return f"| {PEERS[key].name} | {law} | {found.remark} | | | | | |"
     r = found.result
     speed = r["simulated"] / r["cpu"]
     ratio = ""
     if law in own:
         ratio = f"{'' if found.met else 'more than '}{own[law] / speed:.1f} x"
-    said = f" ({found.said})" if found.said else ""
+    remark = f" ({found.remark})" if found.remark else ""
     return (
         f"| {PEERS[key].name} | {law} | {r['particles']:,.0f} | {1e3 * r['dt']:.2f} ms"
-        f" | {100 * found.error:.1f} %{said} | {speed:.3g} | {r['simulated'] / r['wall']:.3g}"
+        f" | {100 * found.error:.1f} %{remark} | {speed:.3g} | {r['simulated'] / r['wall']:.3g}"
         f" | {ratio} |"
     )

@@ -26,7 +26,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "samples"
-FACTOR, SHARE = 2.0, 0.9  # of what is asked for
+FACTOR, SHARE = 2.0, 0.9  # that are required
 PARTICLES = 1000
 
 
@@ -45,7 +45,7 @@ class Pair:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a bake was said to take, and what it took."""
+    """What a bake was estimated to take, and what it took."""
 
     pair: Pair
     estimate: float  # [s]
@@ -130,7 +130,7 @@ def cpu() -> float:
 def bake(pair: Pair, folder: Path) -> Outcome:
     """One bake, measured."""
     events, out = folder / "events.ndjson", folder / "out"
-    words = [
+    arguments = [
         *("bake", str(make(folder, pair.asset)), "--material", pair.preset, "--quiet"),
         *("--particles", str(PARTICLES), "--threads", "1", "--max-hours", "1000", "--overwrite"),
         *("--events", str(events), "-o", f"{out}/", *pair.options),
@@ -138,13 +138,13 @@ def bake(pair: Pair, folder: Path) -> Outcome:
     out.mkdir(exist_ok=True)
     before, began = cpu(), time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", *words], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "gf_usd", *arguments], capture_output=True, text=True, check=False
     )
     took, passed = cpu() - before, time.perf_counter() - began
     if done.returncode:
         raise SystemExit(f"{pair.name}: {done.stderr}")
-    said = {row["event"]: row for row in map(json.loads, events.read_text().splitlines())}
-    plan, finished = said["plan"], said["finished"]
+    by_event = {row["event"]: row for row in map(json.loads, events.read_text().splitlines())}
+    plan, finished = by_event["plan"], by_event["finished"]
     (each,) = plan["per_material"]
     return Outcome(
         pair=pair,

@@ -52,18 +52,18 @@ def repeats(made: TotalLagrangian) -> bool:
     return bool(np.isfinite(v).all() and np.array_equal(u, again_u) and np.array_equal(v, again_v))
 
 
-def row(particles: int, law: str, damped: bool, asked: argparse.Namespace) -> str:
+def row(particles: int, law: str, damped: bool, args: argparse.Namespace) -> str:
     """A line of the table."""
-    made = solver(particles, law, damped, asked.device)
+    made = solver(particles, law, damped, args.device)
     began = time.perf_counter()
     same = repeats(made)
     first = time.perf_counter() - began
     seconds = []
-    for _ in range(asked.runs):
+    for _ in range(args.runs):
         began = time.perf_counter()
-        made.launches.run(made.state, asked.substeps, made.body.step.dt, 0)
+        made.launches.run(made.state, args.substeps, made.body.step.dt, 0)
         made.state.get("sample_active")  # waits for the launches
-        seconds.append((time.perf_counter() - began) / asked.substeps)
+        seconds.append((time.perf_counter() - began) / args.substeps)
     middle, count = statistics.median(seconds), len(made.particles)
     size = sum(made.state.get(name).nbytes for name in made.state.arrays)
     return (
@@ -80,17 +80,17 @@ def main() -> int:
     parser.add_argument("--particles", type=int, action="append", default=[])
     parser.add_argument("--substeps", type=int, default=100, help="of a run; default: %(default)s")
     parser.add_argument("--runs", type=int, default=7, help="default: %(default)s")
-    asked = parser.parse_args()
+    args = parser.parse_args()
     print(
         "| particles | law | viscosity | us a substep | million particle-substeps a second"
         " | from, to | MiB of arrays | repeats | s to the first result |\n"
         "|---:|---|---|---:|---:|---:|---:|---|---:|",
         flush=True,
     )
-    for particles in asked.particles or SIZES:
+    for particles in args.particles or SIZES:
         for law in LAWS:
             for damped in (False, True):
-                print(row(particles, law, damped, asked), flush=True)
+                print(row(particles, law, damped, args), flush=True)
     return 0
 
 

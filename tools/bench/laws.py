@@ -83,11 +83,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="What each constitutive law costs.")
     parser.add_argument("--particles", type=int, default=10_000)
     parser.add_argument("--runs", type=int, default=5)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     rows = kinds()
     for kind in rows:
-        cost(kind, asked.particles)  # compiles the kernels, or fetches them from the disk
-    seen = [[cost(kind, asked.particles) for kind in rows] for _ in range(asked.runs)]
+        cost(kind, args.particles)  # compiles the kernels, or fetches them from the disk
+    seen = [[cost(kind, args.particles) for kind in rows] for _ in range(args.runs)]
     print("| law | state | ns of CPU a particle-substep | over corotated | bytes a particle |")
     print("|---|---|---:|---:|---:|")
     first = next(k for k, kind in enumerate(rows) if kind.law == "corotated")

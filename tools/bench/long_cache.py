@@ -153,13 +153,13 @@ def main() -> None:
     parser.add_argument("--half", action="store_true")
     parser.add_argument("--folder", type=Path, help="where to write; default a temporary one")
     parser.add_argument("--keep", action="store_true")
-    asked = parser.parse_args()
-    folder = Path(tempfile.mkdtemp(dir=asked.folder, prefix="gf-usd-"))
-    choices = Choices(clip_frames=asked.clip_frames, half=asked.half)
+    args = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(dir=args.folder, prefix="gf-usd-"))
+    choices = Choices(clip_frames=args.clip_frames, half=args.half)
     try:
-        print(json.dumps(write(folder, asked.particles, asked.frames, choices), indent=1))
+        print(json.dumps(write(folder, args.particles, args.frames, choices), indent=1))
     finally:
-        if not asked.keep:
+        if not args.keep:
             shutil.rmtree(folder)
 
 

@@ -144,10 +144,10 @@ def main() -> None:
     parser.add_argument("--particles", type=int, default=10_000)
     parser.add_argument("--points", type=int, default=10_000, help="of the mesh, about")
     parser.add_argument("--frames", type=int, default=6)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="gf-usd-pipeline-") as folder:
-        stages = measure(Path(folder), asked.particles, asked.points, asked.frames)
-    table(stages, asked.particles, asked.frames)
+        stages = measure(Path(folder), args.particles, args.points, args.frames)
+    table(stages, args.particles, args.frames)
 
 
 if __name__ == "__main__":

@@ -109,8 +109,8 @@ def run(
         return {"failed": f"no result within {seconds:.0f} s"}
     lines = (done.stdout.strip() or " ").splitlines()
     if done.returncode or not lines[-1].startswith("{"):
-        said = (done.stderr or done.stdout).strip().splitlines()[-1:]
-        return {"failed": " ".join(said) or f"exit status {done.returncode}"}
+        message = (done.stderr or done.stdout).strip().splitlines()[-1:]
+        return {"failed": " ".join(message) or f"exit status {done.returncode}"}
     return json.loads(lines[-1])
 
 

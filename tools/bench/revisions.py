@@ -106,14 +106,14 @@ def main() -> int:
     parser.add_argument("new", nargs="?", default="HEAD")
     parser.add_argument("--particles", type=int, default=4000)
     parser.add_argument("--turns", type=int, default=101)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary, contextlib.ExitStack() as stack:
         folder = Path(temporary)
-        trees = [stack.enter_context(checked_out(r, folder)) for r in (asked.old, asked.new)]
-        print(f"| | {asked.old} | {asked.new} | new / old | half of the turns | fastest tenths |")
+        trees = [stack.enter_context(checked_out(r, folder)) for r in (args.old, args.new)]
+        print(f"| | {args.old} | {args.new} | new / old | half of the turns | fastest tenths |")
         print("|---|---:|---:|---:|---:|---:|")
         for law in LAWS:
-            seen = substeps(trees, law, asked.particles, asked.turns)
+            seen = substeps(trees, law, args.particles, args.turns)
             print(row(f"{law}, a particle-substep", "ns", seen), flush=True)
     return 0
 

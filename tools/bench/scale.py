@@ -42,7 +42,7 @@ class Axis:
     measure: Callable[[int], Row]  # CPU seconds by name; in a process of its own
     sizes: tuple[int, ...]
     knee: int  # the fit begins here
-    words: str
+    text: str
 
 
 def particles(size: int) -> Row:
@@ -119,11 +119,11 @@ def _twist(place: Any, twist: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda X: twist(X - place)
 
 
-def _commands(*words: str) -> float:
+def _commands(*arguments: str) -> float:
     """CPU seconds of a ``gf-usd`` command and its children."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
-        [sys.executable, "-m", "gf_usd", *words], check=True, capture_output=True, cwd=ROOT,
+        [sys.executable, "-m", "gf_usd", *arguments], check=True, capture_output=True, cwd=ROOT,
         env={**os.environ, **ALONE},
     )  # fmt: skip
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -160,19 +160,19 @@ def jobs(size: int) -> Row:
 AXES = {
     "particles": Axis(
         measure=particles, sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000), knee=10_000,
-        words=f"a ball under a mesh of {POINTS:,} points",
+        text=f"a ball under a mesh of {POINTS:,} points",
     ),
     "bodies": Axis(
         measure=bodies, sizes=(1, 10, 100, 1_000), knee=10,
-        words=f"balls of {A_BODY} particles that touch nothing, with contact and self-contact",
+        text=f"balls of {A_BODY} particles that touch nothing, with contact and self-contact",
     ),
     "frames": Axis(
         measure=frames, sizes=(10, 100, 1_000, 10_000), knee=100,
-        words="`gf-usd bake`, 120 particles of jelly",
+        text="`gf-usd bake`, 120 particles of jelly",
     ),
     "jobs": Axis(
         measure=jobs, sizes=(1, 10, 100, 1_000), knee=10,
-        words="`gf-usd batch --jobs 1`, 120 particles of rubber, 24 frames",
+        text="`gf-usd batch --jobs 1`, 120 particles of rubber, 24 frames",
     ),
 }  # fmt: skip
 
@@ -206,15 +206,15 @@ def table(axis: str, most: int) -> list[str]:
             capture_output=True, text=True, check=False, cwd=ROOT, env={**os.environ, **ALONE},
         )  # fmt: skip
         if done.returncode:
-            said = done.stderr.strip().splitlines()[-1:]
-            print(f"{axis} {size}: {' '.join(said) or done.returncode}", file=sys.stderr)
+            message = done.stderr.strip().splitlines()[-1:]
+            print(f"{axis} {size}: {' '.join(message) or done.returncode}", file=sys.stderr)
             break
         sizes.append(size)
         rows.append(json.loads(done.stdout.strip().splitlines()[-1]))
         print(f"{axis} {size}: {rows[-1]}", file=sys.stderr, flush=True)
     names = [name for name in rows[0] if name != "memory"]
     lines = [
-        f"**{axis}**: {of.words}", "",
+        f"**{axis}**: {of.text}", "",
         f"| {axis} | {' | '.join(f'{name}, CPU s' for name in names)} | peak memory, MB |",
         f"|---:|{'---:|' * (len(names) + 1)}",
     ]  # fmt: skip
@@ -232,13 +232,13 @@ def main() -> int:
     parser.add_argument("--most", type=int, default=1_000_000, help="the largest size of an axis")
     parser.add_argument("--write", action="store_true", help="put it into BENCHMARKS.md")
     parser.add_argument("--case", nargs=2, metavar=("AXIS", "SIZE"), help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.case:
-        print(json.dumps(case(asked.case[0], int(asked.case[1]))))
+    args = parser.parse_args()
+    if args.case:
+        print(json.dumps(case(args.case[0], int(args.case[1]))))
         return 0
-    lines = [line for axis in asked.axes.split(",") for line in table(axis, asked.most)]
+    lines = [line for axis in args.axes.split(",") for line in table(axis, args.most)]
     print("\n".join(lines))
-    if asked.write:
+    if args.write:
         write(ROOT / "BENCHMARKS.md", "scale", "\n".join(lines))
     return 0
 

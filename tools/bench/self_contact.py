@@ -30,13 +30,14 @@ PILE = 42  # frames, up to the deepest overlap
 def bake(asset: Path, *options: str) -> tuple[dict[str, Any], float]:
     """The report of a bake, and its CPU seconds, those of its children included.
 
-    Raises SystemExit with what it said where it fails.
+    Raises SystemExit with its message where it fails.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
-        words = ("bake", str(asset), *options, "-o", f"{folder}/", "--json", "--quiet")
+        arguments = ("bake", str(asset), *options, "-o", f"{folder}/", "--json", "--quiet")
         done = subprocess.run(
-            [sys.executable, "-m", "gf_usd", *words], capture_output=True, text=True, check=False,
+            [sys.executable, "-m", "gf_usd", *arguments],
+            capture_output=True, text=True, check=False,
             cwd=ROOT, env={**os.environ, **ALONE},
         )  # fmt: skip
     if done.returncode:
@@ -80,11 +81,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--pairs", type=int, default=3)
     parser.add_argument("--pile", action="store_true", help="the pile, instead of the ratio")
-    asked = parser.parse_args()
-    if asked.pile:
+    args = parser.parse_args()
+    if args.pile:
         pile()
     else:
-        ratio(asked.pairs)
+        ratio(args.pairs)
     return 0
 
 

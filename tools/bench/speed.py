@@ -56,8 +56,8 @@ def peers(
         key, n = cell
         job = {"kind": "speed", "n": n, "seconds": stepping}
         result = run(pythons[key], PEERS[key], job, cores, 2.0 * LIMIT if n >= ONCE else LIMIT)
-        said = result.get("failed") or f"{rate(result, 'cpu'):.2f} M/s of CPU"
-        print(f"  {PEERS[key].name}, {n:,}: {said}", file=sys.stderr, flush=True)
+        outcome = result.get("failed") or f"{rate(result, 'cpu'):.2f} M/s of CPU"
+        print(f"  {PEERS[key].name}, {n:,}: {outcome}", file=sys.stderr, flush=True)
         return result
 
     return rounds(cells, measure, runs, seconds, once=lambda cell: cell[1] >= ONCE)

@@ -118,7 +118,7 @@ def bake_lines(asset: Path, scene: str, folder: Path) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("assets", nargs="*", type=Path, help="further files to bake")
-    asked = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         print("\n".join(form_table(folder)), end="\n\n")
@@ -126,7 +126,7 @@ def main() -> int:
         print("|---|---:|" + "---:|" * (len(OPTIONS) + 2))
         pairs = [(DUCK, scene) for scene in SCENES]
         pairs += [
-            (asset, "of 24 frames") for asset in (ROOT / "samples" / "creature.usda", *asked.assets)
+            (asset, "of 24 frames") for asset in (ROOT / "samples" / "creature.usda", *args.assets)
         ]
         for asset, scene in pairs:
             print(bake_lines(asset, scene, folder), flush=True)

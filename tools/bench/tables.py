@@ -64,9 +64,9 @@ def machine(versions: dict[str, str]) -> str:
     """The machine and the versions, without names of anything."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     info = Path("/proc/cpuinfo")
-    said = info.read_text() if info.exists() else ""
-    model = next((x.partition(":")[2].strip() for x in said.splitlines() if "model name" in x), "")
-    simd = ", AVX2" if " avx2 " in said else ""
+    text = info.read_text() if info.exists() else ""
+    model = next((x.partition(":")[2].strip() for x in text.splitlines() if "model name" in x), "")
+    simd = ", AVX2" if " avx2 " in text else ""
     packages = ", ".join(f"{name} {number}" for name, number in versions.items())
     return (
         f"CPU only: {cores} cores, {model or platform.machine()}{simd}, {platform.system()};"

@@ -129,8 +129,8 @@ def store(path: Path, results: dict[str, Any]) -> None:
 
 def commit() -> str:
     """The commit that the code is of, with a + where files were changed."""
-    words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--abbrev=10"]
-    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--abbrev=10"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -141,19 +141,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--page", action="store_true", help="only write the page again")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=ROOT / "docs")
-    asked = parser.parse_args(arguments)
-    folder = asked.out / "reproduction"
+    args = parser.parse_args(arguments)
+    folder = args.out / "reproduction"
     results = folder / "results.json.gz"
-    if not asked.page:
-        seeds = range(2 if asked.quick else asked.seeds)
-        tables = run_all(jobs(seeds, quick=asked.quick), asked.workers, asked.quick)
+    if not args.page:
+        seeds = range(2 if args.quick else args.seeds)
+        tables = run_all(jobs(seeds, quick=args.quick), args.workers, args.quick)
         folder.mkdir(parents=True, exist_ok=True)
-        command = "python -m tools.paper" + (" --quick" if asked.quick else "")
-        command += f" --seeds {asked.seeds}" if asked.seeds != 6 and not asked.quick else ""
+        command = "python -m tools.paper" + (" --quick" if args.quick else "")
+        command += f" --seeds {args.seeds}" if args.seeds != 6 and not args.quick else ""
         about = {"command": command, "seeds": list(seeds), "commit": commit(),
                  "date": date.today().isoformat()}  # fmt: skip
         store(results, {"about": about, "tables": short(tables)})
-        pictures(folder, quick=asked.quick)
+        pictures(folder, quick=args.quick)
     kept = json.loads(gzip.decompress(results.read_bytes()))
     long = {key: Series(**runs[0]) for key, runs in kept["tables"]["table 3"].items()}
     names = {"tl": "Total Lagrangian", "ul": "Updated Lagrangian"}
@@ -163,8 +163,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ):
         lines = {names[key]: getattr(series, column) for key, series in long.items()}
         (folder / file).write_text(curves(title, "frame", unit, lines, level))
-    (asked.out / "reproduction.md").write_text(page(kept, folder))
-    print(f"{asked.out / 'reproduction.md'}", file=sys.stderr)
+    (args.out / "reproduction.md").write_text(page(kept, folder))
+    print(f"{args.out / 'reproduction.md'}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -55,10 +55,10 @@ def curves(
     return "\n".join([*out, "</svg>"]) + "\n"
 
 
-def gf_usd(*words: object) -> str:
+def gf_usd(*arguments: object) -> str:
     """Run the command line of this environment; what it printed."""
     done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", *map(str, words)], check=True, capture_output=True,
+        [sys.executable, "-m", "gf_usd", *map(str, arguments)], check=True, capture_output=True,
         text=True,
     )  # fmt: skip
     return done.stdout
@@ -71,9 +71,9 @@ def peak_picture(
     """A bake at its hardest squash: the frame whose body is lowest in the first bounce."""
     root = folder / f"{asset.stem}.{material}.usda"
     if not root.exists():
-        words = ["--preset", preset] if preset else []
+        arguments = ["--preset", preset] if preset else []
         gf_usd("bake", asset, "--material", material, "--seed", seed, "--overwrite", "--quiet",
-               "-o", root, *words)  # fmt: skip
+               "-o", root, *arguments)  # fmt: skip
     report = json.loads(root.with_name(f"{root.stem}.report.json").read_text())
     frames = report["bakes"][0]["per_frame"]
     stored = [f["elastic"] for f in frames]

@@ -218,7 +218,7 @@ def rest_drift(tables: Mapping[str, Runs]) -> str:
 def page(kept: Mapping[str, Any], folder: Path) -> str:
     """The page, as Markdown."""
     tables, about = load(kept), kept["about"]
-    words = (Path(__file__).with_name("words.md")).read_text()
+    template = (Path(__file__).with_name("words.md")).read_text()
     alphas = {float(k): v for k, v in tables["table 2"].items()}
     head = ("", "", "paper", "ours, `--preset paper`")
     figures = {
@@ -243,5 +243,5 @@ def page(kept: Mapping[str, Any], folder: Path) -> str:
         "deformed": spread_of([s.at_peak()["drift mean"] for s in tables["deformed"]["rubber"]]),
     }
     for name, text in figures.items():
-        words = words.replace("{{" + name + "}}", text)
-    return words
+        template = template.replace("{{" + name + "}}", text)
+    return template

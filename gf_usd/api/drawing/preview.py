@@ -153,8 +153,8 @@ def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:
         return new
     if new is not None:
         raise UsageError(f"{name} and {former} mean the same", f"leave {former} out")
-    words = f"{former} is now called {name}; the old name works until 1.0"
-    warnings.warn(words, FutureWarning, stacklevel=3)  # the line that calls `preview`
+    message = f"{former} is now called {name}; the old name works until 1.0"
+    warnings.warn(message, FutureWarning, stacklevel=3)  # the line that calls `preview`
     return old
 
 

@@ -34,6 +34,6 @@ def draw_sweep(result: BakeResult, target: Path) -> None:
     tiles = []
     for bake, source in zip(result.bakes, sources):
         draw = Drawing(source, TILE, fitted=camera)
-        words = [bake.variant, *(f"time code {code:g}" for code in codes[1:])]
-        tiles += [label(draw(code), text) for code, text in zip(codes, words)]
+        texts = [bake.variant, *(f"time code {code:g}" for code in codes[1:])]
+        tiles += [label(draw(code), text) for code, text in zip(codes, texts)]
     write_png(target, contact_sheet(tiles, len(codes)))

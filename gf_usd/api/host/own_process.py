@@ -108,10 +108,10 @@ def serve(request: str) -> NoReturn:
     end_with_parent()
     gc.set_threshold(100_000, 20, 20)  # as the command line has it
     request_read = exchange.read(Path(request).read_bytes())
-    options, words = request_read["options"], threading.Lock()
+    options, stderr_lock = request_read["options"], threading.Lock()
 
     def progress(done: int, total: int) -> None:
-        with words:
+        with stderr_lock:
             os.write(2, f"{DONE}{done} {total}\n".encode())
 
     if request_read["progress"]:

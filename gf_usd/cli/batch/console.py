@@ -90,10 +90,10 @@ def openjd_lines(board: Board, event: dict[str, Any], row: Row | None) -> list[s
     if row is None or event["event"] not in ("started", "frame", "finished"):
         return []
     many = f"{len(board.ended)} of {len(board.rows)} done"
-    words = row.state if event["event"] != "frame" else f"frame {row.done} of {row.total}"
+    text = row.state if event["event"] != "frame" else f"frame {row.done} of {row.total}"
     return [
         f"openjd_progress: {100.0 * board.share:.1f}",
-        f"openjd_status: {many}; {row.name}: {words}",
+        f"openjd_status: {many}; {row.name}: {text}",
     ]
 
 

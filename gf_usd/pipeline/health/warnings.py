@@ -82,7 +82,7 @@ def plan_warnings(odd: str) -> tuple[HealthWarning, ...]:
     return (HealthWarning(about="size", message=odd, hint="give the unit with --meters-per-unit"),)
 
 
-Said = tuple[str, str] | None
+MessageAndHint = tuple[str, str] | None
 
 
 def _gentler(h: HealthSummary) -> str:
@@ -103,7 +103,7 @@ def _other_law(h: HealthSummary) -> str:
     return f"--law {better[0]}" if better else ""
 
 
-def _energy(h: HealthSummary) -> Said:
+def _energy(h: HealthSummary) -> MessageAndHint:
     share = h["energy_gain_max_share"]
     if share <= ENERGY_GAIN:
         return None
@@ -114,7 +114,7 @@ def _energy(h: HealthSummary) -> Said:
     )
 
 
-def _inverted(h: HealthSummary) -> Said:
+def _inverted(h: HealthSummary) -> MessageAndHint:
     count = h["inverted_particle_frames"]
     if not count:
         return None
@@ -128,7 +128,7 @@ def _inverted(h: HealthSummary) -> Said:
     )
 
 
-def _rollbacks(h: HealthSummary) -> Said:
+def _rollbacks(h: HealthSummary) -> MessageAndHint:
     if h["rollbacks"] <= max(1.0, REDONE * h["frames"]):
         return None
     law = f", or use {_other_law(h)}" if _other_law(h) else ""
@@ -139,7 +139,7 @@ def _rollbacks(h: HealthSummary) -> Said:
     )
 
 
-def _clamped(h: HealthSummary) -> Said:
+def _clamped(h: HealthSummary) -> MessageAndHint:
     if h["clamped_share"] <= ALTERED:
         return None
     return (
@@ -149,7 +149,7 @@ def _clamped(h: HealthSummary) -> Said:
     )
 
 
-def _capped(h: HealthSummary) -> Said:
+def _capped(h: HealthSummary) -> MessageAndHint:
     if h["stress_capped_share"] <= ALTERED:
         return None
     return (
@@ -159,7 +159,7 @@ def _capped(h: HealthSummary) -> Said:
     )
 
 
-def _injected(h: HealthSummary) -> Said:
+def _injected(h: HealthSummary) -> MessageAndHint:
     given = h["injected_J"] - h["planes_J"]
     share = abs(given) / h["energy_scale_J"] if h["energy_scale_J"] else 0.0
     if share <= ALTERED:
@@ -172,7 +172,7 @@ def _injected(h: HealthSummary) -> Said:
     )
 
 
-def _planes(h: HealthSummary) -> Said:
+def _planes(h: HealthSummary) -> MessageAndHint:
     share = h["planes_gain_share"]
     if share < PLANES_GAIN:
         return None
@@ -184,7 +184,7 @@ def _planes(h: HealthSummary) -> Said:
     )
 
 
-def _deep(h: HealthSummary) -> Said:
+def _deep(h: HealthSummary) -> MessageAndHint:
     if h["deepest_penetration_spacings"] <= DEEP:
         return None
     return (
@@ -194,7 +194,7 @@ def _deep(h: HealthSummary) -> Said:
     )
 
 
-def _overlap(h: HealthSummary) -> Said:
+def _overlap(h: HealthSummary) -> MessageAndHint:
     if h["deepest_overlap_spacings"] <= DEEP:
         return None
     return (
@@ -205,7 +205,7 @@ def _overlap(h: HealthSummary) -> Said:
     )
 
 
-def _let_go(h: HealthSummary) -> Said:
+def _let_go(h: HealthSummary) -> MessageAndHint:
     if not h["released_max"]:
         return None
     return (
@@ -216,7 +216,7 @@ def _let_go(h: HealthSummary) -> Said:
     )
 
 
-def _inside(h: HealthSummary) -> Said:
+def _inside(h: HealthSummary) -> MessageAndHint:
     share = h["inside_at_end_share"]
     if share is None or share <= INSIDE:
         return None
@@ -231,7 +231,7 @@ def _inside(h: HealthSummary) -> Said:
     )
 
 
-def _outside(h: HealthSummary) -> Said:
+def _outside(h: HealthSummary) -> MessageAndHint:
     share = h.get("outside_mesh_max_share")
     if share is None or share <= OUTSIDE:
         return None
@@ -244,7 +244,7 @@ def _outside(h: HealthSummary) -> Said:
     )
 
 
-def _resting(h: HealthSummary) -> Said:
+def _resting(h: HealthSummary) -> MessageAndHint:
     depth = h["resting_penetration_spacings"]
     if depth is None or depth <= RESTING:
         return None
@@ -254,7 +254,7 @@ def _resting(h: HealthSummary) -> Said:
     )
 
 
-def _drift(h: HealthSummary) -> Said:
+def _drift(h: HealthSummary) -> MessageAndHint:
     linear, spin = h["momentum_drift"], h["angular_momentum_drift"]
     if linear is None or spin is None or max(linear, spin) <= DRIFT:
         return None
@@ -266,7 +266,7 @@ def _drift(h: HealthSummary) -> Said:
     )
 
 
-def _untouched(h: HealthSummary) -> Said:
+def _untouched(h: HealthSummary) -> MessageAndHint:
     met = h["first_contact_frame"] is not None
     if not h["falls"] or met or h["frames"] < 2 or _still(h) is not None:
         return None
@@ -277,7 +277,7 @@ def _untouched(h: HealthSummary) -> Said:
     )
 
 
-def _still(h: HealthSummary) -> Said:
+def _still(h: HealthSummary) -> MessageAndHint:
     if h["frames"] < 2 or h["kinetic_max_J"] > STILL * h["energy_scale_J"]:
         return None
     return (
@@ -288,7 +288,7 @@ def _still(h: HealthSummary) -> Said:
     )
 
 
-def _fallen(h: HealthSummary) -> Said:
+def _fallen(h: HealthSummary) -> MessageAndHint:
     count = h.get("fallen_bodies", 0)
     if not count:
         return None
@@ -299,7 +299,7 @@ def _fallen(h: HealthSummary) -> Said:
     )
 
 
-def _lost(h: HealthSummary) -> Said:
+def _lost(h: HealthSummary) -> MessageAndHint:
     count = h.get("lost_particles", 0)
     if not count:
         return None
@@ -311,7 +311,7 @@ def _lost(h: HealthSummary) -> Said:
     )
 
 
-def _unconverted(h: HealthSummary) -> Said:
+def _unconverted(h: HealthSummary) -> MessageAndHint:
     if h.get("converted_particles") != 0:
         return None
     return (
@@ -320,7 +320,7 @@ def _unconverted(h: HealthSummary) -> Said:
     )
 
 
-def _flow_volume(h: HealthSummary) -> Said:
+def _flow_volume(h: HealthSummary) -> MessageAndHint:
     low, high = h.get("flow_volume_min"), h.get("flow_volume_max")
     if low is None or high is None or max(1.0 - low, high - 1.0) <= FLOW_VOLUME:
         return None
@@ -331,7 +331,7 @@ def _flow_volume(h: HealthSummary) -> Said:
     )
 
 
-def _thin_flow(h: HealthSummary) -> Said:
+def _thin_flow(h: HealthSummary) -> MessageAndHint:
     count = h.get("flow_per_cell_at_end")
     if count is None or count >= SPARSE:
         return None
@@ -343,7 +343,7 @@ def _thin_flow(h: HealthSummary) -> Said:
     )
 
 
-def _loop(h: HealthSummary) -> Said:
+def _loop(h: HealthSummary) -> MessageAndHint:
     share = h.get("loop_difference_share", 0.0)
     if share <= NOT_PERIODIC:
         return None
@@ -356,7 +356,7 @@ def _loop(h: HealthSummary) -> Said:
     )
 
 
-RULES: dict[str, Callable[[HealthSummary], Said]] = {
+RULES: dict[str, Callable[[HealthSummary], MessageAndHint]] = {
     "untouched": _untouched,
     "still": _still,
     "fallen": _fallen,

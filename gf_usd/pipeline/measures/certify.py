@@ -23,7 +23,7 @@ FEWEST = 64
 MOST_DIGITS = 5  # after the point, in texts
 NOISE = 0.015  # of the lattice edge: least uncertainty of a length (tools/acceptance/certify.py)
 VOLUME = 0.02  # relative volume by which the body of a coarser run may differ
-WORDS = {2.0: "half of the resolution", 4.0: "a quarter of the resolution"}
+COARSER_TEXTS = {2.0: "half of the resolution", 4.0: "a quarter of the resolution"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class Certificate:
             "reason": self.reason,
             "figures": {
                 name: {
-                    "words": FIGURES[name].words,
+                    "words": FIGURES[name].text,
                     "told": interval_text(name, one),
                     "unit": FIGURES[name].unit,
                     **one.as_json(),
@@ -68,8 +68,7 @@ class Certificate:
         if self.reason:
             return (f"nothing is certified: {self.reason}",)
         sentences = [
-            f"{FIGURES[name].words} {interval_text(name, one)}"
-            for name, one in self.figures.items()
+            f"{FIGURES[name].text} {interval_text(name, one)}" for name, one in self.figures.items()
         ]
         return (
             (*sentences, self._path(self.center)) if self.center is not None else tuple(sentences)
@@ -124,7 +123,7 @@ def coarser(
     """
     found: list[Observed] = []
     for factor in COARSER:
-        what = f"the run at {WORDS[factor]}"
+        what = f"the run at {COARSER_TEXTS[factor]}"
         try:
             made, filled = run(factor * spacing)
         except (InputError, SolverError) as error:
@@ -181,7 +180,7 @@ def _interval(
 ) -> Interval:
     """The interval of one figure, or an interval with the reason why it is unknown."""
     series = fine.series
-    absent = [WORDS[factor] for factor, one in zip(COARSER, others) if one is None]
+    absent = [COARSER_TEXTS[factor] for factor, one in zip(COARSER, others) if one is None]
     if absent:
         return unknown(value, f"there is none at {' and at '.join(absent)}")
     decided = reached(series, name)

@@ -251,22 +251,22 @@ def figures(
 class Figure:
     """Name and unit of a figure."""
 
-    words: str
+    text: str
     unit: str  # SI; "" for a pure number
 
 
 FIGURES: Mapping[str, Figure] = {
-    "first_contact_time": Figure(words="time of the first contact", unit="s"),
-    "first_contact_place": Figure(words="place of the first contact", unit="m"),
-    "least_height": Figure(words="least height in the first contact", unit="m"),
-    "squash": Figure(words="peak squash", unit=""),
-    "rebound": Figure(words="rebound of the center of mass", unit="m"),
-    "sag": Figure(words="deepest sag of the lowest point", unit="m"),
-    "settled_height": Figure(words="height at rest", unit="m"),
-    "settled_center": Figure(words="center of mass at rest", unit="m"),
-    "settled_sag": Figure(words="sag at rest", unit="m"),
-    "peak_strain": Figure(words="peak strain", unit=""),
-    "volume_change": Figure(words="largest change of volume", unit=""),
+    "first_contact_time": Figure(text="time of the first contact", unit="s"),
+    "first_contact_place": Figure(text="place of the first contact", unit="m"),
+    "least_height": Figure(text="least height in the first contact", unit="m"),
+    "squash": Figure(text="peak squash", unit=""),
+    "rebound": Figure(text="rebound of the center of mass", unit="m"),
+    "sag": Figure(text="deepest sag of the lowest point", unit="m"),
+    "settled_height": Figure(text="height at rest", unit="m"),
+    "settled_center": Figure(text="center of mass at rest", unit="m"),
+    "settled_sag": Figure(text="sag at rest", unit="m"),
+    "peak_strain": Figure(text="peak strain", unit=""),
+    "volume_change": Figure(text="largest change of volume", unit=""),
 }
 
 

@@ -66,7 +66,7 @@ class Until:
                 if interval is None or not (interval.known or self.names or one.reason):
                     continue
                 width = interval.relative if interval.known else float("inf")
-                rows.append((width, interval.order or LOWEST, FIGURES[name].words))
+                rows.append((width, interval.order or LOWEST, FIGURES[name].text))
         return max(rows, key=lambda row: row[0]) if rows else None
 
 
@@ -95,12 +95,10 @@ def next_step(
         return Refinement(
             spacing=None, reason=f"--until {target}: the bake has none of the figures {names}"
         )
-    width, order, words = widest
+    width, order, text = widest
     edge = found[0].runs[0][1]
     if width <= until.share:
-        return Refinement(
-            spacing=None, reason=f"--until {target}: {words} +- {100.0 * width:.2g} %"
-        )
+        return Refinement(spacing=None, reason=f"--until {target}: {text} +- {100.0 * width:.2g} %")
     p = min(max(order, LOWEST), HIGHEST)
     ratio = min(max(MARGIN * (until.share / width) ** (1.0 / p), FINEST), COARSEST)
     needed = seconds * ratio**-WORK
@@ -108,13 +106,13 @@ def next_step(
     if spent + needed > budget:
         return Refinement(
             spacing=None,
-            reason=f"--until {target} was not reached: {words} is {known}, and the next bake would "
+            reason=f"--until {target} was not reached: {text} is {known}, and the next bake would "
             f"take about {duration(needed)}, but --max-hours leaves"
             f" {duration(max(0.0, budget - spent))}",
         )
     return Refinement(
         spacing=ratio * edge,
-        reason=f"{words} is {known}: baking again with particles {ratio * edge:.3g} m apart",
+        reason=f"{text} is {known}: baking again with particles {ratio * edge:.3g} m apart",
     )
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SAME = 1e-6  # relative: float32 holds no finer difference
 # what a note calls each value, and its unit
-WORDS = {
+TERMS = {
     "youngs_modulus": ("Young's modulus", " Pa; the step is that of the stiffest"),
     "poissons_ratio": ("Poisson's ratio", ""),
     "damping_time": ("the damping time", " s"),
@@ -66,7 +66,7 @@ def with_value_keys(
     values = {name: np.stack([one[name] for one in spreads]) for name in KEYED}
     changing = [n for n in KEYED if not np.allclose(values[n], rest[n], rtol=SAME, atol=0.0)]
     notes += [
-        f"{', '.join(names)} has time samples, with which {WORDS[what][0]} does not change"
+        f"{', '.join(names)} has time samples, with which {TERMS[what][0]} does not change"
         for what, names in keys.by.items()
         if what not in changing
     ]
@@ -83,7 +83,7 @@ def with_value_keys(
         if name not in changing:  # to the bit
             values[name] = np.repeat(rest[name][None], len(codes), axis=0)
             continue
-        word, unit = WORDS[name]
+        word, unit = TERMS[name]
         low, high = float(values[name].min()), float(values[name].max())
         by = ", ".join(keys.by.get(name, every))
         notes.append(

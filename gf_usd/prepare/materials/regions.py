@@ -277,6 +277,6 @@ def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> No
             )
 
 
-def _listed(words: Sequence[str]) -> str:
-    more = len(words) - SHOWN
-    return ", ".join(words[:SHOWN]) + (f" and {more} more" if more > 0 else "")
+def _listed(texts: Sequence[str]) -> str:
+    more = len(texts) - SHOWN
+    return ", ".join(texts[:SHOWN]) + (f" and {more} more" if more > 0 else "")

@@ -144,9 +144,9 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     if rounding <= LOST * spacing:
         return
     placed = {"--floor": request.floor, "--drop": request.drop}
-    words = " ".join(f"{name} {text}" for name, text in placed.items() if text is not None)
+    placement = " ".join(f"{name} {text}" for name, text in placed.items() if text is not None)
     raise UsageError(
-        f"{words or 'the stage'}: bodies would be {height:.3g} m from the origin, where points,"
+        f"{placement or 'the stage'}: bodies would be {height:.3g} m from the origin, where points,"
         f" which have single precision, are off by {rounding:.2g} m; particles are {spacing:.2g} m"
         " apart",
         f"give heights of up to {LOST * spacing / rounding * height:.2g} m, or check the unit of"

@@ -39,16 +39,16 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     except (Tf.ErrorException, UnicodeDecodeError) as error:  # the latter: names that are not UTF-8
-        words = _first_words(error) if isinstance(error, Tf.ErrorException) else NO_TEXT
+        fault = _fault(error) if isinstance(error, Tf.ErrorException) else NO_TEXT
         raise InputError(
-            f"{path} is damaged: {words}",
+            f"{path} is damaged: {fault}",
             "export the asset again; a USD viewer should open it before it is baked",
         ) from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
 
 
-def _first_words(error: Tf.ErrorException) -> str:
+def _fault(error: Tf.ErrorException) -> str:
     """The first line of a USD error, without its location in USD's source."""
     text = _text(error)
     quoted = re.search(r": '(.*?)'(?:\n|$)", text, re.DOTALL)

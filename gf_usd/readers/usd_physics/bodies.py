@@ -202,7 +202,7 @@ class PhysicsMaterials:
         self._facts = facts
         self._time = time
         self._notes = notes
-        self._words: dict[Sdf.Path, PhysicsMaterialSpec] = {}
+        self._specs: dict[Sdf.Path, PhysicsMaterialSpec] = {}
         self._deformable: set[str] = set()  # paths of materials with APIs in DEFORMABLE
 
     def bound(self, prim: Usd.Prim) -> PhysicsMaterialSpec:
@@ -215,9 +215,9 @@ class PhysicsMaterials:
         if not material:
             return PhysicsMaterialSpec()
         path = material.GetPath()
-        if path not in self._words:
-            self._words[path] = self._read(material.GetPrim())
-        return self._words[path]
+        if path not in self._specs:
+            self._specs[path] = self._read(material.GetPrim())
+        return self._specs[path]
 
     def whole(self, spec: PhysicsMaterialSpec, density: float | None = None) -> Material | None:
         """The complete material of a spec; None where it has no elastic moduli.

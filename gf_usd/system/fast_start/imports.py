@@ -45,8 +45,8 @@ def quick_import() -> Iterator[None]:
     def announce(module: Any, execute: Callable[[], None]) -> None:
         execute()
         old = module._inside_class
-        words = tuple(module._KERNEL_CLASS_STACKFRAME_STMT_RES)
-        module._inside_class = faster_inside_class(old, words)
+        patterns = tuple(module._KERNEL_CLASS_STACKFRAME_STMT_RES)
+        module._inside_class = faster_inside_class(old, patterns)
         restore.append(lambda: setattr(module, "_inside_class", old))
 
     lazy = [name for name in LAZY if name not in sys.modules]

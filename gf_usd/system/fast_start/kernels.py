@@ -64,8 +64,8 @@ def remove_replacements() -> None:
 def _replacements() -> tuple[Replacement, ...]:
     """All replacements, made once from Taichi as it was imported."""
     numbers: Any = importlib.import_module("taichi.lang.expr")
-    words: Any = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
-    context = words.ASTTransformerContext
+    utils: Any = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
+    context = utils.ASTTransformerContext
     transformer: Any = importlib.import_module("taichi.lang.ast.ast_transformer").ASTTransformer
     kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
     trees = SyntaxTrees(kernels.transform_tree)
@@ -74,9 +74,9 @@ def _replacements() -> tuple[Replacement, ...]:
     new: tuple[tuple[Any, str, Any], ...] = (
         *((numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name))) for name in ranges),
         (
-            words.Builder,
+            utils.Builder,
             "__call__",
-            _fast_builder_call(words.Builder.__call__, context.get_pos_info),
+            _fast_builder_call(utils.Builder.__call__, context.get_pos_info),
         ),
         (context, "get_pos_info", _short_position),
         (transformer, "build_Name", staticmethod(_fast_build_name)),
@@ -110,7 +110,7 @@ def _short_position(self: Any, node: Any) -> str:
 
 
 def faster_inside_class(
-    inside: Callable[[int], bool], words: tuple[re.Pattern[str], ...]
+    inside: Callable[[int], bool], patterns: tuple[re.Pattern[str], ...]
 ) -> Callable[[int], bool]:
     """A faster `inside(level)`: whether the line at a frame matches one of the patterns `words`.
 
@@ -126,8 +126,8 @@ def faster_inside_class(
         if frame.f_code.co_filename.startswith("<"):
             return False
         line = linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()
-        if line and words:
-            return any(word.match(line) for word in words)
+        if line and patterns:
+            return any(word.match(line) for word in patterns)
         return inside(level_of_class_stackframe + 1)
 
     return inside_class

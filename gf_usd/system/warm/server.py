@@ -30,7 +30,7 @@ TICK = 0.25  # [s] between checks of the time
 QUESTIONS = ("status", "stop")
 ENDED, SERVER = "ended", "server"  # events of the server itself
 
-Words = Callable[[dict[str, Any]], list[str]]  # from a request to the arguments of gf-usd
+Arguments = Callable[[dict[str, Any]], list[str]]  # from a request to the arguments of gf-usd
 
 
 class Server:
@@ -38,7 +38,7 @@ class Server:
 
     Parameters
     ----------
-    words : the arguments of a request; raises GfUsdError for an invalid one.
+    arguments_of : the arguments of a request; raises GfUsdError for an invalid one.
     at_once : number of concurrent commands; others wait.
     timeout : [s] after which a command without its own limit is ended; None: never.
     idle : [s] without a command after which `run` returns; None: never.
@@ -47,7 +47,7 @@ class Server:
 
     def __init__(
         self,
-        words: Words,
+        arguments_of: Arguments,
         workers: Workers,
         children: Children,
         *,
@@ -55,7 +55,7 @@ class Server:
         timeout: float | None = None,
         idle: float | None = None,
     ) -> None:
-        self._words, self._workers, self._children = words, workers, children
+        self._arguments_of, self._workers, self._children = arguments_of, workers, children
         self._timeout, self._idle = timeout, idle
         self._at_once = at_once
         self._turns = threading.Semaphore(at_once)
@@ -113,7 +113,7 @@ class Server:
             if "ask" in request:
                 self._tell(_question(request), send)
                 return
-            words, folder = self._words(request), _folder(request)
+            arguments, folder = self._arguments_of(request), _folder(request)
             timeout = _timeout(request, self._timeout)
         except GfUsdError as error:
             send("error", status=error.exit_status, message=error.message, hint=error.hint)
@@ -123,7 +123,7 @@ class Server:
         with self._lock:
             self._commands += 1
         try:
-            ended = self._run(client, send, words, folder, timeout)
+            ended = self._run(client, send, arguments, folder, timeout)
         finally:
             with self._lock:
                 self._commands -= 1
@@ -150,7 +150,7 @@ class Server:
         self,
         client: socket.socket,
         send: _Events,
-        words: list[str],
+        arguments: list[str],
         folder: str,
         timeout: float | None,
     ) -> ProcessResult | None:
@@ -177,7 +177,7 @@ class Server:
                     return None
                 with listening(send.line) as events:
                     return self._workers.run(
-                        words, events=events, timeout=timeout, folder=folder,
+                        arguments, events=events, timeout=timeout, folder=folder,
                         started=running.append,
                     )  # fmt: skip
             finally:

@@ -404,15 +404,15 @@ def _describe_field(field: Mapping[str, Any]) -> str:
             number(value) for value in field.get("values", [])
         )
     acceleration = field.get("vector") if field.get("kind") == "wind" else field.get("strength")
-    words = [f"{number(acceleration)} m/s²"]
+    parts = [f"{number(acceleration)} m/s²"]
     if field.get("kind") == "noise":
-        words.append(f"length {number(field.get('length'))} m")
-        words.append(f"rate {number(field.get('rate'))} 1/s")
+        parts.append(f"length {number(field.get('length'))} m")
+        parts.append(f"rate {number(field.get('rate'))} 1/s")
     if field.get("radius") is not None or field.get("kind") == "radial":
-        words.append(f"around {number(field.get('center'))} m")
+        parts.append(f"around {number(field.get('center'))} m")
     if field.get("radius") is not None:
-        words.append(f"radius {number(field['radius'])} m")
-    return "; ".join(words)
+        parts.append(f"radius {number(field['radius'])} m")
+    return "; ".join(parts)
 
 
 def _label_from_key(key: str) -> str:

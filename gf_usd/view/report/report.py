@@ -101,9 +101,11 @@ def _build_page(
         key_frames = choose_key_frames(motion)
         codes = [motion.time_codes[frame] for frame, _ in key_frames]
         uris = render_pictures(recording, source.frames(codes), camera_for(motion))
-        words = [f"{code:g}" + (f" · {w}" if w else "") for code, (_, w) in zip(codes, key_frames)]
+        captions = [
+            f"{code:g}" + (f" · {w}" if w else "") for code, (_, w) in zip(codes, key_frames)
+        ]
         pictures_of_variants.append(
-            [(f, w, uri) for (f, _), w, uri in zip(key_frames, words, uris)]
+            [(f, w, uri) for (f, _), w, uri in zip(key_frames, captions, uris)]
         )
     cell = _grid_cell(motions[0])
     variants = [

@@ -22,8 +22,8 @@ FIRST, LAST = 11, 15
 def falls(out):
     """One sphere; the scene says the frames."""
     ball = sphere("My Ball", (1.0, 2.0, 0.7), (0.3, 0.2, 0.1), (1.0, 1.2, 1.0))
-    said = {"poll": bpy.ops.gf_usd.bake.poll(), "ended": list(bpy.ops.gf_usd.bake())}
-    return {**said, **scene_state(), "hidden": ball.hide_get(), "render": not ball.hide_render}
+    result = {"poll": bpy.ops.gf_usd.bake.poll(), "ended": list(bpy.ops.gf_usd.bake())}
+    return {**result, **scene_state(), "hidden": ball.hide_get(), "render": not ball.hide_render}
 
 
 def in_centimeters(out):
@@ -85,15 +85,15 @@ def hung(out):
         bar.keyframe_insert("location", frame=frame)
     scene().frame_set(FIRST)
     scene().gf_usd.has_floor = False
-    said = []
+    messages = []
     scene().gf_usd.pin_group = "nowhere"
     try:
         bpy.ops.gf_usd.bake()
     except RuntimeError as error:
-        said.append(str(error))
+        messages.append(str(error))
     scene().gf_usd.pin_group = "hung up"
     ended = list(bpy.ops.gf_usd.bake())
-    return {"ended": ended, "said": said, "top": top, **scene_state()}
+    return {"ended": ended, "messages": messages, "top": top, **scene_state()}
 
 
 def gravity_of_the_scene(out):
@@ -122,7 +122,7 @@ def refusals(out):
     """What is wrong, in whose words, and what is left in the scene."""
     sphere("Ball", (0.0, 0.0, 1.0))
     settings = scene().gf_usd
-    said = {}
+    messages = {}
     for name, change in (
         ("material", {"material": "ruber"}),
         ("option", {"extra": "--nonsense 3"}),
@@ -140,11 +140,15 @@ def refusals(out):
         try:
             bpy.ops.gf_usd.bake()
         except RuntimeError as error:
-            said[name] = [str(error), state().message, state().hint]
+            messages[name] = [str(error), state().message, state().hint]
         preferences.program = program
         for key, value in before.items():
             setattr(settings, key, value)
-    return {"said": said, "left": [path.name for path in Path(out).iterdir()], **scene_state()}
+    return {
+        "messages": messages,
+        "left": [path.name for path in Path(out).iterdir()],
+        **scene_state(),
+    }
 
 
 class Operator:
@@ -343,6 +347,6 @@ bpy.context.preferences.addons[MODULE].preferences.program = program
 scene().frame_start, scene().frame_end = FIRST, LAST
 settings = scene().gf_usd
 settings.particles, settings.material, settings.folder = 300, "jelly", target
-told = globals()[case](target)
-Path(target).with_suffix(".json").write_text(json.dumps(told))
+result = globals()[case](target)
+Path(target).with_suffix(".json").write_text(json.dumps(result))
 np.savez(Path(target).with_suffix(".npz"), **world_vertices())

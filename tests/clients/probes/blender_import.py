@@ -72,10 +72,10 @@ for frame in range(first, last + 1):
 for path, found in frames.items():
     out[f"points:{path}"] = np.array(found)
 np.savez(target, **out)
-said = {
+report = {
     "objects": {item.name: item.type for item in scene.objects},
     "attributes": {path_of(item): item.data.attributes.keys() for item in shown},
     "range": [scene.frame_start, scene.frame_end],
     "version": bpy.app.version_string,
 }
-Path(target).with_suffix(".json").write_text(json.dumps(said))
+Path(target).with_suffix(".json").write_text(json.dumps(report))

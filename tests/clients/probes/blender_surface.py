@@ -49,8 +49,8 @@ for frame in range(first, last + 1):
     if "velocity" in mesh.attributes:
         out[f"velocity:{frame}"] = taken(mesh.attributes["velocity"].data, "vector", 3)
 np.savez(target, **out)
-said = {
+report = {
     "attributes": mesh.attributes.keys(),
     "meshes": {o.name: not o.hide_render for o in scene.objects if o.type == "MESH"},
 }
-Path(target).with_suffix(".json").write_text(json.dumps(said))
+Path(target).with_suffix(".json").write_text(json.dumps(report))

@@ -99,8 +99,10 @@ def test_one_or_two_windows_show_a_wrong_unit_only(
             prim.GetAttribute(name).ClearAtTime(code)
     result = check_stage(stage)
     assert [finding.rule for finding in result.findings] == ["velocities"] * wrong
-    said = f"velocities is {factor:.3g} times the motion in only {counted(samples - 4, 'window')}"
-    assert [skip.reason.startswith(said) for skip in result.skipped] == [True] * (not wrong)
+    message = (
+        f"velocities is {factor:.3g} times the motion in only {counted(samples - 4, 'window')}"
+    )
+    assert [skip.reason.startswith(message) for skip in result.skipped] == [True] * (not wrong)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.25])
@@ -168,7 +170,7 @@ def test_velocities_of_points_that_stand_still(tmp_path: Path) -> None:
 
 
 def test_what_swings_from_sample_to_sample_does_not_stand_still(tmp_path: Path) -> None:
-    """A vibration at half the rate of the samples has no speed by them: nothing can be said."""
+    """A vibration at half the rate of the samples has no speed by them: nothing can be decided."""
     stage = good_stage(tmp_path / "swinging.usda")
     prim = stage.GetPrimAtPath(MESH)
     for at, code in enumerate(CODES):
@@ -195,8 +197,8 @@ def test_windows_that_disagree_are_left_undecided(tmp_path: Path) -> None:
             prim.GetAttribute("velocities").Set(vec3(factors[at % len(factors)] * v), code)
         result = check_stage(stage)
         assert [f.rule for f in result.findings] == ["velocities"] * found
-        said = f"velocities {motion_rule.TOO_FAST}: the points turn between two of them"
-        assert [s.reason for s in result.skipped] == [said] * left
+        message = f"velocities {motion_rule.TOO_FAST}: the points turn between two of them"
+        assert [s.reason for s in result.skipped] == [message] * left
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
@@ -214,9 +216,9 @@ def test_a_wrong_rate_shows_in_a_vibration_that_the_samples_resolve(
         x, v = np.sin(turn * code), turn * RATE * np.cos(turn * code)
         points.CreatePointsAttr().Set(vec3(CUBE + [x, 0.0, 0.0]), code)
         points.CreateVelocitiesAttr().Set(vec3(0.0 * CUBE + [factor * v, 0.0, 0.0]), code)
-    (said,) = [f.message for f in check_stage(stage).findings if f.rule == "velocities"]
+    (message,) = [f.message for f in check_stage(stage).findings if f.rule == "velocities"]
     # the finite differences are off by up to turn^4 / 30
-    assert float(said.split()[2]) == pytest.approx(factor, rel=0.005)
+    assert float(message.split()[2]) == pytest.approx(factor, rel=0.005)
 
 
 def test_factors_far_from_one_may_disagree_too(tmp_path: Path) -> None:
@@ -302,7 +304,7 @@ def test_wherever_a_velocity_jumps_the_error_has_a_bound(after: float) -> None:
 
 
 def test_a_ribbon_that_falls_two_samples_and_stays_is_left_undecided(tmp_path: Path) -> None:
-    """All that a bake of toothpaste has of motion; it was said to be of a wrong unit."""
+    """All that a bake of toothpaste has of motion; it was reported to be of a wrong unit."""
     stage = good_stage(tmp_path / "landed.usda")
     prim = stage.GetPrimAtPath(MESH)
     heights = (0.0, -0.852, -2.007)

@@ -54,7 +54,7 @@ def test_a_fault_of_the_bake_is_found_with_its_prim_and_fix(tmp_path: Path) -> N
     assert ("finite", MESH) in prims(found)
     assert all(set(f) == {"rule", "prim", "message", "fix"} for f in found)
     assert all(f["message"] and f["fix"] for f in found)
-    assert len(prims(found)) == len(found), "each fault is told once"
+    assert len(prims(found)) == len(found), "each fault is reported once"
 
 
 def test_every_variant_is_looked_at(tmp_path: Path) -> None:

@@ -49,14 +49,14 @@ def test_usd_interpolates_as_the_errors_assume(kind: str, time: float) -> None:
     a, b = drawn(kind, 1), drawn(kind, 2)
     attribute.Set(a, A)
     attribute.Set(b, B)
-    told = np.asarray(attribute.Get(time), np.float64)
+    interpolated = np.asarray(attribute.Get(time), np.float64)
     s = (time - A) / (B - A)
     x, y = np.asarray(a), np.asarray(b)
     mine = x if kind == "int[]" else (1.0 - s) * x.astype(float) + s * y.astype(float)
     if kind.startswith("quat"):
         mine = slerp(x, y, s)
     # numbers up to 4: halves are rounded by 2^-11 of that three times, floats by 2^-24
-    assert np.abs(told - mine).max() <= (12 * 2.0**-11 if kind in HALVES else 1e-6)
+    assert np.abs(interpolated - mine).max() <= (12 * 2.0**-11 if kind in HALVES else 1e-6)
 
 
 def test_a_rotation_is_halved_whatever_the_signs() -> None:

@@ -1,4 +1,4 @@
-"""Half precision: where it is used, how far it is off, and that this is what is said."""
+"""Half precision: where it is used, how far it is off, and that this is what the notes say."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_what_is_half_is_close_and_the_rest_is_the_same(tmp_path: Path) -> None:
         "orientations": ("quath[]", 1.0), "scales": ("half3[]", None), "opacities": ("half[]", 1.0),
         "radiance:sphericalHarmonicsCoefficients": ("half3[]", 2.0),
     }  # fmt: skip
-    said = " ".join(summary.notes)
+    notes = " ".join(summary.notes)
     for name, (kind, most) in names.items():
         attribute, other = half.GetAttribute(f"{name}h"), whole.GetAttribute(name)
         assert attribute.GetTypeName() == kind
@@ -62,10 +62,10 @@ def test_what_is_half_is_close_and_the_rest_is_the_same(tmp_path: Path) -> None:
             error = np.abs(a - b) / (np.abs(b) if most is None else most)
             assert 0.0 < error.max() <= BITS * (1 + 1e-3)
             worst = max(worst, error.max() * (most or 1.0))
-        found = re.search(rf"{name} by ([\d.e-]+)", said)
-        told = float(found[1]) / (100.0 if most is None else 1.0)
-        # two digits are said; singles round, too
-        assert told == pytest.approx(worst, rel=0.06)
+        found = re.search(rf"{name} by ([\d.e-]+)", notes)
+        stated = float(found[1]) / (100.0 if most is None else 1.0)
+        # two digits are written; singles round, too
+        assert stated == pytest.approx(worst, rel=0.06)
     for name in ("positions", "gaussianFlesh:velocities"):
         a, b = (prim.GetAttribute(name) for prim in (half, whole))
         assert [a.Get(t) for t in a.GetTimeSamples()] == [b.Get(t) for t in b.GetTimeSamples()]

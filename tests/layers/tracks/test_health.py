@@ -169,13 +169,13 @@ def test_intervals_are_in_stage_units() -> None:
     figures = {"rebound": one, "settled_center": place, "peak_strain": lost, "squash": share}
     certificate = {"figures": figures, "center": {"frames": 7}}
     author_certificate(spec, certificate, UNITS)
-    said = {name: spec.attributes[f"{PREFIX}certified:{name}"].default for name in CERTIFIED}
+    written = {name: spec.attributes[f"{PREFIX}certified:{name}"].default for name in CERTIFIED}
     names = ["rebound", "settledCenterX", "settledCenterY", "settledCenterZ", "squash"]
-    assert list(said["figures"]) == names
-    np.testing.assert_allclose(said["values"], [2.0, 1.0, 2.0, 3.0, 0.2])
-    np.testing.assert_allclose(said["halfWidths"], [0.1, 0.2, 0.2, 0.2, 0.01])
-    assert list(said["unknown"]) == ["peakStrain: it differs"]
-    assert said["frames"] == 7
+    assert list(written["figures"]) == names
+    np.testing.assert_allclose(written["values"], [2.0, 1.0, 2.0, 3.0, 0.2])
+    np.testing.assert_allclose(written["halfWidths"], [0.1, 0.2, 0.2, 0.2, 0.01])
+    assert list(written["unknown"]) == ["peakStrain: it differs"]
+    assert written["frames"] == 7
 
 
 def test_without_a_bake_nothing_is_said(tmp_path: Path) -> None:

@@ -97,10 +97,10 @@ def test_a_sample_that_must_be_kept_is() -> None:
 
 def kept_from(rest: np.ndarray, curve: np.ndarray, last: int = -1) -> list[float]:
     """Times that are kept of a motion (T, n, 3) whose asset says that it is at `rest`."""
-    said, *frames = (
+    at_rest, *frames = (
         {PATH: Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(x, np.float32))} for x in (rest, *curve)
     )
-    one = Sparse(allowed(), 8, lambda time: np.eye(3), rest=said)
+    one = Sparse(allowed(), 8, lambda time: np.eye(3), rest=at_rest)
     found = [
         code
         for time, values in enumerate(frames)

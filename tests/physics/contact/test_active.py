@@ -1,4 +1,4 @@
-"""Which contact samples are asked in a substep: those left alone change nothing."""
+"""Which contact samples are searched in a substep: those left alone change nothing."""
 
 from __future__ import annotations
 

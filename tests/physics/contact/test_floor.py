@@ -49,7 +49,7 @@ def test_a_lone_mass_leaves_with_the_restitution_asked_for(restitution, k, m):
     # The integrator's 1e-10 a step, over some hundred steps.
     assert rebound(k, m, c, sticky=True) == pytest.approx(restitution, abs=1e-7)
     # A floor that never pulls lets go where its force is 0, sooner, and so gives back a little more
-    # (Schwager and Poeschel 2007, eq. 21): .855 where .85 is asked for.
+    # (Schwager and Poeschel 2007, eq. 21): .855 where .85 is required.
     z = c / (2.0 * np.sqrt(k * m))
     root = np.sqrt(1.0 - z * z)
     more = np.exp(-z / root * (np.pi - np.arctan2(2.0 * z * root, 1.0 - 2.0 * z * z)))

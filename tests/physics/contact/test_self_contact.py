@@ -19,7 +19,7 @@ REACH = FACE * SPACING
 
 
 def made(gap: float = GAP):
-    """Two legs half a meter apart, or as asked, and their samples at rest."""
+    """Two legs half a meter apart, or as given, and their samples at rest."""
     skin, samples = sampled(legs(gap))
     return SelfContact(skin, samples.X, samples.normal, SPACING), samples
 

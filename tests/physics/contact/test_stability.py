@@ -118,11 +118,11 @@ def test_planes_of_coarse_meshes_are_carried_beside_their_place(
     stiff."""
     most, step = [1.0], PairSprings.step
 
-    def watched(springs: PairSprings, *words: Any) -> StableStep:
-        x, faces = words[3], springs.planes.carried
+    def watched(springs: PairSprings, *arguments: Any) -> StableStep:
+        x, faces = arguments[3], springs.planes.carried
         touching = faces[springs.planes.depth(x, 0.0)[faces] > 0.0]
         most.append(float(levers(springs.planes, touching, x).max(initial=1.0)))
-        return step(springs, *words)
+        return step(springs, *arguments)
 
     monkeypatch.setattr(PairSprings, "step", watched)
     bars = (
@@ -145,8 +145,8 @@ def test_substeps_of_contact_halve_with_the_step_of_a_failed_frame(monkeypatch) 
     # springs that are far stiffer than the bodies, so that contact alone limits the substeps
     step = PairSprings.step
 
-    def stiff_step(springs: PairSprings, *words: Any) -> StableStep:
-        found = step(springs, *words)
+    def stiff_step(springs: PairSprings, *arguments: Any) -> StableStep:
+        found = step(springs, *arguments)
         return replace(found, contact=30.0 * found.elastic)
 
     monkeypatch.setattr(PairSprings, "step", stiff_step)

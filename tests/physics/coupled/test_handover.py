@@ -41,7 +41,7 @@ def converting(
     particles: int = 250,
     velocity: Any = turning,
     scatter: bool = False,
-    **said: Any,
+    **options: Any,
 ) -> Converting:
     """Cubes of 1 m in a row, 1.5 m apart, of a preset each; some of which become another."""
     count = len(materials)
@@ -64,7 +64,7 @@ def converting(
         embedded={s.path: k for k, s in enumerate(surfaces)},
     )  # fmt: skip
     solver = make_solver(
-        settings(**{"solver": MIXED, **FAST, **said}), filled, table,
+        settings(**{"solver": MIXED, **FAST, **options}), filled, table,
         samples=sample_surface(made, filled.spacing, of),
         embedded={s.path: s.points for s in surfaces}, embedded_body=plan.embedded,
         velocity=velocity, real=np.float64,

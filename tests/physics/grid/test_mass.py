@@ -24,11 +24,11 @@ from gf_usd.physics.grid.spectrum import ACCURACY
 SOLVED = 1e-11
 
 
-def of_ball(count: int = 800, even: bool = True, **said):
+def of_ball(count: int = 800, even: bool = True, **options):
     """Positions [m] and masses [kg] of a ball's particles, their stencil and its mass."""
     particles, _ = ball(count)
     m = particles.V0 if even else np.random.default_rng(1).uniform(0.5, 1.5, len(particles))
-    made = build_stencil(particles.X, m, 2.0 * particles.lattice, particles.corner, **said)
+    made = build_stencil(particles.X, m, 2.0 * particles.lattice, particles.corner, **options)
     return particles.X, m, made, consistent_mass(made, m)
 
 

@@ -191,13 +191,13 @@ def test_a_point_that_is_an_anchor_goes_where_the_anchor_goes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [("box:-9,-9,-9,9,9,9", "hold all"), ("box:0.4,0.1,0.1,0.401,0.101,0.101", "no node")],
 )
-def test_a_pin_that_holds_all_or_nothing_is_refused(text: str, words: str) -> None:
+def test_a_pin_that_holds_all_or_nothing_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         TotalLagrangian(bar(), [soft()], settings(), pins=[box(text)])
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert caught.value.hint
 
 

@@ -140,10 +140,10 @@ def test_a_region_goes_on_from_what_was_saved() -> None:
     assert np.array_equal(rest[-1].particles.x, frames[-1].particles.x)
 
 
-@pytest.mark.parametrize(("below", "words"), [(9.0, "holds all"), (0.01, "holds no particle")])
-def test_a_region_that_holds_all_or_nothing_is_refused(below: float, words: str) -> None:
+@pytest.mark.parametrize(("below", "message"), [(9.0, "holds all"), (0.01, "holds no particle")])
+def test_a_region_that_holds_all_or_nothing_is_refused(below: float, message: str) -> None:
     body, _, _ = bar()
     table = [elastic(E=1e5, nu=0.3, density=1000.0)]
     region = stone(lambda X: X[:, 0] < below)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         TotalLagrangian(body, table, settings("cpu", frames=1), pins=[region])

@@ -37,8 +37,8 @@ def test_the_clamp_takes_stress_and_energy_of_the_clipped_strain(A, law):
     # Taichi's SVD of float64 stops its Jacobi sweeps at about 1e-9.
     wanted = elastic_energy(bare.body, bare.state)
     assert elastic_energy(seen.body, seen.state) == pytest.approx(wanted, rel=1e-7)
-    told = strain_energy(seen.body, seen.body.law, *strains(seen.state.view().pose(0).F))
-    assert told == pytest.approx(wanted, rel=1e-7)
+    reported = strain_energy(seen.body, seen.body.law, *strains(seen.state.view().pose(0).F))
+    assert reported == pytest.approx(wanted, rel=1e-7)
     wanted = force(bare)
     np.testing.assert_allclose(force(seen), wanted, atol=1e-6 * np.abs(wanted).max())
     bits = seen.state.get("touched")
@@ -108,12 +108,12 @@ def test_the_guard_judges_the_integrator_alone():
     pose = Pose(x=body().X, v=0.0 * body().X, F=np.broadcast_to(np.eye(3), (len(body()), 3, 3)))
     rest, gain = Health(), 5.0 * GAIN
 
-    def fault(**said):
-        return Guard(1.0, 1.0).judge(rest, Health(kinetic=gain, **said), pose)[1]
+    def fault(**fields):
+        return Guard(1.0, 1.0).judge(rest, Health(kinetic=gain, **fields), pose)[1]
 
     assert "energy rose" in fault()
     assert "energy rose" in fault(injected=-gain)
-    for said in ({"injected": gain}, {"clamped": 1}, {"stress_capped": 1}):
-        assert fault(**said) == ""
+    for fields in ({"injected": gain}, {"clamped": 1}, {"stress_capped": 1}):
+        assert fault(**fields) == ""
     lost = Health(kinetic=float("nan"), clamped=1)
     assert "energy rose" in Guard(1.0, 1.0).judge(rest, lost, pose)[1]

@@ -23,7 +23,7 @@ from gf_usd.system.taichi_runtime import MERGE_OPTIONS
 def test_the_search_for_what_is_written_twice_changes_no_bit(tmp_path: Path) -> None:
     block = tmp_path / "block.usda"
     block.write_text(BLOCK, encoding="utf-8")
-    asked: dict[str, Any] = {"particles": 300, "frames": 6, "drop": 0.01, "clip_frames": 3}
+    options: dict[str, Any] = {"particles": 300, "frames": 6, "drop": 0.01, "clip_frames": 3}
     shipped, here = tmp_path / "shipped", tmp_path / "here"
     for folder in (shipped, here):
         folder.mkdir()
@@ -31,9 +31,9 @@ def test_the_search_for_what_is_written_twice_changes_no_bit(tmp_path: Path) -> 
         "import gf_usd\n"
         "from gf_usd.system.taichi_runtime import MERGE_OPTIONS\n"
         "assert MERGE_OPTIONS[True]['opt_level'] == 1\n"
-        f"gf_usd.bake({str(block)!r}, output={str(shipped / 'out.usda')!r}, **{asked!r})\n"
+        f"gf_usd.bake({str(block)!r}, output={str(shipped / 'out.usda')!r}, **{options!r})\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-    done = gf_usd.bake(block, output=here / "out.usda", **asked)
+    done = gf_usd.bake(block, output=here / "out.usda", **options)
     assert done.health["first_contact_frame"] is not None
     require_same(shipped, here)

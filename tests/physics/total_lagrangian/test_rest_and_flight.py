@@ -16,12 +16,12 @@ from gf_usd.physics.total_lagrangian.rest_and_flight import FLIGHT
 RADIUS = 0.5  # [m]
 FPS = 24.0
 DOWN = (0.0, -G0, 0.0)
-AWAKE = 100.0  # [s] at rest: longer than anyone is asked to wait
+AWAKE = 100.0  # [s] at rest: longer than anyone waits
 
 
-def contact_solver(*surfaces: Any, **said: Any):
-    """As a bake has it, with shortcuts unless they are said to be off."""
-    return contact_scenes.contact_solver(*surfaces, **{"shortcuts": True, **said})
+def contact_solver(*surfaces: Any, **options: Any):
+    """As a bake has it, with shortcuts unless they are switched off."""
+    return contact_scenes.contact_solver(*surfaces, **{"shortcuts": True, **options})
 
 
 def ball(height: float, x: float = 0.0, path: str = "/Ball"):
@@ -29,9 +29,9 @@ def ball(height: float, x: float = 0.0, path: str = "/Ball"):
     return sphere(RADIUS, center=(x, RADIUS + height, 0.0), subdivisions=2, path=path)
 
 
-def falling(height: float = 2.0, *, frames: int = 20, **said):
+def falling(height: float = 2.0, *, frames: int = 20, **options):
     world = {"fps": FPS, "gravity": DOWN, "floor": 0.0}
-    return contact_solver(ball(height), particles=250, frames=frames, **world, **said)
+    return contact_solver(ball(height), particles=250, frames=frames, **world, **options)
 
 
 def asleep(solver, *bodies: int) -> None:

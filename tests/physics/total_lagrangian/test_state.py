@@ -76,11 +76,11 @@ def test_a_solver_that_nobody_holds_is_gone_at_once() -> None:
 @pytest.mark.slow
 def test_strains_are_worked_out_again_only_where_f0_or_the_frame_is_another(monkeypatch):
     particles, _ = ball(120)
-    asked = settings(frames=3, wls=True)
+    chosen = settings(frames=3, wls=True)
     solver = TotalLagrangian(
         particles,
         [look("rubber", particles)],
-        asked,
+        chosen,
         velocity=lambda X: 3.0 * np.sin(2.0 * X[:, [1, 2, 0]]),
     )
     worked_out: list[int] = []

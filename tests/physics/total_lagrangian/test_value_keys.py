@@ -60,8 +60,8 @@ def solver(particles, stiffer=1.0, **changes):
 def groups(young):
     """Values of groups of particles (K, G), of which Young's modulus changes."""
     young = np.asarray(young, float)
-    said = {"poissons_ratio": 0.25, "damping_time": 0.1, "friction": 0.5}
-    return {"youngs_modulus": young, **{n: np.full_like(young, v) for n, v in said.items()}}
+    values = {"poissons_ratio": 0.25, "damping_time": 0.1, "friction": 0.5}
+    return {"youngs_modulus": young, **{n: np.full_like(young, v) for n, v in values.items()}}
 
 
 def test_values_are_straight_between_keys_and_the_same_beyond():
@@ -100,7 +100,7 @@ def test_the_work_of_stiffening_is_in_the_energy_book(body):
     """Moduli that rise fourfold give a swinging ball energy, all of which is work.
 
     What is left in each frame is the error of the integrator, of second order in the step: a
-    sixteenth with a quarter of the step, of which half is asked.
+    sixteenth with a quarter of the step, of which half is required.
     """
     left = []
     for safety in (0.5, 0.125):
@@ -153,7 +153,9 @@ def column(keys_of, made, frames, **more):
         replace(mirror_plane(axis, H), name=f"above{axis}", inside=lambda X, a=axis: X[:, a] > H)
         for axis in (0, 2)
     ]
-    s = case_settings("cpu", frames=frames, **{"gravity": (0.0, 0.0, 0.0), **more.pop("said", {})})
+    s = case_settings(
+        "cpu", frames=frames, **{"gravity": (0.0, 0.0, 0.0), **more.pop("options", {})}
+    )
     return TotalLagrangian(keys_of(body), [made], s, pins=planes, real=np.float64, **more)
 
 
@@ -173,7 +175,7 @@ def test_the_sag_of_a_hanging_column_follows_both_moduli():
     def keys_of(body):
         return with_keys(body, made, start + times, youngs_modulus=young, poissons_ratio=poisson)
 
-    bar = column(keys_of, made, still * len(steps), said={"gravity": (0.0, G0, 0.0)})
+    bar = column(keys_of, made, still * len(steps), options={"gravity": (0.0, G0, 0.0)})
     X = bar.particles.X[:, 1]
     sags = [float((f.particles.x[:, 1] - X).mean()) for f in bar.frames()]
     for k, (E, nu) in enumerate(steps):
@@ -220,12 +222,12 @@ def test_a_vibration_decays_as_the_damping_time_says():
 def test_what_slides_is_braked_by_the_friction_of_the_moment(obstacle):
     """dv/dt = g (sin - mu(t) cos) on a slope of 35 degrees, mu straight from 0.1 to 0.6."""
     lean, frames = np.radians(35.0), 25
-    said = {
+    options = {
         "frames": frames, "floor": None if obstacle else 0.0,
         "gravity": (G0 * np.sin(lean), -G0 * np.cos(lean), 0.0), "rolling": 0.0, "settling": False,
     }  # fmt: skip
     made = elastic(E=1e6, nu=0.3, density=1000.0, friction=0.1, restitution=0.1, damping_time=0.01)
-    s = case_settings("cpu", **said)
+    s = case_settings("cpu", **options)
     body = with_keys(
         block(np.zeros(3), (2, 2, 2), 0.5), made, [s.start, s.start + frames - 1],
         friction=np.array([0.1, 0.6]),

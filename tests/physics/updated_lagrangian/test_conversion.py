@@ -155,9 +155,9 @@ def test_the_floor_meets_a_particle_with_the_friction_of_what_it_became() -> Non
 def test_the_step_is_short_enough_for_what_particles_become() -> None:
     stiff = replace(PHYSICAL["dry-sand"].material(1.0), youngs_modulus=1e8)
     body = block((0.0, 0.05, 0.0), (2, 2, 2), 0.1)
-    said = settings("cpu", gravity=(0.0, 0.0, 0.0), floor=None, solver="ul")
+    chosen = settings("cpu", gravity=(0.0, 0.0, 0.0), floor=None, solver="ul")
     becomes = Conversion(particles=np.arange(8), material=1, limit=Limit(kind=TIME, value=1e9))
-    plain = UpdatedLagrangian(body, [SOLID], said)
-    ready = UpdatedLagrangian(replace(body, conversions=(becomes,)), [SOLID, stiff], said)
+    plain = UpdatedLagrangian(body, [SOLID], chosen)
+    ready = UpdatedLagrangian(replace(body, conversions=(becomes,)), [SOLID, stiff], chosen)
     ratio = stiff.youngs_modulus / SOLID.youngs_modulus
     assert ready.coarse > 0.5 * np.sqrt(ratio) * plain.coarse

@@ -21,7 +21,7 @@ G = 9.81
 
 def flow(
     *colliders: Collider, name: str = "dry-sand", through: bool = False,
-    changes: dict[str, Any] | None = None, **said: Any,
+    changes: dict[str, Any] | None = None, **options: Any,
 ) -> UpdatedLagrangian:  # fmt: skip
     """A block of 64 particles of .2 m a side, whose lowest are .025 m over the origin."""
     body = block((-0.1, 0.0, -0.1), (2, 2, 2), 0.1)
@@ -32,7 +32,7 @@ def flow(
     )  # fmt: skip
     return UpdatedLagrangian(
         body, [made],
-        settings("cpu", **{"gravity": (0.0, -G, 0.0), "solver": "ul", "floor": None, **said}),
+        settings("cpu", **{"gravity": (0.0, -G, 0.0), "solver": "ul", "floor": None, **options}),
         samples=SurfaceSamples(X=body.X, area=body.V0 / body.spacing), contact_setup=setup,
     )  # fmt: skip
 

@@ -94,7 +94,7 @@ def test_planes_are_counted_in_half_cells_and_move_with_the_grid() -> None:
 
 
 @pytest.mark.parametrize(
-    ("walls", "words"),
+    ("walls", "message"),
     [
         ([Wall(axis=1, at=0.03)], "wall at y = 0.03 m does not fit the grid"),
         ([Wall(axis=1, at=0.6)], "2 of 2 particles are behind the wall at y = 0.6 m"),
@@ -102,6 +102,6 @@ def test_planes_are_counted_in_half_cells_and_move_with_the_grid() -> None:
         ([Wall(axis=0, at=0.0), Wall(axis=0, at=0.1)], "two walls below along x"),
     ],
 )
-def test_what_is_no_wall_is_refused(walls, words) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_what_is_no_wall_is_refused(walls, message) -> None:
+    with pytest.raises(UsageError, match=message):
         planes(walls, np.full((2, 3), 0.5), np.zeros(3), H)

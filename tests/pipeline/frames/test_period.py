@@ -1,4 +1,4 @@
-"""Cycles that are repeated until they are periodic: when it ends, and what is said of it."""
+"""Cycles that are repeated until they are periodic: when it ends, and what the notes say of it."""
 
 from __future__ import annotations
 

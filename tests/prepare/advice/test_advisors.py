@@ -74,8 +74,8 @@ QUESTION = Question(
 
 def test_the_answer_comes_in_the_order_of_the_subjects_with_the_advisors_name(installed):
     installed(PLUGIN, mine="good")
-    said = {"material": "jelly", "confidence": 0.9, "reason": "x", "by": "mine"}
-    assert ask("mine", QUESTION) == (Advice(path="/a", **said), Advice(path="/b", **said))
+    answer = {"material": "jelly", "confidence": 0.9, "reason": "x", "by": "mine"}
+    assert ask("mine", QUESTION) == (Advice(path="/a", **answer), Advice(path="/b", **answer))
 
 
 def test_an_unsure_answer_becomes_rubber(installed):
@@ -105,7 +105,7 @@ def test_two_advisors_of_one_name_are_refused(installed):
 
 
 @pytest.mark.parametrize(
-    ("entry", "words"),
+    ("entry", "message"),
     [
         ("raises", "car.usda: the material advisor 'mine' failed: Odd: no idea"),
         ("leaves", "failed: SystemExit"),
@@ -113,11 +113,11 @@ def test_two_advisors_of_one_name_are_refused(installed):
         ("absent", "failed: AttributeError"),
     ],
 )
-def test_a_failing_advisor_is_an_error_in_words(installed, entry, words):
+def test_a_failing_advisor_is_an_error_in_words(installed, entry, message):
     installed(PLUGIN, mine=entry)
     with pytest.raises(BakeError) as error:
         ask("mine", QUESTION)
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.hint == "wake it" or "--material auto" in error.value.hint
 
 

@@ -19,7 +19,7 @@ from gf_usd.prepare.advice.names import (
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "parts"),
     [
         ("rubber_duck", ("rubber", "duck")),
         ("RubberDuck", ("rubber", "duck")),
@@ -31,8 +31,8 @@ from gf_usd.prepare.advice.names import (
         ("Größe_gummi", ("größe", "gummi")),
     ],
 )
-def test_names_are_split_at_signs_digits_and_capitals(name, words):
-    assert split(name) == words
+def test_names_are_split_at_signs_digits_and_capitals(name, parts):
+    assert split(name) == parts
 
 
 @pytest.mark.parametrize(

@@ -158,8 +158,11 @@ def test_bodies_that_are_filtered_do_not_meet_themselves(plan) -> None:
 
 
 def test_rigid_velocities_of_one_body_only(plan) -> None:
-    said = "vector3f physics:velocity = (2, 0, 0)", "vector3f physics:angularVelocity = (0, 90, 0)"
-    one, two = plan(cubes(*said, apis=(RIGID,))).velocity
+    velocities = (
+        "vector3f physics:velocity = (2, 0, 0)",
+        "vector3f physics:angularVelocity = (0, 90, 0)",
+    )
+    one, two = plan(cubes(*velocities, apis=(RIGID,))).velocity
     X = np.array([[0.5, 0.5, 0.5], [0.5, 0.5, 1.5]])  # the middle, and a meter along z
     np.testing.assert_allclose(one(X), [[2, 0, 0], [2 + np.pi / 2, 0, 0]], atol=1e-6)
     assert two == (0.0, 0.0, 0.0)

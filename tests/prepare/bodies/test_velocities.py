@@ -60,17 +60,17 @@ def test_every_body_has_the_velocity_and_turns_about_its_own_center(plan) -> Non
 
 
 def test_one_of_the_two_leaves_the_other_to_the_stage(plan) -> None:
-    said = mesh(
+    layer = mesh(
         "One",
         "vector3f physics:velocity = (0, 0, 3)",
         "vector3f physics:angularVelocity = (90, 0, 0)",
         apis=("PhysicsRigidBodyAPI", "PhysicsCollisionAPI"),
     )
-    made = plan(said, spin="0,0,0", velocity="1,0,0")
+    made = plan(layer, spin="0,0,0", velocity="1,0,0")
     (motion,) = made.velocity
     v = motion(made.particles.X)
     np.testing.assert_allclose(v, np.broadcast_to((1.0, 0.0, 0.0), v.shape), atol=1e-12)
-    (motion,) = plan(said, velocity="1,0,0").velocity
+    (motion,) = plan(layer, velocity="1,0,0").velocity
     v = motion(made.particles.X)
     assert np.ptp(v[:, 2]) > 0.5, "it turns as the stage says"
     assert abs(np.average(v[:, 2], weights=made.particles.V0)) < 1e-9, "the velocity is replaced"
@@ -111,7 +111,7 @@ def test_pinned_bodies_and_obstacles_follow_animated_transforms(plan) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"velocity": "1,2"}, "--velocity is '1,2'"),
         ({"velocity": "1,2,x"}, "--velocity: 'x' is not a number"),
@@ -119,10 +119,10 @@ def test_pinned_bodies_and_obstacles_follow_animated_transforms(plan) -> None:
         ({"spin": "inf,0,0"}, "--spin: 'inf' is not a number"),
     ],
 )
-def test_what_is_no_motion_is_refused(plan, options, said) -> None:
+def test_what_is_no_motion_is_refused(plan, options, message) -> None:
     with pytest.raises(UsageError) as caught:
         plan(cubes(), **options)
-    assert said in caught.value.message
+    assert message in caught.value.message
 
 
 def test_the_meshes_of_another_file_are_obstacles(plan, plate) -> None:

@@ -78,10 +78,10 @@ def test_newtons_yield_stress_does_so_too(plan) -> None:
     (one,) = table(made)
     assert one.law == "vonMises"
     assert one.parameters == {"yield_stress": pytest.approx(3**0.5 * 1e3)}
-    said = "\n".join(about_yield(made))
-    assert "no law: vonMises" in said
-    assert "/Stuff: the yield stress is read from the attributes of Newton" in said
-    assert "tensileYieldRatio" in said
+    notes = "\n".join(about_yield(made))
+    assert "no law: vonMises" in notes
+    assert "/Stuff: the yield stress is read from the attributes of Newton" in notes
+    assert "tensileYieldRatio" in notes
 
 
 def test_without_a_modulus_it_goes_over_the_preset(plan) -> None:
@@ -98,11 +98,11 @@ def test_without_a_modulus_it_goes_over_the_preset(plan) -> None:
 
 @pytest.mark.parametrize("by", ["stage", "command"])
 def test_a_law_that_does_not_flow_leaves_it_unused_and_says_so(plan, by: str) -> None:
-    said = 'uniform token gaussianFlesh:law = "neoHookean"' if by == "stage" else ""
+    authored = 'uniform token gaussianFlesh:law = "neoHookean"' if by == "stage" else ""
     options = {"law": "neoHookean"} if by == "command" else {}
     made = plan(
         mesh("One", bound("/Stuff"), apis=BINDING)
-        + material(SOFT, said, "float gaussianFlesh:yieldStress = 5e3"),
+        + material(SOFT, authored, "float gaussianFlesh:yieldStress = 5e3"),
         **options,
     )
     assert table(made)[0].law == "neoHookean"

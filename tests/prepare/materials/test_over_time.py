@@ -77,7 +77,7 @@ def test_paint_with_time_samples_changes_where_it_is_painted(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("material", "words"),
+    ("material", "message"),
     [
         ("float physics:youngsModulus = 1e6", ""),
         ("float physics:youngsModulus.timeSamples = { 1: 1e6, 5: 1e6 }", ""),
@@ -95,17 +95,17 @@ def test_paint_with_time_samples_changes_where_it_is_painted(tmp_path: Path) -> 
          "dampingTime has time samples, with which the damping time does not change"),
     ],
 )  # fmt: skip
-def test_what_does_not_change_has_no_keys(tmp_path: Path, material: str, words: str) -> None:
+def test_what_does_not_change_has_no_keys(tmp_path: Path, material: str, message: str) -> None:
     plan = plan_of(stage(tmp_path, material))
     assert plan.particles.keys is None
-    assert words in " ".join(plan.notes)
+    assert message in " ".join(plan.notes)
 
 
 HARD = "float physics:youngsModulus = 1e6\n    "
 
 
 @pytest.mark.parametrize(
-    ("said", "name", "low", "high", "words"),
+    ("authored", "name", "low", "high", "message"),
     [
         ("float physics:poissonsRatio.timeSamples = { 1: 0.2, 5: 0.4 }", "poissons_ratio", 0.2, 0.4,
          "Poisson's ratio changes with 2 time samples of /Flesh.physics:poissonsRatio: from 0.2 to"
@@ -122,10 +122,10 @@ HARD = "float physics:youngsModulus = 1e6\n    "
     ],
 )  # fmt: skip
 def test_other_values_of_a_material_change_as_well(
-    tmp_path: Path, said: str, name: str, low: float, high: float, words: str
+    tmp_path: Path, authored: str, name: str, low: float, high: float, message: str
 ) -> None:
-    path = stage(tmp_path, HARD + said)
-    if "poissonsRatio" in said:
+    path = stage(tmp_path, HARD + authored)
+    if "poissonsRatio" in authored:
         text = path.read_text()
         path.write_text(text.replace("float physics:poissonsRatio = 0.4\n", ""))
     plan = plan_of(path)
@@ -133,7 +133,7 @@ def test_other_values_of_a_material_change_as_well(
     for code, wanted in ((1.0, low), (3.0, 0.5 * (low + high)), (9.0, high)):
         np.testing.assert_allclose(keys.at(code)[name], wanted, rtol=1e-6, atol=1e-9)
     assert [one for one in KEYED if keys.changes(one)] == [name]
-    assert words in " ".join(plan.notes)
+    assert message in " ".join(plan.notes)
 
 
 def test_a_constant_viscosity_is_one_of_the_modulus_that_changes(tmp_path: Path) -> None:
@@ -224,13 +224,13 @@ def test_a_bake_says_what_stiffening_did(tmp_path: Path) -> None:
     assert not [w for w in result.warnings if "energy" in str(w)]
 
 
-@pytest.mark.parametrize("said", ["", "float physics:youngsModulus = -inf"])
+@pytest.mark.parametrize("authored", ["", "float physics:youngsModulus = -inf"])
 @pytest.mark.parametrize("api", ["PhysicsVolumeDeformableMaterialAPI", "PhysicsMaterialAPI"])
 def test_a_deformable_material_without_a_modulus_is_noted(
-    tmp_path: Path, said: str, api: str
+    tmp_path: Path, authored: str, api: str
 ) -> None:
     """-inf, and nothing, leave the modulus to the simulator: here, to rubber."""
-    path = stage(tmp_path, said)
+    path = stage(tmp_path, authored)
     path.write_text(path.read_text().replace('["PhysicsMaterialAPI"]', f'["{api}"]'))
     plan = plan_of(path)
     assert plan.materials[0].name == "rubber"

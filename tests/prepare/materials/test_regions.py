@@ -48,7 +48,7 @@ def test_a_box_that_holds_nothing_is_refused(plan) -> None:
 
 
 @pytest.mark.parametrize(
-    ("box", "words"),
+    ("box", "message"),
     [
         ("metal:0,0,0,1,1", "is no preset and box"),
         ("0,0,0,1,1,1", "is no preset and box"),
@@ -57,8 +57,8 @@ def test_a_box_that_holds_nothing_is_refused(plan) -> None:
         ("butter:0,0,0,1,1,1", "butter"),
     ],
 )
-def test_what_is_no_box_is_refused_before_anything_is_read(box: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_what_is_no_box_is_refused_before_anything_is_read(box: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         Request(material_boxes=(box,)).check()
 
 

@@ -67,8 +67,8 @@ def test_particles_have_the_preset_of_the_nearest_gaussian(tmp_path: Path, kind:
         path = labeled_stage(tmp_path / "ball.usda")
     else:
         path = labeled_ply(tmp_path / "ball.ply", kind)
-    asked = {"output": tmp_path / "out.usda", "material_labels": ("label=3:metal",), **FEW}
-    plan = prepare(path, **asked).plan
+    request = {"output": tmp_path / "out.usda", "material_labels": ("label=3:metal",), **FEW}
+    plan = prepare(path, **request).plan
     X = plan.particles.X
     apart = np.linalg.norm(X[:, None] - ball.positions[None], axis=2)
     metal = ball.labels["label"][apart.argmin(axis=1)] == 3
@@ -105,15 +105,15 @@ def test_labels_are_written_as_primvars_of_the_source_layer(tmp_path: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("label", "words"),
+    ("label", "message"),
     [
         ("semantic=3:metal", r"no Gaussian has a property semantic .*; they have label"),
         ("label=4:metal", r"none of the 800 Gaussians has label 4; they have [37] \(400\), "),
     ],
 )
-def test_what_is_not_there_is_refused(tmp_path: Path, label: str, words: str) -> None:
+def test_what_is_not_there_is_refused(tmp_path: Path, label: str, message: str) -> None:
     path = labeled_ply(tmp_path / "ball.ply")
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         prepare(path, output=tmp_path / "out.usda", material_labels=(label,), **FEW)
     seen = inspect(path, material_labels=(label,), **FEW)
     assert seen.refusal is not None
@@ -149,7 +149,7 @@ def test_gaussians_that_are_left_out_take_their_labels_along() -> None:
 
 
 @pytest.mark.parametrize(
-    ("labels", "words"),
+    ("labels", "message"),
     [
         (("label=3",), "is no property, whole value and preset"),
         (("3:metal",), "is no property, whole value and preset"),
@@ -158,8 +158,8 @@ def test_gaussians_that_are_left_out_take_their_labels_along() -> None:
         (("label=3:metal", "label=3:foam"), "name the same value twice"),
     ],
 )
-def test_what_is_no_label_is_refused_before_anything_is_read(labels, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_what_is_no_label_is_refused_before_anything_is_read(labels, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         Request(material_labels=labels).check()
 
 

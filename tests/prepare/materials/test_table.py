@@ -97,11 +97,11 @@ def test_a_stated_density_is_had_by_a_look_with_its_moduli(plan) -> None:
 
 
 def test_material_on_the_command_line_goes_before_the_stage(plan) -> None:
-    said = material() + cubes(bound("/Soft"), METAL, "float physics:mass = 50", apis=(MASS,))
-    seen = plan(said, material="jelly")
+    layer = material() + cubes(bound("/Soft"), METAL, "float physics:mass = 50", apis=(MASS,))
+    seen = plan(layer, material="jelly")
     assert {m.name for m in table(seen)} == {"jelly"}
     assert mass(seen, 0) == pytest.approx(DIMENSIONLESS["jelly"].density, rel=0.02)
-    both = plan(said, material="jelly,metal")
+    both = plan(layer, material="jelly,metal")
     assert [m.name for m in both.materials] == ["jelly", "metal"]
 
 
@@ -120,20 +120,20 @@ def test_a_broken_material_matters_only_where_it_is_used(plan) -> None:
 
 
 def test_spacing_and_particles_of_the_stage_hold_unless_asked(plan) -> None:
-    said = cubes("float gaussianFlesh:spacing = 0.1") + mesh(
+    layer = cubes("float gaussianFlesh:spacing = 0.1") + mesh(
         "Three", at(6.0), "int gaussianFlesh:particles = 64"
     )
-    seen = plan(said, particles=None)
+    seen = plan(layer, particles=None)
     # At .1 all cells are full.  At .2 a cube has 27 cells of which 26 are cut, to .42 to .75 of a
     # full one: 4 particles in each for its 1 m^3 / (.2 m)^3 = 125.
     assert seen.particles.spacing == pytest.approx(0.1, rel=0.02)
     assert noted(seen, "a bake has one spacing: the 0.1 m of </One> holds for all")
-    assert plan(said, particles=None, spacing=0.2).particles.spacing == pytest.approx(
+    assert plan(layer, particles=None, spacing=0.2).particles.spacing == pytest.approx(
         (1.0 / (26 * 4 + 8)) ** (1.0 / 3.0), rel=1e-6
     )
     # Three cubes of 2.03 cells along each edge: a full cell in the middle and half a one on six
     # sides and twelve edges; an eighth of one in the corners goes to the edges.
-    assert len(plan(said).particles) == 3 * (8 + 18 * 4)
+    assert len(plan(layer).particles) == 3 * (8 + 18 * 4)
 
 
 def side(faces: str, bound_to: str) -> str:

@@ -74,7 +74,7 @@ def test_a_cube_by_hand():
     volume = signed_volume(deep, triangulate(deep, fine.counts, fine.indices)[0])
     # a cage is of second order: two levels leave a sixteenth of what it was off by
     assert found.volume == pytest.approx(volume, abs=(8.0 - volume) / 16.0)
-    # of a fine cage nothing is said
+    # a fine cage has no note
     assert limit_surface(fine.last, deep) is None
 
 

@@ -67,7 +67,7 @@ def test_what_is_missing_is_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("newmtl a\nKd red\n", "line 2: 'red' contains a value that is not a finite number"),
         (
@@ -80,8 +80,8 @@ def test_what_is_missing_is_said(tmp_path):
         ("version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ],
 )
-def test_broken_lines_are_refused(tmp_path, text, words):
+def test_broken_lines_are_refused(tmp_path, text, message):
     with pytest.raises(InputError) as error:
         read(tmp_path, text)
     assert str(tmp_path / "looks.mtl") in error.value.message
-    assert words in error.value.message
+    assert message in error.value.message

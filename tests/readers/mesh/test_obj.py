@@ -147,7 +147,7 @@ def test_materials_of_faces_with_color_and_texture(obj, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("v 0 0\n", "line 1: v has 2 numbers but needs 3"),
         ("v 0 0 0\nv 1 x 0\n", "line 2: 'v 1 x 0' contains a value that is not a number"),
@@ -167,10 +167,10 @@ def test_materials_of_faces_with_color_and_texture(obj, tmp_path):
         ("v 0 0 0\0\n", "is not an OBJ file: it holds binary data"),
     ],
 )
-def test_broken_files_are_refused_with_their_line(obj, text, words):
+def test_broken_files_are_refused_with_their_line(obj, text, message):
     path = obj(text)
     with pytest.raises(InputError) as error:
         read_asset(path)
     assert str(path) in error.value.message
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.hint

@@ -37,7 +37,7 @@ def test_polygons_comments_and_colors(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "message"),
     [
         ("OFD\n3 1 0\n", "does not begin with OFF or COFF"),
         ("OFF\nthree\n", "the line with the numbers of vertices and faces is missing"),
@@ -54,11 +54,11 @@ def test_polygons_comments_and_colors(tmp_path):
         ("version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ],
 )
-def test_broken_files_are_refused(tmp_path, data, words):
+def test_broken_files_are_refused(tmp_path, data, message):
     path = tmp_path / "a.off"
     path.write_text(data)
     with pytest.raises(InputError) as error:
         read_asset(path)
     assert str(path) in error.value.message
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.hint

@@ -123,7 +123,7 @@ def test_a_missing_texture_is_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "message"),
     [
         (b"plywood", "is not a PLY file"),
         (header("binary_middle_endian") + rows(), "names no valid format"),
@@ -152,11 +152,11 @@ def test_a_missing_texture_is_said(tmp_path):
         (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ],
 )
-def test_broken_files_are_refused(tmp_path, data, words):
+def test_broken_files_are_refused(tmp_path, data, message):
     path = tmp_path / "cube.ply"
     path.write_bytes(data)
     with pytest.raises(InputError) as error:
         read_asset(path)
     assert str(path) in error.value.message
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.hint

@@ -49,7 +49,7 @@ def test_bytes_after_the_triangles_are_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "message"),
     [
         (STL[:300], "a binary file with 12 triangles has 684 bytes, but this file has 300"),
         (b"solid nothing\nendsolid", "is not text that begins with 'solid'"),
@@ -59,11 +59,11 @@ def test_bytes_after_the_triangles_are_left_out(tmp_path):
         (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ],
 )
-def test_broken_files_are_refused(tmp_path, data, words):
+def test_broken_files_are_refused(tmp_path, data, message):
     path = tmp_path / "a.stl"
     path.write_bytes(data)
     with pytest.raises(InputError) as error:
         read_asset(path)
     assert str(path) in error.value.message
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.hint

@@ -181,33 +181,33 @@ def Sphere "Ball"
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"(0.5, 0.5, -1)": "(0.5, 0.5, nan)"}, "1 positions"),
         ({"12: [(2, 2, 3)]": "12: [(2, 2, 3), (1, 1, 1)]"}, "2 scales"),
         ({", (0, 1, -1)]": "]"}, "3 points"),
     ],
 )
-def test_broken_frames_are_refused_with_their_place(tmp_path, change, words):
+def test_broken_frames_are_refused_with_their_place(tmp_path, change, message):
     motion = BakedMotion(write(tmp_path, **change))
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         list(motion.frames())
     assert "12" in caught.value.message
     assert "/World/" in caught.value.message
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "words"),
+    ("name", "text", "message"),
     [
         ("still.usda", '#usda 1.0\ndef Sphere "Ball" {}\n', "nothing in this file moves"),
         ("no.usda", "hello", "not a USD file"),
         ("gone.usda", None, "does not exist"),
     ],
 )
-def test_what_is_no_motion_is_refused(tmp_path, name, text, words):
+def test_what_is_no_motion_is_refused(tmp_path, name, text, message):
     if text is not None:
         (tmp_path / name).write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         BakedMotion(tmp_path / name)
 
 
@@ -251,6 +251,6 @@ def test_a_mesh_whose_faces_change_is_read_whole_in_every_frame(tmp_path: Path) 
 def test_what_changes_its_faces_is_not_delivered(tmp_path: Path) -> None:
     path = tmp_path / "changing.usda"
     path.write_text(CHANGING, encoding="utf-8")
-    with pytest.raises(InputError, match="the faces of </Surface> change") as said:
+    with pytest.raises(InputError, match="the faces of </Surface> change") as caught:
         deliver(path, tmp_path / "changing.glb")
-    assert "--splats only" in said.value.hint
+    assert "--splats only" in caught.value.hint

@@ -42,14 +42,14 @@ def test_coefficients_that_half_precision_cannot_hold_are_clipped_and_told(tmp_p
     assert held[4, 2, 1] == np.copysign(BRIGHTEST, value)
     # turned, they are no longer than their root of the sum of seven squares
     assert np.isfinite(np.float16(np.sqrt(7) * BRIGHTEST))
-    said = "1 spherical harmonics coefficient beyond 10000: clipped"
-    assert said in asset.facts.notes
+    note = "1 spherical harmonics coefficient beyond 10000: clipped"
+    assert note in asset.facts.notes
     harmonics[4, 2, 1] = 0.0
     np.testing.assert_array_equal(np.where(np.abs(held) < BRIGHTEST, held, 0.0), harmonics)
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "said"),
+    ("column", "value", "note"),
     [
         ("scale_1", 200.0, "1 of 20 Gaussians are not finite: left out"),
         ("scale_1", -200.0, "1 of 20 Gaussians have a scale of 0 or less: left out"),
@@ -57,7 +57,7 @@ def test_coefficients_that_half_precision_cannot_hold_are_clipped_and_told(tmp_p
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_what_single_precision_cannot_hold_is_left_out_and_told(tmp_path, column, value, said):
+def test_what_single_precision_cannot_hold_is_left_out_and_told(tmp_path, column, value, note):
     """USD holds floats, and an extent of three standard deviations around them."""
     data = bytearray(ply_bytes(ball(20)))
     start = data.index(b"end_header\n") + 11
@@ -67,4 +67,4 @@ def test_what_single_precision_cannot_hold_is_left_out_and_told(tmp_path, column
     path.write_bytes(data)
     asset = read_asset(path)
     assert len(asset.splats[0]) == 19
-    assert said in asset.facts.notes
+    assert note in asset.facts.notes

@@ -99,13 +99,13 @@ BROKEN = {
 
 @pytest.mark.parametrize("fault", BROKEN)
 def test_a_broken_skeleton_is_refused_in_words(tmp_path: Path, fault: str) -> None:
-    text, words = BROKEN[fault]
+    text, message = BROKEN[fault]
     path = write(tmp_path, text)
     facts = read_asset(write(tmp_path, arm())).facts
     write(tmp_path, text)
     with pytest.raises(InputError) as caught:
         read_skeleton(path, ["/Arm/Skin"], facts, first=FIRST, times=[FIRST])
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert str(path) in caught.value.message
     assert caught.value.hint
 

@@ -198,7 +198,7 @@ def test_inherited_display_color(read):
 
 
 @pytest.mark.parametrize(
-    ("authored", "words"),
+    ("authored", "message"),
     [
         (
             '[(1,0,0), (0,1,0)] ( interpolation = "vertex" )',
@@ -213,15 +213,15 @@ def test_inherited_display_color(read):
         ),
     ],
 )
-def test_display_color_that_does_not_fit_is_ignored_in_words(read, authored, words, capfd):
+def test_display_color_that_does_not_fit_is_ignored_in_words(read, authored, message, capfd):
     asset = read(mesh(f"color3f[] primvars:displayColor = {authored}"))
     assert asset.surfaces[0].triangle_colors is None
-    assert asset.facts.notes == (f"/M: primvar displayColor {words}",)
+    assert asset.facts.notes == (f"/M: primvar displayColor {message}",)
     assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "message"),
     [
         ("(1,1,1)", "(nan,1,1)", "/M: 1 of 8 points are not finite (NaN or infinity)"),
         (
@@ -242,11 +242,11 @@ def test_display_color_that_does_not_fit_is_ignored_in_words(read, authored, wor
         ("[4, 4, 4, 4, 4, 4]", "[4, 4, 4, 4, 12, -4]", "/M: a face has -4 corners"),
     ],
 )
-def test_broken_meshes_are_refused_with_path_and_numbers(read, old, new, words):
+def test_broken_meshes_are_refused_with_path_and_numbers(read, old, new, message):
     assert old in CUBE
     with pytest.raises(InputError) as error:
         read(mesh(cube=CUBE.replace(old, new)))
-    assert error.value.message.endswith(words)
+    assert error.value.message.endswith(message)
     assert "asset.usda" in error.value.message
     assert "--prim" in error.value.hint
 

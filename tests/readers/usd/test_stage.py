@@ -61,8 +61,8 @@ def test_frames_per_second_stand_in_for_time_codes_per_second(read):
 
 
 def test_frames_per_second_are_those_of_playback(read):
-    said = "framesPerSecond = 24\n timeCodesPerSecond = 48"
-    facts = read(f"#usda 1.0\n({said})\n{BALL}").facts
+    metadata = "framesPerSecond = 24\n timeCodesPerSecond = 48"
+    facts = read(f"#usda 1.0\n({metadata})\n{BALL}").facts
     assert (facts.time_codes_per_second, facts.frames_per_second) == (48, 24)
 
 
@@ -133,7 +133,7 @@ def test_a_zip_that_is_no_usdz(write):
 
 
 @pytest.mark.parametrize(
-    ("metadata", "words"),
+    ("metadata", "message"),
     [
         ("timeCodesPerSecond = 0", "timeCodesPerSecond = 0; it must be above 0"),
         ("timeCodesPerSecond = -24", "timeCodesPerSecond = -24; it must be above 0"),
@@ -148,10 +148,10 @@ def test_a_zip_that_is_no_usdz(write):
         ('upAxis = "X"', "upAxis = 'X'; USD allows only Y and Z"),
     ],
 )
-def test_metadata_that_makes_no_sense(read, metadata, words):
+def test_metadata_that_makes_no_sense(read, metadata, message):
     with pytest.raises(InputError) as error:
         read(f"#usda 1.0\n({metadata})\n{BALL}")
-    assert error.value.message.endswith(words)
+    assert error.value.message.endswith(message)
 
 
 def test_zero_time_codes_in_a_sublayer_are_refused_before_samples_are_read(write):

@@ -118,7 +118,7 @@ def test_a_missing_uv_primvar_is_said(read, picture):
 
 
 @pytest.mark.parametrize(
-    ("content", "file", "words"),
+    ("content", "file", "message"),
     [
         (None, "t.png", "texture t.png does not exist: a constant color is used"),
         (
@@ -130,7 +130,7 @@ def test_a_missing_uv_primvar_is_said(read, picture):
         (b"x", "t.<UDIM>.png", "texture t.<UDIM>.png: UDIM tiles are not supported"),
     ],
 )
-def test_an_unreadable_texture_gives_its_fallback_in_words(read, tmp_path, content, file, words):
+def test_an_unreadable_texture_gives_its_fallback_in_words(read, tmp_path, content, file, message):
     if content is not None:
         (tmp_path / file).write_bytes(content)
     material = textured(ST + "\nfloat4 inputs:fallback = (1, 0.5, 0, 1)", file=file)
@@ -138,7 +138,7 @@ def test_an_unreadable_texture_gives_its_fallback_in_words(read, tmp_path, conte
     _, look = only(asset)
     assert look.texture is None
     assert look.color == (1.0, 0.5, 0.0)
-    assert asset.facts.notes[0].startswith(f"/Looks/M: {words}")
+    assert asset.facts.notes[0].startswith(f"/Looks/M: {message}")
 
 
 def test_a_truncated_texture_is_said(read, tmp_path):

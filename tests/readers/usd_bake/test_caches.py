@@ -53,7 +53,7 @@ def test_the_range_is_that_of_samples_where_the_stage_says_none(tmp_path: Path) 
     source = write(tmp_path, arm())
     turn = "double xformOp:rotateZ.timeSamples = { 0: 0, 20: 30 }\n"
     turn += '    uniform token[] xformOpOrder = ["xformOp:rotateZ"]'
-    path = written(tmp_path, cached(source, range_said=False, more=turn))
+    path = written(tmp_path, cached(source, with_range=False, more=turn))
     assert cache_range(path, SKIN, read_asset(path).facts) == (0.0, 20.0)
 
 

@@ -25,11 +25,11 @@ REL = 1e-6  # values in a file are float32
 
 
 def read(tmp_path: Path, *lines: str) -> tuple[Material, list[str]]:
-    """The material of a file in centimeters (a pressure of 1 is 100 Pa), and what was said."""
+    """The material of a file in centimeters (a pressure of 1 is 100 Pa), and its notes."""
     path = tmp_path / "soft.usda"
     path.write_text(HEAD % (SOUND + "\n".join(lines)))
-    said: list[str] = []
-    return read_material(path, said.append), [one.partition("</Soft>: ")[2] for one in said]
+    notes: list[str] = []
+    return read_material(path, notes.append), [one.partition("</Soft>: ")[2] for one in notes]
 
 
 @pytest.mark.parametrize(
@@ -48,22 +48,22 @@ def test_the_law_of_what_is_stated(stated: tuple[str, ...], otherwise: str, law:
 
 
 def test_a_yield_stress_without_a_law_flows_and_says_so(tmp_path: Path) -> None:
-    made, said = read(tmp_path, "float gaussianFlesh:yieldStress = 20")
+    made, notes = read(tmp_path, "float gaussianFlesh:yieldStress = 20")
     assert made.law == "vonMises"
     assert made.parameters == {"yield_stress": pytest.approx(2000.0, rel=REL)}
-    assert said == ["a yield stress is stated but no law: vonMises is used"]
+    assert notes == ["a yield stress is stated but no law: vonMises is used"]
 
 
 def test_a_law_that_is_stated_stays(tmp_path: Path) -> None:
     law = 'uniform token gaussianFlesh:law = "%s"'
-    made, said = read(tmp_path, "float gaussianFlesh:yieldStress = 20", law % "neoHookean")
-    assert (made.law, said) == ("neoHookean", [])
-    made, said = read(tmp_path, "float gaussianFlesh:yieldStress = 20", law % "crushable")
-    assert (made.law, said) == ("crushable", [])
+    made, notes = read(tmp_path, "float gaussianFlesh:yieldStress = 20", law % "neoHookean")
+    assert (made.law, notes) == ("neoHookean", [])
+    made, notes = read(tmp_path, "float gaussianFlesh:yieldStress = 20", law % "crushable")
+    assert (made.law, notes) == ("crushable", [])
 
 
 def test_newtons_words_are_read_in_its_meaning(tmp_path: Path) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
         "float newton:mpm:viscosity = 0.5",
@@ -76,17 +76,17 @@ def test_newtons_words_are_read_in_its_meaning(tmp_path: Path) -> None:
         "yield_stress": pytest.approx(3**0.5 * 2000.0, rel=REL),  # of sqrt(J2)
         "flow_viscosity": pytest.approx(3 * 50.0, rel=REL),
     }
-    assert said == ["a yield stress is stated but no law: vonMises is used"]
+    assert notes == ["a yield stress is stated but no law: vonMises is used"]
 
 
 def test_what_newton_says_beyond_our_laws_is_named(tmp_path: Path) -> None:
-    _, said = read(
+    _, notes = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
         "float newton:mpm:tensileYieldRatio = 0.1",
         "float newton:mpm:hardening = 5",
     )
-    assert said[0].startswith(
+    assert notes[0].startswith(
         "the yield stress is read from the attributes of Newton, except for "
         "newton:mpm:tensileYieldRatio,"
         " newton:mpm:hardening"
@@ -94,7 +94,7 @@ def test_what_newton_says_beyond_our_laws_is_named(tmp_path: Path) -> None:
 
 
 def test_newtons_internal_friction_is_that_of_grains(tmp_path: Path) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:internalFriction = 0.5",
         "float newton:mpm:yieldStress = 20",
@@ -106,18 +106,18 @@ def test_newtons_internal_friction_is_that_of_grains(tmp_path: Path) -> None:
         "internal_friction": pytest.approx(0.5, rel=REL),
         "cohesion": pytest.approx(2000.0, rel=REL),  # both bound sqrt(J2)
     }
-    assert said == ["an internal friction is stated but no law: druckerPrager is used"]
+    assert notes == ["an internal friction is stated but no law: druckerPrager is used"]
 
 
 def test_what_newton_says_beyond_grains_is_named(tmp_path: Path) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:internalFriction = 0.5",
         "float newton:mpm:tensileYieldRatio = 0.1",
         "float newton:mpm:yieldPressure = 1e6",
     )
     assert made.law == "druckerPrager"
-    assert said[0].startswith(
+    assert notes[0].startswith(
         "the internal friction is read from the attributes of Newton, except for "
         "newton:mpm:tensileYieldRatio,"
         " newton:mpm:yieldPressure"
@@ -125,14 +125,14 @@ def test_what_newton_says_beyond_grains_is_named(tmp_path: Path) -> None:
 
 
 def test_internal_friction_of_a_metal_is_named(tmp_path: Path) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
         "float newton:mpm:internalFriction = 0.5",
         'uniform token gaussianFlesh:law = "vonMises"',
     )
     assert made.parameters == {"yield_stress": pytest.approx(3**0.5 * 2000.0, rel=REL)}
-    assert "except for newton:mpm:internalFriction" in said[0]
+    assert "except for newton:mpm:internalFriction" in notes[0]
 
 
 def in_newtons_words(material: Material) -> list[str]:
@@ -167,7 +167,7 @@ def test_foam_comes_back_by_newtons_words_alone(tmp_path: Path, tension: float) 
 
 
 def test_a_yield_pressure_of_newtons_makes_a_crushable_material(tmp_path: Path) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
         "float newton:mpm:yieldPressure = 40",
@@ -181,40 +181,40 @@ def test_a_yield_pressure_of_newtons_makes_a_crushable_material(tmp_path: Path) 
         "cap_shape": pytest.approx(alpha, rel=REL),
         "tensile_yield_ratio": pytest.approx(0.2, rel=REL),
     }
-    assert any("except for newton:mpm:viscosity:" in line for line in said)
+    assert any("except for newton:mpm:viscosity:" in line for line in notes)
 
 
 @pytest.mark.parametrize("pressure", [2000.0, 5.0])
 def test_a_yield_pressure_beyond_the_cap_is_named(tmp_path: Path, pressure: float) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
         f"float newton:mpm:yieldPressure = {pressure}",
     )
     assert made.law == "vonMises"
-    assert "except for newton:mpm:yieldPressure:" in said[0]
+    assert "except for newton:mpm:yieldPressure:" in notes[0]
 
 
 def test_a_tensile_yield_ratio_of_nothing_is_named(tmp_path: Path) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
         "float newton:mpm:yieldPressure = 40",
         "float newton:mpm:tensileYieldRatio = 0",
     )
     assert "tensile_yield_ratio" not in made.parameters
-    assert any("except for newton:mpm:tensileYieldRatio:" in line for line in said)
+    assert any("except for newton:mpm:tensileYieldRatio:" in line for line in notes)
 
 
 def test_newtons_hardening_is_that_of_lost_volume(tmp_path: Path) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
         "float newton:mpm:hardening = 5",
         'uniform token gaussianFlesh:law = "crushable"',
     )
     assert made.parameters["hardening"] == pytest.approx(5 * 3**0.5 * 2000.0, rel=REL)
-    assert said == []
+    assert notes == []
 
 
 def test_our_names_go_before_newtons(tmp_path: Path) -> None:
@@ -226,10 +226,10 @@ def test_our_names_go_before_newtons(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", ["0", "-inf"])
 def test_newtons_fallbacks_say_nothing(tmp_path: Path, value: str) -> None:
-    made, said = read(
+    made, notes = read(
         tmp_path, f"float newton:mpm:yieldStress = {value}", "float newton:mpm:hardening = 5"
     )
-    assert (made.law, made.parameters, said) == ("neoHookean", {}, [])
+    assert (made.law, made.parameters, notes) == ("neoHookean", {}, [])
 
 
 def test_a_yield_stress_of_newtons_below_zero_is_refused(tmp_path: Path) -> None:
@@ -246,9 +246,9 @@ def test_what_a_bake_writes_is_read_back(tmp_path: Path, name: str) -> None:
     units = StageUnits(meters_per_unit=0.01)
     write_materials(stage, Sdf.Path("/Materials"), [material], name, units)
     stage.Save()
-    said: list[str] = []
-    made = read_material(path, said.append)
-    assert said == []
+    notes: list[str] = []
+    made = read_material(path, notes.append)
+    assert notes == []
     assert made.law == material.law
     for parameter, value in material.values.items():
         if parameter not in ("name", "law"):

@@ -96,16 +96,16 @@ def test_the_rest_pose_is_the_one_asked_for(regions: Regions) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "message"),
     [
         ("/Nothing", "without a mesh under it"),
         ("/Moving/Box/empty", "0 indices but contains no face"),
         ("/Moving/Bocks", "there is no prim"),
     ],
 )
-def test_what_bounds_nothing_is_refused(regions: Regions, name: str, words: str) -> None:
+def test_what_bounds_nothing_is_refused(regions: Regions, name: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         regions(name)
     assert name in caught.value.message
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert caught.value.hint

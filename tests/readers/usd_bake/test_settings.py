@@ -18,14 +18,14 @@ API = "GaussianFleshBakeAPI"
 
 
 @pytest.fixture
-def said(write: Write) -> Callable[..., tuple[PrimBake, ...]]:
+def read_settings(write: Write) -> Callable[..., tuple[PrimBake, ...]]:
     """The settings of some prims of a stage."""
 
-    def said(*prims: str, of: tuple[str, ...] = ("/Duck",), layer: str = head()):
+    def read_settings(*prims: str, of: tuple[str, ...] = ("/Duck",), layer: str = head()):
         path = write(layer + "".join(prims))
         return read_bake_settings(path, read_asset(path).facts, of)
 
-    return said
+    return read_settings
 
 
 def ours(**values: str) -> str:
@@ -36,13 +36,13 @@ def ours(**values: str) -> str:
     )
 
 
-def test_a_stage_that_says_nothing(said) -> None:
-    assert said(mesh("Duck")) == (PrimBake(path="/Duck"),)
+def test_a_stage_that_says_nothing(read_settings) -> None:
+    assert read_settings(mesh("Duck")) == (PrimBake(path="/Duck"),)
     # the fallbacks of the schema are nobody's word
-    assert said(mesh("Duck", apis=[API])) == (PrimBake(path="/Duck"),)
+    assert read_settings(mesh("Duck", apis=[API])) == (PrimBake(path="/Duck"),)
 
 
-def test_all_settings_are_read(said) -> None:
+def test_all_settings_are_read(read_settings) -> None:
     lines = ours(
         enabled="bool false",
         material='token "jelly"',
@@ -50,30 +50,30 @@ def test_all_settings_are_read(said) -> None:
         seed="int 7",
         solver='token "updatedLagrangian"',
     )
-    (bake,) = said(mesh("Duck", lines, apis=[API]), layer=head(0.01, "Z"))
+    (bake,) = read_settings(mesh("Duck", lines, apis=[API]), layer=head(0.01, "Z"))
     assert bake == PrimBake(
         path="/Duck", enabled=False, material="jelly", spacing=0.025, seed=7, solver="ul"
     )
 
 
-def test_the_nearest_prim_above_counts_for_each_setting(said) -> None:
+def test_the_nearest_prim_above_counts_for_each_setting(read_settings) -> None:
     inner = prim("Xform", "Duck", ours(seed="int 2"), mesh("Body"), mesh("Eye", ours(seed="int 3")))
     stage = prim("Xform", "Pond", ours(seed="int 1", material='token "jelly"'), inner, apis=[API])
-    body, eye = said(stage, of=("/Pond/Duck/Body", "/Pond/Duck/Eye"))
+    body, eye = read_settings(stage, of=("/Pond/Duck/Body", "/Pond/Duck/Eye"))
     assert (body.seed, eye.seed) == (2, 3)
     assert (body.material, eye.material) == ("jelly", "jelly")
 
 
-def test_an_empty_material_gives_the_word_back_to_the_binding(said) -> None:
+def test_an_empty_material_gives_the_word_back_to_the_binding(read_settings) -> None:
     inner = mesh("Duck", ours(material='token ""'))
     stage = prim("Xform", "Pond", ours(material='token "jelly"'), inner)
-    assert said(stage, of=("/Pond/Duck",))[0].material is None
+    assert read_settings(stage, of=("/Pond/Duck",))[0].material is None
 
 
-def test_spacing_and_particles_exclude_each_other(said) -> None:
+def test_spacing_and_particles_exclude_each_other(read_settings) -> None:
     def resolution(above: str, own: str) -> tuple[float | None, int | None, str]:
         stage = prim("Xform", "Pond", above, mesh("Duck", own))
-        (bake,) = said(stage, of=("/Pond/Duck",))
+        (bake,) = read_settings(stage, of=("/Pond/Duck",))
         return bake.spacing, bake.particles, bake.particles_of
 
     few, fine = ours(particles="int 500"), ours(spacing="float 0.25")
@@ -87,7 +87,7 @@ def test_spacing_and_particles_exclude_each_other(said) -> None:
     assert resolution(few, ours(particles="int 0")) == (None, None, "")
 
 
-def test_settings_that_composition_brings(said) -> None:
+def test_settings_that_composition_brings(read_settings) -> None:
     sets = f"""
     variantSet "feel" = {{
         "soft" {{
@@ -100,10 +100,10 @@ def test_settings_that_composition_brings(said) -> None:
     """
     for feel, expected in (("soft", "jelly"), ("hard", "metal")):
         meta = f'variants = {{ string feel = "{feel}" }}\nprepend variantSets = "feel"'
-        (bake,) = said(mesh("Duck", sets, meta=meta))
+        (bake,) = read_settings(mesh("Duck", sets, meta=meta))
         assert bake.material == expected
     style = f'class "Style" {{\n{ours(seed="int 5")}\n}}\n'
-    assert said(style, mesh("Duck", meta="inherits = </Style>"))[0].seed == 5
+    assert read_settings(style, mesh("Duck", meta="inherits = </Style>"))[0].seed == 5
 
 
 @pytest.mark.parametrize(
@@ -119,14 +119,14 @@ def test_settings_that_composition_brings(said) -> None:
     ],
 )
 def test_what_physics_holds_still_is_an_obstacle_unless_asked_for(
-    said, apis: list[str], lines: str, role: str, obstacle: bool
+    read_settings, apis: list[str], lines: str, role: str, obstacle: bool
 ) -> None:
-    (bake,) = said(mesh("Duck", lines, apis=apis))
+    (bake,) = read_settings(mesh("Duck", lines, apis=apis))
     assert (bake.role, bake.obstacle) == (role, obstacle)
 
 
 @pytest.mark.parametrize(
-    ("values", "words", "hint"),
+    ("values", "message", "hint"),
     [
         ({"spacing": "float -1"}, "spacing is -1", "0 or more"),
         ({"spacing": "float nan"}, "spacing is nan", "0 or more"),
@@ -137,15 +137,15 @@ def test_what_physics_holds_still_is_an_obstacle_unless_asked_for(
     ],
 )
 def test_values_that_make_no_sense_are_refused(
-    said, values: dict[str, str], words: str, hint: str
+    read_settings, values: dict[str, str], message: str, hint: str
 ) -> None:
     stage = prim("Xform", "Pond", ours(**values), mesh("Duck"))
     with pytest.raises(InputError) as caught:
-        said(stage, of=("/Pond/Duck",))
-    assert f"</Pond>: gaussianFlesh:{words}" in caught.value.message
+        read_settings(stage, of=("/Pond/Duck",))
+    assert f"</Pond>: gaussianFlesh:{message}" in caught.value.message
     assert hint in caught.value.hint
 
 
-def test_a_prim_that_is_none_is_refused(said) -> None:
+def test_a_prim_that_is_none_is_refused(read_settings) -> None:
     with pytest.raises(InputError, match="there is no prim /Goose"):
-        said(mesh("Duck"), of=("/Goose",))
+        read_settings(mesh("Duck"), of=("/Goose",))

@@ -101,23 +101,23 @@ def test_obstacles_take_the_place_of_the_floor_unless_asked(plan) -> None:
 
 
 def test_seed_and_solver_are_the_stage_s_unless_asked(plan) -> None:
-    said = cubes("int gaussianFlesh:seed = 7")
-    seen = plan(said)
+    layer = cubes("int gaussianFlesh:seed = 7")
+    seen = plan(layer)
     assert noted(seen, "seed is 7, from the stage")
-    other = plan(said, seed=8)
+    other = plan(layer, seed=8)
     assert not noted(other, "from the stage")
     assert (seen.settings.seed, other.settings.seed) == (7, 8)
     assert np.array_equal(seen.particles.X, other.particles.X), "nothing is drawn at random"
-    paper = plan(said, preset="paper")
+    paper = plan(layer, preset="paper")
     assert np.array_equal(paper.particles.X, plan(cubes(), preset="paper", seed=7).particles.X)
-    assert not np.array_equal(paper.particles.X, plan(said, preset="paper", seed=8).particles.X)
+    assert not np.array_equal(paper.particles.X, plan(layer, preset="paper", seed=8).particles.X)
     ul = mesh("One", 'token gaussianFlesh:solver = "updatedLagrangian"')
     assert plan(ul).settings.solver == "ul"
     assert plan(ul, solver="tl").settings.solver == "tl"
 
 
 @pytest.mark.parametrize(
-    ("name", "one", "two", "words"),
+    ("name", "one", "two", "message"),
     [
         ("seed", "int gaussianFlesh:seed = 1", "int gaussianFlesh:seed = 2", "seed 1"),
         (
@@ -128,11 +128,11 @@ def test_seed_and_solver_are_the_stage_s_unless_asked(plan) -> None:
         ),
     ],
 )
-def test_prims_that_disagree_are_refused_in_words(plan, name, one, two, words) -> None:
+def test_prims_that_disagree_are_refused_in_words(plan, name, one, two, message) -> None:
     both = mesh("One", one) + mesh("Two", two, at(3.0))
     with pytest.raises(InputError, match="a bake has one") as refused:
         plan(both)
-    assert f"</One> asks for {words}" in str(refused.value)
+    assert f"</One> asks for {message}" in str(refused.value)
     assert "</Two>" in str(refused.value)
     assert f"--{name}" in (refused.value.hint or "")
     assert soft(plan(both, **{name: {"seed": 3, "solver": "tl"}[name]})) == ["/One", "/Two"]

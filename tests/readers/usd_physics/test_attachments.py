@@ -17,7 +17,7 @@ FACES = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
 HELD = [0, 1, 4, 5]  # y = 0
 
 
-def stage(folder: Path, said: str = "", *, held: list[int] = HELD, shift: float = 0.0) -> Path:
+def stage(folder: Path, authored: str = "", *, held: list[int] = HELD, shift: float = 0.0) -> Path:
     """A cube of 1 m, the points of whose floor hang on a prim that rises by 2 m in 12 frames."""
     places = [CORNERS[k] for k in held]
     coords = ", ".join(str((x + shift, y - 5.0, z)) for x, y, z in places)
@@ -47,16 +47,16 @@ def PhysicsAttachment "Hook"
     uniform token physics:type1 = "xform"
     int[] physics:indices0 = {held}
     vector3f[] physics:coords1 = [{coords}]
-    {said}
+    {authored}
 }}
 """)
     return path
 
 
-@pytest.mark.parametrize("said", ["", "float physics:stiffness = inf"])
-def test_points_of_a_face_are_held_and_move_as_the_prim(tmp_path: Path, said: str) -> None:
+@pytest.mark.parametrize("authored", ["", "float physics:stiffness = inf"])
+def test_points_of_a_face_are_held_and_move_as_the_prim(tmp_path: Path, authored: str) -> None:
     options = {"particles": 100, "frames": 13, "output": tmp_path / "out.usda"}
-    plan, _ = prepare(stage(tmp_path, said), draw=None, **options)
+    plan, _ = prepare(stage(tmp_path, authored), draw=None, **options)
     (pin,) = plan.pins
     assert pin.name == "/Hook"
     assert not any(plan.settings.lift)  # what is held stays where it is
@@ -68,7 +68,7 @@ def test_points_of_a_face_are_held_and_move_as_the_prim(tmp_path: Path, said: st
 
 
 @pytest.mark.parametrize(
-    ("said", "words"),
+    ("authored", "message"),
     [
         ("bool physics:attachmentEnabled = false", ""),
         ("float physics:stiffness = 0", "attachment of stiffness 0"),
@@ -76,25 +76,27 @@ def test_points_of_a_face_are_held_and_move_as_the_prim(tmp_path: Path, said: st
     ],
 )
 def test_what_is_no_hard_attachment_of_points_holds_nothing(
-    tmp_path: Path, said: str, words: str
+    tmp_path: Path, authored: str, message: str
 ) -> None:
     path = stage(tmp_path)
     text = (
         path.read_text().replace('uniform token physics:type1 = "xform"\n', "")
-        if ("type1" in said)
+        if ("type1" in authored)
         else path.read_text()
     )
-    path.write_text(text.replace("int[] physics:indices0", f"{said}\n    int[] physics:indices0"))
+    path.write_text(
+        text.replace("int[] physics:indices0", f"{authored}\n    int[] physics:indices0")
+    )
     plan, _ = prepare(path, draw=None, particles=100, output=tmp_path / "out.usda")
     assert not plan.pins
-    assert words in " ".join(plan.notes)
-    assert ("/Hook" in " ".join(plan.notes)) == bool(words)
+    assert message in " ".join(plan.notes)
+    assert ("/Hook" in " ".join(plan.notes)) == bool(message)
 
 
 def test_a_soft_attachment_is_a_spring_of_each_point(tmp_path: Path) -> None:
     """In grams: k [g/s^2] and c [g/s] are N/m and N s/m by 1e-3; places may lie elsewhere."""
-    said = "float physics:stiffness = 4e5\n    float physics:damping = 300"
-    path = stage(tmp_path, said, held=[0, 1], shift=0.1)
+    authored = "float physics:stiffness = 4e5\n    float physics:damping = 300"
+    path = stage(tmp_path, authored, held=[0, 1], shift=0.1)
     path.write_text(
         path.read_text().replace(
             "( metersPerUnit = 1", "( metersPerUnit = 1\n  kilogramsPerUnit = 0.001"
@@ -116,14 +118,14 @@ def test_a_soft_attachment_is_a_spring_of_each_point(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "said",
+    "authored",
     ["float physics:stiffness = -1", "float physics:stiffness = nan",
      "float physics:stiffness = 5\n    float physics:damping = inf",
      'string physics:stiffness = "hard"'],
 )  # fmt: skip
-def test_a_stiffness_that_is_none_is_refused(tmp_path: Path, said: str) -> None:
+def test_a_stiffness_that_is_none_is_refused(tmp_path: Path, authored: str) -> None:
     with pytest.raises(InputError) as caught:
-        prepare(stage(tmp_path, said), draw=None, particles=100, output=tmp_path / "out.usda")
+        prepare(stage(tmp_path, authored), draw=None, particles=100, output=tmp_path / "out.usda")
     assert "Hook" in caught.value.message
     assert "author a number of 0 or more" in caught.value.hint
 
@@ -137,21 +139,21 @@ def test_points_away_from_their_places_move_as_the_places_do(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("held", "drop", "words"),
+    ("held", "drop", "message"),
     [
         ([0, 1], "", "its 2 points do not include all corners of any face"),
         (HELD, "vector3f[] physics:coords1", "has 4 indices0 but 0 coords1"),
     ],
 )
 def test_arrays_that_make_no_sense_are_refused(
-    tmp_path: Path, held: list[int], drop: str, words: str
+    tmp_path: Path, held: list[int], drop: str, message: str
 ) -> None:
     path = stage(tmp_path, held=held)
     lines = [line for line in path.read_text().splitlines() if not drop or drop not in line]
     path.write_text("\n".join(lines))
     with pytest.raises(InputError) as caught:
         prepare(path, draw=None, particles=100, output=tmp_path / "out.usda")
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert "</Hook>" in caught.value.message
     assert caught.value.hint
 

@@ -25,7 +25,7 @@ MIRROR = """
 
 
 @pytest.fixture
-def said(write: Write) -> Callable[..., StagePhysics]:
+def read_physics(write: Write) -> Callable[..., StagePhysics]:
     """what a stage says besides the body that is baked."""
     return beside_a_body(write)
 
@@ -36,8 +36,8 @@ def normals(collider: Collider) -> np.ndarray:
     return across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
-def test_a_mesh_with_the_api_is_an_obstacle_in_meters(said) -> None:
-    floor = only(said(mesh("Floor", MIRROR, apis=[COLLISION]), layer=head(0.01, "Z")))
+def test_a_mesh_with_the_api_is_an_obstacle_in_meters(read_physics) -> None:
+    floor = only(read_physics(mesh("Floor", MIRROR, apis=[COLLISION]), layer=head(0.01, "Z")))
     assert (floor.path, floor.shape, floor.role) == ("/Floor", "mesh", "static")
     np.testing.assert_allclose(floor.points.max(0), [0.0, 0.01, 0.01], atol=CLOSE)
     np.testing.assert_allclose(floor.points.min(0), [-0.02, 0.0, 0.0], atol=CLOSE)
@@ -56,18 +56,18 @@ def test_a_mesh_with_the_api_is_an_obstacle_in_meters(said) -> None:
         f'class Mesh "Class" (prepend apiSchemas = ["{COLLISION}"]) {{\n{BOX}\n}}\n',
     ],
 )
-def test_what_does_not_collide(said, other: str) -> None:
-    assert said(other).colliders == ()
+def test_what_does_not_collide(read_physics, other: str) -> None:
+    assert read_physics(other).colliders == ()
 
 
 @pytest.mark.parametrize(
     "line", ['token visibility = "invisible"', 'uniform token purpose = "guide"']
 )
-def test_what_is_not_seen_collides_all_the_same(said, line: str) -> None:
-    assert only(said(mesh("Proxy", line, apis=[COLLISION]))).path == "/Proxy"
+def test_what_is_not_seen_collides_all_the_same(read_physics, line: str) -> None:
+    assert only(read_physics(mesh("Proxy", line, apis=[COLLISION]))).path == "/Proxy"
 
 
-def test_the_baked_body_and_its_own_colliders_are_no_obstacles(said) -> None:
+def test_the_baked_body_and_its_own_colliders_are_no_obstacles(read_physics) -> None:
     duck = prim(
         "Xform",
         "Duck",
@@ -75,25 +75,25 @@ def test_the_baked_body_and_its_own_colliders_are_no_obstacles(said) -> None:
         mesh("Proxy", 'uniform token purpose = "guide"', apis=[COLLISION]),
         apis=["PhysicsRigidBodyAPI"],
     )
-    found = said(duck, mesh("Floor", apis=[COLLISION]), bodies=("/Duck/Look",))
+    found = read_physics(duck, mesh("Floor", apis=[COLLISION]), bodies=("/Duck/Look",))
     assert only(found).path == "/Floor"
     assert found.notes == (
         "/Duck/Proxy: is the collider of a baked body: the surface of the body collides instead",
     )
     # and where the body is another one, both are in the way
-    assert [c.path for c in said(duck).colliders] == ["/Duck/Look", "/Duck/Proxy"]
+    assert [c.path for c in read_physics(duck).colliders] == ["/Duck/Look", "/Duck/Proxy"]
     # without a rigid body above, the proxy is an obstacle of its own
     loose = duck.replace("PhysicsRigidBodyAPI", "PhysicsMassAPI")
-    assert only(said(loose, bodies=("/Duck/Look",))).path == "/Duck/Proxy"
+    assert only(read_physics(loose, bodies=("/Duck/Look",))).path == "/Duck/Proxy"
 
 
-def test_a_collider_under_a_baked_prim_is_no_obstacle(said) -> None:
+def test_a_collider_under_a_baked_prim_is_no_obstacle(read_physics) -> None:
     duck = mesh("Duck", mesh("Proxy", 'uniform token purpose = "guide"', apis=[COLLISION]))
-    assert said(duck, bodies=("/Duck",)).colliders == ()
-    assert only(said(duck)).path == "/Duck/Proxy"
+    assert read_physics(duck, bodies=("/Duck",)).colliders == ()
+    assert only(read_physics(duck)).path == "/Duck/Proxy"
 
 
-def test_a_soft_body_of_the_neighbors_owns_its_colliders(said) -> None:
+def test_a_soft_body_of_the_neighbors_owns_its_colliders(read_physics) -> None:
     jelly = prim(
         "Xform",
         "Jelly",
@@ -101,11 +101,11 @@ def test_a_soft_body_of_the_neighbors_owns_its_colliders(said) -> None:
         mesh("Proxy", apis=[COLLISION]),
         apis=["OmniPhysicsDeformableBodyAPI"],
     )
-    assert said(jelly, bodies=("/Jelly/Look",)).colliders == ()
+    assert read_physics(jelly, bodies=("/Jelly/Look",)).colliders == ()
 
 
-def test_a_rigid_body_that_is_not_baked_stays_and_this_is_said(said) -> None:
-    found = said(mesh("Ball", apis=[COLLISION, "PhysicsRigidBodyAPI"]))
+def test_a_rigid_body_that_is_not_baked_stays_and_this_is_said(read_physics) -> None:
+    found = read_physics(mesh("Ball", apis=[COLLISION, "PhysicsRigidBodyAPI"]))
     assert only(found).role == "dynamic"
     assert found.notes == (
         "/Ball: is a rigid body, and rigid bodies are not simulated: it moves only if it is "
@@ -114,7 +114,7 @@ def test_a_rigid_body_that_is_not_baked_stays_and_this_is_said(said) -> None:
     driven = mesh(
         "Ball", "bool physics:kinematicEnabled = true", apis=[COLLISION, "PhysicsRigidBodyAPI"]
     )
-    assert (only(said(driven)).role, said(driven).notes) == ("kinematic", ())
+    assert (only(read_physics(driven)).role, read_physics(driven).notes) == ("kinematic", ())
 
 
 @pytest.mark.parametrize(
@@ -127,17 +127,17 @@ def test_a_rigid_body_that_is_not_baked_stays_and_this_is_said(said) -> None:
         ("Cone", "double radius = 1\ndouble height = 3", np.pi),
     ],
 )
-def test_implicit_shapes_collide(said, kind: str, line: str, size: float) -> None:
-    shape = only(said(prim(kind, "Shape", line, apis=[COLLISION])))
+def test_implicit_shapes_collide(read_physics, kind: str, line: str, size: float) -> None:
+    shape = only(read_physics(prim(kind, "Shape", line, apis=[COLLISION])))
     # the chords of 72 segments lose 0.13 % of a circle, in two directions of a ball
     assert volume(shape) == pytest.approx(size, rel=0.01)
 
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 @pytest.mark.parametrize("mirror", ["", MIRROR])
-def test_a_plane_is_the_half_space_behind_its_axis(said, axis: str, mirror: str) -> None:
+def test_a_plane_is_the_half_space_behind_its_axis(read_physics, axis: str, mirror: str) -> None:
     lines = [f'uniform token axis = "{axis}"', "double width = 4", "double length = 6", mirror]
-    plane = only(said(prim("Plane", "Ground", *lines, apis=[COLLISION]), layer=head(0.5)))
+    plane = only(read_physics(prim("Plane", "Ground", *lines, apis=[COLLISION]), layer=head(0.5)))
     assert plane.shape == "plane"
     expected = np.eye(3)["XYZ".index(axis)]
     if mirror and axis == "X":
@@ -149,21 +149,21 @@ def test_a_plane_is_the_half_space_behind_its_axis(said, axis: str, mirror: str)
     np.testing.assert_allclose(np.ptp(plane.points, axis=0), 0.5 * np.array(sizes) * stretch)
 
 
-def test_a_plane_without_an_axis_of_space_is_refused(said) -> None:
+def test_a_plane_without_an_axis_of_space_is_refused(read_physics) -> None:
     lines = ['uniform token axis = "W"', "double width = 0"]
     with pytest.raises(InputError, match="</Ground>: axis is 'W'"):
-        said(prim("Plane", "Ground", *lines, apis=[COLLISION]))
-    plane = only(said(prim("Plane", "Ground", lines[1], apis=[COLLISION])))
+        read_physics(prim("Plane", "Ground", *lines, apis=[COLLISION]))
+    plane = only(read_physics(prim("Plane", "Ground", lines[1], apis=[COLLISION])))
     np.testing.assert_allclose(normals(plane)[0], [0, 0, 1])
 
 
-def test_hull_box_and_ball_stand_for_a_mesh(said) -> None:
+def test_hull_box_and_ball_stand_for_a_mesh(read_physics) -> None:
     # a cube with one corner pushed to its middle: hull 1 - 1/6 (the corner's tetrahedron)
     dented = BOX.replace("(1,1,1)]", "(0.5,0.5,0.5)]")
 
     def approximated(kind: str, *lines: str) -> Collider:
         token = f'uniform token physics:approximation = "{kind}"'
-        return only(said(prim("Mesh", "Rock", dented, token, *lines, apis=HULL)))
+        return only(read_physics(prim("Mesh", "Rock", dented, token, *lines, apis=HULL)))
 
     assert volume(approximated("none")) < 0.8
     hull = approximated("convexHull")
@@ -179,9 +179,9 @@ def test_hull_box_and_ball_stand_for_a_mesh(said) -> None:
     assert volume(ball) > 0
 
 
-def test_an_approximation_that_is_left_out_is_said(said) -> None:
+def test_an_approximation_that_is_left_out_is_said(read_physics) -> None:
     token = 'uniform token physics:approximation = "convexDecomposition"'
-    found = said(mesh("Rock", token, apis=HULL))
+    found = read_physics(mesh("Rock", token, apis=HULL))
     assert volume(only(found)) == pytest.approx(1.0)
     assert found.notes == (
         "/Rock: approximation convexDecomposition: its own triangles, which are finer, are used",
@@ -194,29 +194,29 @@ def test_an_approximation_that_is_left_out_is_said(said) -> None:
         'uniform token physics:approximation = "convexHull"',
         apis=HULL,
     )
-    found = said(flat)
+    found = read_physics(flat)
     assert len(only(found).triangles) == 2
     assert found.notes[0].startswith("/Sheet: is flat: its own triangles are used")
 
 
-def test_an_approximation_that_is_none_is_refused(said) -> None:
+def test_an_approximation_that_is_none_is_refused(read_physics) -> None:
     token = 'uniform token physics:approximation = "blob"'
     with pytest.raises(InputError) as caught:
-        said(mesh("Rock", token, apis=HULL))
+        read_physics(mesh("Rock", token, apis=HULL))
     assert "</Rock>: physics:approximation is 'blob'" in caught.value.message
     assert "convexHull" in caught.value.hint
 
 
-def test_colliders_in_instances_are_found(said) -> None:
+def test_colliders_in_instances_are_found(read_physics) -> None:
     asset = prim("Xform", "Proto", mesh("Floor", apis=[COLLISION]))
     place = "\n    ".join(["instanceable = true", "prepend references = </Proto>"])
     one = prim("Xform", "One", SLIDE, meta=place)
-    paths = {c.path: c for c in said(asset, one).colliders}
+    paths = {c.path: c for c in read_physics(asset, one).colliders}
     assert set(paths) == {"/Proto/Floor", "/One/Floor"}
     assert paths["/One/Floor"].positions(2)[0, 0] == pytest.approx(4.0)
 
 
-def test_what_a_point_instancer_repeats_is_left_out_and_this_is_said(said) -> None:
+def test_what_a_point_instancer_repeats_is_left_out_and_this_is_said(read_physics) -> None:
     rocks = prim(
         "PointInstancer",
         "Rocks",
@@ -224,29 +224,31 @@ def test_what_a_point_instancer_repeats_is_left_out_and_this_is_said(said) -> No
         "rel prototypes = </Rocks/Rock>",
         mesh("Rock", apis=[COLLISION]),
     )
-    found = said(rocks)
+    found = read_physics(rocks)
     assert found.colliders == ()
     assert found.notes == ("/Rocks: PointInstancer: the colliders it repeats are left out",)
-    assert said(rocks.replace(COLLISION, "")).notes == ()
+    assert read_physics(rocks.replace(COLLISION, "")).notes == ()
 
 
-def test_colliders_without_a_surface_are_left_out_and_this_is_said(said) -> None:
+def test_colliders_without_a_surface_are_left_out_and_this_is_said(read_physics) -> None:
     squash = MIRROR.replace("(-2, 1, 1)", "(1, 0, 1)")
-    found = said(prim("Xform", "Empty", apis=[COLLISION]), mesh("Flat", squash, apis=[COLLISION]))
+    found = read_physics(
+        prim("Xform", "Empty", apis=[COLLISION]), mesh("Flat", squash, apis=[COLLISION])
+    )
     assert found.colliders == ()
     assert found.notes[0] == "/Empty: is a Xform: only meshes and implicit shapes collide"
     assert found.notes[1].startswith("/Flat: does not collide: its transform flattens it")
 
 
-def test_a_broken_mesh_is_refused(said) -> None:
+def test_a_broken_mesh_is_refused(read_physics) -> None:
     broken = BOX.replace("0,2,3,1", "0,2,3,99")
     with pytest.raises(
         InputError, match="/Rock: 1 faceVertexIndices do not refer to any of its 8 points"
     ):
-        said(prim("Mesh", "Rock", broken, apis=[COLLISION]))
+        read_physics(prim("Mesh", "Rock", broken, apis=[COLLISION]))
 
 
-def test_friction_and_restitution_come_from_the_bound_material(said) -> None:
+def test_friction_and_restitution_come_from_the_bound_material(read_physics) -> None:
     material = prim(
         "Material",
         "Ice",
@@ -257,7 +259,7 @@ def test_friction_and_restitution_come_from_the_bound_material(said) -> None:
 
     def ground(*lines: str) -> Collider:
         apis = [COLLISION, "MaterialBindingAPI"]
-        return only(said(material, prim("Cube", "Ground", *lines, apis=apis)))
+        return only(read_physics(material, prim("Cube", "Ground", *lines, apis=apis)))
 
     for purpose in ("physics", ""):
         spec = ground(bound("/Ice", purpose)).spec

@@ -21,9 +21,9 @@ def scene(*lines: str, name: str = "Scene") -> str:
 
 
 def test_a_stage_without_a_scene_says_nothing(write: Write) -> None:
-    said = physics_of(write(ASSET))
-    assert (said.gravity, said.scene) == (None, "")
-    assert said.colliders == said.bodies == said.ignored == said.notes == ()
+    physics = physics_of(write(ASSET))
+    assert (physics.gravity, physics.scene) == (None, "")
+    assert physics.colliders == physics.bodies == physics.ignored == physics.notes == ()
 
 
 @pytest.mark.parametrize(
@@ -50,21 +50,21 @@ def test_a_stage_without_a_scene_says_nothing(write: Write) -> None:
 def test_gravity_is_that_of_usd_physics_in_si(
     write: Write, layer: str, lines: list[str], expected: tuple[float, ...]
 ) -> None:
-    said = physics_of(write(layer + ASSET + scene(*lines)))
-    assert said.gravity is not None
-    np.testing.assert_allclose(said.gravity, expected, rtol=1e-6)  # float32 in the file
-    assert said.scene == "/Scene"
+    physics = physics_of(write(layer + ASSET + scene(*lines)))
+    assert physics.gravity is not None
+    np.testing.assert_allclose(physics.gravity, expected, rtol=1e-6)  # float32 in the file
+    assert physics.scene == "/Scene"
 
 
 def test_of_several_scenes_the_first_counts_and_this_is_said(write: Write) -> None:
     moon = scene("float physics:gravityMagnitude = 1.62", name="Moon")
-    said = physics_of(write(ASSET + moon + scene()))
-    assert said.gravity == pytest.approx((0, -1.62, 0), rel=1e-6)
-    assert said.notes == ("/Scene: is a second PhysicsScene: only /Moon is used",)
+    physics = physics_of(write(ASSET + moon + scene()))
+    assert physics.gravity == pytest.approx((0, -1.62, 0), rel=1e-6)
+    assert physics.notes == ("/Scene: is a second PhysicsScene: only /Moon is used",)
 
 
 @pytest.mark.parametrize(
-    ("line", "words"),
+    ("line", "message"),
     [
         ("float physics:gravityMagnitude = nan", "physics:gravityMagnitude is nan"),
         ("float physics:gravityMagnitude = inf", "physics:gravityMagnitude is inf"),
@@ -72,11 +72,11 @@ def test_of_several_scenes_the_first_counts_and_this_is_said(write: Write) -> No
         ("vector3f physics:gravityDirection = (nan, 0, 0)", "physics:gravityDirection is"),
     ],
 )
-def test_gravity_that_is_no_number_is_refused(write: Write, line: str, words: str) -> None:
+def test_gravity_that_is_no_number_is_refused(write: Write, line: str, message: str) -> None:
     path = write(ASSET + scene(line))
     with pytest.raises(InputError) as caught:
         physics_of(path)
-    assert caught.value.message.startswith(f"{path}: </Scene>: {words}")
+    assert caught.value.message.startswith(f"{path}: </Scene>: {message}")
     assert "author" in caught.value.hint
 
 
@@ -93,8 +93,8 @@ def joint(kind: str, name: str, *lines: str, one: str = "", two: str = "") -> st
 )
 def test_a_joint_of_what_is_baked_is_named_as_not_simulated(write: Write, kind: str) -> None:
     rig = prim("Xform", "Rig", mesh("Asset"), apis=["PhysicsRigidBodyAPI"])
-    said = physics_of(write(head() + rig + joint(kind, "Weld", one="/Rig")), "/Rig/Asset")
-    (note,) = said.notes
+    physics = physics_of(write(head() + rig + joint(kind, "Weld", one="/Rig")), "/Rig/Asset")
+    (note,) = physics.notes
     assert note.startswith(f"/Weld: {JOINT}")
     assert "--pin" in note
 
@@ -104,8 +104,10 @@ def test_a_joint_connects_the_rigid_body_that_its_frame_is_in(write: Write) -> N
     rig = prim("Xform", "Rig", mesh("Asset") + prim("Xform", "Frame"), apis=["PhysicsRigidBodyAPI"])
     held = joint("PhysicsFixedJoint", "Held", one="/World/Rig/Frame")
     far = mesh("Far") + joint("PhysicsFixedJoint", "Door", one="/World", two="/World/Far")
-    said = physics_of(write(head() + prim("Xform", "World", rig + held + far)), "/World/Rig/Asset")
-    (note,) = [one for one in said.notes if JOINT in one]
+    physics = physics_of(
+        write(head() + prim("Xform", "World", rig + held + far)), "/World/Rig/Asset"
+    )
+    (note,) = [one for one in physics.notes if JOINT in one]
     assert note.startswith("/World/Held: ")
 
 
@@ -119,8 +121,8 @@ def test_a_joint_connects_the_rigid_body_that_its_frame_is_in(write: Write) -> N
     ids=["switched off", "of others", "of nothing"],
 )
 def test_joints_of_nothing_that_is_baked_are_no_matter(write: Write, other: str) -> None:
-    said = physics_of(write(head() + mesh("Asset") + other), "/Asset", facts_from="/Asset")
-    assert said.notes == ()
+    physics = physics_of(write(head() + mesh("Asset") + other), "/Asset", facts_from="/Asset")
+    assert physics.notes == ()
 
 
 def test_a_body_that_is_no_prim_is_refused(write: Write) -> None:

@@ -21,9 +21,9 @@ def ignored(write: Write) -> Callable[..., set[tuple[str, str]]]:
 
     def ignored(*prims: str, bodies: tuple[str, ...] = BODIES) -> set[tuple[str, str]]:
         path = write(head() + "".join(prims))
-        said = physics_of(path, *bodies)
-        assert len(set(said.ignored)) == len(said.ignored)
-        return set(said.ignored)
+        physics = physics_of(path, *bodies)
+        assert len(set(physics.ignored)) == len(physics.ignored)
+        return set(physics.ignored)
 
     return ignored
 

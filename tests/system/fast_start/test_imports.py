@@ -38,7 +38,7 @@ print(taichi._version_check.try_check_version.__name__)
 """
 
 
-def said(code: str, switch: str) -> list[str]:
+def printed(code: str, switch: str) -> list[str]:
     done = subprocess.run(
         [sys.executable, "-c", code], env={**os.environ, FAST_START: switch},
         capture_output=True, text=True, check=True,
@@ -48,7 +48,7 @@ def said(code: str, switch: str) -> list[str]:
 
 @pytest.mark.slow
 def test_scipys_view_of_numpy_asks_for_the_rest_later() -> None:
-    quick, plain = said(SCIPY, "1"), said(SCIPY, "0")
+    quick, plain = printed(SCIPY, "1"), printed(SCIPY, "0")
     assert quick == ["", "no"]
     assert plain[1] == "no"
     assert "numpy.testing" in plain[0], "otherwise SciPy needs no help any more"
@@ -56,5 +56,5 @@ def test_scipys_view_of_numpy_asks_for_the_rest_later() -> None:
 
 @pytest.mark.slow
 def test_taichi_is_imported_without_what_it_asks_for_later() -> None:
-    assert said(TAICHI, "1") == ["", "try_check_version"]
-    assert said(TAICHI, "0") == ["dill taichi._version_check", "try_check_version"]
+    assert printed(TAICHI, "1") == ["", "try_check_version"]
+    assert printed(TAICHI, "0") == ["dill taichi._version_check", "try_check_version"]

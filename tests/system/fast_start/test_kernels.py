@@ -169,34 +169,34 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
 
     with pytest.raises(ti.TaichiNameError, match="nowhere") as error:
         faulty(ti.ndarray(ti.f32, 4))
-    said = str(error.value)
-    assert f'File "{__file__}"' in said
-    assert "x[i] = nowhere" in said
-    assert "^^^^^^^" in said
+    message = str(error.value)
+    assert f'File "{__file__}"' in message
+    assert "x[i] = nowhere" in message
+    assert "^^^^^^^" in message
     line = next(k for k, text in enumerate(Path(__file__).read_text().splitlines(), 1)
                 if "= nowhere  #" in text)  # fmt: skip
-    assert f"line {line}" in said
+    assert f"line {line}" in message
 
 
 def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
     taichis = sys.modules["taichi.lang.kernel_impl"]
-    asked: list[int] = []
-    words = tuple(taichis._KERNEL_CLASS_STACKFRAME_STMT_RES)
-    inside = kernels.faster_inside_class(lambda level: bool(asked.append(level)), words)
+    levels: list[int] = []
+    patterns = tuple(taichis._KERNEL_CLASS_STACKFRAME_STMT_RES)
+    inside = kernels.faster_inside_class(lambda level: bool(levels.append(level)), patterns)
 
     class Here:
         found = inside(2)  # from the body of a class to what is at its first line
 
     assert Here.found
     assert not inside(0)
-    assert asked == []
-    unknown = kernels.faster_inside_class(lambda level: bool(asked.append(level)), ())
+    assert levels == []
+    unknown = kernels.faster_inside_class(lambda level: bool(levels.append(level)), ())
     assert not unknown(0)
-    assert asked == [1], "this frame is of a file, one level further up for the one who looks"
+    assert levels == [1], "this frame is of a file, one level further up for the one who looks"
     code = compile("found = inside(1)", "<nowhere>", "exec")
     exec(code, space := {"inside": inside})
     assert space["found"] is False
-    assert asked == [1]
+    assert levels == [1]
     assert taichis._inside_class.__name__ == "inside_class"
 
 
@@ -214,7 +214,7 @@ def long_signature(
     return [
         b,
         a,
-    ]  # said behind it
+    ]  # printed behind it
 
 
 def text_at_the_end() -> str:
@@ -264,11 +264,11 @@ def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_pat
     """All that is written, and under the same keys of kernels."""
     script = (
         "import sys, gf_usd\n"
-        "def told(done, total):\n"  # while it runs: afterwards all is as it was
+        "def on_progress(done, total):\n"  # while it runs: afterwards all is as it was
         "    if done == total:\n"
         "        print(type(sys.modules['taichi.lang.kernel_impl'].ast).__name__)\n"
         "gf_usd.bake(sys.argv[1], output='out/', material='rubber', particles=300, frames=3,"
-        " drop='0.1', stress=True, progress=told)\n"
+        " drop='0.1', stress=True, progress=on_progress)\n"
     )
 
     def bake(switch: str) -> tuple[str, dict[str, bytes], set[str]]:
@@ -307,7 +307,7 @@ def test_taichi_asks_no_network_whether_it_is_the_newest() -> None:
         "print(asked)\n"
     )
 
-    def asked(switch: dict[str, str]) -> str:
+    def requests(switch: dict[str, str]) -> str:
         environment = {k: v for k, v in os.environ.items() if k != "TI_SKIP_VERSION_CHECK"}
         done = subprocess.run(
             [sys.executable, "-c", code],
@@ -318,9 +318,9 @@ def test_taichi_asks_no_network_whether_it_is_the_newest() -> None:
         )
         return done.stdout.strip()
 
-    assert asked({}) == "[]"
+    assert requests({}) == "[]"
     # One who wants the check has it, as Taichi made it.
-    assert asked({"TI_SKIP_VERSION_CHECK": "OFF"}) == "[1]"
+    assert requests({"TI_SKIP_VERSION_CHECK": "OFF"}) == "[1]"
 
 
 ANNOUNCED = """

@@ -63,7 +63,7 @@ def test_a_child_works_where_its_parent_does(
 
 
 @pytest.mark.parametrize(
-    ("work", "words"),
+    ("work", "message"),
     [
         ("crash", "caused its reader to crash (signal 11, SIGSEGV)"),
         ("hang", "took longer than 0.2 s"),
@@ -72,11 +72,11 @@ def test_a_child_works_where_its_parent_does(
         ("vanish", "caused its reader to crash (without output)"),
     ],
 )
-def test_what_goes_wrong_is_said_and_harms_no_other(file: Path, work: str, words: str) -> None:
+def test_what_goes_wrong_is_said_and_harms_no_other(file: Path, work: str, message: str) -> None:
     seconds = 0.2 if work == "hang" else 60.0
     with pytest.raises(InputError) as caught:
         run_isolated(file, f"isolated_tasks:{work}", Limits(time=seconds))
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert run_isolated(file, "isolated_tasks:folder", Limits()) == str(Path.cwd())
 
 
@@ -99,15 +99,15 @@ def test_without_the_process_a_child_is_started(file: Path) -> None:
 def test_children_end_with_the_process_that_wants_them(file: Path, tmp_path: Path) -> None:
     forks = ForkServer(["isolated_tasks"])
     sandbox.set_starter(forks.start)
-    told = tmp_path / "told"
-    isolated = Isolated(file, "isolated_tasks:stay", Limits(), told)
+    written = tmp_path / "told"
+    isolated = Isolated(file, "isolated_tasks:stay", Limits(), written)
     until = time.monotonic() + 30.0
-    while not told.exists() and time.monotonic() < until:
+    while not written.exists() and time.monotonic() < until:
         time.sleep(0.01)
     forks._end.shutdown(2)
     forks._process.reap()
     isolated.__exit__()
-    for process in map(int, told.read_text().split()):
+    for process in map(int, written.read_text().split()):
         assert _is_gone(process)
     forks._end.close()
 
@@ -149,7 +149,7 @@ def _ahead(file: Path, task: str, threads: int = 0) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("task", "words"),
+    ("task", "message"),
     [
         ("loaded_already", "1"),
         ("crash", "caused its reader to crash (signal 11, SIGSEGV)"),
@@ -159,15 +159,15 @@ def _ahead(file: Path, task: str, threads: int = 0) -> list[str]:
     ],
 )
 def test_a_child_that_is_forked_ahead_is_as_isolated_as_any(
-    tmp_path: Path, task: str, words: str
+    tmp_path: Path, task: str, message: str
 ) -> None:
     path = tmp_path / "a.usda"
     path.write_text("#usda 1.0\n")
     first, second = _ahead(path, task)
     assert first.startswith("True ")
-    assert words in first
+    assert message in first
     # the second child is started afresh: it is one file that a command reads
-    assert ("0" if task == "loaded_already" else words) in second
+    assert ("0" if task == "loaded_already" else message) in second
 
 
 def test_no_child_is_forked_ahead_beside_threads_or_keeps_files(tmp_path: Path) -> None:

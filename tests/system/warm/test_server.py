@@ -62,9 +62,9 @@ def _back() -> Iterator[None]:
 
 def ask(path: Path, *arguments: str, **more: Any) -> tuple[int, dict[str, Any]]:
     """The process that ran a command, and the end of it."""
-    *told, ended = events(path, {"arguments": arguments, **more})
+    *answers, ended = events(path, {"arguments": arguments, **more})
     assert ended["event"] == "ended"
-    return (told[0].get("process", 0) if told else 0), ended
+    return (answers[0].get("process", 0) if answers else 0), ended
 
 
 def _is_gone(process: int) -> bool:
@@ -114,10 +114,10 @@ def test_what_is_no_request_is_refused_in_words(path: Path) -> None:
             with client, client.makefile() as lines:
                 client.sendall(line)
                 client.shutdown(socket.SHUT_WR)
-                told = [json.loads(one) for one in lines]
-            assert [one["event"] for one in told] == ["error", "ended"]
-            assert "one line with a JSON object" in told[0]["message"]
-            assert told[1]["status"] == 2
+                answers = [json.loads(one) for one in lines]
+            assert [one["event"] for one in answers] == ["error", "ended"]
+            assert "one line with a JSON object" in answers[0]["message"]
+            assert answers[1]["status"] == 2
         _, ended = ask(path, "well", folder="nowhere")
         assert ended["status"] == 2
         for folder in (3, ["x"], "/nowhere"):
@@ -138,14 +138,14 @@ def test_status_and_stop(path: Path) -> None:
     assert status(path) is None
     with serving(path):
         ask(path, "well")
-        told = status(path)
-        assert told is not None
-        assert (told["pid"], told["running"], told["done"]) == (os.getpid(), 0, 1)
+        state = status(path)
+        assert state is not None
+        assert (state["pid"], state["running"], state["done"]) == (os.getpid(), 0, 1)
         running = events(path, {"arguments": ["sleep"]})
         assert next(running)["event"] == "sleep"
-        told = status(path, stop=True)
-        assert told is not None
-        assert told["running"] == 1
+        state = status(path, stop=True)
+        assert state is not None
+        assert state["running"] == 1
         assert next(running)["status"] == -signal.SIGTERM, "the server ends what runs"
         assert next(running, None) is None
     assert status(path) is None

@@ -33,9 +33,9 @@ def run(workers: Workers, *arguments: str, **how: object) -> tuple[ProcessResult
     finally:
         os.close(writer)
         with os.fdopen(reader) as file:
-            told = file.read()
+            text = file.read()
     assert ended is not None
-    return ended, json.loads(told)["process"] if told else 0
+    return ended, json.loads(text)["process"] if text else 0
 
 
 def test_commands_follow_each_other_in_one_process(workers: Workers) -> None:

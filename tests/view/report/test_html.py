@@ -147,7 +147,7 @@ def test_pictures_are_taken_where_something_happens():
     source = FallingBox()
     recording = source.recording()
     motion = collect(recording, source.frames(recording.time_codes), 100, 100)
-    assert [words for _, words in choose_key_frames(motion, 5)] == [
+    assert [text for _, text in choose_key_frames(motion, 5)] == [
         "start", "contact", "squashed", "rebound", "end",
     ]  # fmt: skip
     assert [frame for frame, _ in choose_key_frames(motion, 5)] == [0, 2, 3, 5, 6]

@@ -64,16 +64,16 @@ def test_a_report_of_this_bake_is_taken_whole():
 
 
 @pytest.mark.parametrize(
-    ("report", "why", "words"),
+    ("report", "why", "message"),
     [
         ({}, "there is no x.json next to the file", "there is no x.json next to the file"),
         (report_of(input_sha256="other"), "", "belongs to another bake"),
         (report_of(look="jelly"), "", "does not contain this variant"),
     ],
 )
-def test_without_it_the_root_layer_speaks_and_says_so(report, why, words):
+def test_without_it_the_root_layer_speaks_and_says_so(report, why, message):
     record = make_record(FallingBox(about=ABOUT).recording(), report, why)
-    assert words in record.missing[0]
+    assert message in record.missing[0]
     assert "energies" in record.missing[0]
     assert record.health == {"min_J": 0.4, "rollbacks": 2}
     assert record.materials[0]["density"] == 1000.0

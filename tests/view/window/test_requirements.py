@@ -33,15 +33,15 @@ def test_a_missing_library_is_said_with_its_package(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("display", "words"),
+    ("display", "message"),
     [(None, "DISPLAY is not set"), ("", "DISPLAY is not set"), (":9731", "cannot be opened")],
 )
-def test_no_display_is_said_before_a_window_is_tried(monkeypatch, display, words):
+def test_no_display_is_said_before_a_window_is_tried(monkeypatch, display, message):
     monkeypatch.setattr(requirements.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     if display is not None:
         monkeypatch.setenv("DISPLAY", display)
-    with pytest.raises(UsageError, match=words) as caught:
+    with pytest.raises(UsageError, match=message) as caught:
         requirements.require_display()
     assert "gf-usd report" in caught.value.hint
 

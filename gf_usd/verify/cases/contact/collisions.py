@@ -17,7 +17,7 @@ from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure
 YOUNG, POISSON, DENSITY = 1e6, 0.3, 1000.0  # waves run at 37 m/s
 FINE = 4  # subdivisions of the spheres
 ROUNDING = 1e-5
-ASKED_COARSE, ASKED_FINE = 0.97, 0.99  # restitution of balls of few, and of so many particles
+LEAST_COARSE, LEAST_FINE = 0.97, 0.99  # restitution of balls of few, and of so many particles
 FINE_BALL = 3000
 
 
@@ -154,7 +154,7 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             " stiffest vibrations hold, and those are a hundredth of what rings",
         )  # fmt: skip
         for count, one in zip(counts, results):
-            tolerance = ASKED_FINE if count >= FINE_BALL else ASKED_COARSE
+            tolerance = LEAST_FINE if count >= FINE_BALL else LEAST_COARSE
             last = one is results[-1]
             yield Measure(
                 name=f"restitution.head-on.{count}", value=one.restitution, target=1.0,

@@ -31,7 +31,7 @@ def box(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[float, fl
     return [(x, y, z) for x in xs for y in ys for z in zs]
 
 
-def stage(folder: Path, said: str = "") -> Path:
+def stage(folder: Path, lines: str = "") -> Path:
     """A bar of 80 x 30 x 30 cm under a prim that turns, and a grip around its end that rises."""
     bar, grip = box((0, 0, 0), (80, 30, 30)), box((-10, -10, -10), (6, 40, 40))
     body = f"int[] faceVertexCounts = {[4] * 6}\nint[] faceVertexIndices = {FACES}\n"
@@ -73,7 +73,7 @@ def Xform "World"
             int[] indices = [0]
         }}
     }}
-    {said}
+    {lines}
 }}
 """)
     return path
@@ -96,8 +96,8 @@ OPTIONS: dict[str, Any] = {"particles": 150, "frames": FRAMES, "floor": "none"}
 
 def plan_of(path: Path, **options: Any) -> Plan:
     output = path.parent / "out.usda"
-    asked: dict[str, Any] = {"draw": None, "tets": True, "output": output, **OPTIONS, **options}
-    return prepare(path, **asked)[0]
+    request: dict[str, Any] = {"draw": None, "tets": True, "output": output, **OPTIONS, **options}
+    return prepare(path, **request)[0]
 
 
 def written(plan: Plan, folder: Path) -> Path:
@@ -149,24 +149,24 @@ def test_a_pin_is_written_and_read_again(
     (prim,) = scene.GetPrimAtPath("/World/GaussianFlesh/Attachments").GetChildren()
     assert prim.GetTypeName() == "PhysicsAttachment"
 
-    def said(name: str, time: float = 1.0) -> Any:
+    def value(name: str, time: float = 1.0) -> Any:
         return prim.GetAttribute(name).Get(time)
 
-    assert (said("physics:type0"), said("physics:type1")) == ("point", "xform")
-    assert said("physics:stiffness") == np.inf
-    assert said("gaussianFlesh:pin") == pin
+    assert (value("physics:type0"), value("physics:type1")) == ("point", "xform")
+    assert value("physics:stiffness") == np.inf
+    assert value("gaussianFlesh:pin") == pin
     assert prim.GetRelationship("physics:src0").GetTargets() == ["/World/GaussianFlesh/Tets"]
     assert prim.GetRelationship("physics:src1").GetTargets() == [carrier]
     # each point of the tetrahedra that the region holds, where it is at the first frame
     (lattice,) = plan.tets
-    points = np.array(said("physics:indices0"))
+    points = np.array(value("physics:indices0"))
     inside = np.flatnonzero(plan.pins[0].inside(lattice.X))
     assert len(inside)
     assert set(inside) <= set(points)
     to_world = np.array(UsdGeom.XformCache(1.0).GetLocalToWorldTransform(
         scene.GetPrimAtPath(carrier)
     ))  # fmt: skip
-    places = np.array(said("physics:coords1"), float) @ to_world[:3, :3] + to_world[3, :3]
+    places = np.array(value("physics:coords1"), float) @ to_world[:3, :3] + to_world[3, :3]
     far = ROUNDING * np.abs(lattice.X).max()
     np.testing.assert_allclose(0.01 * places, lattice.X[points], atol=far)
     assert prim.GetAttribute("physics:coords1").GetNumTimeSamples() == (FRAMES if moves else 0)
@@ -214,7 +214,7 @@ def test_an_attachment_of_what_is_not_baked_holds_nothing(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "message"),
     [
         (f'gaussianFlesh:pin = "{BOX}"', 'gaussianFlesh:pin = ""', "gaussianFlesh:pin is ''"),
         (f'gaussianFlesh:pin = "{BOX}"', 'gaussianFlesh:pin = "/World/Gone"', "/World/Gone"),
@@ -222,7 +222,7 @@ def test_an_attachment_of_what_is_not_baked_holds_nothing(tmp_path: Path) -> Non
     ],
 )
 def test_an_attachment_that_was_broken_is_refused(
-    tmp_path: Path, old: str, new: str, words: str
+    tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     setup = written(plan_of(stage(tmp_path), pins=[BOX]), tmp_path)
     text = (tmp_path / "held.usda").read_text()
@@ -230,7 +230,7 @@ def test_an_attachment_that_was_broken_is_refused(
     (tmp_path / "held.usda").write_text(text.replace(old, new))
     with pytest.raises(InputError) as caught:
         plan_of(setup, prims=["/World/Bar"])
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert "/World/GaussianFlesh/Attachments/box" in caught.value.message
     assert caught.value.hint
 

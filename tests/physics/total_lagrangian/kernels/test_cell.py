@@ -16,12 +16,12 @@ from gf_usd.system.taichi_runtime import resident_blocks
 EXACT = {"rtol": 1e-9, "atol": 1e-10}
 
 
-def dropped(cells, law="neoHookean", real=np.float32, **said):
+def dropped(cells, law="neoHookean", real=np.float32, **changes):
     """A ball that meets the floor, turned and thrown, with viscosity and a filter."""
     body, samples = ball(400, radius=0.1)
     options = {
         "frames": 3, "gravity": (0.0, -9.81, 0.0), "floor": -0.1, "filter_rate": 50.0, "fps": 60.0,
-        "threads": 2, "substeps": 40, **said,
+        "threads": 2, "substeps": 40, **changes,
     }  # fmt: skip
     solver = TotalLagrangian(
         body, [look("rubber", body, law=law)], settings(**options), samples=samples,
@@ -42,7 +42,7 @@ def test_a_thread_a_cell_takes_the_same_sums_to_the_bit() -> None:
 
 @pytest.mark.slow  # each compiles kernels of its own
 @pytest.mark.parametrize(
-    "said",
+    "changes",
     [
         {"law": "corotated", "stress": True},
         {"law": "vonMises"},
@@ -56,8 +56,10 @@ def test_a_thread_a_cell_takes_the_same_sums_to_the_bit() -> None:
     ],
     ids=["corotated", "plastic", "the paper's options"],
 )
-def test_laws_and_options_are_the_same_either_way(said) -> None:
-    (groups, ours), (cells, theirs) = (dropped(c, real=np.float64, **said) for c in (False, True))
+def test_laws_and_options_are_the_same_either_way(changes) -> None:
+    (groups, ours), (cells, theirs) = (
+        dropped(c, real=np.float64, **changes) for c in (False, True)
+    )
     np.testing.assert_allclose(cells, groups, **EXACT)
     for a, b in zip(ours, theirs, strict=True):
         assert b.health.elastic == pytest.approx(a.health.elastic, rel=1e-9, abs=1e-12)

@@ -19,12 +19,12 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 EXACT = {"rtol": 1e-9, "atol": 1e-10}
 
 
-def drop(plain, real=np.float64, threads=2, launching=lambda solver: solver, **said):
+def drop(plain, real=np.float64, threads=2, launching=lambda solver: solver, **changes):
     """A ball that meets the floor, turned and thrown, with a filter: everything a substep has."""
     body, samples = ball(400, radius=0.1)
     options = {
         "frames": 4, "gravity": (0.0, -9.81, 0.0), "floor": -0.1, "filter_rate": 50.0, "fps": 60.0,
-        "threads": threads, "substeps": 40, **said,
+        "threads": threads, "substeps": 40, **changes,
     }  # fmt: skip
     law = options.pop("law", "corotated")
     solver = TotalLagrangian(
@@ -43,7 +43,7 @@ def state(run):
 
 @pytest.mark.slow  # each compiles kernels of its own
 @pytest.mark.parametrize(
-    "said",
+    "changes",
     [
         {},
         {"law": "neoHookean"},
@@ -51,8 +51,8 @@ def state(run):
     ],
     ids=["corotated", "neo-Hookean", "the paper's options"],
 )
-def test_a_drop_is_the_same_either_way(said):
-    fast, plain = drop(False, **said), drop(True, **said)
+def test_a_drop_is_the_same_either_way(changes):
+    fast, plain = drop(False, **changes), drop(True, **changes)
     np.testing.assert_allclose(state(plain), state(fast), **EXACT)
     for a, b in zip(fast[1], plain[1], strict=True):
         assert b.health.elastic == pytest.approx(a.health.elastic, rel=1e-9, abs=1e-12)

@@ -53,7 +53,7 @@ def test_a_cubic_spline_is_the_cubic_that_its_tangents_come_of() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "asked", "rate", "frames"),
+    ("keys", "given", "rate", "frames"),
     [
         (np.arange(13) / 24.0, None, 24.0, 13),
         (np.arange(13) / 30.0, None, 30.0, 13),
@@ -63,7 +63,7 @@ def test_a_cubic_spline_is_the_cubic_that_its_tangents_come_of() -> None:
     ],
 )
 def test_frames_are_those_of_the_keys_or_as_asked(
-    tmp_path: Path, keys: np.ndarray, asked: float | None, rate: float, frames: int
+    tmp_path: Path, keys: np.ndarray, given: float | None, rate: float, frames: int
 ) -> None:
     made = gltf_arm.maker(animated=False)
     values = np.zeros((len(keys), 3), np.float32)
@@ -74,7 +74,7 @@ def test_frames_are_those_of_the_keys_or_as_asked(
         "channels": [{"sampler": 0, "target": {"node": 3, "path": "translation"}}],
     }]  # fmt: skip
     animation = read_animation(open_gltf(gltf_arm.write(tmp_path, made)), Notes())
-    found, times = frame_times(animation, asked, "arm.glb")
+    found, times = frame_times(animation, given, "arm.glb")
     assert (found, len(times)) == (rate, frames)
     np.testing.assert_allclose(times[0], keys[0], rtol=1e-6)
 
@@ -110,14 +110,14 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("words", BROKEN)
-def test_a_damaged_animation_is_refused(tmp_path: Path, words: str) -> None:
+@pytest.mark.parametrize("message", BROKEN)
+def test_a_damaged_animation_is_refused(tmp_path: Path, message: str) -> None:
     made = gltf_arm.maker()
-    BROKEN[words](made, made.tree["animations"][0]["samplers"])
+    BROKEN[message](made, made.tree["animations"][0]["samplers"])
     path = gltf_arm.write(tmp_path, made)
     with pytest.raises(InputError) as caught:
         read_animation(open_gltf(path), Notes())
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert str(path) in caught.value.message
     assert caught.value.hint
 

@@ -172,13 +172,13 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("words", BROKEN)
-def test_a_damaged_skin_is_refused(tmp_path: Path, words: str) -> None:
-    made = maker(animated=words != "contains a shear")
-    BROKEN[words](made)
+@pytest.mark.parametrize("message", BROKEN)
+def test_a_damaged_skin_is_refused(tmp_path: Path, message: str) -> None:
+    made = maker(animated=message != "contains a shear")
+    BROKEN[message](made)
     path = gltf_arm.write(tmp_path, made)
     with pytest.raises(InputError) as caught:
         convert(path, rigged=True)
-    assert words in caught.value.message
+    assert message in caught.value.message
     assert str(path) in caught.value.message
     assert caught.value.hint

@@ -421,20 +421,22 @@ BROKEN_ACCESSORS = [
 ]
 
 
-@pytest.mark.parametrize(("make", "words"), BROKEN_ACCESSORS, ids=[w for _, w in BROKEN_ACCESSORS])
-def test_accessors_that_do_not_fit_are_refused(tmp_path, make, words):
+@pytest.mark.parametrize(
+    ("make", "message"), BROKEN_ACCESSORS, ids=[w for _, w in BROKEN_ACCESSORS]
+)
+def test_accessors_that_do_not_fit_are_refused(tmp_path, make, message):
     maker = GltfMaker()
     make(maker)
     path = maker.glb(tmp_path / "thing.glb")
     with pytest.raises(InputError) as error:
         read_asset(path)
     assert str(path) in error.value.message
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.hint
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (draco, "mesh 0, primitive 0 is compressed with KHR_draco_mesh_compression"),
         (sparse, "accessor 0 is sparse"),
@@ -452,14 +454,14 @@ def test_accessors_that_do_not_fit_are_refused(tmp_path, make, words):
         (long_view, "buffer view 0 refers to bytes 0 to 1000000"),
     ],
 )
-def test_what_cannot_be_read_is_refused(tmp_path, caplog, make, words):
+def test_what_cannot_be_read_is_refused(tmp_path, caplog, make, message):
     maker = GltfMaker()
     make(maker)
     path = maker.glb(tmp_path / "thing.glb")
     with pytest.raises(InputError) as error:
         read_asset(path)
     assert str(path) in error.value.message
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.hint
     assert caplog.records == []  # trimesh keeps its remarks to itself
 
@@ -468,7 +470,7 @@ def test_damaged_containers_are_refused(tmp_path):
     maker = GltfMaker()
     maker.mesh(maker.primitive(CORNERS, TRIANGLES))
     whole = maker.glb(tmp_path / "whole.glb").read_bytes()
-    for data, words in (
+    for data, message in (
         (whole[:-20], f"is truncated: it has {len(whole) - 20} of {len(whole)} bytes"),
         (whole[:15], "is truncated: 15 bytes"),
         (b"glTF\1" + whole[5:], "is binary glTF 1"),
@@ -481,7 +483,7 @@ def test_damaged_containers_are_refused(tmp_path):
         path.write_bytes(data)
         with pytest.raises(InputError) as error:
             read_asset(path)
-        assert words in error.value.message
+        assert message in error.value.message
     path = maker.gltf(tmp_path / "thing.gltf")
     path.with_suffix(".bin").unlink()
     with pytest.raises(InputError, match=r"needs thing\.bin, which cannot be read"):

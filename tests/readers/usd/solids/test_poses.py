@@ -19,9 +19,9 @@ OMNI = ("OmniPhysicsDeformablePoseAPI", "deformablePose:rest:omniphysics:{}")
 def pose(names: tuple[str, str], points: list, purpose: str = "bindPose") -> tuple[str, str]:
     """The API's name and the attributes of a pose."""
     api, template = names
-    said = f"""uniform token[] {template.format("purposes")} = ["{purpose}"]
+    authored = f"""uniform token[] {template.format("purposes")} = ["{purpose}"]
         point3f[] {template.format("points")} = {points}"""
-    return f'"{api}:rest"', said
+    return f'"{api}:rest"', authored
 
 
 def stage(folder: Path, skin: tuple[str, str], solid: tuple[str, str] = ("", "")) -> Path:

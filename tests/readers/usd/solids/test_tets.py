@@ -127,7 +127,7 @@ INVERTED = [*KUHN[:4], (0, 5, 1, 7), KUHN[5]]
 
 
 @pytest.mark.parametrize(
-    ("body", "words"),
+    ("body", "message"),
     [
         (
             tet_mesh(tets=[*KUHN[:5], (0, 5, 4, 8)]),
@@ -172,10 +172,10 @@ INVERTED = [*KUHN[:4], (0, 5, 1, 7), KUHN[5]]
         ),
     ],
 )
-def test_broken_tetrahedra_are_refused_in_words(read, body: str, words: str) -> None:
+def test_broken_tetrahedra_are_refused_in_words(read, body: str, message: str) -> None:
     with pytest.raises(InputError) as refused:
         read(body)
-    assert words in str(refused.value)
+    assert message in str(refused.value)
     assert "/T: " in str(refused.value)
     assert refused.value.hint
 
