@@ -97,9 +97,16 @@ def _edges(triangles: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Directed edges (3T, 2), three of a triangle in a row, and a (3T,) id without direction."""
     triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    return edges, _undirected(edges)[1]
+
+
+def _undirected(edges: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The different edges (E, 2) without direction, ascending, and which of them each (n,) is."""
     low, high = np.minimum(*edges.T), np.maximum(*edges.T)
-    span = int(high.max()) + 1 if len(high) else 1
-    return edges, np.unique(low * span + high, return_inverse=True)[1].reshape(-1)
+    # One number an edge: rows take `unique` several times as long.
+    span = int(high.max(initial=0)) + 1
+    keys, ids = np.unique(low * span + high, return_inverse=True)
+    return np.stack(np.divmod(keys, span), 1), ids.reshape(-1)
 
 
 def boundary_edges(triangles: Ints) -> NDArray[np.int64]:
@@ -213,11 +220,7 @@ def divide_edges(points: Floats, triangles: Ints, longest: float, most: int = 0)
     corners = np.arange(3 * len(triangles)).reshape(-1, 3)
     halves: list[Ints] = []
     while not most or len(triangles) < most:
-        after = np.roll(triangles, -1, axis=1)
-        low, high = np.minimum(triangles, after), np.maximum(triangles, after)
-        # One number an edge: rows take `unique` several times as long.
-        keys, edge = np.unique(low * len(points) + high, return_inverse=True)
-        edges = np.stack(np.divmod(keys, len(points)), 1)
+        edges, edge = _undirected(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
         way = points[edges[:, 1]] - points[edges[:, 0]]
         long = np.flatnonzero((way * way).sum(1) > longest * longest)
         if len(long) == 0:

@@ -59,14 +59,14 @@ class Lateness:
     """Whether a detection of a frame was late, and the time between two when it is repeated."""
 
     def __init__(self) -> None:
-        self._start, self._bound = 0.0, np.inf  # [s] from when on, and the time
+        self._start = self._bound = np.inf  # [s] from when on, and the time
         self._found: tuple[float, float] | None = None  # the same, for a repetition
         self._repeats = 0
 
     def renew(self) -> None:
         """Forget what was found in the frame before."""
-        self._start, self._bound, self._repeats = 0.0, np.inf, 0
-        self._found = None
+        self._start = self._bound = np.inf
+        self._found, self._repeats = None, 0
 
     def begin(self) -> None:
         """An attempt at a frame begins."""
@@ -90,8 +90,7 @@ class Lateness:
         if self._found is None or self._repeats == REPEATS:
             return False
         start, bound = self._found
-        earlier = self._start if np.isfinite(self._bound) else np.inf
-        self._start, self._bound = min(start, earlier), min(bound, self._bound)
+        self._start, self._bound = min(start, self._start), min(bound, self._bound)
         self._repeats += 1
         self._found = None
         return True
