@@ -278,7 +278,7 @@ class Health:
     max_stretch: float = 1.0
     inverted: int = 0  # particles with J <= 0
     penetration: float = 0.0  # [m] deepest contact sample in the floor during the frame
-    overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
+    overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle; at least `pierced`
     let_go: int = 0  # most contact samples released at the same time
     friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
     rollbacks: int = 0  # times the frame was recomputed with half the step
@@ -302,6 +302,11 @@ class Health:
     lost: int | None = None
     flow_volume: float | None = None  # of the other flowing particles over that at rest
     flow_per_cell: float | None = None  # of them in a cell of the grid that has any
+    pierced: float | None = (
+        None  # [m] deepest edge or corner of an obstacle in a body; None: not measured
+    )
+    pierced_through: bool | None = None  # whether it comes out on the other side
+    pierced_pair: str | None = None  # text on the obstacle and the body
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
     outside_share: float | None = None  # of the particles, far out of the mesh; None: not looked at

@@ -281,6 +281,7 @@ class Skin:
     points: Floats  # (V, 3) [m] at rest
     triangles: Ints  # (T, 3) into points, counter-clockwise seen from outside
     cell_copy: Ints | None = None  # (V,) into Particles.copies; None where that is
+    path: str = ""  # prim path of the body's first mesh
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -214,6 +214,7 @@ class Solver(ABC):
                 frame = self.read(index)
                 done = 0 if stats.rested else substeps
                 seen = {name: value for name, value in vars(stats).items() if value is not None}
+                seen["overlap"] = max(stats.overlap, frame.health.pierced or 0.0)
                 health = replace(
                     frame.health, **{"substeps": done, "rollbacks": attempt, **seen}
                 )  # fmt: skip

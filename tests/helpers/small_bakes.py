@@ -41,6 +41,7 @@ HEALTH = {
 FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_gain"} - {
     "plastic_dissipation", "conversion_dissipation", "converted", "inside_share", "inside_depth",
     "outside_share", "outside_depth", "outside_mesh",
+    "pierced", "pierced_through", "pierced_pair",
     "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
 }  # fmt: skip
 ESTIMATE = {"substeps_per_frame", "estimated_seconds", "estimated_bytes", "first_contact_frame"}

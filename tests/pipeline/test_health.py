@@ -333,6 +333,7 @@ def test_every_frame_is_kept_as_plain_values() -> None:
         "plastic_dissipation", "conversion_dissipation", "converted", "settling_dissipation",
         "inside_share", "inside_depth", "outside_share", "outside_depth", "outside_mesh",
         "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
+        "pierced", "pierced_through", "pierced_pair",
     }  # fmt: skip
     assert set(rows[0]) == {"time_code", *expected, "centre", "energy", "energy_gain"}
     assert [row["centre"] for row in rows] == [f.center for f in frames], "until 1.0"

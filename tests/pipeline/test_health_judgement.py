@@ -91,6 +91,21 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(overlap=0.101)),
         "overlapped by 1 spacings (0.101 m)",
     ),
+    "pierced": (
+        summary(
+            Health(pierced=0.049, pierced_through=True, pierced_pair="the obstacle </A> is in </B>")
+        ),
+        summary(
+            Health(
+                pierced=0.08, pierced_through=False, pierced_pair="the obstacle </A> is in </C>"
+            ),
+            Health(
+                pierced=0.051, pierced_through=True, pierced_pair="the obstacle </A> is in </B>"
+            ),
+        ),
+        "an edge or corner of the obstacle </A> is in </B>, and comes out on the other side,"
+        " 0.51 spacings (0.051 m) deep at frame 2",
+    ),
     "let-go": (
         summary(Health(let_go=0)),
         summary(Health(let_go=3)),
@@ -173,7 +188,7 @@ def test_only_what_falls_is_to_fall_from_a_lower_height(about: str) -> None:
     """A body that bones or pins hold has no drop: --flesh refuses one."""
     (held,) = health_warnings({**CASES[about][1], "falls": False}) or (None,)
     assert held is None or "--drop" not in held.hint
-    if about in ("energy", "penetration", "overlap", "inside", "clamp"):
+    if about in ("energy", "penetration", "overlap", "pierced", "inside", "clamp"):
         falls = {**CASES[about][1], "falls": True, "first_contact_frame": 1}
         (warning,) = health_warnings(falls)
         assert "lower the impact (--drop)" in warning.hint

@@ -16,7 +16,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.obstacles import Obstacle
+from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.stage import Skin
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.distance.tree import SurfaceTree
@@ -19,7 +19,7 @@ from gf_usd.physics.contact.distance.winding import outside_by_winding, shell
 from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
 from gf_usd.physics.contact.planes.carriers import NEAR, Triples, chosen
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE, ContactPlanes, nothing
-from gf_usd.physics.grid.reference import Rows
+from gf_usd.physics.grid.reference import Stencil
 
 FACING = 1.5  # [spacings] radius of the surface represented by a sample
 TRAVEL = 0.5  # [spacings] largest motion of samples between two detections
@@ -51,6 +51,16 @@ class ContactSearch:
     def released(self) -> int:
         """Number of released samples."""
         return int(self._gone.sum())
+
+    def candidates(self, rows: Ints, theirs: Floats) -> Ints:
+        """Those of the samples `rows` in the box of `theirs` (m, 3) [m], widened by the reach."""
+        low, high = corners(theirs)
+        low, high = low - self.reach, high + self.reach
+        there = np.ones(len(rows), bool)
+        for axis in range(3):
+            x = self.x[rows, axis]
+            there &= (x >= low[axis]) & (x <= high[axis])
+        return rows[there]
 
     def offer(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats,
@@ -146,16 +156,48 @@ def pair_values(
     return {"stiffness": k, "mass": m, "friction": mu, "damping": damping_coefficient(k, m, e)}
 
 
+class PosedSkin:
+    """A surface in one pose, of points (V, 3) [m] and triangles (T, 3).
+
+    tree : of the triangles, which is refitted to the points; shell : see `winding.shell`.
+    """
+
+    def __init__(
+        self, points: Floats, triangles: Ints, tree: SurfaceTree, shell: tuple[Ints, Ints] | None
+    ) -> None:
+        self._points, self._triangles = points, triangles
+        self._tree, self._shell, self._fitted = tree, shell, False
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Corners (3,) [m] of the bounding box."""
+        return corners(self._points)
+
+    def closest(self, X: Floats, reach: float) -> Closest:
+        """The closest points to X (m, 3) [m] within reach [m]; no other pose in between."""
+        seen = self._tree.closest(X, self._points, reach, moved=not self._fitted)
+        self._fitted = True
+        return seen
+
+    def corrected(self, seen: Closest, inside: Ints, X: Floats) -> Closest:
+        """`seen` of X (m, 3) [m], with rows `inside` (k,) tested by the winding number."""
+        if self._shell is None:
+            return outside_by_winding(seen, inside, X, self._points, self._triangles)
+        kept, faces = self._shell
+        return outside_by_winding(seen, inside, X, self._points[kept], faces, shell=True)
+
+
 class BodySkin:
     """The surface of one body.
 
-    skin : at rest; rows : of its points on the grid; samples : (n,) indices of the body's contact
-    samples; X : (n, 3) [m] of those at rest.
+    skin : at rest; body : its number on the grid of `stencil`; samples : (n,) indices of the body's
+    contact samples; X : (n, 3) [m] of those at rest.
     """
 
-    def __init__(self, skin: Skin, rows: Rows, samples: Ints, X: Floats) -> None:
+    def __init__(self, skin: Skin, body: int, stencil: Stencil, samples: Ints, X: Floats) -> None:
         self.skin, self.samples = skin, samples
-        self._W = rows.W
+        of = np.full(len(skin.points), body)
+        self._W = stencil.rows(skin.points, of, skin.cell_copy, gradients=False).W
         self._triples = Triples(X)
         self._tree = SurfaceTree(skin.points, skin.triangles)
         self._shell = shell(skin.points, skin.triangles)
@@ -169,18 +211,20 @@ class BodySkin:
         surface is tested by its winding number.
         u : (nodes, 3) [m] as stacked by `Rows`, without offset (3,) [m].
         """
-        skin = self.skin
-        points = skin.points + offset + self._W @ u
-        seen = self._tree.closest(X, points, reach)
+        skin, now = self.skin, self.posed(offset, u)
+        seen = now.closest(X, reach)
         doubtful = np.flatnonzero(seen.gap < known[seen.rows])
         if len(doubtful):
-            if self._shell is None:
-                seen = outside_by_winding(seen, doubtful, X, points, skin.triangles)
-            else:
-                kept, faces = self._shell
-                seen = outside_by_winding(seen, doubtful, X, points[kept], faces, shell=True)
+            seen = now.corrected(seen, doubtful, X)
         rest = skin.points[skin.triangles[seen.triangle]]
         return seen, np.einsum("nk,nka->na", seen.weights, rest)
+
+    def posed(self, offset: Floats, u: Floats | None = None) -> PosedSkin:
+        """The surface with displacements u, and an offset (3,) [m]; None: at rest."""
+        points = self.skin.points + offset
+        if u is not None:
+            points = points + self._W @ u
+        return PosedSkin(points, self.skin.triangles, self._tree, self._shell)
 
     def carriers(self, places: Floats) -> tuple[Ints, Floats]:
         """Contact samples (k, 3) and weights (k, 3) that carry points (k, 3) [m] at rest.

@@ -17,7 +17,7 @@ from weakref import ref
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.distance.closest import Closest
@@ -30,7 +30,8 @@ from gf_usd.physics.contact.narrow_phase import (
     ContactSearch,
     pair_values,
 )
-from gf_usd.physics.contact.obstacles import obstacles
+from gf_usd.physics.contact.obstacles.obstacle import obstacles
+from gf_usd.physics.contact.obstacles.piercing import Piercing
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import (
     ARRAYS,
@@ -89,6 +90,11 @@ class BodyContact:
             samples.X, of, self.contact_setup, self._obstacles, self._own,
             spacing=self._spacing, reach=self._reach, lift=np.asarray(body.settings.lift),
         )  # fmt: skip
+        lift = np.asarray(body.settings.lift, float)
+        self._piercing = Piercing(
+            self.contact_setup, self._obstacles, self._members, self._spacing,
+            lambda k: self._skin(k).posed(lift), body.settings.frames - 1,
+        )  # fmt: skip
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
@@ -116,9 +122,7 @@ class BodyContact:
         """The surface of a body, built once something comes near it."""
         if body not in self._skins:
             skin, m = self.contact_setup.skins[body], self._members[body]
-            of = np.full(len(skin.points), body)
-            rows = self._body.stencil.rows(skin.points, of, skin.cell_copy, gradients=False)
-            self._skins[body] = BodySkin(skin, rows, m, self._X[m])
+            self._skins[body] = BodySkin(skin, body, self._body.stencil, m, self._X[m])
         return self._skins[body]
 
     def _make_budget(self, body: Body, count: int) -> EnergyBudget:
@@ -229,6 +233,12 @@ class BodyContact:
         """Work of the obstacles [J], energy given by detections [J] and deepest overlap [m]."""
         work = _column(state, layout.WORK)
         return float(work.sum()), self.injected, self._note_overlap(state)
+
+    def pierced(self, now: StateView, frame: int) -> dict[str, Any]:
+        """The fields `pierced...` of `Health`, of a state at a frame."""
+        return self._piercing.measured(
+            self.motion(now)[0], frame, lambda k: self._skin(k).posed(now.offset, now.nodes[0])
+        )
 
     @property
     def members(self) -> list[Ints]:
@@ -444,17 +454,6 @@ class BodyContact:
             still=still,
         )
 
-    def _candidates(self, search: ContactSearch, bodies: Sequence[int], theirs: Floats) -> Ints:
-        """Samples of `bodies` in the box of samples `theirs` (m, 3) [m], widened by the reach."""
-        low, high = corners(theirs)
-        low, high = low - search.reach, high + search.reach
-        members = np.concatenate([self._members[k] for k in bodies])
-        there = np.ones(len(members), bool)
-        for axis in range(3):
-            x = search.x[members, axis]
-            there &= (x >= low[axis]) & (x <= high[axis])
-        return members[there]
-
     def _search_body(
         self,
         search: ContactSearch,
@@ -467,8 +466,8 @@ class BodyContact:
 
         All at once: the surface is posed and its tree is refitted only once.
         """
-        theirs = search.x[self._members[other]]
-        rows = self._candidates(search, bodies, theirs)
+        mine = np.concatenate([self._members[k] for k in bodies])
+        rows = search.candidates(mine, search.x[self._members[other]])
         if len(rows) == 0:
             return
         # A sample that was inside this body at the last detection still is.  One that newly seems

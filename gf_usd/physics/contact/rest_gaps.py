@@ -14,7 +14,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.distance.closest import closest
-from gf_usd.physics.contact.obstacles import Obstacle
+from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.self_contact.search import SelfContact
 

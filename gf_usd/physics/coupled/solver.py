@@ -266,6 +266,8 @@ def merged_health(solid: Health, flow: Health) -> Health:
             out[field.name] = tuple(
                 (solid.mass * x + flow.mass * y) / mass for x, y in zip(a, b, strict=True)
             )
+        elif isinstance(a, bool | str) or isinstance(b, bool | str):
+            out[field.name] = b if a is None else a
         elif isinstance(a, tuple):
             out[field.name] = tuple(x + y for x, y in zip(a, b, strict=True))
         else:

@@ -343,6 +343,7 @@ class TotalLagrangian(Solver):
             health=replace(
                 measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),
                 **self.fallen.measured(now),
+                **(pairs.pierced(now, index) if pairs else {}),
             ),
         )  # fmt: skip
 

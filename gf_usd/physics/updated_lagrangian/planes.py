@@ -30,7 +30,7 @@ from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
 from gf_usd.physics.contact.narrow_phase import FACING, TRAVEL
-from gf_usd.physics.contact.obstacles import Obstacle, obstacles
+from gf_usd.physics.contact.obstacles.obstacle import Obstacle, obstacles
 from gf_usd.physics.contact.planes.carriers import spin
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued

@@ -100,6 +100,7 @@ class HealthLog:
             **self._conversion(),
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
+            **self._pierced(),
             "released_max": max(f.let_go for f in h),
             "let_go_max": max(f.let_go for f in h),  # its name before; until 1.0
             **self._inside(),
@@ -222,6 +223,22 @@ class HealthLog:
             "resting_penetration_spacings": last.penetration / self._spacing if rests else None,
         }
 
+    def _pierced(self) -> dict[str, Any]:
+        """The deepest edge or corner of an obstacle in a body, where there are obstacles."""
+        measured = [i for i, f in enumerate(self.frames) if f.pierced is not None]
+        if not measured:
+            return {}
+        frame = max(measured, key=lambda i: _pierced_weight(self.frames[i]))
+        worst = self.frames[frame]
+        depth = worst.pierced or 0.0
+        return {
+            "pierced_max_m": depth,
+            "pierced_max_spacings": depth / self._spacing,
+            "pierced_through": bool(worst.pierced_through),
+            "pierced_pair": worst.pierced_pair,
+            "pierced_frame": frame if depth else None,
+        }
+
     def _inside(self) -> dict[str, Any]:
         """Penetration of the surface; None where it was not measured."""
         looked = [(f.inside_share, f.inside_depth or 0.0) for f in self.frames
@@ -299,6 +316,11 @@ def free_flight(frames: Sequence[Health]) -> Sequence[Health]:
 def touches(f: Health) -> bool:
     """Whether the body is in contact with the floor, an obstacle or another body."""
     return f.penetration > 0.0 or f.overlap > 0.0
+
+
+def _pierced_weight(f: Health) -> float:
+    """[m] by which depths of obstacles are compared: what is seen counts twice."""
+    return (2.0 if f.pierced_through else 1.0) * (f.pierced or 0.0)
 
 
 def flight_drift(
@@ -388,4 +410,7 @@ def merged_health(samples: Sequence[Health]) -> Health:
     for name in ("inside_share", "inside_depth", "outside_share", "outside_depth"):
         known = [getattr(sample, name) for sample in samples if getattr(sample, name) is not None]
         values[name] = known[-1] if known else None
+    worst = max(samples, key=_pierced_weight)
+    for name in ("pierced", "pierced_through", "pierced_pair"):
+        values[name] = getattr(worst if worst.pierced else samples[-1], name)
     return replace(samples[-1], **values)

@@ -26,6 +26,7 @@ REDONE = 0.1  # of the frames: more than one or two hard impacts cause
 INSIDE = 0.01  # of the surface: limbs overlap visibly
 OUTSIDE = 0.01  # of the particles: the mesh does not show the shape of the body
 DEEP = 1.0  # [spacings] visible penetration
+SEEN = 0.5  # [spacings] of an obstacle that comes out of a body
 RESTING = (
     0.25  # [spacings] contact is designed for 0.08; a narrow foot penetrates deeper than a ball
 )
@@ -197,11 +198,26 @@ def _deep(h: HealthSummary) -> MessageAndHint:
 def _overlap(h: HealthSummary) -> MessageAndHint:
     if h["deepest_overlap_spacings"] <= DEEP:
         return None
+    if h["deepest_overlap_m"] <= (h.get("pierced_max_m") or 0.0):
+        return None  # see `_pierced`
     return (
         f"bodies or obstacles overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
         f" ({h['deepest_overlap_m']:.3g} m)",
         f"{_gentler(h)}, or take more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
+    )
+
+
+def _pierced(h: HealthSummary) -> MessageAndHint:
+    depth, through = h.get("pierced_max_spacings"), h.get("pierced_through")
+    if depth is None or depth <= (SEEN if through else DEEP):
+        return None
+    how = "and comes out on the other side, " if through else ""
+    return (
+        f"an edge or corner of {h['pierced_pair']}, {how}{depth:.2g} spacings"
+        f" ({h['pierced_max_m']:.3g} m) deep at frame {h['pierced_frame']}",
+        "round the edges of the obstacle, make the body thicker, or take more --particles;"
+        f" {_gentler(h)}",
     )
 
 
@@ -373,6 +389,7 @@ RULES: dict[str, Callable[[HealthSummary], MessageAndHint]] = {
     "planes": _planes,
     "penetration": _deep,
     "overlap": _overlap,
+    "pierced": _pierced,
     "let-go": _let_go,
     "inside": _inside,
     "coarse-mesh": _outside,

@@ -130,7 +130,9 @@ def contact_setup(
             k for k, skin in enumerate(made) if self_contact or not cannot_touch_itself(skin)
         } - passes
     return ContactSetup(
-        skins=made,
+        skins=tuple(
+            replace(skin, path=paths[0]) for skin, paths in zip(made, bodies.surfaces, strict=True)
+        ),
         colliders=colliders,
         through=frozenset(through),
         through_colliders=frozenset(through_colliders),

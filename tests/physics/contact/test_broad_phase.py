@@ -8,7 +8,7 @@ from two_legs import SPACING, legs, sampled
 
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.broad_phase import Box, schedule
-from gf_usd.physics.contact.obstacles import box_gap
+from gf_usd.physics.contact.obstacles.obstacle import box_gap
 from gf_usd.physics.contact.self_contact.patches import Patches, closing
 
 GAP = 1.5  # [m] between the legs at rest
