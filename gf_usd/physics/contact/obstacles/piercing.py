@@ -27,8 +27,7 @@ STEP = 1.0  # [spacings] between points of an edge
 FIRST = 0.5  # [spacings] depth from which it is measured: less is not visible
 FAR = 8.0  # [spacings] depth up to which it is measured
 LEAST = 0.25  # [spacings] least advance of a line: a depth may be found to be so much less
-EVERY = 4  # frames between two measurements, besides that of the last frame
-CHECKED = 8  # deepest points whose place in the body is confirmed by the winding number
+EVERY = 6  # frames between two measurements, besides that of the last frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,24 +119,13 @@ class Piercing:
         self, worst: Pierced, body: int, which: int, frame: float, skin: PosedSkin
     ) -> Pierced:  # fmt: skip
         """The deepest point of one obstacle in a body, if it is deeper than `worst`."""
-        key, depth, start, inside = self._depths(which, frame, skin)
-        if not len(key):
-            return worst
+        key, depth, through = self._depths(which, frame, skin)
         depth = np.maximum(0.0, depth - self._at_start(body, which, key))
-        for row in np.argsort(-depth, kind="stable")[:CHECKED]:
-            one = Pierced(
-                depth=float(depth[row]), body=body, obstacle=which,
-                through=not self._within(skin, start[row]),
-            )  # fmt: skip
-            if one.weight > worst.weight and self._within(skin, inside[row]):
-                worst = one
-        return worst
-
-    def _within(self, skin: PosedSkin, x: Floats) -> bool:
-        """Whether a point x (3,) [m] is in a body, by the winding number."""
-        seen = skin.closest(x[None], FAR * self._spacing)
-        seen = skin.corrected(seen, np.flatnonzero(seen.gap < 0.0), x[None])
-        return bool((seen.gap < 0.0).any())
+        found = [
+            Pierced(depth=float(depth[row]), body=body, obstacle=which, through=bool(through[row]))
+            for row in np.flatnonzero(2.0 * depth > worst.weight)
+        ]
+        return max([worst, *found], key=lambda one: one.weight)
 
     def _sharp(self, which: int) -> SharpFeatures:
         if which not in self._features:
@@ -149,7 +137,7 @@ class Piercing:
 
     def _find_start(self, body: int, which: int) -> None:
         if (body, which) not in self._start:
-            key, depth, _, _ = self._depths(which, 0.0, self._rest(body))
+            key, depth, _ = self._depths(which, 0.0, self._rest(body))
             order = np.argsort(key)
             self._start[body, which] = key[order], depth[order]
 
@@ -161,12 +149,8 @@ class Piercing:
         at = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
         return np.where(keys[at] == key, depths[at], 0.0)
 
-    def _depths(
-        self, which: int, frame: float, skin: PosedSkin
-    ) -> tuple[Ints, Floats, Floats, Floats]:
-        """Keys (k,) and depths (k,) [m] of points in a body; where they are (k, 3) [m], and a
-        place (k, 3) [m] of each line in the body.
-        """
+    def _depths(self, which: int, frame: float, skin: PosedSkin) -> tuple[Ints, Floats, Ints]:
+        """Keys (k,) and depths (k,) [m] of points in a body, and which have come out of it."""
         vertices, most = self._obstacles[which].positions(frame), FAR * self._spacing
         low, high = skin.box
         points = self._sharp(which).within(vertices, low - most, high + most)
@@ -186,12 +170,17 @@ class Piercing:
             over = far | (way[on] >= end[on])
             ends[on] = over & inside
             on = on[~over]
-        # A line that ends in the body does not say how deep its point is there.
-        through = np.where(ends, end, left)
-        depth = np.where(own < 0.0, np.where(ends | (left == 0.0), -own, left), through)
-        place = np.where((own < 0.0)[:, None], start, place)
+        # The side of the nearest triangle is the wrong one at a fold.
+        hit, below = np.flatnonzero(left > 0.0), np.flatnonzero(own < 0.0)
+        left[hit[~_within(skin, place[hit], most)]] = 0.0
+        inside = np.zeros(len(start), bool)
+        inside[below] = _within(skin, start[below], most)
+        # A line that ends in the body does not say how deep a point in it is.
+        leaves = (left > 0.0) & ~ends
+        in_it = np.where(leaves, left, -own)
+        depth = np.where(inside, in_it, np.where(leaves, left, np.where(left > 0.0, end, 0.0)))
         pierced = np.flatnonzero(depth > 0.0)
-        return points.key[pierced], depth[pierced], start[pierced], place[pierced]
+        return points.key[pierced], depth[pierced], ~inside[pierced]
 
     def _ends(self, which: int, points: SharpPoints, start: Floats, frame: float) -> Floats:
         """(k,) [m] how far lines go into the obstacle from points at start (k, 3) [m]."""
@@ -220,6 +209,15 @@ class Piercing:
             way[on] += np.maximum(least, -gap)
             on = on[way[on] < 2.0 * most]
         return np.minimum(0.5 * way, most)
+
+
+def _within(skin: PosedSkin, X: Floats, reach: float) -> Ints:
+    """(n,) whether points X (n, 3) [m] are in a body, by the winding number."""
+    seen = skin.closest(X, reach)
+    seen = skin.corrected(seen, np.flatnonzero(seen.gap < 0.0), X)
+    out = np.zeros(len(X), bool)
+    out[seen.rows] = seen.gap < 0.0
+    return out
 
 
 def _gaps(seen: Closest, count: int, away: float) -> Floats:
