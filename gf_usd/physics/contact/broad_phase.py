@@ -44,15 +44,15 @@ def schedule(
     contact_setup: ContactSetup,
     *,
     frame: float,
-    fall: float,
+    pull: float,
     reach: float,
     spacing: float,
     still: Ints | None = None,
 ) -> tuple[list[tuple[int, int]], float]:
     """Which pairs (body, body or -1 - obstacle) are near, and for how long [s] that holds.
 
-    frame : time of the obstacles; fall : [m/s] bound of the speed gained by gravity until the next
-    detection; reach : [m] distance within which contact is considered.
+    frame : time of the obstacles; pull : [m/s^2] bound of the acceleration by gravity and fields;
+    reach : [m] distance within which contact is considered.
     still : (B,) bodies that do not move: pairs of two static partners are omitted.
     """
     near: list[tuple[int, int]] = []
@@ -60,8 +60,10 @@ def schedule(
 
     def until(gap: Floats, speed: Floats) -> float:
         # Surfaces without a plane yet are beyond this distance, or outside of the box.
-        left = np.maximum(reach, gap - spacing) / np.maximum(speed + fall, 1e-30)
-        return float(left.min(initial=np.inf))
+        left = np.maximum(reach, gap - spacing)
+        # the root t of  speed t + pull t^2 / 2 = left
+        fastest = speed + np.sqrt(speed * speed + 2.0 * pull * left)
+        return float((2.0 * left / np.maximum(fastest, 1e-30)).min(initial=np.inf))
 
     low, high = np.array([box.low for box in boxes]), np.array([box.high for box in boxes])
     mean, spread = np.array([box.mean for box in boxes]), np.array([box.spread for box in boxes])

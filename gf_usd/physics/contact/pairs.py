@@ -201,7 +201,7 @@ class BodyContact:
         """
         span = self._body.settings.frame_time
         x, v = self.motion(now)
-        near, hold = self._broad_phase(x, v, time / span, span, still)
+        near, hold = self._broad_phase(x, v, time / span, self._pull, still)
         if near or hold < span:
             return True
         return any(
@@ -344,7 +344,7 @@ class BodyContact:
 
         frame : where the obstacles are; span : [s] after which a detection is made anyway.
         """
-        pairs, hold = self._broad_phase(x, v, frame, span)
+        pairs, hold = self._broad_phase(x, v, frame, self._pull)
         shrunk = CLOSER * (self._spacing + WAIT / TRAVEL * np.maximum(self._gap, 0.0))
         search = ContactSearch(x, self._reach, self._gap - shrunk)
         for other in sorted({other for _, other in pairs}):
@@ -426,20 +426,21 @@ class BodyContact:
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing,
         )  # fmt: skip
-        fall = self._speed_gain(span)
+        fall = self._pull * span
         if body.regions:
             contact = springs.crowded_step(self.contact, body.step, x, v, span, fall, self._crowd)
         else:
             contact = springs.step(self.contact, body.mass, body.step, x, v, span, fall, near)
         return body.step.substeps_with_contact(stable, contact)
 
-    def _speed_gain(self, span: float) -> float:
-        """[m/s] that gravity and fields may add to a speed within a span [s]."""
+    @property
+    def _pull(self) -> float:
+        """[m/s^2] bound of the acceleration by gravity and fields."""
         s = self._body.settings
-        return (float(np.linalg.norm(s.gravity)) + s.pushes) * span
+        return float(np.linalg.norm(s.gravity)) + s.pushes
 
     def _broad_phase(
-        self, x: Floats, v: Floats, frame: float, span: float, still: Ints | None = None
+        self, x: Floats, v: Floats, frame: float, pull: float, still: Ints | None = None
     ) -> tuple[list[tuple[int, int]], float]:
         if len(self._members) == 1 and not self._obstacles:
             return [], float("inf")
@@ -448,7 +449,7 @@ class BodyContact:
             self._obstacles,
             self.contact_setup,
             frame=frame,
-            fall=self._speed_gain(span),
+            pull=pull,
             reach=self._reach,
             spacing=self._spacing,
             still=still,

@@ -136,9 +136,9 @@ def test_bodies_are_scheduled_as_pair_by_pair(resting: bool):
     ]
     through = frozenset({(3, 8), (12, 2)})
     still = random.random(20) < 0.5 if resting else None
-    reach, spacing, fall = 0.2, 0.1, 0.05
+    reach, spacing, pull = 0.2, 0.1, 9.81
     near, hold = schedule(
-        boxes, (), ContactSetup(skins=(), through=through), frame=0.0, fall=fall, reach=reach,
+        boxes, (), ContactSetup(skins=(), through=through), frame=0.0, pull=pull, reach=reach,
         spacing=spacing, still=still,
     )  # fmt: skip
     expected, least = [], np.inf
@@ -148,9 +148,10 @@ def test_bodies_are_scheduled_as_pair_by_pair(resting: bool):
                 continue
             gap = box_gap(mine.low, mine.high, other.low, other.high)
             speed = np.linalg.norm(mine.mean - other.mean) + mine.spread + other.spread
-            least = min(least, max(reach, gap - spacing) / (speed + fall))
+            left = max(reach, gap - spacing)
+            least = min(least, max(np.roots([0.5 * pull, speed, -left])))
             if gap < reach:
                 expected += [(a, b), (b, a)]
     assert near == expected
     assert 0 < len(near) < 20 * 19
-    np.testing.assert_allclose(hold, least, rtol=1e-14)  # two roots and a sum of three
+    np.testing.assert_allclose(hold, least, rtol=1e-12)  # the roots of a quadratic
