@@ -97,6 +97,8 @@ class BodyContact:
         )  # fmt: skip
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
+        self._watched = np.zeros(0, np.int64)  # samples whose planes the kernels have
+        self._span = 0.0  # [s] for which they have them
         self._detected = 0.0  # [s] time of the last detection
         self._frame = 0.0  # of the obstacles, then
         self.lateness = Lateness()
@@ -313,6 +315,7 @@ class BodyContact:
         search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
         landed = self._until_landed(x, v, floor(left * dt) if floor else None)
         hold = min(hold, landed, self.lateness.bound(time))
+        self._watched = self._watched[:0]
         if not old.planes.any_planes and not search.planes.any_planes:
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
@@ -324,7 +327,11 @@ class BodyContact:
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
         span = chunk * dt
-        by = self._step_ratio(x, v, span, stable or dt, values, floor(span) if floor else None)
+        springs = PairSprings(
+            planes=self.planes, k=self._k, values=values, hardening=self._hardening,
+            spacing=self._spacing, x=x, v=v, span=span, fall=self._pull * span,
+        )  # fmt: skip
+        by = self._step_ratio(springs, stable or dt, floor(span) if floor else None)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
         free = until_contact(self.planes, gap, v, AHEAD) / dt
         if free >= min(chunk, FEWEST) and (by - 1.0) * min(chunk, free) >= FEWEST:
@@ -334,8 +341,15 @@ class BodyContact:
         dt = chunk * dt / parts
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
-        self._upload(state, now, values, dt, moved(self.planes, x, v, -dt if done else -0.5 * dt))
+        self._watched, self._span = springs.touching[0], parts * dt
+        planes = moved(self.planes.only(self._watched), x, v, -dt if done else -0.5 * dt)
+        self._upload(state, now, values, dt, planes)
         return chunk, parts
+
+    @property
+    def active(self) -> Ints:
+        """Samples that the kernels process: those that may touch a plane, and what carries it."""
+        return self.planes.only(self._watched).active if self.planes.any_planes else self._watched
 
     def _search(
         self, now: StateView, x: Floats, v: Floats, frame: float, span: float, *, frame_begins: bool
@@ -406,31 +420,22 @@ class BodyContact:
         self.released = max(self.released, search.released, int(lost.sum()))
         return values
 
-    def _step_ratio(
-        self, x: Floats, v: Floats, span: float, stable: float, values: Mapping[str, Floats],
-        floor: Ints | None,
-    ) -> float:  # fmt: skip
-        """Substeps with the springs of these planes over those where nothing touches.
+    def _step_ratio(self, springs: PairSprings, stable: float, floor: Ints | None) -> float:
+        """Substeps with these springs over those where nothing touches.
 
-        x, v : (n, 3) [m], [m/s] now; span : [s] for which the planes stay; stable : [s] of the
-        substeps where nothing touches; values : of `pair_values`; floor : (k,) samples that may
-        reach the floor within the span; None: all.  1 where the number of substeps is given.
+        stable : [s] of the substeps where nothing touches; floor : (k,) samples that may reach the
+        floor until the next detection; None: all.  1 where the number of substeps is given.
         """
         body = self._body
         if body.settings.substeps:
             return 1.0
-        near = np.arange(len(x)) if floor is None else floor
+        near = np.arange(len(springs.x)) if floor is None else floor
         if body.settings.floor is None:
             near = near[:0]
-        springs = PairSprings(
-            planes=self.planes, k=self._k, values=values, hardening=self._hardening,
-            spacing=self._spacing,
-        )  # fmt: skip
-        fall = self._pull * span
         if body.regions:
-            contact = springs.crowded_step(self.contact, body.step, x, v, span, fall, self._crowd)
+            contact = springs.crowded_step(self.contact, body.step, self._crowd)
         else:
-            contact = springs.step(self.contact, body.mass, body.step, x, v, span, fall, near)
+            contact = springs.step(self.contact, body.mass, body.step, near)
         return body.step.substeps_with_contact(stable, contact)
 
     @property
@@ -580,7 +585,7 @@ class BodyContact:
         x, v = self.motion(state.view())
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             return False
-        f, who = self.planes, self.planes.carried
+        f, who = self.planes, self.planes.only(self._watched).carried
         normal, point = f.normal.copy(), f.point.copy()
         places = state.part("pair", layout.ROW, layout.POINT, layout.VELOCITY)
         point[who], normal[who] = places[who, :3], places[who, 3:]

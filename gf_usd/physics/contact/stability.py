@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -38,27 +39,29 @@ SPARE = 1.5  # factor on the springs of a crowded sample: few samples are deep
 
 @dataclass(frozen=True, kw_only=True)
 class PairSprings:
-    """The springs between n samples and their planes, after a detection."""
+    """The springs between n samples and their planes, from a detection to the next."""
 
     planes: ContactPlanes
     k: Floats  # (n,) [N/m]
     values: Mapping[str, Floats]  # of `pair_values`
     hardening: float  # [1/m^2] 1 / a^2: a spring is k d (1 + d^2 / a^2)
     spacing: float  # [m]
+    x: Floats  # (n, 3) [m] of the samples now
+    v: Floats  # (n, 3) [m/s]
+    span: float  # [s] until the next detection
+    fall: float  # [m/s] bound of the speed gained from body forces until then
 
     def step(
-        self, contact: FloorContact, mass: NodalMass, rest: StableStep, x: Floats, v: Floats,
-        span: float, fall: float, near: Ints,
-    ) -> StableStep:  # fmt: skip
+        self, contact: FloorContact, mass: NodalMass, rest: StableStep, near: Ints
+    ) -> StableStep:
         """The stable step of a body with these springs, and those of the floor on the samples
         `near`.
 
-        rest : the step without them; x, v : (n, 3) [m], [m/s] of the samples; span : [s] until the
-        next detection; fall : [m/s] bound of the speed gained from body forces until then.
+        rest : the step without them.
         """
-        rows, harder = self._touching(x, v, span, fall)
+        rows, harder = self.touching
         k, c = self.k[rows] * harder, self.values["damping"][rows]
-        lever = levers(self.planes, rows, x)
+        lever = levers(self.planes, rows, self.x)
         B = stretches(contact.rows.W, self.planes, rows, near)
 
         def largest(pairs: Floats, floor: Floats) -> float:
@@ -73,32 +76,31 @@ class PairSprings:
             return bounded
         return replace(free, contact_damping=largest(c, contact.damping))
 
-    def crowded_step(
-        self, contact: FloorContact, rest: StableStep, x: Floats, v: Floats,
-        span: float, fall: float, crowd: float,
-    ) -> StableStep:  # fmt: skip
+    def crowded_step(self, contact: FloorContact, rest: StableStep, crowd: float) -> StableStep:
         """The same for a body with rigid regions: with `crowd` times as many springs on each sample
         as the floor has.
         """
-        deepest = float(self._touching(x, v, span, fall)[1].max(initial=1.0))
+        deepest = float(self.touching[1].max(initial=1.0))
         floor = replace(
             rest, contact=float(np.sqrt(contact.omega2)), contact_damping=contact.damping_rate
         )
         return floor.crowded(crowd * max(1.0, deepest / SPARE))
 
-    def _touching(self, x: Floats, v: Floats, span: float, fall: float) -> tuple[Ints, Floats]:
-        """Samples (m,) that may be in contact within a span [s]; (m,) >= 1 factor by which their
-        springs may harden: 1 + 3 (d / a)^2.
+    @cached_property
+    def touching(self) -> tuple[Ints, Floats]:
+        """Samples (m,) that may be in contact until the next detection; (m,) >= 1 factor by which
+        their springs may harden: 1 + 3 (d / a)^2.
         """
-        faces = self.planes.facing
+        faces, x, v = self.planes.facing, self.x, self.v
         f = self.planes.of(faces)
         away = f.interpolated(x) + f.point - x[faces]
         speed = f.interpolated(v) + f.velocity - v[faces]
         depth, closing = row_dots(away, f.normal), row_dots(speed, f.normal)
-        fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed))) + fall
+        fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed)))
         coming = largest_depth(
-            depth, fastest, span, self.k[faces], self.values["mass"][faces], self.hardening
-        )
+            depth, fastest + self.fall, self.span, self.k[faces], self.values["mass"][faces],
+            self.hardening,
+        )  # fmt: skip
         # Detection precedes a closer approach; a larger estimate indicates a failing frame.
         coming = np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
         touches = coming > -NEARLY * self.spacing

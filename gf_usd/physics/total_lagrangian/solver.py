@@ -186,7 +186,7 @@ class TotalLagrangian(Solver):
                     floor=partial(self.active.nearer, state, near),
                 )  # fmt: skip
                 low = self.active.nearer(state, near, chunk * whole)
-                paired = pairs.planes.active
+                paired = pairs.active
             dt = chunk * whole / parts
             if dt != last:  # friction springs are stored at the time of the last forces
                 self.active.move_springs(state, 0.5 * (last - dt))

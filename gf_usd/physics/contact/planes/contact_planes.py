@@ -54,6 +54,16 @@ class ContactPlanes:
         for name in ARRAYS:
             getattr(self, name)[rows] = getattr(away, name)
 
+    def only(self, rows: Ints) -> ContactPlanes:
+        """The same samples, of which only `rows` (k,) have a plane."""
+        off = np.ones(len(self.partner), bool)
+        off[rows] = False
+        return replace(
+            self,
+            partner=np.where(off, NOBODY, self.partner),
+            carriers=np.where(off[:, None], NOBODY, self.carriers),
+        )
+
     def lists(self) -> tuple[Ints, Ints]:
         """(n + 1,) and (3 m,): for each sample the 3 s + k of the planes s of which it is carrier
         k, in order.
