@@ -98,7 +98,7 @@ class PairSprings:
         depth, closing = row_dots(away, f.normal), row_dots(speed, f.normal)
         fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed)))
         coming = largest_depth(
-            depth, fastest + self.fall, self.span, self.k[faces], self.values["mass"][faces],
+            depth, fastest, self.fall, self.span, self.k[faces], self.values["mass"][faces],
             self.hardening,
         )  # fmt: skip
         # Detection precedes a closer approach; a larger estimate indicates a failing frame.
@@ -164,16 +164,18 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
 
 
 def largest_depth(
-    depth: Floats, speed: Floats, span: float, k: Floats, mass: Floats, hardening: float
-) -> Floats:
+    depth: Floats, speed: Floats, gain: float, span: float, k: Floats, mass: Floats,
+    hardening: float,
+) -> Floats:  # fmt: skip
     """(m,) [m] bound of the depth of samples within a span [s].
 
-    depth : (m,) [m] now, negative outside; speed : (m,) [m/s] into the plane; k, mass : (m,) of
-    samples;
-    hardening : [1/m^2] 1 / a^2. A sample continues for the span, or until the spring k d (1 + d^2 /
+    depth : (m,) [m] now, negative outside; speed : (m,) [m/s] into the plane; gain : [m/s] by which
+    it grows at most within the span, at a constant rate; k, mass : (m,) of samples; hardening :
+    [1/m^2] 1 / a^2. A sample continues for the span, or until the spring k d (1 + d^2 /
     a^2) has absorbed the kinetic energy of `COLUMN` times its mass.
     """
-    fast = np.maximum(speed, 0.0)
+    way = span * np.maximum(speed + 0.5 * gain, 0.0)
+    fast = np.maximum(speed + gain, 0.0)
     energy = 0.5 * COLUMN * mass * fast**2
     square = (np.sqrt(1.0 + 4.0 * energy * hardening / np.maximum(k, 1e-300)) - 1.0) / hardening
-    return np.minimum(depth + span * fast, np.maximum(depth, 0.0) + np.sqrt(square))
+    return np.minimum(depth + way, np.maximum(depth, 0.0) + np.sqrt(square))

@@ -119,7 +119,7 @@ def test_planes_of_coarse_meshes_are_carried_beside_their_place(
     most, step = [1.0], PairSprings.step
 
     def watched(springs: PairSprings, *arguments: Any) -> StableStep:
-        x, faces = arguments[3], springs.planes.carried
+        x, faces = springs.x, springs.planes.carried
         touching = faces[springs.planes.depth(x, 0.0)[faces] > 0.0]
         most.append(float(levers(springs.planes, touching, x).max(initial=1.0)))
         return step(springs, *arguments)
@@ -181,12 +181,12 @@ def test_springs_of_the_floor_count_where_it_may_be_touched_before_the_next_dete
     counted: list[tuple[int, float]] = []  # samples whose springs count, and the lowest of all [m]
     step = PairSprings.step
 
-    def noted(springs, contact, mass, rest, x, v, span, fall, near) -> StableStep:
-        height = x[:, 1] + 1.6
-        lowest = height - span * (np.abs(v[:, 1]).max() + 9.81 * span)
+    def noted(springs, contact, mass, rest, near) -> StableStep:
+        height, span = springs.x[:, 1] + 1.6, springs.span
+        lowest = height - span * (np.abs(springs.v[:, 1]).max() + 9.81 * span)
         assert set(np.flatnonzero(lowest < 0.0)) <= set(near), "none that touches it is left out"
         counted.append((len(near), float(height.min())))
-        return step(springs, contact, mass, rest, x, v, span, fall, near)
+        return step(springs, contact, mass, rest, near)
 
     monkeypatch.setattr(PairSprings, "step", noted)
     list(solver.frames())
@@ -219,12 +219,43 @@ def test_no_springs_no_vibration() -> None:
 def test_a_sample_stops_where_its_spring_has_taken_its_energy() -> None:
     k, mass = np.full(4, 3.0), np.full(4, 0.01)
     speed, span = np.array([-1.0, 0.1, 0.5, 2.0]), 1e3
-    d = largest_depth(np.zeros(4), speed, span, k, mass, HARDENING)
+    d = largest_depth(np.zeros(4), speed, 0.0, span, k, mass, HARDENING)
     stored = 0.5 * k * d**2 * (1.0 + 0.5 * HARDENING * d**2)
     assert stored == pytest.approx(0.5 * COLUMN * mass * np.maximum(speed, 0.0) ** 2, abs=1e-15)
 
 
 def test_in_a_short_span_it_comes_no_farther_than_it_moves() -> None:
     depth = np.array([-0.2, -0.01, 0.3])
-    d = largest_depth(depth, np.full(3, 2.0), 0.01, np.ones(3), np.ones(3), HARDENING)
+    d = largest_depth(depth, np.full(3, 2.0), 0.0, 0.01, np.ones(3), np.ones(3), HARDENING)
     assert d == pytest.approx(depth + 0.02)
+
+
+def test_a_sample_in_free_fall_comes_as_far_as_it_falls() -> None:
+    depth, speed, span, g = np.full(3, -1.0), np.array([-0.5, 0.0, 0.5]), 0.1, 9.81
+    d = largest_depth(depth, speed, g * span, span, np.ones(3), np.ones(3), HARDENING)
+    fallen = speed * span + 0.5 * g * span**2
+    assert d == pytest.approx(depth + np.maximum(fallen, 0.0))
+
+
+def test_the_kernels_have_the_planes_that_are_touched_and_their_results_are_those_of_all(
+    monkeypatch,
+) -> None:
+    """Two balls that collide and fall on a floor, with the planes that samples may touch and with
+    all planes."""
+
+    def run() -> tuple[Floats, int]:
+        solver = contact_solver(
+            LEFT, RIGHT, particles=300, frames=20, floor=-1.6, gravity=(0.0, -9.81, 0.0),
+            velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)],
+        )  # fmt: skip
+        assert solver.pairs is not None
+        held = 0
+        for frame in solver.frames():
+            held += len(solver.pairs.active)
+        return frame.particles.x, held
+
+    some, few = run()
+    monkeypatch.setattr(ContactPlanes, "only", lambda self, rows: self)
+    every, many = run()
+    assert 0 < few < 0.6 * many
+    assert np.array_equal(some, every)
