@@ -18,7 +18,13 @@ from gf_usd.physics.contact.distance.tree import SurfaceTree
 from gf_usd.physics.contact.distance.winding import outside_by_winding, shell
 from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
 from gf_usd.physics.contact.planes.carriers import NEAR, Triples, chosen
-from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE, ContactPlanes, nothing
+from gf_usd.physics.contact.planes.contact_planes import (
+    ARRAYS,
+    NOBODY,
+    OBSTACLE,
+    ContactPlanes,
+    nothing,
+)
 from gf_usd.physics.grid.reference import Stencil
 
 FACING = 1.5  # [spacings] radius of the surface represented by a sample
@@ -61,6 +67,11 @@ class ContactSearch:
             x = self.x[rows, axis]
             there &= (x >= low[axis]) & (x <= high[axis])
         return rows[there]
+    def keep(self, rows: Ints, planes: ContactPlanes, gap: Floats) -> None:
+        """Give samples `rows` (k,) the planes that they had; gap : (n,) [m] of all samples now."""
+        for name in ARRAYS:
+            getattr(self.planes, name)[rows] = getattr(planes, name)[rows]
+        self.gap[rows] = gap[rows]
 
     def offer(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats,

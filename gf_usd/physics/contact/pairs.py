@@ -48,6 +48,7 @@ from gf_usd.physics.contact.planes.intervals import (
     until_slid,
     until_stopped,
 )
+from gf_usd.physics.contact.planes.persistence import Outlook, Persistence
 from gf_usd.physics.contact.rest_gaps import RestGaps
 from gf_usd.physics.contact.self_contact.search import AHEAD, FACE, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import PairSprings
@@ -57,6 +58,7 @@ from gf_usd.physics.total_lagrangian.state import State, StateView
 
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
 STAY = 1.0  # [spacings]
+CALMLY = 0.05  # [spacings] as `NEARLY`, for bodies that hardly move
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
 # Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
 # those of planes it carries, and each of the two strained by both bodies.
@@ -95,9 +97,15 @@ class BodyContact:
             self.contact_setup, self._obstacles, self._members, self._spacing,
             lambda k: self._skin(k).posed(lift), body.settings.frames - 1,
         )  # fmt: skip
+        self._persistence = Persistence(
+            self._members, len(self._obstacles), samples.X, reach=self._reach,
+            spacing=self._spacing,
+        )  # fmt: skip
+        self._kept = np.zeros(len(skins), bool)  # bodies not searched from at the last detection
+        self._own_until = np.zeros(len(skins))  # [s] until when each cannot come near itself
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
-        self._watched = np.zeros(0, np.int64)  # samples whose planes the kernels have
+        self.watched = np.zeros(0, np.int64)  # samples whose planes the kernels have
         self._span = 0.0  # [s] for which they have them
         self._detected = 0.0  # [s] time of the last detection
         self._frame = 0.0  # of the obstacles, then
@@ -153,8 +161,10 @@ class BodyContact:
             "contact_gap": self._gap,
             "contact_own_gap": self._own_gap,
             "contact_x": self._x,
+            "contact_watched": self.watched,
             "contact_stiffness": self._k,
             "contact_given": self._budget.given.copy(),
+            **self._persistence.save(),
         }
 
     def load(self, saved: Mapping[str, Any]) -> None:
@@ -165,8 +175,10 @@ class BodyContact:
         self._gap = np.asarray(saved["contact_gap"])
         self._own_gap = np.asarray(saved["contact_own_gap"])
         self._x = np.asarray(saved["contact_x"])
+        self.watched = np.asarray(saved["contact_watched"])
         self._k = np.asarray(saved["contact_stiffness"])
         self._budget.given = np.array(saved["contact_given"])
+        self._persistence.load(saved)
 
     def begin(self, state: State) -> None:
         """Count from zero."""
@@ -180,7 +192,8 @@ class BodyContact:
         return self._stored(self.motion(now)[0], time).energy
 
     def _stored(self, x: Floats, time: float) -> Stored:
-        depth = self.planes.depth(x, time - self._detected)
+        depth = np.zeros(len(x))  # the kernels have no springs of the others
+        depth[self.watched] = self.planes.depth(x, time - self._detected)[self.watched]
         return Stored(
             planes=self.planes, depth=depth, stiffness=self._k, hardening=self._hardening,
             pair=self._pairs(self.planes),
@@ -203,7 +216,7 @@ class BodyContact:
         """
         span = self._body.settings.frame_time
         x, v = self.motion(now)
-        near, hold = self._broad_phase(x, v, time / span, self._pull, still)
+        near, hold = self._broad_phase(self._boxes(x, v), time / span, self._pull, still)
         if near or hold < span:
             return True
         return any(
@@ -221,6 +234,7 @@ class BodyContact:
             self._gap[self._members[k]] = self._own_gap[self._members[k]] = away
             self.planes.forget(self._members[k])
             self._rest_gaps.forget_planes()
+        self._persistence.forget(np.flatnonzero(flying))
         self._detected = time
 
     def _note_overlap(self, state: State) -> float:
@@ -312,24 +326,33 @@ class BodyContact:
             self.note_way(now, time, dt)
         self._frame = frame
         old = self._stored(x, time)
-        search, hold = self._search(now, x, v, frame, left * dt, frame_begins=done == 0)
+        boxes = self._boxes(x, v)
+        pairs, hold = self._broad_phase(boxes, frame, self._pull)
+        outlook = self._outlook(x, v, boxes, pairs, frame, time, left * dt)
+        self._persistence.follow(x)
+        self._kept[:] = not self.lateness.repeats and self._persistence.kept(old.planes, outlook)
+        search, hold = self._search(now, outlook, pairs, hold, frame, frame_begins=done == 0)
         landed = self._until_landed(x, v, floor(left * dt) if floor else None)
         hold = min(hold, landed, self.lateness.bound(time))
-        self._watched = self._watched[:0]
         if not old.planes.any_planes and not search.planes.any_planes:
             self._gap, self._detected, self._x = search.gap, time, x
+            self._note_search(outlook, np.zeros(len(x)))
+            self.watched = self.watched[:0]
             chunk = int(np.clip(hold / dt, 1, left))
             return chunk, int(np.ceil(chunk * shorter))
         self._keep_unseen(search, old.depth)
         self._note_overlap(state)
-        values = self._replace_planes(search, old, x, time)
-        slide = TRAVEL * self._spacing + WAIT * np.maximum(self._gap, 0.0)
+        values = self._replace_planes(search, old, outlook)
+        slide = self._persistence.slide - self._persistence.slid(self.planes, x)
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
         span = chunk * dt
+        kept = self._kept[self._of]
         springs = PairSprings(
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
-            spacing=self._spacing, x=x, v=v, span=span, fall=self._pull * span,
+            spacing=self._spacing, x=x, v=v, span=span,
+            gain=np.where(kept, 0.0, self._pull * span),
+            margin=np.where(kept, CALMLY, NEARLY) * self._spacing,
         )  # fmt: skip
         by = self._step_ratio(springs, stable or dt, floor(span) if floor else None)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
@@ -341,43 +364,69 @@ class BodyContact:
         dt = chunk * dt / parts
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
-        self._watched, self._span = springs.touching[0], parts * dt
-        planes = moved(self.planes.only(self._watched), x, v, -dt if done else -0.5 * dt)
+        self.watched, self._span = springs.touching[0], parts * dt
+        planes = moved(self.planes.only(self.watched), x, v, -dt if done else -0.5 * dt)
         self._upload(state, now, values, dt, planes)
         return chunk, parts
 
     @property
     def active(self) -> Ints:
         """Samples that the kernels process: those that may touch a plane, and what carries it."""
-        return self.planes.only(self._watched).active if self.planes.any_planes else self._watched
+        return self.planes.only(self.watched).active if self.planes.any_planes else self.watched
 
     def _search(
-        self, now: StateView, x: Floats, v: Floats, frame: float, span: float, *, frame_begins: bool
-    ) -> tuple[ContactSearch, float]:
-        """What samples at x (n, 3) [m] with v (n, 3) [m/s] face, and for how long [s] that is all.
+        self, now: StateView, outlook: Outlook, pairs: Sequence[tuple[int, int]], hold: float,
+        frame: float, *, frame_begins: bool,
+    ) -> tuple[ContactSearch, float]:  # fmt: skip
+        """What samples face, and for how long [s] that is all.
 
-        frame : where the obstacles are; span : [s] after which a detection is made anyway.
+        pairs, hold : of the broad phase; frame : where the obstacles are.
         """
-        pairs, hold = self._broad_phase(x, v, frame, self._pull)
+        x, span, kept = outlook.x, outlook.span, self._kept
         shrunk = CLOSER * (self._spacing + WAIT / TRAVEL * np.maximum(self._gap, 0.0))
         search = ContactSearch(x, self._reach, self._gap - shrunk)
-        for other in sorted({other for _, other in pairs}):
-            bodies = [body for body, faced in pairs if faced == other]
+        if kept.any():
+            mine = kept[self._of]
+            search.keep(np.flatnonzero(mine), self.planes, self._persistence.gaps(self.planes, x))
+        searched = [(body, other) for body, other in pairs if not kept[body]]
+        for other in sorted({other for _, other in searched}):
+            bodies = [body for body, faced in searched if faced == other]
             if other < 0:
                 self._search_obstacle(search, bodies, -1 - other, frame, min(hold, span))
             else:
                 self._search_body(search, bodies, other, now.nodes[0], now.offset)
-        own_hold = self._search_own(search, v, min(hold, span), every_sample=frame_begins)
+        own_hold = self._search_own(search, outlook, min(hold, span), every_sample=frame_begins)
         search.carry(self._skins, self._X)
         return search, min(hold, own_hold)
+
+    def _outlook(
+        self, x: Floats, v: Floats, boxes: Sequence[Box], pairs: Sequence[tuple[int, int]],
+        frame: float, time: float, span: float,
+    ) -> Outlook:  # fmt: skip
+        """What moves after a detection; see `Outlook` and `_broad_phase`."""
+        count = len(self._obstacles)
+        near = np.zeros((len(boxes), count + len(boxes)), bool)
+        for body, other in pairs:
+            near[body, count + other if other >= 0 else -1 - other] = True
+        return Outlook(
+            x=x, v=v, mean=np.array([box.mean for box in boxes]),
+            spread=np.array([box.spread for box in boxes]), near=near,
+            moving=np.array([one.speed(frame) > 0.0 for one in self._obstacles], bool),
+            pull=self._pull, time=time, span=span,
+        )  # fmt: skip
 
     def note_way(self, now: StateView, time: float, dt: float) -> None:
         """Note whether a detection at a time [s] of the state is late, with substeps of dt [s]."""
         took = time - self._detected
         way = self.motion(now)[0] - self._x
         if np.isfinite(way).all():  # else the frame fails
-            held = self._broad_phase(self._x, way / took, self._frame, 0.0)[1]
+            boxes = self._boxes(self._x, way / took)
+            held = self._broad_phase(boxes, self._frame, 0.0)[1]
             self.lateness.note(self._detected, took, held, dt)
+            if self._kept.any():
+                approach = self._persistence.approaches(self.motion(now)[0])[self._kept].max()
+                if approach > self._reach:
+                    self.lateness.note(self._detected, took, took * self._reach / approach, dt)
 
     def _until_landed(self, x: Floats, v: Floats, floor: Ints | None) -> float:
         """[s] until the floor has stopped samples for long enough that others may reach them.
@@ -392,13 +441,22 @@ class BodyContact:
         pull = abs(float(np.dot(s.gravity, s.normal))) + s.pushes
         return until_stopped(height, -(v[near] @ s.normal), pull, TRAVEL * self._spacing)
 
+    def _note_search(self, outlook: Outlook, shift: Floats) -> None:
+        """Note what bodies that are not kept were found to face; shift : see `Persistence.note`."""
+        slide = TRAVEL * self._spacing + WAIT * np.maximum(self._gap, 0.0)
+        self._persistence.note(
+            np.flatnonzero(~self._kept), self.planes, self._gap, outlook,
+            slide=slide, shift=shift, own_until=self._own_until,
+        )  # fmt: skip
+
     def _replace_planes(
-        self, search: ContactSearch, old: Stored, x: Floats, time: float
+        self, search: ContactSearch, old: Stored, outlook: Outlook
     ) -> dict[str, Floats]:
         """Take the planes of a search in place of the old ones, with the energy of these.
 
         Returns the `pair_values` of the new ones.
         """
+        x, time = outlook.x, outlook.time
         walls = [(c.spec.friction, c.spec.restitution) for c in self.contact_setup.colliders]
         values = pair_values(search.planes, self.contact, walls)
         true = Stored(
@@ -416,6 +474,7 @@ class BodyContact:
         self.injected += new.energy - old.energy
         self._gap, self._detected, self._x = search.gap, time, x
         self._overlap = max(self._overlap, -float(search.gap.min()))
+        self._note_search(outlook, np.abs(true.depth - new.depth))
         lost = (old.depth > EASE * self._spacing) & (self.planes.partner == NOBODY)
         self.released = max(self.released, search.released, int(lost.sum()))
         return values
@@ -444,13 +503,17 @@ class BodyContact:
         s = self._body.settings
         return float(np.linalg.norm(s.gravity)) + s.pushes
 
+    def _boxes(self, x: Floats, v: Floats) -> list[Box]:
+        """Those of the samples at x (n, 3) [m] with v (n, 3) [m/s] of each body."""
+        return [Box.around(x[m], v[m]) for m in self._members]
+
     def _broad_phase(
-        self, x: Floats, v: Floats, frame: float, pull: float, still: Ints | None = None
+        self, boxes: Sequence[Box], frame: float, pull: float, still: Ints | None = None
     ) -> tuple[list[tuple[int, int]], float]:
         if len(self._members) == 1 and not self._obstacles:
             return [], float("inf")
         return schedule(
-            [Box.around(x[m], v[m]) for m in self._members],
+            boxes,
             self._obstacles,
             self.contact_setup,
             frame=frame,
@@ -487,7 +550,7 @@ class BodyContact:
         search.offer_places(mine, found.gap, found.normal, point, other, rest)
 
     def _search_own(
-        self, search: ContactSearch, v: Floats, span: float, *, every_sample: bool
+        self, search: ContactSearch, outlook: Outlook, span: float, *, every_sample: bool
     ) -> float:
         """Offer each body the places of its own surface that it faces.
 
@@ -496,13 +559,17 @@ class BodyContact:
         that may be near each other.  Once a frame that finds contact between neighboring patches
         before the surface is folded there.
         """
-        hold = float("inf")
+        hold, v = float("inf"), outlook.v
         known = self._own_gap
-        self._own_gap = np.full(len(known), self._reach)
+        self._own_gap = np.where(self._kept[self._of], known, self._reach)
+        self._own_until = np.full(len(self._members), np.inf)
         for k, own in self._own.items():
+            if self._kept[k]:
+                continue
             m = self._members[k]
             patch_pairs, until = own.broad_phase(search.x[m], v[m], min(span, hold))
             hold = min(hold, until)
+            self._own_until[k] = outlook.time + until
             if patch_pairs is None:
                 continue
             before = self._positions_before(k, search.x)
@@ -512,6 +579,7 @@ class BodyContact:
             )  # fmt: skip
             self._own_gap[m[found.rows]] = found.gap
             hold = min(hold, found.hold)
+            self._own_until[k] = outlook.time + min(until, found.hold)
             order = np.argsort(-found.weights, axis=1, kind="stable")
             search.offer(
                 m[found.rows], found.gap, found.normal,
@@ -542,7 +610,7 @@ class BodyContact:
     def _positions_before(self, body: int, x: Floats) -> Floats:
         """(m, 3) [m] samples of a body at the last detection; before the first one, as in x."""
         m = self._members[body]
-        return np.where(np.isinf(self._gap[m])[:, None], x[m], self._x[m])
+        return np.where(np.isinf(self._gap[m])[:, None], x[m], self._persistence.x[m])
 
     def _search_obstacle(
         self, search: ContactSearch, bodies: Sequence[int], which: int, frame: float, span: float
@@ -585,18 +653,25 @@ class BodyContact:
         x, v = self.motion(state.view())
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             return False
-        f, who = self.planes, self.planes.only(self._watched).carried
+        f, who = self.planes, self.planes.only(self.watched).carried
         normal, point = f.normal.copy(), f.point.copy()
         places = state.part("pair", layout.ROW, layout.POINT, layout.VELOCITY)
         point[who], normal[who] = places[who, :3], places[who, 3:]
         spring = state.part("pair", layout.ROW, layout.SPRING, layout.WEIGHT)
         # By what the bodies moved since their last forces.
-        self.planes = moved(
+        new = moved(
             replace(f, normal=normal, point=point, spring=spring),
             x,
             v,
             0.5 * dt if closed else dt,
         )
+        others = np.setdiff1d(f.carried, who, assume_unique=True)
+        new.normal[others], new.point[others] = f.turned(others, self._x, x)
+        self.planes = new
+        missed = new.depth(x, self._span) > 0.0
+        missed[self.watched] = False
+        if missed.any():
+            self.lateness.note(self._detected, self._span, 0.5 * self._span, dt)
         return True
 
 

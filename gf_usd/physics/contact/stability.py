@@ -26,7 +26,7 @@ from gf_usd.physics.contact.narrow_phase import CLOSER
 from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.self_contact.patches import CHANGE
-from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
+from gf_usd.physics.contact.self_contact.search import AHEAD
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
@@ -49,7 +49,8 @@ class PairSprings:
     x: Floats  # (n, 3) [m] of the samples now
     v: Floats  # (n, 3) [m/s]
     span: float  # [s] until the next detection
-    fall: float  # [m/s] bound of the speed gained from body forces until then
+    gain: Floats  # (n,) [m/s] bound of the speed gained from body forces until then
+    margin: Floats  # (n,) [m] gap that is left below which a sample counts as touching
 
     def step(
         self, contact: FloorContact, mass: NodalMass, rest: StableStep, near: Ints
@@ -98,12 +99,12 @@ class PairSprings:
         depth, closing = row_dots(away, f.normal), row_dots(speed, f.normal)
         fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed)))
         coming = largest_depth(
-            depth, fastest, self.fall, self.span, self.k[faces], self.values["mass"][faces],
+            depth, fastest, self.gain[faces], self.span, self.k[faces], self.values["mass"][faces],
             self.hardening,
         )  # fmt: skip
         # Detection precedes a closer approach; a larger estimate indicates a failing frame.
         coming = np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
-        touches = coming > -NEARLY * self.spacing
+        touches = coming > -self.margin[faces]
         return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
 
 
@@ -164,14 +165,14 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
 
 
 def largest_depth(
-    depth: Floats, speed: Floats, gain: float, span: float, k: Floats, mass: Floats,
+    depth: Floats, speed: Floats, gain: Floats, span: float, k: Floats, mass: Floats,
     hardening: float,
 ) -> Floats:  # fmt: skip
     """(m,) [m] bound of the depth of samples within a span [s].
 
-    depth : (m,) [m] now, negative outside; speed : (m,) [m/s] into the plane; gain : [m/s] by which
-    it grows at most within the span, at a constant rate; k, mass : (m,) of samples; hardening :
-    [1/m^2] 1 / a^2. A sample continues for the span, or until the spring k d (1 + d^2 /
+    depth : (m,) [m] now, negative outside; speed : (m,) [m/s] into the plane; gain : (m,) [m/s]
+    by which it grows at most within the span, at a constant rate; k, mass : (m,) of samples;
+    hardening : [1/m^2] 1 / a^2. A sample continues for the span, or until the spring k d (1 + d^2 /
     a^2) has absorbed the kinetic energy of `COLUMN` times its mass.
     """
     way = span * np.maximum(speed + 0.5 * gain, 0.0)

@@ -11,7 +11,7 @@ from solids import cube
 from two_legs import legs
 
 from gf_usd.physics.contact.planes import layout
-from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE
+from gf_usd.physics.contact.planes.contact_planes import OBSTACLE
 from gf_usd.physics.contact.planes.intervals import LATE, REPEATS, Lateness, until_stopped
 
 GAP = 0.5  # [m]
@@ -85,14 +85,14 @@ def test_contact_knows_where_samples_are_far_from_the_origin(monkeypatch):
     seen = []
 
     def look_around(state):
-        ground = pairs.planes.partner == OBSTACLE
+        ground = pairs.planes.only(pairs.watched).partner == OBSTACLE
         offset = state.view().offset + layout.origin_of(contact.samples.X)
         place = state.part("pair", layout.ROW, layout.PLACE, layout.RATE) + offset
         point = state.part("pair", layout.ROW, layout.POINT, layout.NORMAL) + offset
         below = (place - point)[ground]
         (held,) = solver.settling._supports(state).values()
         found = pairs.motion(state.view())[0]
-        seen.append(((place - found)[pairs.planes.partner != NOBODY], below, held.point))
+        seen.append(((place - found)[pairs.active], below, held.point))
         return settle(state)
 
     monkeypatch.setattr(solver.settling, "frame", look_around)

@@ -94,11 +94,32 @@ class ContactPlanes:
 
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
+        return np.maximum(0.0, self.below(x, elapsed))
+
+    def below(self, x: Floats, elapsed: float = 0.0) -> Floats:
+        """(n,) [m] the same, negative above; 0 where there is no plane."""
         active = self.facing
         f, out = self.of(active), np.zeros(len(x))
         q = f.point + f.interpolated(x) + elapsed * f.velocity
-        out[active] = np.maximum(0.0, row_dots(q - x[active], f.normal))
+        out[active] = row_dots(q - x[active], f.normal)
         return out
+
+    def turned(self, rows: Ints, before: Floats, after: Floats) -> tuple[Floats, Floats]:
+        """Normals and points (k, 3) of planes `rows` that their carriers have turned.
+
+        before, after : (n, 3) [m] of all samples. The turn is that of the motion between them, by
+        the rotation vector w = 2 atan(|a| / 2) a / |a|, a the spin about their mean positions.
+        """
+        who = self.carriers[rows]
+        a = spin(0.5 * (before[who] + after[who]), after[who] - before[who])
+        size = np.maximum(lengths(a), 1e-30)[:, None]
+        axis, angle = a / size, 2.0 * np.arctan(0.5 * size)
+
+        def rotated(b: Floats) -> Floats:
+            along_axis = row_dots(axis, b)[:, None] * axis
+            return along_axis + np.cos(angle) * (b - along_axis) + np.sin(angle) * cross(axis, b)
+
+        return rotated(self.normal[rows]), rotated(self.point[rows])
 
 
 def nothing(n: int) -> ContactPlanes:

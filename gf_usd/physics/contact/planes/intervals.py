@@ -76,6 +76,11 @@ class Lateness:
         """[s] that may pass until the detection after one at a time [s]."""
         return self._bound if time >= self._start else np.inf
 
+    @property
+    def repeats(self) -> bool:
+        """Whether the frame is a repetition."""
+        return self._repeats > 0
+
     def note(self, time: float, took: float, held: float, dt: float) -> None:
         """A detection at a time [s] was the last for `took` [s], and by the way that the bodies
         went in it, it held for `held` [s].

@@ -1,0 +1,191 @@
+"""Persistence: bodies from whose samples a detection need not search again.
+
+Bodies that rest on each other face the same places for many frames. The planes of all samples of a
+body are kept if, from the search that found them until the next detection,
+
+- no sample moves along its plane by more than between two searches (see `intervals`),
+- nothing that was near can have come within reach of a sample that did not face it: the difference
+  of the mean motions of two bodies, and the motions of their samples relative to these means, add
+  up to no more than the reach,
+- nothing comes near that was not, and no obstacle moves that was,
+- the body is not deformed by more than `DEFORMED`, and the time has not passed within which it
+  cannot come near itself.
+
+The motion until now is known; that until the next detection follows from the present speeds, as do
+the intervals between detections. Planes that are still shifted from the true surface, to conserve
+the energy of the springs (`continuity`), are found anew at every detection, which reduces the
+shift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints, lengths
+from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
+
+DEFORMED = 0.5  # [spacings] largest motion of a sample relative to the mean of its body
+SHIFTED = 0.05  # [spacings] largest shift of a kept plane from the true surface
+
+SAVED = (
+    "x", "place", "offset", "slide", "near", "mean", "path", "way", "own_until", "valid", "last"
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outlook:
+    """What moves from a detection until the next one."""
+
+    x: Floats  # (n, 3) [m] of the samples
+    v: Floats  # (n, 3) [m/s]
+    mean: Floats  # (B, 3) [m/s] of each body
+    spread: Floats  # (B,) [m/s] largest deviation of a sample from it
+    near: Ints  # (B, O + B) whether a body is near an obstacle, or near another body
+    moving: Ints  # (O,) whether an obstacle moves
+    pull: float  # [m/s^2] bound of the acceleration by gravity and fields
+    time: float  # [s] of the detection
+    span: float  # [s] until the next one, at most
+
+
+class Persistence:
+    """What the last search from each of B bodies found.
+
+    members : the samples of each; obstacles : their number O; X : (n, 3) [m] of the samples at
+    rest; reach : [m] from where something is faced.
+    """
+
+    def __init__(
+        self, members: Sequence[Ints], obstacles: int, X: Floats, *, reach: float, spacing: float
+    ) -> None:
+        n, count = len(X), len(members)
+        self._members, self._reach, self._spacing = members, reach, spacing
+        self._of = np.zeros(n, np.int64)
+        for k, m in enumerate(members):
+            self._of[m] = k
+        self.x = X.copy()  # (n, 3) [m] of the samples then
+        self.place = np.zeros((n, 3))  # [m] points of their planes
+        self.offset = np.zeros(n)  # [m] gaps less the distances from the planes
+        self.slide = np.zeros(n)  # [m] that a sample may move along its plane
+        self.near = np.zeros((count, obstacles + count), bool)  # see `Outlook`
+        self.mean = np.zeros((count, count, 3))  # [m] of all bodies, at the search from each
+        self.path = np.zeros((count, count))  # [m] `way` of all bodies, then
+        self.own_until = np.zeros(count)  # [s] until when a body cannot come near itself
+        self.valid = np.zeros(count, bool)  # whether there is such a search
+        # [m] sum over detections of the largest motion of a sample relative to its body's mean
+        self.way = np.zeros(count)
+        self.last = X.copy()  # (n, 3) [m] at the last detection
+
+    def save(self) -> dict[str, Any]:
+        """See `Saved`."""
+        return {f"contact_kept_{name}": getattr(self, name).copy() for name in SAVED}
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """See `Saved`."""
+        for name in SAVED:
+            setattr(self, name, np.array(saved[f"contact_kept_{name}"]))
+
+    def forget(self, bodies: Ints) -> None:
+        """The planes of bodies (k,) were removed."""
+        self.valid[bodies] = False
+
+    def follow(self, x: Floats) -> None:
+        """Count how the bodies were deformed since the last detection; x : (n, 3) [m] now."""
+        step = x - self.last
+        for k, m in enumerate(self._members):
+            self.way[k] += lengths(step[m] - step[m].mean(0)).max(initial=0.0)
+        self.last = x
+
+    def kept(self, planes: ContactPlanes, now: Outlook) -> Ints:
+        """(B,) bodies whose planes may be kept until the next detection."""
+        kept = self.valid & (self.own_until >= now.time + now.span)
+        kept &= ~(now.near & ~self.near).any(1)
+        obstacles = len(now.moving)
+        kept &= ~(now.near[:, :obstacles] & now.moving).any(1)
+        own = self._deformed().diagonal()
+        kept &= own + now.span * now.spread <= DEFORMED * self._spacing
+        if kept.any():
+            kept &= self._approach(now).max(1) <= self._reach
+        if kept.any():
+            kept &= ~self._slid(planes, now)
+        return kept
+
+    def _deformed(self) -> Floats:
+        """(B, B) [m] by which each body was deformed at most since the search from another."""
+        return self.way - self.path
+
+    def _means(self, x: Floats) -> Floats:
+        """(B, 3) [m] mean positions."""
+        return np.array([x[m].mean(0) for m in self._members])
+
+    def approaches(self, x: Floats) -> Floats:
+        """(B, O + B) [m] by which bodies and what is near them may have approached since the
+        search; x : (n, 3) [m] now."""
+        drift = self._means(x) - self.mean  # since the search from each (first index)
+        own, deformed = np.arange(len(drift)), self._deformed()
+        alone = drift[own, own]
+        to_bodies = (
+            np.linalg.norm(drift - alone[:, None], axis=2) + deformed + deformed.diagonal()[:, None]
+        )
+        to_obstacles = (lengths(alone) + deformed.diagonal())[:, None]
+        count = self.near.shape[1] - len(own)
+        both = np.concatenate([np.repeat(to_obstacles, count, 1), to_bodies], 1)
+        return np.where(self.near, both, 0.0)
+
+    def _approach(self, now: Outlook) -> Floats:
+        """(B, O + B) [m] `approaches` until the next detection."""
+        to_bodies = (
+            np.linalg.norm(now.mean[:, None] - now.mean, axis=2) + now.spread[:, None] + now.spread
+        )
+        to_obstacles = (lengths(now.mean) + now.spread)[:, None]
+        count = self.near.shape[1] - len(now.mean)
+        speed = np.concatenate([np.repeat(to_obstacles, count, 1), to_bodies], 1)
+        ahead = now.span * speed + 0.5 * now.pull * now.span**2
+        return self.approaches(now.x) + np.where(self.near, ahead, 0.0)
+
+    def slid(self, planes: ContactPlanes, x: Floats) -> Floats:
+        """(n,) [m] by which samples have moved along their planes since the search."""
+        out, rows = np.zeros(len(x)), planes.facing
+        place = planes.point[rows] + planes.of(rows).interpolated(x)
+        out[rows] = lengths((x[rows] - self.x[rows]) - (place - self.place[rows]))
+        return out
+
+    def _slid(self, planes: ContactPlanes, now: Outlook) -> Ints:
+        """(B,) bodies of which a sample moves too far along its plane."""
+        rows = planes.facing
+        f = planes.of(rows)
+        speed = lengths(now.v[rows] - f.interpolated(now.v) - f.velocity)
+        far = self.slid(planes, now.x)[rows] + now.span * speed > self.slide[rows]
+        return np.bincount(self._of[rows[far]], minlength=len(self._members)) > 0
+
+    def gaps(self, planes: ContactPlanes, x: Floats) -> Floats:
+        """(n,) [m] gaps of samples at x (n, 3) [m], by the motion since the search."""
+        rows = planes.facing
+        out = np.maximum(self._reach - self.approaches(x).max(1, initial=0.0), 0.0)[self._of]
+        out[rows] = self.offset[rows] - planes.below(x)[rows]
+        return out
+
+    def note(
+        self, bodies: Ints, planes: ContactPlanes, gap: Floats, now: Outlook, *,
+        slide: Floats, shift: Floats, own_until: Floats,
+    ) -> None:  # fmt: skip
+        """A detection has searched from the samples of bodies (k,).
+
+        gap : (n,) [m] of the samples; slide : (n,) [m] that they may move along their planes;
+        shift : (n,) [m] of the planes from the true surface; own_until : (B,) see `own_until`.
+        """
+        mine = np.isin(self._of, bodies)
+        place = planes.point + planes.interpolated(now.x)
+        offset = gap + planes.below(now.x)
+        for array, new in (
+            (self.x, now.x), (self.place, place), (self.offset, offset), (self.slide, slide)
+        ):  # fmt: skip
+            array[mine] = new[mine]
+        self.near[bodies] = now.near[bodies]
+        self.mean[bodies], self.path[bodies] = self._means(now.x), self.way
+        self.own_until[bodies] = own_until[bodies]
+        shifted = np.bincount(self._of[shift > SHIFTED * self._spacing], minlength=len(self.way))
+        self.valid[bodies] = shifted[bodies] == 0
