@@ -56,7 +56,7 @@ def test_a_stack_at_rest_is_searched_seldom_and_stays_where_it_is(monkeypatch) -
     spacing = stack().particles.spacing
     assert np.abs(few_x - all_x).max() < 0.05 * spacing
     scale = stack().body.m.sum() * 9.81  # [J] m g r, of 1 m
-    assert abs(injected) < abs(usual) + 1e-4 * scale
+    assert abs(injected) < 1.1 * abs(usual) + 1e-4 * scale
 
 
 def test_a_state_with_kept_planes_goes_on_to_the_bit() -> None:
