@@ -44,7 +44,7 @@ HEAD = """<!-- Written by tools/generate_api.py from the docstrings: do not edit
 # Python reference
 
 Everything here is available after `import gf_usd`. Lengths, masses and times are in SI
-unless stage units are stated. The [guide](guide.md#from-python) introduces the functions and lists
+unless stage units are stated. The [guide](guide/python.md) introduces the functions and lists
 the values that keywords take; the examples below run as tests.
 """
 SECTION = re.compile(r"\n([A-Z]\w+)\n-{3,}\n")

@@ -1,10 +1,10 @@
-"""Write the tables of options in docs/guide.md from the commands themselves.
+"""Write the tables of options in docs/guide from the commands themselves.
 
     python tools/generate_options.py            write the tables
     python tools/generate_options.py --check    write nothing; exit 1 if a table is out of date
 
-A table of bake is below the name of its group in bold, that of inspect in its section.  The last
-column, `more`, is written by hand in the guide and kept.
+Each table is below the heading of its group, or of its command.  The last column, `more`, is
+written by hand in the page and kept.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))
 from gf_usd.cli.main import program  # noqa: E402
 from gf_usd.prepare.options.table import OPTIONS, WRITE  # noqa: E402
 
-GUIDE = ROOT / "docs" / "guide.md"
+BAKE, INSPECT = (ROOT / "docs/guide" / name for name in ("options.md", "inspect-and-check.md"))
 HEAD = ["| option | default | meaning | more |", "|---|---|---|---|"]
 COLUMNS = HEAD[0].count("|") - 1
 CODE = re.compile(r"(?<![\w`-])(--[a-z][a-z-]*|[\w.-]+[:=,][\w.][\w.:=,-]*\w)(?![\w`])")
@@ -90,21 +90,23 @@ def inspect_table(kept: dict[str, str]) -> list[str]:
     ]
 
 
-def renewed(text: str) -> str:
-    """The guide with all its tables of options written anew."""
-    return "\n".join(_lines(text.split("\n")))
+def headings(page: Path) -> list[str]:
+    """The headings of a page that have a table."""
+    return list(dict.fromkeys(o.group for o in OPTIONS.values())) if page == BAKE else ["inspect"]
 
 
-def _lines(lines: list[str]) -> Iterator[str]:
-    groups = dict.fromkeys(option.group for option in OPTIONS.values())
-    wanted: list[str] = ["inspect", *groups]
+def renewed(text: str, page: Path) -> str:
+    """The text of a page with all its tables of options written anew."""
+    return "\n".join(_lines(text.split("\n"), page))
+
+
+def _lines(lines: list[str], page: Path) -> Iterator[str]:
+    wanted = headings(page)
     heading, at = "", 0
     while at < len(lines):
         line = lines[at]
-        if line.startswith("**"):
-            heading = line.split("**")[1]
-        elif line.startswith("## "):
-            heading = line.removeprefix("## gf-usd ")
+        if line.startswith("## "):
+            heading = line.removeprefix("## ").removeprefix("gf-usd ")
         if not (line.startswith("| option |") and heading in wanted):
             yield line
             at += 1
@@ -116,7 +118,7 @@ def _lines(lines: list[str]) -> Iterator[str]:
         wanted.remove(heading)
         at = end
     if wanted:
-        raise SystemExit(f"{GUIDE.name}: there is no table of options for {', '.join(wanted)}")
+        raise SystemExit(f"{page.name}: there is no table of options for {', '.join(wanted)}")
 
 
 def main() -> int:
@@ -126,15 +128,19 @@ def main() -> int:
         "--check", action="store_true", help="write nothing, exit 1 on a difference"
     )
     check = parser.parse_args().check
-    old = GUIDE.read_text("utf-8")
-    new = renewed(old)
-    if check:
-        sys.stdout.writelines(
-            difflib.unified_diff(old.splitlines(True), new.splitlines(True), "guide.md", "new")
-        )
-        return int(old != new)
-    GUIDE.write_text(new, "utf-8")
-    return 0
+    outdated = False
+    for page in (BAKE, INSPECT):
+        old = page.read_text("utf-8")
+        new = renewed(old, page)
+        outdated |= old != new
+        if check:
+            lines = difflib.unified_diff(
+                old.splitlines(True), new.splitlines(True), page.name, "new"
+            )
+            sys.stdout.writelines(lines)
+        else:
+            page.write_text(new, "utf-8")
+    return int(check and outdated)
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def bake(
     until : bake again, at a higher resolution each time, until the figures of certify are this
         certain: "2%", or "rebound,squash:2%"; within max_hours.
     progress : called after each frame with (frames done, total frames).
-    options : all others; docs/guide.md describes each of them.
+    options : all others; docs/guide/options.md lists them.
 
     Returns
     -------

@@ -189,7 +189,7 @@ class Bake(Sequence[BakeFrame]):
 
     @cached_property
     def report(self) -> Mapping[str, Any]:
-        """The report next to the file (docs/guide.md); empty if there is none."""
+        """The report next to the file (docs/guide/report.md); empty if there is none."""
         from gf_usd.view.report.record import load_report
 
         return load_report(self.path)[0]

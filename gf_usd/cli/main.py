@@ -2,7 +2,7 @@
 
 Exit status: 0 done, 1 failed while baking, 2 wrong usage, 3 the input was refused, 4
 the result is wrong, or has warnings under --strict, 5 a slice is complete, 130 and 143 interrupted
-(docs/guide.md).
+(docs/guide/warnings-and-errors.md).
 """
 
 from __future__ import annotations

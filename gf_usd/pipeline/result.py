@@ -50,7 +50,7 @@ def report_json(
     notes: Sequence[str],
     findings: Sequence[dict[str, str]],
 ) -> dict[str, Any]:
-    """The report; its keys are documented in docs/guide.md.
+    """The report; its keys are documented in docs/guide/report.md.
 
     description : of `describe`.
     """
@@ -75,13 +75,13 @@ class VariantResult:
     cache: Path  # the layer that the frames are in
     material: Material  # that of most of the volume
     frames: int  # that were written
-    health: dict[str, Any] = field(repr=False)  # totals; docs/guide.md has the keys
+    health: dict[str, Any] = field(repr=False)  # totals; docs/guide/report.md has the keys
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)  # fields of `Health`
     warnings: tuple[HealthWarning, ...] = ()  # each with about, message and hint
     clips: tuple[Path, ...] = ()  # files next to the cache
     at_rest: int | None = None  # frame, from 1, at which all rested; None: not tested
     certificate: Certificate | None = None  # how certain its figures are; None: not requested
-    storage: dict[str, Any] | None = None  # saved disk space; docs/guide.md has the keys
+    storage: dict[str, Any] | None = None  # saved disk space; docs/guide/report.md has the keys
 
     @property
     def look(self) -> str:

@@ -61,8 +61,9 @@ def test_former_spellings_are_no_options_any_more() -> None:
 
 
 def test_the_guide_lists_them() -> None:
-    guide = (Path(__file__).resolve().parents[2] / "docs" / "guide.md").read_text(encoding="utf-8")
-    table = guide.partition("| command | former name | current name |\n|---|---|---|\n")[2]
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    page = (docs / "guide" / "commands.md").read_text(encoding="utf-8")
+    table = page.partition("| command | former name | current name |\n|---|---|---|\n")[2]
     rows = [row.split("|")[1:4] for row in table.partition("\n\n")[0].splitlines()]
     listed = {
         (command.strip(), old.strip(" `")): new.strip(" `")

@@ -31,6 +31,8 @@ def test_links_of_the_repository_become_links_of_the_site() -> None:
     assert adapted("[a](../BENCHMARKS.md)", "guide.md") == "[a](BENCHMARKS.md)"
     assert adapted("[a](../../README.md)", "tutorials/duck.md") == "[a](../index.md)"
     assert adapted("[a](../guide.md)", "tutorials/duck.md") == "[a](../guide.md)"
+    assert adapted("[a](../../README.md)", "guide/output.md") == "[a](../index.md)"
+    assert adapted("[a](report.md#b)", "guide/output.md") == "[a](../guide/report.md#b)"
     assert adapted("[`a`](#b) and [c](https://d.e)", "guide.md") == "[`a`](#b) and [c](https://d.e)"
 
 
@@ -169,7 +171,7 @@ def opened(pages: Iterator[Path]) -> set[str]:
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium")
 def test_a_browser_asks_no_other_host(site: Path) -> None:
-    names = ("index", "architecture", "guide", "gallery", "tutorials/duck")
+    names = ("index", "architecture", "guide", "guide/options", "gallery", "tutorials/duck")
     requested = opened(site / f"{name}.html" for name in names)
     assert len(requested) > 10
     assert {address for address in requested if not address.startswith(("file:", "data:"))} == set()

@@ -13,13 +13,15 @@ NAMES = {*RULES, *(warning.about for warning in plan_warnings("an odd size"))}
 
 
 def test_the_guide_lists_every_warning() -> None:
-    guide = (ROOT / "docs/guide.md").read_text(encoding="utf-8")
-    rows = guide.partition("| `about` | where |")[2].partition("\n\n")[0].strip().splitlines()
+    page = (ROOT / "docs/guide/warnings-and-errors.md").read_text(encoding="utf-8")
+    rows = page.partition("| `about` | where |")[2].partition("\n\n")[0].strip().splitlines()
     listed = [name for row in rows for name in re.findall(r"`([a-z-]+)`", row.split("|")[1])]
     assert sorted(listed) == sorted(NAMES)
 
 
-@pytest.mark.parametrize("page", ["troubleshooting.md", "tutorials/looks-wrong.md", "guide.md"])
+@pytest.mark.parametrize(
+    "page", ["troubleshooting.md", "tutorials/looks-wrong.md", "guide/warnings-and-errors.md"]
+)
 def test_a_page_names_warnings_that_exist(page: str) -> None:
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     groups = re.findall(r"\(warnings? (`[a-z-]+`(?:, `[a-z-]+`)*)\)", text)

@@ -103,9 +103,9 @@ def test_registry_does_not_import_usd():
 @pytest.mark.parametrize("row", FORMATS, ids=lambda row: row.name)
 def test_every_format_has_a_reader_and_is_told_of(row):
     assert callable(row.function)
-    guide = (Path(__file__).parents[2] / "docs" / "guide.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "input-files.md").read_text("utf-8")
     for suffix in row.suffixes:
-        assert f"`{suffix}`" in guide
+        assert f"`{suffix}`" in page
         if row.kind in (MESH, PROGRAM):
             assert suffix[1:] in re.findall(r"\w+", bake.__doc__ or "")
 

@@ -1,4 +1,4 @@
-"""The savings of each option for smaller caches: two tables of docs/guide.md.
+"""The savings of each option for smaller caches: tables of docs/guide/smaller-caches.md.
 
     python -m tools.bench.storage                            the duck and the creature
     python -m tools.bench.storage spot_control_mesh.obj      and another asset

@@ -175,7 +175,7 @@ def author_certificate(
 ) -> None:
     """Author the intervals of the figures of a bake, in stage units.
 
-    certificate : as in reports: docs/guide.md.
+    certificate : as in reports: docs/guide/report.md.
     """
     length = {"m": units.length}
     names, values, halves, unknown = [], [], [], []

@@ -227,7 +227,7 @@ class Storage:
         return self.bytes + saved
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; docs/guide.md has the keys."""
+        """Plain values; docs/guide/report.md has the keys."""
         return {
             "precision": self.precision.text if self.precision else None,
             "bytes": self.bytes,

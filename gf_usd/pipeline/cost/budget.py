@@ -94,7 +94,7 @@ FRAME_SECONDS = (3e-3, 4e-6, 3.5e-6)
 # T from the first contact until bodies are usually at rest, by whether their law flows.  Within a
 # factor of two of the duck of 400 particles with eleven presets (`gf-usd bake samples/duck.usda
 # --particles 400 --material NAME`: 25 to 54 T for six that do not flow, 7 to 20 T for five that
-# do), and of the duck and balls of 8,000 particles (33 to 90 T, docs/guide.md).
+# do), and of the duck and balls of 8,000 particles (33 to 92 T, docs/guide/frames.md).
 RESTS = {False: 45.0, True: 12.0}
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept

@@ -1,7 +1,7 @@
 """Health of a whole bake: totals and extremes of the frames' values.
 
-The keys of `HealthLog.summary` are documented in docs/guide.md, and those that are attributes of
-GaussianFleshHealthAPI in docs/schema.md.
+The keys of `HealthLog.summary` are documented in docs/guide/report.md, and those that are
+attributes of GaussianFleshHealthAPI in docs/schema.md.
 """
 
 from __future__ import annotations

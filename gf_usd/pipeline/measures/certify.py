@@ -37,7 +37,7 @@ class Certificate:
     reason: str = ""  # why there are no intervals; "" where there are
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; docs/guide.md has the keys."""
+        """Plain values; docs/guide/report.md has the keys."""
         out: dict[str, Any] = {
             "particles": [count for count, _ in self.runs],
             "spacing_m": [edge for _, edge in self.runs],

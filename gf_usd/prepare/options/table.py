@@ -1,7 +1,8 @@
 """The options of a bake: one row each.
 
-The command line, `gf_usd.bake`, batch manifests, the recorded command and docs/guide.md are
-generated from the rows.  Annotations are read when the classes are made, so they are not strings.
+The command line, `gf_usd.bake`, batch manifests, the recorded command and the tables of
+docs/guide/options.md are generated from the rows.  Annotations are read when the classes are made,
+so they are not strings.
 Nothing here loads NumPy, because ``gf-usd --help`` imports this module.
 """
 
@@ -26,7 +27,7 @@ Boxes = Mapping[str, Corners | Sequence[Corners]] | str | Sequence[str]
 Labels = Mapping[str, Mapping[int, str]] | str | Sequence[str]
 Floor = float | Vector | tuple[float, Vector] | Literal[False] | str
 
-# headings of docs/guide.md
+# headings of docs/guide/options.md
 ASSET = "Asset and files"
 PARTICLES = "Particles"
 TIME = "Time"
