@@ -79,6 +79,12 @@ def test_a_page_of_the_guide_stays_short(page: Path) -> None:
     assert page.read_text("utf-8").count("\n") <= (200 if page == GUIDE else 400)
 
 
+@pytest.mark.parametrize("page", [GUIDE, *TOPICS], ids=lambda page: page.name)
+def test_no_block_of_code_follows_a_list(page: Path) -> None:
+    """Markdown would show it as a paragraph of the last item."""
+    assert re.findall(r"^- .*\n(?:  \S.*\n)*\n {4}.*", page.read_text("utf-8"), re.M) == []
+
+
 def test_the_guide_lists_every_command() -> None:
     text = (ROOT / "docs/guide/commands.md").read_text("utf-8")
     shown = [name for name, (_, settings) in COMMANDS.items() if not settings.get("hidden")]
