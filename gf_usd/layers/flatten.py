@@ -15,6 +15,7 @@ import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from pxr import Ar, Sdf, Tf, Usd, UsdShade, UsdUtils
 
@@ -65,6 +66,8 @@ def write_flat(
     layer = stage.Flatten(addSourceFileComment=False)
     anchor_tiles(stage, layer)
     _restore_displays(layer, root, asset, source, choices)
+    if path.suffix == PACKAGE:
+        shorten_info(layer)
     return write_placed(layer, path, moved=moved)
 
 
@@ -233,6 +236,30 @@ def anchor_tiles(stage: Usd.Stage, flat: Sdf.Layer) -> None:
             found = (UsdShade.UdimUtils.ResolveUdimPath(value.path, layer) for layer in layers)
             if path := next((path for path in found if path), ""):
                 spec.default = Sdf.AssetPath(path)
+
+
+def shorten_info(layer: Sdf.Layer) -> None:
+    """Reduce the paths in `assetInfo` to file names.
+
+    They name the asset and its parts, from which a flat layer composes nothing: a package would
+    hold them in vain, and AR clients accept no further layers in it.
+    """
+
+    def name(value: object) -> object:
+        if isinstance(value, Sdf.AssetPath):
+            return Sdf.AssetPath(Path(value.path).name)
+        if isinstance(value, Sdf.AssetPathArray):
+            paths: Any = value  # iterable, which its type does not say
+            return Sdf.AssetPathArray([Sdf.AssetPath(Path(one.path).name) for one in paths])
+        return value
+
+    def shorten(path: Sdf.Path) -> None:
+        spec = layer.GetPrimAtPath(path)
+        if spec is not None and spec.HasInfo("assetInfo"):
+            info = dict(spec.GetInfo("assetInfo"))
+            spec.SetInfo("assetInfo", {key: name(value) for key, value in info.items()})
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, shorten)
 
 
 def write_placed(

@@ -221,6 +221,33 @@ def test_a_package_keeps_the_rules_of_ar(tmp_path: Path) -> None:
         assert (file.header_offset + 30 + name + extra) % 64 == 0
 
 
+def test_a_package_does_not_hold_the_asset_that_its_info_names(tmp_path: Path) -> None:
+    """Nothing is composed from it, and AR clients allow no further layers in a package."""
+    (tmp_path / "asset").mkdir()
+    info = """(
+    assetInfo = {
+        asset identifier = @./duck.usda@
+        asset[] payloadAssetDependencies = [@./duck.usda@, @rig.usd@]
+        string name = "Duck"
+    }
+)
+{"""
+    text = PAINTED.replace('def Xform "duck"\n{', f'def Xform "duck" {info}').replace(
+        "asset inputs:file = @FILE@", ""
+    )
+    asset = asset_of(write(tmp_path / "asset" / "duck.usda", text))
+    root, _, _ = bake(asset, tmp_path)
+    target = tmp_path / "one.usdz"
+    assert write_flat(target, root, asset, source=asset.facts.path, choices=ALL) == ()
+    with zipfile.ZipFile(publish(target)) as archive:
+        assert archive.namelist() == ["one.usdc"]
+    stage = Usd.Stage.Open(str(target))
+    found = stage.GetDefaultPrim().GetAssetInfo()
+    assert found["identifier"].path == "duck.usda"
+    assert [path.path for path in found["payloadAssetDependencies"]] == ["duck.usda", "rig.usd"]
+    assert found["name"] == "Duck"
+
+
 def test_the_tiles_of_a_udim_come_along(tmp_path: Path) -> None:
     asset = painted(tmp_path, "tex/tile.<UDIM>.png")
     _, one = flat(asset, tmp_path / "asset", ".usdz")
