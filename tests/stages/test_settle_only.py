@@ -141,6 +141,25 @@ def test_what_asks_for_frames_does_not_go_with_one_pose(
         gf_usd.bake(SPHERE, output=tmp_path / "s.usda", settle_only=True, **SMALL, **more)
 
 
+@pytest.mark.parametrize(
+    ("kinetic", "moving_frames", "reason"),
+    [
+        (2.0, 0, "the kinetic energy of the last one is"),
+        (0.5, 0, "at the end the bodies have been at rest for"),
+        (0.5, 9, "an obstacle moves until the last one"),
+    ],
+)
+def test_the_reason_that_is_given_is_what_keeps_it_from_rest(
+    kinetic: float, moving_frames: int, reason: str
+) -> None:
+    """It named an energy below the limit, which is rest, where the time at rest was too short."""
+    rest = Rest(0.5 * time_scale(2.0), 2.0, moving_frames)
+    last = Health(mass=3.0, kinetic=kinetic * 1e-7 * 3.0 * G0 * 2.0)
+    assert not rest.reached(last, 4)
+    assert reason in rest.message("clay", [last], 5, settled=False)
+    assert reason in rest.refusal("clay", last, 5, SPHERE).message
+
+
 def test_what_is_not_at_rest_is_refused_with_its_energy(tmp_path: Path) -> None:
     few: dict[str, Any] = {"particles": 60, "frames": 5}
     with pytest.raises(BakeError, match="not at rest within 5 frames: the kinetic energy"):

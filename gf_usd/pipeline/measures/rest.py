@@ -31,8 +31,7 @@ class Rest:
 
     def reached(self, health: Health, index: int) -> bool:
         """Whether this frame, the next one of the motion, completes a time T at rest."""
-        moving = health.kinetic - (health.fallen_kinetic or 0.0)
-        still = index >= self._moving_frames and moving <= self.limit(health)
+        still = index >= self._moving_frames and _moving(health) <= self.limit(health)
         before, self.still = self.still, self.still + self._step if still else 0.0
         return before > 0.0 and self.still >= time_scale(self._radius)
 
@@ -40,20 +39,35 @@ class Rest:
         """Text on when a material came to rest; most : maximum number of frames."""
         if settled:
             return f"{variant}: at rest at frame {len(frames)}"
-        last = frames[-1]
         return (
-            f"{variant}: not at rest within {counted(most, 'frame')}: the kinetic energy of the"
-            f" last one is {last.kinetic:.3g} J, but at most {self.limit(last):.3g} J counts as"
-            f" rest; --frames rest:{2 * most} simulates longer"
+            f"{variant}: not at rest within {counted(most, 'frame')}: {self._reason(frames[-1])};"
+            f" --frames rest:{2 * most} simulates longer"
         )
 
     def refusal(self, variant: str, last: Health, most: int, path: Path) -> BakeError:
         """The error of --settle-only where a body still moves in the last of `most` frames."""
         return BakeError(
-            f"{path}, {variant}: not at rest within {counted(most, 'frame')}: the kinetic energy"
-            f" of the last one is {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as"
-            " rest",
+            f"{path}, {variant}: not at rest within {counted(most, 'frame')}: {self._reason(last)}",
             f"simulate longer with --frames {2 * most}, or slow the motion with --drag, "
             f"--friction or another material; a body that is driven by a moving pin or "
             f"obstacle, or drifts without gravity, never comes to rest",
         )
+
+    def _reason(self, last: Health) -> str:
+        """Why the last frame does not end a time at rest."""
+        if _moving(last) > self.limit(last):
+            return (
+                f"the kinetic energy of the last one is {_moving(last):.3g} J, but at most"
+                f" {self.limit(last):.3g} J counts as rest"
+            )
+        if self.still == 0.0:
+            return "an obstacle moves until the last one"
+        return (
+            f"at the end the bodies have been at rest for {self.still:.3g} s, but"
+            f" {time_scale(self._radius):.3g} s are needed"
+        )
+
+
+def _moving(health: Health) -> float:
+    """[J] kinetic energy without that of bodies that fell past every obstacle."""
+    return health.kinetic - (health.fallen_kinetic or 0.0)
