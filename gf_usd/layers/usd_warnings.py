@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 
 from pxr import UsdUtils
@@ -12,6 +12,13 @@ from pxr import UsdUtils
 SHOWN = 2  # kinds of warnings that a note quotes
 # parts of a warning that differ between stages with the same fault
 PLACE = re.compile(r"\s*\((re)?(composing|instantiating)[^()]*( stage on stage [^()]*)?\)\s*$")
+
+# Files that USD cannot find, and what its validator of missing files makes of their paths.
+MISSING = re.compile(
+    r"Failed to resolve reference @(.+?)@ with computed asset path @(.+?)@ found"
+    r"|Could not open asset @(.+?)@ for "
+)
+FILE_AS_PRIM = "Ill-formed SdfPath <{}>"
 
 
 class Warned:
@@ -35,10 +42,14 @@ class Warned:
         _ = self.counts
         self._delegate = None
 
-    def lines(self, reported: Collection[str] = ()) -> tuple[str, ...]:
-        """A note on the warnings that are not in `reported`; none where there are none."""
+    def lines(self, reported: Collection[str] = (), stated: Iterable[str] = ()) -> tuple[str, ...]:
+        """A note on the warnings that are not in `reported`; none where there are none.
+
+        stated : notes and findings; warnings of files that they name as missing are left out.
+        """
         counts = self.counts
-        kinds = sorted(text for text in counts if text not in reported)
+        known = set(reported) | set(_repeated(counts, "\n".join(stated)))
+        kinds = sorted(text for text in counts if text not in known)
         if not kinds:
             return ()
         count = sum(counts[text] for text in kinds)
@@ -46,6 +57,19 @@ class Warned:
         times = "once" if count == 1 else f"{count} times"
         more = f"; and {len(kinds) - SHOWN} more" if len(kinds) > SHOWN else ""
         return (f"USD warned {times}: {quoted}{more}",)
+
+
+def _repeated(warnings: Collection[str], stated: str) -> Iterator[str]:
+    """Warnings of missing files that another warning, or the text `stated`, reports."""
+    missing: set[str] = set()
+    for text in warnings:
+        if found := MISSING.search(text):
+            names = [name for name in found.groups() if name]
+            missing.update(names)
+            if any(name in stated for name in names):
+                yield text
+    faults = tuple(FILE_AS_PRIM.format(name) for name in missing)
+    yield from (text for text in warnings if text.startswith(faults))
 
 
 @contextmanager

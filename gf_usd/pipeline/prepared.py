@@ -116,7 +116,7 @@ def prepare(
             path, overwrite=overwrite, resume=resume, draw=draw,
             once_read=partial(stages.begin, FILLING), once_filled=refills.append, **options,
         )  # fmt: skip
-    plan = replace(plan, notes=(*plan.notes, *warned.lines()))
+    plan = replace(plan, notes=(*plan.notes, *warned.lines(stated=plan.notes)))
     known_warnings = frozenset(warned.counts)
     refill = refills[0] if plan.choices.certify else None
     prepared = with_shot_length(

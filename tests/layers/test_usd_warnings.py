@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from pxr import Usd
+from pxr import Sdf, Usd
 from small_stages import write
 
 from gf_usd.layers.check.run import check_file
+from gf_usd.layers.check.validators import run_validators
 from gf_usd.layers.usd_warnings import gathered
 
 
@@ -36,8 +37,43 @@ def test_warnings_are_counted_by_kind(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert "gone0.usda" in capfd.readouterr().err
 
 
-def test_the_check_says_them_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("stated", "left"),
+    [
+        ((), True),
+        (("does not compose: Could not open asset @{file}@ for reference",), False),
+        (("texture ./gone0.usda does not exist",), True),
+        (("texture ./gone1.usda does not exist",), True),
+    ],
+)
+def test_missing_files_are_reported_once(
+    tmp_path: Path, stated: tuple[str, ...], left: bool
+) -> None:
+    """Not again as prim paths, which they are not; nor where notes name them."""
+    path = with_missing(tmp_path, 1)
+    file = tmp_path / "gone0.usda"
+    with gathered() as warned:
+        stage = Usd.Stage.Open(str(path))
+        for _ in run_validators(stage):
+            pass
+    assert any("Ill-formed SdfPath" in text for text in warned.counts)
+    notes = warned.lines(stated=[text.format(file=file) for text in stated])
+    assert not any("Ill-formed" in note for note in notes)
+    assert bool(notes) == left
+
+
+def test_other_ill_formed_paths_are_reported() -> None:
+    with gathered() as warned:
+        Sdf.Path("/World/My Prim")
+    (line,) = warned.lines(stated=["/World/My Prim"])
+    assert line.startswith("USD warned once: Ill-formed SdfPath </World/My Prim>")
+
+
+def test_findings_of_the_check_are_not_repeated(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     checked = check_file(with_missing(tmp_path, 3))
-    (line,) = checked.warned
-    assert "gone" in line
+    for k in range(3):
+        assert any(f"gone{k}.usda" in finding.message for finding in checked.findings)
+    assert checked.warned == ()
     assert capfd.readouterr().err == ""

@@ -83,7 +83,8 @@ def check_file(path: str | Path) -> CheckResult:
                 "export the file again; its content does not match its suffix",
             ) from error
         result = _without_source_errors(check_stage(stage), stage)
-    return replace(result, warned=warned.lines())
+    found = (finding.message for finding in (*result.findings, *result.inherited))
+    return replace(result, warned=warned.lines(stated=found))
 
 
 def _without_source_errors(result: CheckResult, stage: Usd.Stage) -> CheckResult:

@@ -221,7 +221,7 @@ def _publish(session: Session, finished: Finished) -> BakeResult:
     notes = [*finished.notes, *session.delivery.publish(finished.baked, session.earlier)]
     control.stages.begin(CHECKING)
     findings = review(files.root, plan.source)
-    notes += session.warned.lines(session.prepared.warned)
+    notes += session.warned.lines(session.prepared.warned, stated=plan.notes)
     notes += control.forecast.take_outcome()
     seconds = session.seconds
     report = report_json(describe(plan), plan.settings, finished.results, seconds, notes, findings)
