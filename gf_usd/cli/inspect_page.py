@@ -199,7 +199,7 @@ def _part(part: Part, unit: float) -> Sequence[str]:
     return (
         escape(part.path), str(part.shell), f"[yellow]{part.kind}[/]",
         ", ".join(f"{c / unit:.3g}" for c in part.center), _length(part.size),
-        _length(part.thickness), str(part.particles),
+        "none: loose faces" if part.loose else _length(part.thickness), str(part.particles),
         "too many" if part.suggested is None else str(part.suggested),
     )  # fmt: skip
 

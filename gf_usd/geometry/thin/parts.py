@@ -35,6 +35,8 @@ STEPS = 4  # inward sample points
 OFF_EDGE = 0.01  # of the way to the centroid of a triangle
 VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
 SENSIBLE = 2_000_000  # particles: the greatest number that is suggested
+# Of the box's diagonal: below it a thickness is the rounding error of the volume of loose faces.
+LOOSE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +57,11 @@ class Part:
     def size(self) -> float:
         """[m] diagonal of its box."""
         return float(np.linalg.norm(self.high - self.low))
+
+    @property
+    def loose(self) -> bool:
+        """Whether it consists of faces that enclose no volume."""
+        return self.thickness <= LOOSE * self.size
 
     @property
     def center(self) -> Floats:

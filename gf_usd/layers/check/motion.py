@@ -90,7 +90,7 @@ RELATIVE_SCATTER = 0.25
 # Factors of wrong units of time and length, besides the rate of the stage itself.
 UNITS = (10.0, 12.0, 24.0, 30.0, 39.37, 60.0, 100.0, 1000.0)
 UNIT_SCATTER = 0.01
-TOO_FAST = "cannot be compared with the motion, which is too fast for the samples"
+TOO_FAST = "the motion is too fast for the samples"
 
 Vectors = NDArray[np.floating]
 
@@ -215,10 +215,10 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
             continue
         speak = about("velocities", prim)
         if position.GetName() == "positionsh":
-            yield speak.skip(f"{name}: positions in half precision are too coarse for this check")
+            yield speak.skip("positions in half precision are too coarse for this check")
             continue
         if count < WINDOW:
-            yield speak.skip(f"{name}: {count} samples of motion; this check needs {WINDOW}")
+            yield speak.skip(f"{count} samples of motion; this check needs {WINDOW}")
             continue
         near = judged.setdefault(_key(position), [])
         alike = (seen for *both, seen in near if _is_twin(both, (position, velocity)))
@@ -229,7 +229,7 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
         fix = f"author stage units per second; this stage has {rate:g} time codes per second"
         if not tally.decided:
             yield speak.skip(
-                f"{name}: the motion is smooth in only {tally.smooth} of {tally.moving} places,"
+                f"the motion is smooth in only {tally.smooth} of {tally.moving} places,"
                 " too few for this check"
             )
         elif tally.frozen > 0.5 * tally.smooth:
@@ -240,18 +240,18 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
             )
         elif not tally.factors:
             yield speak.skip(
-                f"{name} {TOO_FAST}: {position.GetName()} is at the same places in every other one"
+                f"{TOO_FAST}: {position.GetName()} is at the same places in every other one"
             )
         elif not tally.off and abs(tally.factor - 1.0) > WRONG:
             yield speak.skip(
-                f"{name} is {tally.factor:.3g} times the motion in only"
+                f"they are {tally.factor:.3g} times the motion in only"
                 f" {counted(len(tally.factors), 'window')} of {WINDOW} samples, too few for this"
                 " check"
             )
         elif tally.off and tally.agreed < AGREE:
-            yield speak.skip(f"{name} {TOO_FAST}: the points turn between two of them")
+            yield speak.skip(f"{TOO_FAST}: the points turn between two of them")
         elif tally.off and tally.jitters(rate):
-            yield speak.skip(f"{name} {TOO_FAST}: the points vibrate between them")
+            yield speak.skip(f"{TOO_FAST}: the points vibrate between them")
         elif tally.off:
             yield speak.error(
                 f"{name} is {tally.factor:.3g} times the motion of {position.GetName()} per second "

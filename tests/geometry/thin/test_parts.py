@@ -63,6 +63,18 @@ def test_shells_thinner_than_a_spacing_are_named():
     assert suggestion(found) == small.suggested
 
 
+def test_loose_faces_have_no_thickness():
+    """Only the rounding error of their volume."""
+    corners = np.array([[0.0, 0.0, 0.0], [0.7, 0.1, 0.2], [0.6, 0.8, 0.3], [-0.1, 0.7, 0.1]])
+    flat = surface(corners + [3.1, 0.3, 0.7], np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1]]))
+    (loose,) = parts_of(shells_of(sphere(), flat), particles=500)
+    assert loose.shell == 1
+    assert loose.loose
+    sheet = cube(low=(3.0, 0.0, 0.0), edge=(0.5, 0.5, 1e-5))
+    (plate,) = parts_of(shells_of(sphere(), sheet), particles=500)
+    assert not plate.loose
+
+
 @pytest.mark.slow  # 66,000 particles
 def test_the_suggested_number_fills_the_part():
     crumb = cube(low=(0.0, 3.0, 0.0), edge=0.12, path="/Crumb")
