@@ -96,7 +96,7 @@ def deliver(
         typer.echo(f"{name}{named}: {described(body.joints, body.shapes)}")
     for cloud in done.splats:
         name = f"{cloud.variant}: " if cloud.variant else ""
-        typer.echo(f"{name}{cloud.path}: {error_text(cloud)}")
+        typer.echo(f"{name}<{cloud.path}>: {error_text(cloud)}")
     typer.echo(
         f"{done.path}: {done.bytes / 1000:.0f} kB, {counted(done.frames, 'frame')}, largest error"
         f" {100 * done.error:.2g} % of the radius"

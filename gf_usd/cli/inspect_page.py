@@ -35,7 +35,7 @@ def show(seen: Inspection) -> None:
     _body(console, seen)
     _advice(console, seen)
     _parts(console, seen)
-    _lines(console, "skipped", [f"{p}: {why}" for p, why in seen.asset.skipped])
+    _lines(console, "skipped", [f"<{p}>: {why}" for p, why in seen.asset.skipped])
     _lines(console, "note", _notes(seen))
     for warning in seen.warnings:
         console.print(f"[yellow]warning:[/] {escape(warning)}")

@@ -255,7 +255,7 @@ def _retime_source(
                 sample_as_played(layer, path, attribute, warp, codes)
                 written.add(path)
     return tuple(
-        f"{path}: {_where(among, variants)}its animation is inside an instance, where --keys"
+        f"<{path}>: {_where(among, variants)}its animation is inside an instance, where --keys"
         " cannot retime it; --speed can"
         for path, among in inside.items()
     )

@@ -94,11 +94,11 @@ def read_variants(
             )
         bodies = bodies_of(recording, list(source.frames(whole=True)), baked) if baked else ()
         for path in recording.flows:
-            notes[f"{path}: left out because its faces change from frame to frame"] = None
+            notes[f"<{path}>: left out because its faces change from frame to frame"] = None
         if flows and bodies:
             notes[TORN] = None
         for i in gone:
-            notes[f"{recording.meshes[i].name}: left out because particles stand for it"] = None
+            notes[f"<{recording.meshes[i].name}>: left out because particles stand for it"] = None
         names = tuple(mesh.name for mesh in recording.meshes)
         joined = with_splats(bodies, names, clouds)
         variants.append(

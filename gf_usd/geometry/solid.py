@@ -128,7 +128,7 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
         triangles.append(welded)
         sources.append(source)
     if not kept:
-        listed = "\n".join(f"  {path}: {reason}" for path, reason in embedded)
+        listed = "\n".join(f"  <{path}>: {reason}" for path, reason in embedded)
         raise InputError(
             f"{asset.facts.path}: no mesh encloses a volume, so nothing can be filled:\n{listed}",
             "close the holes or give the mesh thickness"

@@ -22,7 +22,7 @@ class Notes:
             places.append(where)
 
     def lines(self, without: Collection[str] = ()) -> tuple[str, ...]:
-        """One line per note: ``PATH: text`` or ``PATH and 3 more: text``.
+        """One line per note: ``<PATH>: text`` or ``<PATH> and 3 more: text``.
 
         without : texts that are omitted.
         """
@@ -75,6 +75,5 @@ def unit_and_axis(
 
 
 def _some(places: list[str]) -> str:
-    if len(places) <= 2:
-        return " and ".join(places)
-    return f"{places[0]} and {len(places) - 1} more"
+    named = [f"<{place}>" if place.startswith("/") else place for place in places[:2]]
+    return " and ".join(named) if len(places) <= 2 else f"{named[0]} and {len(places) - 1} more"

@@ -60,7 +60,7 @@ def files(folder: Path) -> dict[str, bytes]:
     [
         (["gone.usda"], 3, "gone.usda does not exist", "did you mean"),
         (["text.usda"], 3, "text.usda is not a USD file", "check the type of the file"),
-        (["sheet.usda"], 3, "/Cloth: the surface is open", "give the mesh thickness"),
+        (["sheet.usda"], 3, "</Cloth>: the surface is open", "give the mesh thickness"),
         (["ball.usda", "-m", "granite"], 2, "there is no material 'granite'", "choose one of"),
         (["ball.usda", "-o", "SEALED/"], 2, "cannot be written to", "choose another folder"),
     ],

@@ -374,7 +374,7 @@ def test_what_keys_cannot_retime_is_named(tmp_path: Path) -> None:
         keys=[(10.0, 10.0), (16.0, 13.0)],
     )  # fmt: skip
     (note,) = done.notes
-    assert note.startswith("/flag/cloth: its animation is inside an instance")
+    assert note.startswith("</flag/cloth>: its animation is inside an instance")
 
 
 def test_it_is_said_in_which_variants_keys_cannot_retime_something(tmp_path: Path) -> None:
@@ -384,7 +384,7 @@ def test_it_is_said_in_which_variants_keys_cannot_retime_something(tmp_path: Pat
     before = baked(Source(growing, MOVING.head), tmp_path)
     done = retime(before, tmp_path / "ramp.usda", keys=[(1.0, 1.0), (5.0, 3.0)])
     assert [note.split(" inside ")[0] for note in done.notes] == [
-        f"/root/{side}/seat: in the variant none its animation is" for side in ("left", "right")
+        f"</root/{side}/seat>: in the variant none its animation is" for side in ("left", "right")
     ]
 
 

@@ -136,7 +136,7 @@ def test_usd_hides_what_particles_stand_for(tmp_path: Path, flatten: bool) -> No
     assert BakedMotion(bake.root).recording().converted == ("/World/Block",)
     done = deliver(bake.root, tmp_path / "out.usda", error=TOLERANCE)
     assert [one.meshes for one in done.bodies] == [("/World/Other",)]
-    assert "/World/Block: left out because particles stand for it" in done.notes
+    assert "</World/Block>: left out because particles stand for it" in done.notes
     stage = Usd.Stage.Open(str(done.path))
     for name, shown in (("Block", False), ("Other", True)):
         image = UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{name}"))

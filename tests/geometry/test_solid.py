@@ -143,7 +143,7 @@ def cloth(path: str = "/Cloth"):
 def test_cloth_alone_is_refused_in_words():
     with pytest.raises(InputError, match="no mesh encloses a volume") as caught:
         build_solid(asset(cloth()))
-    assert "/Cloth: the surface is open: 12 boundary edges" in caught.value.message
+    assert "</Cloth>: the surface is open: 12 boundary edges" in caught.value.message
     assert "asset.usda" in caught.value.message
     assert "give the mesh thickness" in caught.value.hint
 
@@ -157,13 +157,13 @@ def test_a_sheet_of_two_sides_in_one_place_is_flat():
     )
     with pytest.raises(InputError, match="no mesh encloses") as caught:
         build_solid(asset(there_and_back))
-    assert "/Paper: it is flat: volume 0 m^3 for an area of 18 m^2" in caught.value.message
+    assert "</Paper>: it is flat: volume 0 m^3 for an area of 18 m^2" in caught.value.message
 
 
 def test_a_mesh_of_collapsed_faces_is_refused_in_words():
     with pytest.raises(InputError) as caught:
         build_solid(asset(surface(cube().points, np.array([[0, 0, 1], [2, 2, 2]]))))
-    assert "/Body: every face is collapsed" in caught.value.message
+    assert "</Body>: every face is collapsed" in caught.value.message
 
 
 def test_every_surface_is_named_where_none_can_be_filled():

@@ -120,7 +120,7 @@ def test_cloth_is_refused_in_the_words_of_bake(stage, tmp_path, monkeypatch):
         prepare(path)
     assert isinstance(seen.refusal, InputError)
     assert str(seen.refusal) == str(refused.value)
-    assert "/Root/Cloth: the surface is open" in str(seen.refusal)
+    assert "</Root/Cloth>: the surface is open" in str(seen.refusal)
     out = seen.as_json()
     assert (out["bakeable"], out["body"], out["materials"]) == (False, None, [])
     assert out["refusal"]["message"] == refused.value.message

@@ -64,4 +64,4 @@ def test_the_points_of_both_fall_as_one(tmp_path: Path) -> None:
     # points are not delivered, and a note says so
     done = gf_usd.deliver(tmp_path / "two.rubber.usda", tmp_path / "two.glb")
     assert [body.meshes for body in done.bodies] == [("/Two/Tets",)]
-    assert "/Two/Cloud: its points move and are left out" in done.notes
+    assert "</Two/Cloud>: its points move and are left out" in done.notes

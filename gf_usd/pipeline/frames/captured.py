@@ -182,7 +182,7 @@ class SplatDeformer:
         from gf_usd.physics.output.gaussians import STRETCH
 
         return tuple(
-            f"{path}: a Gaussian was clamped {counted(track.clamped, 'time')}, because it would"
+            f"<{path}>: a Gaussian was clamped {counted(track.clamped, 'time')}, because it would"
             f" have been stretched or flattened more than {STRETCH:g} times relative to its own"
             " axes"
             for path, track in self._tracks.items()

@@ -62,8 +62,8 @@ def read_camera(
     valid = min(focal, width, height) > 0.0 and np.isfinite(matrix).all()
     if not valid or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         raise InputError(
-            f"{path}: the camera {camera.GetPath()} cannot render an image at {time}: focal length "
-            f"{focal:g}, aperture {width:g} x {height:g}, transform "
+            f"{path}: the camera <{camera.GetPath()}> cannot render an image at {time}: focal "
+            f"length {focal:g}, aperture {width:g} x {height:g}, transform "
             f"{_format_matrix(gf_camera.transform)}.",
             "give it a focal length and apertures above 0 and a transform that can be inverted",
         )

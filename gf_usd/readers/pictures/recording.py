@@ -138,7 +138,7 @@ class BakedMotion:
             points = world_points(prim, time, xforms, skins) * self._facts.units.length
             if points.shape != shape.points.shape or not np.isfinite(points).all():
                 raise InputError(
-                    f"{self._path}: {prim.GetPath()} has {len(points)} points at time code "
+                    f"{self._path}: <{prim.GetPath()}> has {len(points)} points at time code "
                     f"{code:g} but {len(shape.points)} at the first one, or some are not finite.",
                     "run gf-usd check for details, then bake the asset again",
                 )
@@ -200,12 +200,12 @@ class BakedMotion:
             array = read_float_or_half(prim, name, time, width)
             if array is None or len(array) != count or not np.isfinite(array).all():
                 raise InputError(
-                    f"{self._path}: {prim.GetPath()} has {0 if array is None else len(array)}"
+                    f"{self._path}: <{prim.GetPath()}> has {0 if array is None else len(array)}"
                     f" {name} at {time} for {count} Gaussians, or some are not finite.",
                     "run gf-usd check for details, then bake the asset again",
                 )
             values[name] = array
-        # numpy sees a quaternion as (x, y, z, w)
+        # numpy has a quaternion as (x, y, z, w)
         local = gaussian_axes(values["orientations"][:, [3, 0, 1, 2]], values["scales"])
         unit = self._facts.units.length
         return place.points(values["positions"]) * unit, place.matrix[:3, :3].T * unit @ local

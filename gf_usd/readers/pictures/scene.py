@@ -77,7 +77,7 @@ PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 EMPTY = "pictures of times at which nothing is visible are empty"  # a note
 FALLEN = "falls out of the picture, which is fitted to the rest; --camera chooses another view"
 FLOOR_TOLERANCE = (
-    0.05  # of the size: distance of the lowest point from height 0 of a body that stands there
+    0.05  # of the size: distance of the lowest point from height 0 of a body that rests there
 )
 
 
@@ -151,7 +151,7 @@ class PictureStage:
         """The extent over the whole time range; cached.
 
         The box is the one to fit an image to: see `gf_usd.readers.pictures.framing`.
-        The floor is at height 0 where the body stands there, to 5 % of its size, or descends to it
+        The floor is at height 0 where the body rests there, to 5 % of its size, or descends to it
         from above; else at the lowest point of the motion.  Times at which nothing is visible are
         ignored.
         """
@@ -398,5 +398,5 @@ def _floor_height(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -
         return None
     lowest, start = (float(np.min(box.corners @ up)) for box in (motion, first))
     near = FLOOR_TOLERANCE * motion.diagonal
-    stands, lands = abs(lowest) <= near, lowest <= near and start >= -near
-    return 0.0 if stands or lands else lowest
+    rests, lands = abs(lowest) <= near, lowest <= near and start >= -near
+    return 0.0 if rests or lands else lowest

@@ -117,8 +117,9 @@ class Values:
                 prim_path = str(cloud.prim.GetPath())
                 self._fits[prim_path] = NeighborFit(cloud.rest)
                 self.notes.append(
-                    f"{prim_path}: strain is fitted to the motion of neighboring particles because "
-                    f"the bake holds no deformation gradients (bake with --deformation-gradients)"
+                    f"<{prim_path}>: strain is fitted to the motion of neighboring particles "
+                    f"because the bake holds no deformation gradients (bake with "
+                    f"--deformation-gradients)"
                 )
 
     def of_particles(self, prim: Usd.Prim, time: Usd.TimeCode) -> Floats | None:

@@ -120,7 +120,7 @@ def _no_geometry(
     by_name: bool,
 ) -> InputError:
     """The error for a selection without surfaces, which lists the prims found instead."""
-    under = ", ".join(str(root.GetPath()) for root in found.roots[:3]) or "its root"
+    under = ", ".join(f"<{root.GetPath()}>" for root in found.roots[:3]) or "its root"
     if missing := [line for line in notes.lines() if line.startswith("does not compose")]:
         return InputError(
             f"{path}: no mesh was found under {under}; {missing[0]}",
@@ -130,7 +130,7 @@ def _no_geometry(
         where, reason = next(iter(skipped.items()))
         more = f" and {len(skipped) - 1} more" if len(skipped) > 1 else ""
         return InputError(
-            f"{path}: nothing under {under} can be made soft: {where} ({reason}){more}",
+            f"{path}: nothing under {under} can be made soft: <{where}> ({reason}){more}",
             _remedy(stage, where, reason, by_name),
         )
     there = ", ".join(f"{n} {name}" for name, n in found.types.most_common(5)) or "nothing"
@@ -144,9 +144,9 @@ def _no_geometry(
 def _remedy(stage: Usd.Stage, where: str, reason: str, by_name: bool) -> str:
     """A hint at how the skipped prim at a path can be simulated."""
     if reason == INVISIBLE:
-        return f"make {where} visible in the file: what is hidden is not baked"
+        return f"make <{where}> visible in the file: what is hidden is not baked"
     if reason.startswith(PURPOSE):
-        return f"set the purpose of {where} to default or render in the file"
+        return f"set the purpose of <{where}> to default or render in the file"
     if reason.endswith(REPEATED):
         own = _own_file(stage, where)
         what = f"the prototype's own file, {own}" if own else "a file with the prototype alone"

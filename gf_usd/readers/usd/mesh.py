@@ -151,7 +151,7 @@ def _placement(prim: Usd.Prim, reading: Reading) -> Placement:
 
 def _broken(prim: Usd.Prim, reading: Reading, what: str) -> InputError:
     return InputError(
-        f"{reading.path}: {prim.GetPath()}: {what}",
+        f"{reading.path}: <{prim.GetPath()}>: {what}",
         "repair this mesh in the program that made it, or choose other prims with --prim",
     )
 

@@ -272,7 +272,7 @@ def _texture_coordinates(
         if found is None:
             notes.add(
                 f"has no usable primvar {place.primvar}, which the texture of "
-                f"{shading.material.path} reads: a single point of the texture is used",
+                f"<{shading.material.path}> reads: a single point of the texture is used",
                 str(prim.GetPath()),
             )
     if found is None:

@@ -94,11 +94,11 @@ def _authored(prim: Usd.Prim) -> Authored:
 def _material(path: Path, prim: Usd.Prim, units: StageUnits, say: Assume | None) -> Material:
     where = f"{path}: <{prim.GetPath()}>"
 
-    def tell(text: str) -> None:
+    def note(text: str) -> None:
         if say:
             say(f"{where}: {text}")
 
-    spec = read_material_spec(_authored(prim), str(prim.GetPath()), units, where=where, say=tell)
+    spec = read_material_spec(_authored(prim), str(prim.GetPath()), units, where=where, say=note)
     if spec.poissons_ratio is None:
         raise InputError(f"{where} has no Poisson's ratio", "author physics:poissonsRatio")
     if spec.density is None:
@@ -106,5 +106,5 @@ def _material(path: Path, prim: Usd.Prim, units: StageUnits, say: Assume | None)
     material = spec.whole()
     assert material is not None  # it has both moduli
     if spec.law is None and LAWS[material.law].flows:
-        tell(f"{stated_flow(material.law)} is stated but no law: {material.law} is used")
+        note(f"{stated_flow(material.law)} is stated but no law: {material.law} is used")
     return material

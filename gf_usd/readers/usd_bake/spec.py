@@ -31,7 +31,7 @@ def read_stage_spec(
         path: why for path, bake in bakes.items() if path not in prims and (why := _excluded(bake))
     }
     if out and len(out) == len(asset.surfaces):
-        listed = "\n".join(f"  {path}: {why}" for path, why in out.items())
+        listed = "\n".join(f"  <{path}>: {why}" for path, why in out.items())
         raise InputError(
             f"{asset.facts.path}: the stage excludes every mesh from the bake:\n{listed}",
             "name the mesh to bake with --prim",

@@ -254,7 +254,9 @@ def read_gravity(
         return None, ""
     scene = scenes[0]
     for other in scenes[1:]:
-        notes.add(f"is a second PhysicsScene: only {scene.GetPath()} is used", str(other.GetPath()))
+        notes.add(
+            f"is a second PhysicsScene: only <{scene.GetPath()}> is used", str(other.GetPath())
+        )
     direction = vector(facts.path, scene, DIRECTION, time)
     length = 0.0 if direction is None else float(np.linalg.norm(direction))
     down = -facts.up if direction is None or length == 0.0 else direction / length

@@ -92,22 +92,22 @@ ANIMATED = "its transform is animated: the simulation starts from its pose at th
 
 def test_a_note_says_that_animated_transforms_are_not_followed(plan) -> None:
     three = mesh("One"), mesh("Two", at(3.0)), mesh("Three", at(6.0))
-    assert alone(plan(carried(*three[:2]))) == ["/Up/One and /Up/Two"]
-    assert alone(plan(carried(*three))) == ["/Up/One and 2 more"]
+    assert alone(plan(carried(*three[:2]))) == ["</Up/One> and </Up/Two>"]
+    assert alone(plan(carried(*three))) == ["</Up/One> and 2 more"]
     assert alone(plan(mesh("One"))) == []
 
 
 def test_animation_that_ends_at_the_first_frame_is_not_left(plan) -> None:
     body = carried(mesh("One"), samples="-4: (0, 9, 0), 1: (0, 8, 0)")
     assert alone(plan(body, start=1.0)) == []
-    assert alone(plan(body, start=0.0)) == ["/Up/One"]
+    assert alone(plan(body, start=0.0)) == ["</Up/One>"]
 
 
 def test_pinned_bodies_and_obstacles_follow_animated_transforms(plan) -> None:
     two = carried(mesh("One"), mesh("Two", at(3.0)))
-    assert alone(plan(two, pins=["/Up/One"])) == ["/Up/Two"]
+    assert alone(plan(two, pins=["/Up/One"])) == ["</Up/Two>"]
     tray = mesh("Tray", at(0.0, -3.0), apis=("PhysicsCollisionAPI",))
-    assert alone(plan(carried(mesh("One"), tray))) == ["/Up/One"]
+    assert alone(plan(carried(mesh("One"), tray))) == ["</Up/One>"]
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_newtons_yield_stress_does_so_too(plan) -> None:
     assert one.parameters == {"yield_stress": pytest.approx(3**0.5 * 1e3)}
     notes = "\n".join(about_yield(made))
     assert "no law: vonMises" in notes
-    assert "/Stuff: the yield stress is read from the attributes of Newton" in notes
+    assert "</Stuff>: the yield stress is read from the attributes of Newton" in notes
     assert "tensileYieldRatio" in notes
 
 

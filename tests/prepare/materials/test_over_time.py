@@ -186,7 +186,7 @@ def Material "Wood" ( prepend apiSchemas = ["PhysicsMaterialAPI"] )
 }
 """
     )
-    assert "/Wood: physics:dynamicFriction has time samples: obstacles keep" in " ".join(
+    assert "</Wood>: physics:dynamicFriction has time samples: obstacles keep" in " ".join(
         plan_of(path).notes
     )
 

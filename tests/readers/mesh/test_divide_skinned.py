@@ -153,8 +153,8 @@ def twice(stage: Usd.Stage) -> None:
     ("change", "why"),
     [
         (few, "its joint weights do not fit its points"),
-        (wide, "its blend shape /Root/Box/Bulge does not fit its points"),
-        (twice, "its blend shape /Root/Box/Bulge is that of another mesh, too"),
+        (wide, "its blend shape </Root/Box/Bulge> does not fit its points"),
+        (twice, "its blend shape </Root/Box/Bulge> is that of another mesh, too"),
     ],
 )
 def test_a_skin_that_does_not_fit_stays(tmp_path: Path, change, why):

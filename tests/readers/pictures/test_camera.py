@@ -101,5 +101,5 @@ def test_what_is_no_camera_is_refused(path, name, message):
 
 
 def test_a_camera_that_makes_no_picture_is_refused(path):
-    with pytest.raises(InputError, match="/rig/broken cannot render an image"):
+    with pytest.raises(InputError, match="/rig/broken> cannot render an image"):
         PictureStage(path, camera="/rig/broken").camera(None, 1.0)

@@ -154,7 +154,9 @@ def test_of_drops_those_that_fall_do_not_count(write: Callable[..., Path]) -> No
 def test_a_picture_says_what_falls_out_of_it(write: Callable[..., Path]) -> None:
     path = write(TABLE + ball(FALLS) + CAMERA)
     motion_box, seen = PictureStage(path), PictureStage(path, camera="/Camera")
-    (note,) = [one for one in motion_box.scene(1.0).notes if one.startswith("/Ball: falls out of")]
+    (note,) = [
+        one for one in motion_box.scene(1.0).notes if one.startswith("</Ball>: falls out of")
+    ]
     assert "--camera" in note
     assert seen.scene(1.0).notes == ()
     assert motion_box.motion.bounds is not None

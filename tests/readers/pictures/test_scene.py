@@ -349,7 +349,7 @@ def test_what_cannot_be_drawn_is_named(write, kind):
         f'def {kind} "Control" {{\n uniform token purpose = "guide"\n}}\n'
         f'def {kind} "Hidden" {{\n token visibility = "invisible"\n}}\n'
     )
-    assert read_scene(path).notes == (f"/Hair: not drawn: {kind}",)
+    assert read_scene(path).notes == (f"</Hair>: not drawn: {kind}",)
 
 
 def test_a_variant_of_a_bake_is_drawn_in_place_of_the_selected_one(write):

@@ -146,7 +146,7 @@ def test_normals_of_the_wrong_number_are_ignored_in_words(read):
     assert asset.surfaces[0].normals is None
     assert asset.surfaces[0].normals_interpolation == ""
     assert asset.facts.notes == (
-        "/M: its 2 normals do not match the elements of its 'vertex' interpolation: ignored",
+        "</M>: its 2 normals do not match the elements of its 'vertex' interpolation: ignored",
     )
 
 
@@ -216,30 +216,30 @@ def test_inherited_display_color(read):
 def test_display_color_that_does_not_fit_is_ignored_in_words(read, authored, message, capfd):
     asset = read(mesh(f"color3f[] primvars:displayColor = {authored}"))
     assert asset.surfaces[0].triangle_colors is None
-    assert asset.facts.notes == (f"/M: primvar displayColor {message}",)
+    assert asset.facts.notes == (f"</M>: primvar displayColor {message}",)
     assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("(1,1,1)", "(nan,1,1)", "/M: 1 of 8 points are not finite (NaN or infinity)"),
+        ("(1,1,1)", "(nan,1,1)", "</M>: 1 of 8 points are not finite (NaN or infinity)"),
         (
             "3,0,4,7]",
             "3,0,4,8]",
-            "/M: 1 faceVertexIndices do not refer to any of its 8 points; the first is 8",
+            "</M>: 1 faceVertexIndices do not refer to any of its 8 points; the first is 8",
         ),
         (
             "3,0,4,7]",
             "3,0,-4,7]",
-            "/M: 1 faceVertexIndices do not refer to any of its 8 points; the first is -4",
+            "</M>: 1 faceVertexIndices do not refer to any of its 8 points; the first is -4",
         ),
         (
             "[4, 4, 4, 4, 4, 4]",
             "[4, 4, 4, 4, 4]",
-            "/M: faceVertexCounts add up to 20 corners, but there are 24 faceVertexIndices",
+            "</M>: faceVertexCounts add up to 20 corners, but there are 24 faceVertexIndices",
         ),
-        ("[4, 4, 4, 4, 4, 4]", "[4, 4, 4, 4, 12, -4]", "/M: a face has -4 corners"),
+        ("[4, 4, 4, 4, 4, 4]", "[4, 4, 4, 4, 12, -4]", "</M>: a face has -4 corners"),
     ],
 )
 def test_broken_meshes_are_refused_with_path_and_numbers(read, old, new, message):

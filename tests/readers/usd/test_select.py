@@ -158,7 +158,7 @@ def test_instances_are_read_in_place(read):
     assert paths(asset) == ["/One/Box", "/Two/Box"]
     assert asset.surfaces[0].points[:, 0].mean() == pytest.approx(5.0)
     assert asset.facts.notes == (
-        "/One and /Two: is an instance: it becomes an ordinary prim in the bake "
+        "</One> and </Two>: is an instance: it becomes an ordinary prim in the bake "
         "because its content moves",
     )
 
@@ -213,7 +213,7 @@ def test_what_inherits_from_a_baked_prim_follows_it(read):
     [
         (
             'def Xform "A" {\ndef Camera "C" {}\n}',
-            "no mesh was found under /A, which contains 1 Xform, 1 Camera",
+            "no mesh was found under </A>, which contains 1 Xform, 1 Camera",
             "give an asset that contains a mesh",
         ),
         (
@@ -223,18 +223,18 @@ def test_what_inherits_from_a_baked_prim_follows_it(read):
         ),
         (
             '#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" {}\ndef Xform "B" {\ndef Mesh "M" {}\n}',
-            "no mesh was found under /A, which contains 1 Xform",
+            "no mesh was found under </A>, which contains 1 Xform",
             "there are meshes outside the default prim: --prim /B/M",
         ),
         (
             'def Points "A" {}\ndef Mesh "M" {}',
-            "nothing under /A, /M can be made soft: "
-            "/A (Points without widths and without physics are not a body) and 1 more",
+            "nothing under </A>, </M> can be made soft: "
+            "</A> (Points without widths and without physics are not a body) and 1 more",
             "name other prims with --prim",
         ),
         (
             'def Xform "A" (references = @gone.usda@) {}',
-            "no mesh was found under /A; does not compose: Could not open asset",
+            "no mesh was found under </A>; does not compose: Could not open asset",
             "supply the missing files",
         ),
     ],
@@ -271,8 +271,8 @@ REPEATS = """def PointInstancer "A"
 @pytest.mark.parametrize(
     ("body", "hint"),
     [
-        (HIDDEN, "make /A visible in the file"),
-        (GUIDE, "set the purpose of /A to default or render"),
+        (HIDDEN, "make </A> visible in the file"),
+        (GUIDE, "set the purpose of </A> to default or render"),
         (REPEATS % "", "bake a file with the prototype alone;"),
         (REPEATS % "(references = @ball.usda@</Ball>)", "the prototype's own file, ball.usda;"),
     ],

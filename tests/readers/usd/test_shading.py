@@ -96,7 +96,7 @@ def test_subset_indices_outside_the_mesh_are_said(read):
     asset = read(with_subset("1, 2, -1"))
     np.testing.assert_array_equal(asset.surfaces[0].triangle_materials, [0, 0, 1, 1])
     assert asset.facts.notes == (
-        "/Q/Right: 2 of its 3 indices do not refer to any of the 2 faces: ignored",
+        "</Q/Right>: 2 of its 3 indices do not refer to any of the 2 faces: ignored",
     )
 
 
@@ -171,7 +171,7 @@ def test_other_shading_languages_are_gray_in_words(read, material, kind):
     _, look = only(asset)
     assert look.color == (0.18, 0.18, 0.18)
     assert asset.facts.notes == (
-        f"/Looks/M: {kind} is not supported: displayColor or gray is used",
+        f"</Looks/M>: {kind} is not supported: displayColor or gray is used",
     )
     shown = "rel material:binding = </Looks/M>\ncolor3f[] primvars:displayColor = [(1, 0, 0)]"
     (surface,) = read(stage(material, mesh=shown)).surfaces
@@ -221,5 +221,5 @@ def test_the_same_note_at_many_places_is_one(read):
         stage(MDL).replace("Looks", f"L{i}").replace('"Q"', f'"Q{i}"') for i in range(4)
     )
     assert read(body).facts.notes == (
-        "/L0/M and 3 more: a mdl shader is not supported: displayColor or gray is used",
+        "</L0/M> and 3 more: a mdl shader is not supported: displayColor or gray is used",
     )

@@ -196,7 +196,7 @@ def test_instanced_characters_are_posed(write):
     np.testing.assert_array_equal(instance.points, plain.points)
 
 
-ANIMATED = "/Rig/Other/Bar: is animated: the simulation starts from its pose at the first frame"
+ANIMATED = "</Rig/Other/Bar>: is animated: the simulation starts from its pose at the first frame"
 
 
 def test_the_animation_that_is_replaced_is_said(write):
@@ -223,7 +223,7 @@ def test_influences_that_do_not_fit_are_said(write, capfd, old, new):
     asset = read_asset(write(rig(WEIGHTS.replace(old, new), on_mesh=BOUND)))
     assert asset.facts.notes == (
         ANIMATED,
-        "/Rig/Other/Bar: its joint influences do not match its points: it is read without a pose",
+        "</Rig/Other/Bar>: its joint influences do not match its points: it is read without a pose",
     )
     assert not asset.surfaces[0].skinned
     assert asset.surfaces[0].points[:, 0].max() == -1.0  # 2 - 3: where it was authored
@@ -234,7 +234,7 @@ def test_a_skeleton_without_a_bind_pose_is_said(write):
     asset = read_asset(write(CASES["smooth"].replace("bindTransforms", "unknown")))
     assert asset.facts.notes == (
         ANIMATED,
-        "/Rig/Other/Bar: its skeleton has no bind pose: the identity is assumed",
+        "</Rig/Other/Bar>: its skeleton has no bind pose: the identity is assumed",
     )
 
 
@@ -243,5 +243,5 @@ def test_a_joint_scaled_to_nothing_keeps_its_normals_in_the_bind_pose(write):
     assert np.isfinite(asset.surfaces[0].normals).all()
     assert asset.facts.notes == (
         ANIMATED,
-        "/Rig/Other/Bar: its normals cannot follow its joints and stay in their bind pose",
+        "</Rig/Other/Bar>: its normals cannot follow its joints and stay in their bind pose",
     )

@@ -111,7 +111,7 @@ def test_unconnected_coordinates_read_one_place(read, picture):
 def test_a_missing_uv_primvar_is_said(read, picture):
     asset = read(stage(textured(), quads=QUADS.replace("primvars:st", "primvars:uv")))
     assert asset.facts.notes == (
-        "/Q: has no usable primvar st, which the texture of /Looks/M reads: "
+        "</Q>: has no usable primvar st, which the texture of </Looks/M> reads: "
         "a single point of the texture is used",
     )
     assert not np.any(asset.surfaces[0].triangle_uvs)
@@ -138,7 +138,7 @@ def test_an_unreadable_texture_gives_its_fallback_in_words(read, tmp_path, conte
     _, look = only(asset)
     assert look.texture is None
     assert look.color == (1.0, 0.5, 0.0)
-    assert asset.facts.notes[0].startswith(f"/Looks/M: {message}")
+    assert asset.facts.notes[0].startswith(f"</Looks/M>: {message}")
 
 
 def test_a_truncated_texture_is_said(read, tmp_path):

@@ -79,8 +79,8 @@ def test_a_prim_asked_for_by_name_is_baked_all_the_same(plan) -> None:
 def test_a_stage_of_obstacles_only_is_refused_with_every_reason(plan) -> None:
     with pytest.raises(InputError, match="excludes every mesh from the bake") as refused:
         plan(TABLE, mesh("One", OFF, at(3.0)))
-    assert "/Table: it is a static collider" in str(refused.value)
-    assert "/One: the stage turns off its bake" in str(refused.value)
+    assert "</Table>: it is a static collider" in str(refused.value)
+    assert "</One>: the stage turns off its bake" in str(refused.value)
     assert "--prim" in (refused.value.hint or "")
 
 
@@ -132,7 +132,7 @@ def test_prims_that_disagree_are_refused_in_words(plan, name, one, two, message)
     both = mesh("One", one) + mesh("Two", two, at(3.0))
     with pytest.raises(InputError, match="a bake has one") as refused:
         plan(both)
-    assert f"</One> asks for {message}" in str(refused.value)
+    assert f"</One> has {message}" in str(refused.value)
     assert "</Two>" in str(refused.value)
     assert f"--{name}" in (refused.value.hint or "")
     assert soft(plan(both, **{name: {"seed": 3, "solver": "tl"}[name]})) == ["/One", "/Two"]

@@ -109,7 +109,7 @@ def test_a_mass_above_without_a_body_is_not_read_and_this_is_said(read_physics) 
         bodies=("/Pond/Duck",),
     )
     assert only(found).mass is None
-    assert found.notes == ("/Pond: states a mass but is not a body: ignored",)
+    assert found.notes == ("</Pond>: states a mass but is not a body: ignored",)
 
 
 def test_omniverse_states_the_mass_of_a_soft_body_in_its_own_words(read_physics) -> None:
@@ -206,7 +206,7 @@ def test_the_animation_before_the_start_gives_the_first_velocity(read_physics) -
     assert moving is not None
     # half a unit of a tenth of a meter down each frame, 30 frames per second
     np.testing.assert_allclose(moving, np.tile([0, -1.5, 0], (8, 1)), atol=1e-6)
-    assert found.notes == ("/Duck: starts with the velocity of its animation",)
+    assert found.notes == ("</Duck>: starts with the velocity of its animation",)
     # two time codes a frame: the same
     again = only(read_physics(mesh("Duck", FALL), layer=layer, times=(10.0, 12.0))).moving
     assert again is not None
@@ -247,12 +247,12 @@ def test_authored_point_velocities_move_a_mesh_that_stands_still(read_physics) -
     moving = only(found).moving
     assert moving is not None
     np.testing.assert_allclose(moving, np.tile([0, 1, 0], (8, 1)), atol=1e-6)
-    assert found.notes == ("/Duck: starts with its authored velocities",)
+    assert found.notes == ("</Duck>: starts with its authored velocities",)
     few = "vector3f[] velocities = [(2, 0, 0)]"
     found = read_physics(mesh("Duck", few), layer=layer)
     assert only(found).moving is None
     assert found.notes == (
-        "/Duck: its 1 velocities are not one finite vector for each point: ignored",
+        "</Duck>: its 1 velocities are not one finite vector for each point: ignored",
     )
 
 

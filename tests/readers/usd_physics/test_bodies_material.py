@@ -115,14 +115,14 @@ def test_what_is_assumed_is_said(read_physics) -> None:
     assert made is not None
     assert (made.poissons_ratio, made.density, made.law) == (0.3, 1000.0, "neoHookean")
     assert found.notes == (
-        "/Soft: no Poisson's ratio is stated: 0.3 is assumed",
-        "/Soft: no density is stated: 1000 kg/m^3 is assumed",
+        "</Soft>: no Poisson's ratio is stated: 0.3 is assumed",
+        "</Soft>: no density is stated: 1000 kg/m^3 is assumed",
     )
     half = "float physics:poissonsRatio = 0.5"
     found = read_physics(material("Soft", SOFT[0], half, DENSE), duck(bound("/Soft")))
     assert found.bodies[0].material is not None
     assert found.bodies[0].material.poissons_ratio == 0.47
-    assert found.notes == ("/Soft: Poisson's ratio is 0.5 (incompressible): 0.47 is used",)
+    assert found.notes == ("</Soft>: Poisson's ratio is 0.5 (incompressible): 0.47 is used",)
 
 
 def test_a_material_without_moduli_goes_over_the_preset(read_physics) -> None:
@@ -245,7 +245,7 @@ def test_a_face_in_two_parts_belongs_to_the_first_and_this_is_said(read_physics)
     parts = [subset("one", "0, 1", bound("/Soft")), subset("two", "1, 2", bound("/Hard"))]
     found = read_physics(stage, duck(*parts))
     assert [part.faces.tolist() for part in found.bodies[0].subsets] == [[0, 1], [2]]
-    assert found.notes == ("/Duck/two: shares faces with an earlier subset, which keeps them",)
+    assert found.notes == ("</Duck/two>: shares faces with an earlier subset, which keeps them",)
 
 
 def test_parts_that_are_no_faces(read_physics) -> None:
@@ -253,7 +253,9 @@ def test_parts_that_are_no_faces(read_physics) -> None:
     points = subset("dots", "0, 1", bound("/Hard"), kind="point")
     found = read_physics(stage, duck(points))
     assert found.bodies[0].subsets == ()
-    assert found.notes == ("/Duck/dots: is not a subset of faces: its physics material is ignored",)
+    assert found.notes == (
+        "</Duck/dots>: is not a subset of faces: its physics material is ignored",
+    )
     with pytest.raises(InputError) as caught:
         read_physics(stage, duck(subset("beak", "5, 6", bound("/Hard"))))
     assert "</Duck/beak>: 1 of its 2 indices do not refer to any of the 6" in (caught.value.message)

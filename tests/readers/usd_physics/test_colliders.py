@@ -78,7 +78,7 @@ def test_the_baked_body_and_its_own_colliders_are_no_obstacles(read_physics) -> 
     found = read_physics(duck, mesh("Floor", apis=[COLLISION]), bodies=("/Duck/Look",))
     assert only(found).path == "/Floor"
     assert found.notes == (
-        "/Duck/Proxy: is the collider of a baked body: the surface of the body collides instead",
+        "</Duck/Proxy>: is the collider of a baked body: the surface of the body collides instead",
     )
     # and where the body is another one, both are in the way
     assert [c.path for c in read_physics(duck).colliders] == ["/Duck/Look", "/Duck/Proxy"]
@@ -108,7 +108,7 @@ def test_a_rigid_body_that_is_not_baked_stays_and_this_is_said(read_physics) -> 
     found = read_physics(mesh("Ball", apis=[COLLISION, "PhysicsRigidBodyAPI"]))
     assert only(found).role == "dynamic"
     assert found.notes == (
-        "/Ball: is a rigid body, and rigid bodies are not simulated: it moves only if it is "
+        "</Ball>: is a rigid body, and rigid bodies are not simulated: it moves only if it is "
         "animated",
     )
     driven = mesh(
@@ -184,7 +184,7 @@ def test_an_approximation_that_is_left_out_is_said(read_physics) -> None:
     found = read_physics(mesh("Rock", token, apis=HULL))
     assert volume(only(found)) == pytest.approx(1.0)
     assert found.notes == (
-        "/Rock: approximation convexDecomposition: its own triangles, which are finer, are used",
+        "</Rock>: approximation convexDecomposition: its own triangles, which are finer, are used",
     )
     flat = prim(
         "Mesh",
@@ -196,7 +196,7 @@ def test_an_approximation_that_is_left_out_is_said(read_physics) -> None:
     )
     found = read_physics(flat)
     assert len(only(found).triangles) == 2
-    assert found.notes[0].startswith("/Sheet: is flat: its own triangles are used")
+    assert found.notes[0].startswith("</Sheet>: is flat: its own triangles are used")
 
 
 def test_an_approximation_that_is_none_is_refused(read_physics) -> None:
@@ -226,7 +226,7 @@ def test_what_a_point_instancer_repeats_is_left_out_and_this_is_said(read_physic
     )
     found = read_physics(rocks)
     assert found.colliders == ()
-    assert found.notes == ("/Rocks: PointInstancer: the colliders it repeats are left out",)
+    assert found.notes == ("</Rocks>: PointInstancer: the colliders it repeats are left out",)
     assert read_physics(rocks.replace(COLLISION, "")).notes == ()
 
 
@@ -236,14 +236,14 @@ def test_colliders_without_a_surface_are_left_out_and_this_is_said(read_physics)
         prim("Xform", "Empty", apis=[COLLISION]), mesh("Flat", squash, apis=[COLLISION])
     )
     assert found.colliders == ()
-    assert found.notes[0] == "/Empty: is a Xform: only meshes and implicit shapes collide"
-    assert found.notes[1].startswith("/Flat: does not collide: its transform flattens it")
+    assert found.notes[0] == "</Empty>: is a Xform: only meshes and implicit shapes collide"
+    assert found.notes[1].startswith("</Flat>: does not collide: its transform flattens it")
 
 
 def test_a_broken_mesh_is_refused(read_physics) -> None:
     broken = BOX.replace("0,2,3,1", "0,2,3,99")
     with pytest.raises(
-        InputError, match="/Rock: 1 faceVertexIndices do not refer to any of its 8 points"
+        InputError, match="</Rock>: 1 faceVertexIndices do not refer to any of its 8 points"
     ):
         read_physics(prim("Mesh", "Rock", broken, apis=[COLLISION]))
 

@@ -64,7 +64,7 @@ def test_a_hull_follows_the_points_of_its_mesh_and_a_box_its_transform(read_phys
     box = only(found)
     assert [volume(box, k) for k in range(3)] == pytest.approx([1, 1, 1])
     assert box.positions(2).min(0)[0] == pytest.approx(4.0)
-    assert found.notes == ("/B: deforms, but its approximation only follows its transform",)
+    assert found.notes == ("</B>: deforms, but its approximation only follows its transform",)
 
 
 def test_points_that_change_in_number_are_held_and_this_is_said(read_physics) -> None:
@@ -73,7 +73,7 @@ def test_points_that_change_in_number_are_held_and_this_is_said(read_physics) ->
     found = read_physics(prim("Mesh", "Blob", alive, apis=[COLLISION]))
     assert only(found).deformed is None
     assert found.notes == (
-        "/Blob: has 9 points at time code 3 but 8 at rest: it only follows its transform",
+        "</Blob>: has 9 points at time code 3 but 8 at rest: it only follows its transform",
     )
 
 

@@ -92,7 +92,7 @@ def divided(
             continue
         if made is None:
             raise InputError(
-                f"{path}: {surface.path}: with edges of at most {longest / unit:g} units it would"
+                f"{path}: <{surface.path}>: with edges of at most {longest / unit:g} units it would"
                 f" have more than {MOST:,} triangles",
                 "give a larger --max-edge-length",
             )

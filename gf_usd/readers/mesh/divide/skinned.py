@@ -33,11 +33,11 @@ def refusal(prim: Usd.Prim, points: int) -> str:
     shared = _of_others(prim)
     for shape in _shapes(prim):
         if shape.GetPath() in shared:
-            return f"its blend shape {shape.GetPath()} is that of another mesh, too"
+            return f"its blend shape <{shape.GetPath()}> is that of another mesh, too"
         if shape.GetPrim().IsInstanceProxy():
-            return f"its blend shape {shape.GetPath()} is part of an instance"
+            return f"its blend shape <{shape.GetPath()}> is part of an instance"
         if _rows(shape, points) is None:
-            return f"its blend shape {shape.GetPath()} does not fit its points"
+            return f"its blend shape <{shape.GetPath()}> does not fit its points"
     return ""
 
 

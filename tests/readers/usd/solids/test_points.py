@@ -77,7 +77,7 @@ def test_points_come_first_and_the_surface_around_them_after(read) -> None:
     np.testing.assert_allclose(surface.points[: len(LATTICE)], LATTICE, atol=1e-7)
     assert surface.triangles.min() == len(LATTICE)
     assert signed_volume(surface.points, surface.triangles) > 0.0
-    assert "/P: a surface was constructed around its 64 points" in asset.facts.notes
+    assert "</P>: a surface was constructed around its 64 points" in asset.facts.notes
 
 
 def test_the_surface_has_the_color_of_the_nearest_point(read) -> None:
@@ -96,7 +96,7 @@ def test_the_surface_has_the_color_of_the_nearest_point(read) -> None:
 @pytest.mark.parametrize("api", ["NewtonPointsDeformableSimAPI", "PhysxParticleSetAPI"])
 def test_points_of_a_simulation_need_no_widths(read, api: str) -> None:
     asset = read(points("", apis=f'"{api}"'))
-    assert "/P: no widths are authored: the distance between neighbors, 0.25, is used" in (
+    assert "</P>: no widths are authored: the distance between neighbors, 0.25, is used" in (
         asset.facts.notes
     )
     assert 0.8 < signed_volume(asset.surfaces[0].points, asset.surfaces[0].triangles) < 1.0

@@ -88,5 +88,5 @@ def test_where_the_simulation_mesh_has_left_its_own_points_stay(tmp_path: Path) 
 
 
 def test_a_bind_pose_of_another_mesh_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="/Body/Skin: its bind pose has 3 points, but the mesh"):
+    with pytest.raises(InputError, match="</Body/Skin>: its bind pose has 3 points, but the mesh"):
         read_asset(stage(tmp_path, pose(AOUSD, POINTS[:3])))

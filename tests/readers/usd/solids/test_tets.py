@@ -131,11 +131,11 @@ INVERTED = [*KUHN[:4], (0, 5, 1, 7), KUHN[5]]
     [
         (
             tet_mesh(tets=[*KUHN[:5], (0, 5, 4, 8)]),
-            "/T: 1 tetVertexIndices do not refer to any of its 8 points; the first is 8",
+            "</T>: 1 tetVertexIndices do not refer to any of its 8 points; the first is 8",
         ),
         (
             tet_mesh(tets=INVERTED),
-            "/T: 1 of 6 tetrahedra are inverted at its points: number 4 has a volume of -0.167",
+            "</T>: 1 of 6 tetrahedra are inverted at its points: number 4 has a volume of -0.167",
         ),
         (
             tet_mesh(tets=[*KUHN, (0, 4, 6, 7), (0, 4, 6, 7)]),
@@ -176,7 +176,7 @@ def test_broken_tetrahedra_are_refused_in_words(read, body: str, message: str) -
     with pytest.raises(InputError) as refused:
         read(body)
     assert message in str(refused.value)
-    assert "/T: " in str(refused.value)
+    assert "</T>: " in str(refused.value)
     assert refused.value.hint
 
 
