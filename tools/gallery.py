@@ -73,10 +73,10 @@ def make(name: str, commands: str, folder: Path) -> None:
 
 
 def main() -> None:
-    ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    ask.add_argument("--only", nargs="*", metavar="NAME", help="without folder and suffix")
-    ask.add_argument("--keep", type=Path, metavar="FOLDER", help="to run in, and to keep")
-    args = ask.parse_args()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", nargs="*", metavar="NAME", help="without folder and suffix")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="to run in, and to keep")
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder: Path = args.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)

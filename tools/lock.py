@@ -26,9 +26,9 @@ BUILDS = ("editables",)  # of hatchling, for `pip install -e`
 
 def main() -> int:
     """Resolve, and replace the file; exit status of uv."""
-    ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    ask.add_argument("--upgrade", action="store_true", help="take the newest versions")
-    args = ask.parse_args()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--upgrade", action="store_true", help="take the newest versions")
+    args = parser.parse_args()
     with (ROOT / "pyproject.toml").open("rb") as file:
         builds = [*tomllib.load(file)["build-system"]["requires"], *BUILDS]
     with tempfile.TemporaryDirectory() as scratch:

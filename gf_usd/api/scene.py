@@ -262,7 +262,7 @@ def _triple(name: str, value: Any, most: float = math.inf, unit: str = "m") -> T
     if not np.isfinite([x, y, z]).all():
         raise UsageError(f"{name} is ({x}, {y}, {z})", "give finite numbers")
     if max(map(abs, (x, y, z))) > most:
-        raise UsageError(f"{name} is ({x:g}, {y:g}, {z:g}) {unit}", f"give up to {most:g} {unit}")
+        raise UsageError(f"{name} is ({x:g}, {y:g}, {z:g}) {unit}", f"give at most {most:g} {unit}")
     return x, y, z
 
 

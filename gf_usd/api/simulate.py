@@ -346,7 +346,7 @@ def _require_most(name: str, vectors: Array, most: float, unit: str) -> None:
     largest = float(np.abs(vectors).max(initial=0.0))
     if largest > most:
         raise UsageError(
-            f"{name}: the largest component is {largest:g} {unit}", f"give up to {most:g} {unit}"
+            f"{name}: the largest component is {largest:g} {unit}", f"give at most {most:g} {unit}"
         )
 
 

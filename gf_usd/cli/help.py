@@ -179,7 +179,7 @@ def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
 
 
 def with_bare_values(arguments: Sequence[str], known: Collection[str]) -> list[str]:
-    """The arguments, with the value of each option that stands alone; see `Option.bare`.
+    """The arguments, with the value of each option that is given alone; see `Option.bare`.
 
     known : flags of the command.  What follows such an option is its value where it can be one.
     """

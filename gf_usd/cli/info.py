@@ -135,7 +135,7 @@ def inputs(
                 for name in found.missing:
                     typer.echo(f"  missing           {name}")
         if as_json:
-            # flushed, so that the reader knows at which asset a crash occurred
+            # flushed, so that the output shows at which asset a crash occurred
             typer.echo(json.dumps(out))
     if refused is not None:
         raise typer.Exit(refused.exit_status)

@@ -159,7 +159,7 @@ def _execute(arguments: Sequence[str]) -> int:
     if len(arguments) == 2 and arguments[0] == "help" and arguments[1] in {*COMMANDS} - {*TOPICS}:
         arguments = (arguments[1], "--help")
     first = arguments[:1]
-    # Typer goes through the options of all the commands it knows before it runs one.
+    # Typer goes through the options of all registered commands before it runs one.
     chosen = first if first and first[0] in COMMANDS else COMMANDS
     try:
         require_working_folder()

@@ -27,7 +27,7 @@ Lengths on the command line are in units of the asset, unless the help says [m];
 radii of the body. USD files state their unit (metersPerUnit); the default of USD is
 centimeters. OBJ, PLY, STL and OFF files have no unit: meters are assumed, or centimeters or
 millimeters if only that makes the body a plausible size. --meters-per-unit overrides all of
-these. A warning tells you when a body is implausibly large or small in an assumed unit.
+these. There is a warning where a body is implausibly large or small in an assumed unit.
 
 Times are in frames (--frames, --clip-frames, --handles) or in time codes of the stage
 (--start, --range, and preview's --frame and --time-codes). --fps is frames per second."""),

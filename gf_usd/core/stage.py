@@ -453,7 +453,7 @@ class StageSpec:
 
     @property
     def says_material(self) -> bool:
-        """Whether any prim asks for a material of its own."""
+        """Whether any prim has a material of its own."""
         named = any(bake.material for bake in self.bakes.values())
         bound = any(
             body.material or any(subset.material for subset in body.subsets)

@@ -30,7 +30,7 @@ def implausible_size(asset: Asset) -> str:
     if least <= width <= HUGE:
         return ""
     likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
-    # Of the units that fit, a tiny asset wants the largest and a huge one the first named.
+    # Of the units that fit, a tiny asset gets the largest and a huge one the first in the list.
     fitting = max(likely, default=None) if width < least else next(iter(likely), None)
     measured = f"the asset is {width:.3g} m wide: {units:.4g} units of {unit:g} m"
     if fitting is None:

@@ -66,7 +66,7 @@ class Running:
         self._stopped = self._timed_out = False
 
     def stop(self) -> None:
-        """Ask the process to end, and kill it after the grace time."""
+        """Terminate the process, and kill it after the grace time."""
         self._stopped = True
         if not self._grace:
             self._signal(signal.SIGKILL)

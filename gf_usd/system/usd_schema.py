@@ -48,7 +48,7 @@ def schema_path() -> Path:
 
 
 def register(folder: Path) -> None:
-    """Register the library in ``folder`` and check that USD knows its APIs.
+    """Register the library in ``folder`` and check that USD has its APIs.
 
     Raises
     ------

@@ -107,7 +107,7 @@ def test_a_body_that_meets_itself_goes_on_to_the_bit():
 def test_samples_far_from_the_floor_are_left_out_without_a_trace(monkeypatch):
     """Between two detections only what the floor may reach until then is looked at.
 
-    The number of substeps is given: fewer springs of the floor would ask for fewer.
+    The number of substeps is given: fewer springs of the floor would require fewer.
     """
     counts, nearer, ends = [], ActiveSamples.nearer, []
 

@@ -69,5 +69,5 @@ def test_noise_loses_energy_and_never_gains(body, followers):
     for substeps in (1, 2, 4, 100):
         _, m, before, after = filtered(body, noise, substeps=substeps, followers=followers)
         energy.append((after * m.momentum(after)).sum() / (before * m.momentum(before)).sum())
-    assert energy[0] < 0.9  # a cell's 27 nodes hear of its eight particles only
+    assert energy[0] < 0.9  # a cell's 27 nodes depend on its eight particles only
     assert (np.diff(energy) < 0.0).all()

@@ -80,7 +80,7 @@ def test_the_lagrangian_limit_conserves_momentum_spin_and_energy():
         drift = np.linalg.norm(np.subtract(h.momentum, first.momentum))
         assert drift < 1e-5 * h.mass * np.linalg.norm(SPIN)
         assert h.kinetic + h.elastic == pytest.approx(E0, rel=0.01)
-    assert max(h.elastic for h in health) > 0.01 * E0, "the ball vibrates: the test sees exchange"
+    assert max(h.elastic for h in health) > 0.01 * E0, "the ball vibrates: the test has exchange"
     assert solver.state.done == sum(h.substeps for h in health)
 
 

@@ -31,7 +31,7 @@ def crash(flowing: str, real: type, particles: int = 600):
     ],
 )
 def test_momentum_and_angular_momentum_are_kept(flowing: str, real: type) -> None:
-    """Both to rounding: no step of the exchange knows another error.
+    """Both to rounding: no step of the exchange has another error.
 
     Each of n steps rounds the momentum of each particle or node by eps / 2 of it at most, and the
     moment of a kick is found from positions that are rounded to eps: a substep, and two kicks.

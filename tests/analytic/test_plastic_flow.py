@@ -277,7 +277,7 @@ def test_both_solvers_flow_alike(damping_time):
         lost = sum(frame.health.plastic_dissipation for frame in solver.frames())
         seen.append((plastic_strain(solver).mean(), lost))
     assert seen[0][0] > 0.05
-    # The grid of one goes with the body, which is strained by 0.3, and its particles meet others
+    # The grid of one moves with the body, which is strained by 0.3, and its particles meet others
     # on it: some per cent.
     assert seen[1] == pytest.approx(seen[0], rel=0.05)
 

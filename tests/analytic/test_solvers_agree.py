@@ -58,7 +58,7 @@ UPDATED_ONLY = {"snow", "fluid"}
 def test_both_solvers_agree_to_the_order_of_the_strain(law: str) -> None:
     total = strained(TotalLagrangian, law, "tl")
     updated = strained(UpdatedLagrangian, law, "ul")
-    # The grid of one goes with the body and that of the other does not: of the order of the strain.
+    # The grid of one moves with the body and that of the other does not: the order of the strain.
     assert updated[0] == pytest.approx(total[0], rel=3.0 * STRAIN)
     assert (total[1] > 0.0) == LAWS[law].flows
     assert updated[1] == pytest.approx(total[1], rel=3.0 * STRAIN)

@@ -89,7 +89,7 @@ def test_a_body_at_rest_stays_at_rest():
 @pytest.mark.slow
 def test_an_affine_velocity_is_an_affine_strain():
     # Splines reproduce what is affine: over one step of 1e-6 s F = I + dt A and v stays, up to
-    # (dt A)^2 / 2, for the grid sees the particles half a step further on.
+    # (dt A)^2 / 2, because the grid gets the particles half a step further on.
     body, _ = ball(300)
     made = look("rubber", body, damping_time=0.0, youngs_modulus=1e-6)
     s = settings(frames=2, substeps=1, fps=1e6)

@@ -266,7 +266,7 @@ def test_a_failure_has_a_hint_that_fits_a_scene() -> None:
 
 
 def test_a_frame_that_blows_up_is_redone() -> None:
-    """There the strain asks for a step of length 0, which was divided by."""
+    """There the strain requires a step of length 0, which was divided by."""
     simulation = gf_usd.simulate(alone(floor=0.99), frames=6, particles=100)
     next(simulation)
     simulation.set_velocities(lambda x: 4000.0 * (x - 0.5))  # [1/s] for 167 lengths a frame

@@ -17,7 +17,7 @@ from gf_usd.api.simulate import WORDS
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 UNIT = np.array([[x, y, z] for x in (0, 1) for y in (1, 2) for z in (0, 1)], float)
 FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-FASTEST = "give up to 1e+09 m/s"
+FASTEST = "give at most 1e+09 m/s"
 
 
 def scene(faces: Any = FACES, **options: Any) -> gf_usd.Scene:
@@ -142,7 +142,7 @@ def test_a_body_that_is_too_fast_is_refused(name: str, unit: str) -> None:
     fast: Any = {name: (1e30, 0, 0)}
     with pytest.raises(gf_usd.UsageError, match=rf"^{name} is \(1e\+30, 0, 0\) {unit}\n") as caught:
         gf_usd.Scene().add_body(UNIT, FACES, **fast)
-    assert caught.value.hint == f"give up to 1e+09 {unit}"
+    assert caught.value.hint == f"give at most 1e+09 {unit}"
 
 
 def test_a_name_that_a_bake_does_not_have_is_answered_with_those_it_has(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from gf_usd.cli.batch.console import openjd_lines, plain_lines
 
 
 class Clock:
-    """Time that passes when told."""
+    """Time that passes only where a test advances it."""
 
     now = 0.0
 

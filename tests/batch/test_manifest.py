@@ -1,4 +1,4 @@
-"""Manifests: what they ask for, and every way to ask for nothing."""
+"""Manifests: what they request, and every way to request nothing."""
 
 from __future__ import annotations
 

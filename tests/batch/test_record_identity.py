@@ -105,9 +105,9 @@ def test_no_bake_runs_what_the_code_leaves_out() -> None:
     """The hash of the code is over everything but these; nothing else may import them."""
     apart = {f"gf_usd.{package}" for package in APART}
     for path in PACKAGE.rglob("*.py"):
-        # An advisor is shown a picture; a batch, whose records the hash is for, asks none.  Nor
+        # An advisor is shown a picture; a batch, whose records the hash is for, uses none.  Nor
         # does it call the functions of the API that draw.  The package itself names types of
-        # results, which are loaded when somebody asks for them.
+        # results, which are loaded when they are used.
         inside = path.relative_to(PACKAGE)
         if inside.parts[0] in (*APART, "__init__.py", "api", "cli"):
             continue

@@ -113,7 +113,7 @@ def test_what_an_earlier_slice_settled_is_not_begun_again(tmp_path: Path) -> Non
         assert final is not None
         assert final.state == state
         assert final_outcome(sliced, "y") is None, "it would be another bake"
-        assert final_outcome(sliced, None) is None, "nobody knows"
+        assert final_outcome(sliced, None) is None, "it has not ended"
     record("crashed")
     assert final_outcome(sliced, "x") is None
     # a disk that was full then may have room now: there is something to go on from

@@ -160,8 +160,8 @@ def test_a_mesh_file_is_judged_by_its_materials(gf_usd, here, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-m", "auto,rubber"], "auto stands in a list"),
-        (["-m", "rubber,auto:x"], "auto:x stands in a list"),
+        (["-m", "auto,rubber"], "auto is in a list"),
+        (["-m", "rubber,auto:x"], "auto:x is in a list"),
         (["-m", "auto", "--preset", "paper"], "--preset paper and --material auto"),
         (["-m", "auto:nobody"], "there is no material advisor 'nobody'"),
         (["-m", "auto:"], "there is no material advisor ''"),

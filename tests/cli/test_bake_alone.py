@@ -39,7 +39,7 @@ def test_a_second_bake_is_refused_until_the_first_is_gone(gf_usd, here: Path, bl
         first.kill()
         first.communicate(timeout=60)
     require_whole(here)
-    # the file of a lock whose process was killed is in nobody's way, and goes with the next one
+    # the file of a lock whose process was killed blocks nothing, and is removed with the next one
     assert lock_path(here / f"{STEM}.usda").exists()
     assert gf_usd(*arguments).status == 0
     assert names(here) == [f"{STEM}.{end}" for end in ("cache.usdc", "report.json", "usda")]
@@ -101,6 +101,6 @@ def test_two_mesh_files_of_one_name_do_not_share_a_layer(
     # of the same file it may be, and is used again
     run(same)
     assert layer.read_bytes() == before
-    # who comes after the first is there hears it before anything is prepared
+    # a second process is refused before anything is prepared
     with pytest.raises(UsageError, match="was not made of this file in this way"):
         prepare(cubes[1], output="other.usda", **options)

@@ -131,7 +131,7 @@ def test_auto_slows_a_small_body_down(gf_usd, here: Path, block: Path) -> None:
     assert last == pytest.approx(165.0 - 0.5 * 981.0 * t * t, abs=1e-3)
     stage = Usd.Stage.Open(str(here / "block.rubber.usda"))
     velocities = np.array(stage.GetAttributeAtPath("/World/Block.velocities").Get(106.0))
-    # per second of playback, which is what motion blur wants
+    # per second of playback, which motion blur requires
     expected = -981.0 * t * settings["time_scale"]
     np.testing.assert_allclose(velocities[:, 2], expected, rtol=1e-4)
 

@@ -85,7 +85,7 @@ def test_the_result_is_a_sound_layer_over_the_capture(gf_usd, here, tmp_path):
     stage = Usd.Stage.Open("ball.jelly.usda")
     splats = stage.GetPrimAtPath("/ball/Splats")
     assert UsdGeom.Imageable(splats).ComputeVisibility() == UsdGeom.Tokens.inherited
-    # the particles inside are there for those who want them, and are not drawn
+    # the particles inside are kept but not drawn
     flesh = UsdGeom.Imageable(stage.GetPrimAtPath("/ball/GaussianFlesh/Gaussians"))
     assert flesh.ComputeVisibility() == UsdGeom.Tokens.invisible
     shown = gf_usd("preview", "ball.jelly.usda", "--size", "80x60", "-o", "ball.png")
@@ -130,7 +130,7 @@ def test_a_mesh_gives_its_particles_as_a_sequence(gf_usd, here, tmp_path):
     frame = read_splat_ply(here / "frames" / "block.rubber.0002.ply")
     there = positions("block.rubber.usda", "/World/GaussianFlesh/Gaussians", 102.0)
     np.testing.assert_allclose(frame.positions, there, rtol=SINGLE)
-    # the block's color (0.2, 0.4, 0.6) is linear, viewers of splats want it encoded
+    # the block's color (0.2, 0.4, 0.6) is linear, viewers of splats require it encoded
     shown = 0.5 + Y_0 * frame.harmonics[0, 0]
     np.testing.assert_allclose(shown, [0.4845, 0.6652, 0.7977], atol=1e-3)
 

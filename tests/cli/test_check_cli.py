@@ -1,4 +1,4 @@
-"""gf-usd check: findings in words and in JSON, and the exit status that a script asks for."""
+"""gf-usd check: findings in words and in JSON, and the exit status for scripts."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def test_a_vertex_group_pins_and_moves_with_its_object(drive: Callable[[str], An
     assert "there are the groups: hung up" in result["messages"][0]
     points = result["vertices"]["Bar.soft"]
     moved = (points[-1] - points[0])[result["top"]]
-    # what is pinned goes with the object; a layer of particles follows the skin to a part of h
+    # what is pinned moves with the object; a layer of particles follows the skin to a part of h
     np.testing.assert_allclose(moved[:, 0], 0.2, atol=0.02)
     np.testing.assert_allclose(moved[:, 2], 0.0, atol=0.02)
     rest = np.setdiff1d(np.arange(points.shape[1]), result["top"])
@@ -189,7 +189,7 @@ def test_errors_are_in_the_words_of_gf_usd(drive: Callable[[str], Any]) -> None:
     _, message, hint = messages["material"]
     assert message == "there is no material 'ruber'"
     assert hint.startswith("did you mean rubber?")
-    # and the user sees both
+    # and both are shown
     assert message in messages["material"][0]
     assert hint in messages["material"][0]
     assert messages["option"][1] == "gf-usd bake has no option --nonsense"

@@ -54,7 +54,7 @@ def test_the_validator_knows_not_the_extension_and_finds_nothing_else(
     # a joint that no Gaussian follows is a remark
     beside = {"UNSUPPORTED_EXTENSION"} | ({"NODE_EMPTY"} if bind == "nodes" else set())
     messages = validated(done.path)["messages"]
-    # the release of npm is older than the extension: it knows none of its attributes
+    # the release of npm is older than the extension: it has none of its attributes
     assert {row["code"] for row in messages} <= {"MESH_PRIMITIVE_INVALID_ATTRIBUTE", *beside}
     named = {row["pointer"].rpartition("/")[2] for row in messages if row["severity"] == 0}
     assert named

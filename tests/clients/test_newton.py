@@ -1,6 +1,6 @@
 """Newton's importer reads the materials we wrote: moduli, density and damping.
 
-Newton simulates what a stage asks it to.  A bake asks for nothing, it is the answer; so a layer
+Newton simulates what a stage specifies.  A bake specifies nothing, it is the result; so a layer
 over it adds a tetrahedron and makes the Points a body, both with the material that we wrote.
 """
 

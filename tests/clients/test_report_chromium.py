@@ -27,7 +27,7 @@ NASTY = "<script>document.title='owned'</script>"
 
 
 class Browser:
-    """A page in Chromium, with all that it says and asks for."""
+    """A page in Chromium, with its messages and requests."""
 
     def __init__(self, page: Any, file: Path) -> None:
         self.page, self.messages, self.requests = page, [], []

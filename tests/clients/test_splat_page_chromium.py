@@ -55,7 +55,7 @@ def chromium() -> Iterator[Any]:
 
 
 class Page:
-    """A page of splats with all that it says and asks for."""
+    """A page of splats with its messages and requests."""
 
     def __init__(self, chromium: Any, folder: Path, *sources: Splats) -> None:
         self.sources = sources
@@ -126,7 +126,7 @@ def test_it_plays_scrubs_and_steps(opened) -> None:
     before = page.evaluate("Array.from(player.viewer.moving.slice(0, 3))")
     page.fill("#slider", "0")
     assert page.inner_text("#counter") == "1 / 5"
-    for _ in range(100):  # the picture is drawn when the browser asks for one
+    for _ in range(100):  # the picture is drawn when the browser requests one
         if page.evaluate("Array.from(player.viewer.moving.slice(0, 3))") != before:
             break
         page.wait_for_timeout(50)

@@ -121,7 +121,7 @@ def test_slow_motion_is_the_motion_at_half_the_time(tmp_path: Path, clips: int) 
 
 
 def test_linear_interpolation_would_be_coarser(root: Path) -> None:
-    # The bound of the test above tells the cubic from a straight line.
+    # The bound of the test above separates the cubic from a straight line.
     stage = open_with(root, "rubber")
     rest = rest_of(stage)
     straight = (values(stage, "points", 12.0) + values(stage, "points", 13.0)) / 2.0

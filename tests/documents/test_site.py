@@ -153,7 +153,7 @@ def test_no_page_loads_anything_of_another_host(site: Path) -> None:
 
 
 def opened(pages: Iterator[Path]) -> set[str]:
-    """Addresses that Chromium asks for while it shows the pages."""
+    """Addresses that Chromium requests while it shows the pages."""
     from playwright.sync_api import sync_playwright
 
     requested: set[str] = set()

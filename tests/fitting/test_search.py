@@ -88,7 +88,7 @@ def test_intervals_grow_with_the_noise() -> None:
 
 
 def test_errors_that_last_count_once() -> None:
-    # the same error at all points: five points tell no more than one
+    # the same error at all points: five points give no more than one
     wave = NOISE * np.random.default_rng(5).standard_normal(40)
     alike = judged(found(motion(TRUTH) + wave))
     apart = judged(

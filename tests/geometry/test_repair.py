@@ -66,7 +66,7 @@ def test_a_cap_takes_color_uv_and_material_from_what_is_beside_it():
     corners = body.triangles.reshape(-1)
     body = replace(
         body,
-        # Every value is that of the point, so that a cap's can be told by its corners.
+        # Every value is that of the point, so that a cap's can be recognized by its corners.
         triangle_colors=body.points[corners].reshape(-1, 3, 3),
         triangle_uvs=body.points[corners, :2].reshape(-1, 3, 2),
         triangle_materials=np.full(len(body.triangles), 4),

@@ -41,7 +41,7 @@ def test_inner_shells_are_dropped_and_the_solid_stays(sizes, inner: int, volume:
     X = np.random.default_rng(0).uniform(-0.1, 1.1, (400, 3))
     before, after = (build_solid(asset(one)).inside(X) for one in (body, mended))
     assert np.array_equal(before, after)
-    # 400 points in 1.2^3 m^3 tell 1 m^3 with a standard deviation of 0.043
+    # 400 points in 1.2^3 m^3 measure 1 m^3 with a standard deviation of 0.043
     assert 1.2**3 * after.mean() == pytest.approx(volume, abs=0.15)
 
 

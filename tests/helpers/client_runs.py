@@ -60,7 +60,7 @@ def findings(stage: Path, folder: Path) -> set[tuple[str, str, str]]:
     Warnings are left out.
     """
     report = folder / f"{stage.stem}.json"
-    # it exits 1 on a warning too: only the JSON tells
+    # it exits 1 on a warning too: only the JSON differs
     run(
         [programs("validation") / "nvidia_usd_validate", stage, "--json-output", report],
         status=(0, 1),

@@ -86,7 +86,7 @@ def sum_without_followers(body: ti.template(), node, filtering, options: ti.temp
 
 @dataclass(frozen=True)
 class Fault:
-    """What a module has by a name, what takes its place, and who sees it."""
+    """What a module has by a name, what takes its place, and which module reads it."""
 
     home: Any
     name: str

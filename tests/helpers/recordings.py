@@ -128,7 +128,7 @@ class MeltingBox(FallingBox):
 
 
 def health(frame: int) -> dict[str, Any]:
-    """What a solver could have said of a frame of the box."""
+    """The health of a frame of the box, as a solver could measure it."""
     low, stretch = squash(frame)
     return {
         "kinetic": 1.0 * frame, "elastic": 0.5, "potential": 2.0 * low, "contact": 0.0,

@@ -83,7 +83,7 @@ QUICK = ("odd[]", "double")
     "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in OTHER]
 )
 def test_values_of_another_type_than_the_schema_has(tmp_path: Path, kind: str) -> None:
-    """USD reads what is authored, also under type names that nobody knows."""
+    """USD reads what is authored, also under unknown type names."""
     whole = STAGE.replace("float physics:density", "vector3f[] velocities = [(0, 0, 1)]\n{0}{0}")
     whole = whole.replace("{0}{0}", "        float physics:density")
     found = list(DECLARED.finditer(whole))
@@ -124,8 +124,8 @@ def test_mutated_files(tmp_path: Path, seed: int) -> None:
         cases.append(tmp_path / f"case{number}{file.suffix}")
         cases[-1].write_bytes(broken(file.read_bytes(), file.suffix, dice))
     for case, message in stopped(cases, EACH).items():
-        # A count in a crate that USD believes: nothing but a limit stops it.  Which one comes first
-        # depends on how fast the machine hands out memory.
+        # USD does not check a count in a crate: nothing but a limit stops it.  Which one comes
+        # first depends on how fast the machine hands out memory.
         crate = case.suffix in (".usdc", ".usdz")
         limited = "asked for more than 8 GB" in message or "took longer than 30 s" in message
         assert crate, message
@@ -136,7 +136,7 @@ def test_mutated_files(tmp_path: Path, seed: int) -> None:
 def test_fuzzer_finds_no_error_of_others_in_a_short_run() -> None:
     """Other cases than the recorded runs: as many as 20 s hold.
 
-    A crash, a hang or want of memory in USD's own parser is what the child is for, and has been
+    A crash, a hang or lack of memory in USD's own parser is what the child is for, and has been
     seen; an error that is not ours would be a fault of our readers.
     """
     command = [

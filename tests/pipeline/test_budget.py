@@ -162,7 +162,7 @@ def test_the_solver_that_was_asked_is_the_one_that_bakes(plan: Plan) -> None:
     assert solvers.substeps(variant) == substeps
     changed = Prepared(plan=replace(plan, settings=replace(plan.settings, substeps=7)))
     (variant,) = changed.plan.variants
-    assert changed.solvers.substeps(variant) == 7, "a plan with other settings asks its own solver"
+    assert changed.solvers.substeps(variant) == 7, "a plan with other settings uses its own solver"
 
 
 def test_a_solver_that_is_too_large_to_wait_is_built_again(

@@ -86,7 +86,7 @@ def test_a_bake_that_may_end_at_rest_takes_at_most_that_long() -> None:
 def test_a_complete_bake_is_told_what_it_took_and_not_what_was_expected(
     after: int, reported: bool
 ) -> None:
-    """A table came to rest after 64 s, and its last lines said that it will take 6 minutes."""
+    """A table came to rest after 64 s, and its last lines predicted 6 minutes."""
     clock = Clock()
     made = Forecast({**cost(100.0), "ends_early": True}, 100, 1.0, clock=clock)
     follow(made, clock, [100] * 10 + [400] * after, 0.01)

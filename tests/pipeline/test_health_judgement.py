@@ -196,7 +196,7 @@ def test_only_what_falls_is_to_fall_from_a_lower_height(about: str) -> None:
 
 def test_faces_that_are_too_coarse_are_to_be_divided_before_anything_else() -> None:
     """Of dominoes of 12 faces each 20 % were inside others, of the same with divided faces nothing:
-    the hint asked for more particles.
+    the hint proposed more particles.
     """
     coarse = Health(inside_share=0.2, inside_depth=0.01, outside_share=0.14, outside_mesh="</D>")
     inside, _ = health_warnings(summary(coarse))
@@ -209,7 +209,7 @@ def test_faces_that_are_too_coarse_are_to_be_divided_before_anything_else() -> N
 
 @pytest.mark.parametrize("about", ["inside-out", "redone"])
 def test_a_law_is_named_only_to_those_that_do_not_have_it(about: str) -> None:
-    """The presets are Neo-Hookean already: "use --law neoHookean" told them nothing."""
+    """The presets are Neo-Hookean already: "use --law neoHookean" did not apply to them."""
     unsound = CASES[about][1]
     (corotated,) = health_warnings(unsound, ["neoHookean", "corotated"])
     assert "use --law neoHookean" in corotated.hint

@@ -1,4 +1,4 @@
-"""Solid and flowing bodies in one bake: what it is made of, what it promises, what it refuses."""
+"""Solid and flowing bodies in one bake: its plan, its results and its errors."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def test_a_negative_number_of_gravity_points_up_with_a_note(tmp_path: Path) -> N
         ("1,2,3\n", "line 1 has 3 numbers"),
         ("2,9\n1,9\n", "line 2: time code 1 follows 2"),
         ("1,x\n", "line 1"),
-        ("1,1e30\n", "line 1 says 1e+30"),
+        ("1,1e30\n", "line 1 has 1e+30"),
     ],
 )
 def test_a_file_that_holds_no_keys_is_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -100,7 +100,7 @@ def test_the_json_is_json_and_has_every_documented_key():
 
 
 def test_each_material_has_its_cost():
-    # asked for one by one: of two with one law the second finds its kernels loaded
+    # requested one by one: of two with one law the second finds its kernels loaded
     rubber, metal = (
         inspect(DUCK, material=name, **FEW).as_json()["materials"][0]
         for name in ("rubber", "metal")
@@ -292,7 +292,7 @@ def test_parts_without_particles_are_named(stage):
 def test_memory_is_estimated_within_a_factor_of_two(tmp_path, particles):
     sizes = {"particles": particles, "frames": 2}
     expected = inspect(DUCK, **sizes).as_json()["materials"][0]["memory_bytes"]
-    # VmHWM is of this program alone; ru_maxrss remembers the process that was forked for it
+    # VmHWM is of this program alone; ru_maxrss includes the process that was forked for it
     script = (
         "import pathlib, re, gf_usd\n"
         f"gf_usd.bake({str(DUCK)!r}, **{sizes})\n"

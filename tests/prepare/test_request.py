@@ -87,7 +87,7 @@ def test_sensible_options_pass() -> None:
 
 
 def gravity_of(text: str | None) -> tuple[float, float, float]:
-    """[m/s^2] that a text asks for."""
+    """[m/s^2] that a text states."""
     return gravity_vector(Request(gravity=text).parsed["gravity"], UP)
 
 

@@ -66,7 +66,7 @@ def test_what_no_sensible_number_fills_gets_no_advice() -> None:
 )
 def test_what_was_asked_for_wins_and_nothing_is_measured(particles, spacing, paper) -> None:
     def never():
-        raise AssertionError("asked in vain")
+        raise AssertionError("evaluated in vain")
 
     made = resolution(particles, spacing, StageSpec(), dict, never, paper=paper)
     assert made.spacing == spacing
@@ -86,7 +86,7 @@ def test_thin_walls_that_take_more_particles_than_asked_for_are_told(plan) -> No
     assert len(thin.particles) > 400
     assert noted(thin, f"there are {len(thin.particles)} particles instead of 200")
     assert not noted(plan(mesh("Block"), particles=200), "instead of")
-    # a spacing asks for no number
+    # a spacing requires no number
     assert not noted(plan(mesh("Plate", scaled), particles=None, spacing=0.05), "instead")
 
 

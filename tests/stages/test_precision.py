@@ -97,7 +97,7 @@ def test_a_retimed_bake_is_still_within_the_error(bakes, tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_a_mesh_that_never_moves_is_not_written(tmp_path: Path) -> None:
-    """The other one falls; what reads the bake sees the points of the asset."""
+    """The other one falls; readers of the bake get the points of the asset."""
     block = BLOCK.rindex("    def Mesh")
     wall = BLOCK[block:].rpartition("}")[0].replace("Block", "Wall")
     wall = wall.replace("(-10,", "(90,").replace("(10,", "(110,")

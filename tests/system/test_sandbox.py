@@ -191,7 +191,9 @@ def numbers(file: Path) -> list[int]:
     return [int(word) for word in file.read_text().split()]
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux who runs")
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="reads /proc for running processes"
+)
 def test_a_child_and_what_it_started_end_when_nobody_wants_the_result(tmp_path: Path) -> None:
     file, note = tmp_path / "a.usda", tmp_path / "numbers"
     file.write_text("#usda 1.0\n")
@@ -201,7 +203,9 @@ def test_a_child_and_what_it_started_end_when_nobody_wants_the_result(tmp_path: 
     assert gone(pids)
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux who runs")
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="reads /proc for running processes"
+)
 def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     file, note = tmp_path / "a.usda", tmp_path / "numbers"
     file.write_text("#usda 1.0\n")

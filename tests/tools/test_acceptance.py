@@ -221,7 +221,7 @@ def test_a_record_of_assets_has_no_paths() -> None:
 
 
 def test_jittered_runs_go_on_from_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Only rows of the seed that is asked for are taken."""
+    """Only rows of the given seed are taken."""
     from dataclasses import asdict
 
     from tools.acceptance.jitter import Ran, main

@@ -1,4 +1,4 @@
-"""What the acceptance of characters asks of a baked stage."""
+"""What the acceptance of characters requires of a baked stage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""requirements.lock has what pyproject.toml asks for, each file by its hash."""
+"""requirements.lock has what pyproject.toml requires, each file by its hash."""
 
 from __future__ import annotations
 

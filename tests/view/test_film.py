@@ -86,7 +86,7 @@ def test_what_cannot_be_written_is_said(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="60 frames per second"):
         write_gif(tmp_path / "a.gif", frames(), 60.0, [picture(0)])
     monkeypatch.setattr(movie, "MP4", ("-no-such-option", "1"))
-    # also where all frames fit into the pipe before ffmpeg gives up
+    # also where all frames fit into the pipe before ffmpeg fails
     for count in (400, 2):
         with pytest.raises(BakeError, match="ffmpeg could not write"):
             write_mp4(tmp_path / "a.mp4", frames(count), 24.0, (WIDTH, HEIGHT))

@@ -74,8 +74,8 @@ def program() -> str:
     return found
 
 
-def session(bundle: Path, hear: Callable[[Session], None] = lambda session: None) -> Session:
-    """Run a whole bundle here; `hear` is called after every line and may do harm."""
+def session(bundle: Path, disturb: Callable[[Session], None] = lambda session: None) -> Session:
+    """Run a whole bundle here; `disturb` is called after every line and may do harm."""
     command = [program(), "run", bundle / "template.json", "-p", f"file://{bundle}/parameters.json"]
     process = subprocess.Popen(
         list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
@@ -85,7 +85,7 @@ def session(bundle: Path, hear: Callable[[Session], None] = lambda session: None
     found, stopped_at = Session(process), 0.0
     for line in process.stdout:
         found.lines.append(line.rstrip())
-        hear(found)
+        disturb(found)
         if "Interruption signal" in line:
             stopped_at = time.monotonic()
     process.wait()
@@ -230,7 +230,7 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
     good = 9 * seeds
     with cluster(folder, PORT) as workers:
 
-        def meddle(found: Run, event: Event) -> None:
+        def disturb(found: Run, event: Event) -> None:
             ended = len(found.ended("done"))
             if event["event"] == "started" and ended >= 3 and "killed" not in found.done:
                 # in the middle of a bake: the job has to be done by the other worker
@@ -244,7 +244,7 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
                 found.done["ended"] = True
                 found.process.send_signal(signal.SIGTERM)
 
-        first = run(arguments, meddle)
+        first = run(arguments, disturb)
         ended = workers[0].poll()
         claim("a worker was killed", ended, ended == -signal.SIGKILL)
         claim("SIGTERM: exit status", first.process.returncode, first.process.returncode == 143)

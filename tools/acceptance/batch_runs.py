@@ -23,7 +23,7 @@ CORRUPT = "corrupt.usda"
 PATIENCE = 60.0  # [s] for something that should happen soon
 
 Event = dict[str, Any]
-Meddle = Callable[["Run", Event], None]
+Disturb = Callable[["Run", Event], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class Run:
 
     process: subprocess.Popen[str]
     events: list[Event] = field(default_factory=list)
-    done: dict[str, Any] = field(default_factory=dict)  # whatever a meddler wants to remember
+    done: dict[str, Any] = field(default_factory=dict)  # whatever `disturb` records
 
     def ended(self, *states: str) -> list[Event]:
         """The events of jobs that ended in one of these states, or in any."""
@@ -78,8 +78,8 @@ class Run:
         return dict(Counter(e["state"] for e in self.ended()))
 
 
-def run(arguments: Sequence[object], meddle: Meddle = lambda run, event: None) -> Run:
-    """Run ``gf-usd batch --json`` to its end; `meddle` hears each event and may do harm."""
+def run(arguments: Sequence[object], disturb: Disturb = lambda run, event: None) -> Run:
+    """Run ``gf-usd batch --json`` to its end; `disturb` gets each event and may do harm."""
     command = [sys.executable, "-m", "gf_usd", "batch", *map(str, arguments), "--json", "-q"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     assert process.stdout is not None
@@ -88,7 +88,7 @@ def run(arguments: Sequence[object], meddle: Meddle = lambda run, event: None) -
         with contextlib.suppress(ValueError):  # a line that a kill cut short
             event = json.loads(line)
             found.events.append(event)
-            meddle(found, event)
+            disturb(found, event)
     process.wait()
     return found
 

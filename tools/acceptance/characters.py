@@ -89,12 +89,12 @@ def bake(name: str, file: Path, folder: Path, particles: int | None) -> Ran:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Bake them and print what came of it."""
-    ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    ask.add_argument("assets", type=Path)
-    ask.add_argument("--only", action="append", default=[], choices=tuple(FILES))
-    ask.add_argument("--particles", type=int, help="fewer or more than the default")
-    ask.add_argument("--keep", type=Path, help="folder for what was baked")
-    args = ask.parse_args(arguments)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("assets", type=Path)
+    parser.add_argument("--only", action="append", default=[], choices=tuple(FILES))
+    parser.add_argument("--particles", type=int, help="fewer or more than the default")
+    parser.add_argument("--keep", type=Path, help="folder for what was baked")
+    args = parser.parse_args(arguments)
     runs = []
     with tempfile.TemporaryDirectory() as scratch:
         for name in args.only or FILES:

@@ -51,14 +51,14 @@ EACH = Limits(time=10.0, memory=8e9, output=1e8)
 
 def main() -> int:
     """Run the cases and print what came of them."""
-    ask = argparse.ArgumentParser(description=__doc__)
-    ask.add_argument("--seed", type=int, default=0)
-    ask.add_argument("--count", type=int, default=1000)
-    ask.add_argument("--seconds", type=float, default=240.0, help="stop after this time [s]")
-    ask.add_argument("--options", action="store_true", help="combine options instead")
-    ask.add_argument("--bake", action="store_true", help="bake with each value of each option")
-    ask.add_argument("--keep", type=Path, help="folder for the files that were findings")
-    args = ask.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--seconds", type=float, default=240.0, help="stop after this time [s]")
+    parser.add_argument("--options", action="store_true", help="combine options instead")
+    parser.add_argument("--bake", action="store_true", help="bake with each value of each option")
+    parser.add_argument("--keep", type=Path, help="folder for the files that were findings")
+    args = parser.parse_args()
     until = time.monotonic() + args.seconds
     if args.options:
         return run_options(args.seed, args.count, until)

@@ -190,15 +190,15 @@ def earlier(file: Path | None, seed: int) -> dict[tuple[str, int], Ran]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run all and print what came of them."""
-    ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    ask.add_argument("--json", action="store_true", help="print the runs as JSON")
-    ask.add_argument("--runs", type=int, default=RUNS, help="of each scene")
-    ask.add_argument("--seed", type=int, default=0)
-    ask.add_argument("--keep", type=Path, help="folder for what was baked")
-    ask.add_argument("--only", action="append", choices=[scene.file for scene in SCENES])
-    ask.add_argument("--rows", type=Path, help="JSON lines of the runs, to go on from")
-    ask.add_argument("--kept", action="store_true", help="bake nothing")
-    args = ask.parse_args(arguments)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print the runs as JSON")
+    parser.add_argument("--runs", type=int, default=RUNS, help="of each scene")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder for what was baked")
+    parser.add_argument("--only", action="append", choices=[scene.file for scene in SCENES])
+    parser.add_argument("--rows", type=Path, help="JSON lines of the runs, to go on from")
+    parser.add_argument("--kept", action="store_true", help="bake nothing")
+    args = parser.parse_args(arguments)
     there = earlier(args.rows, args.seed)
     runs = []
     with tempfile.TemporaryDirectory() as scratch:

@@ -109,8 +109,8 @@ def which_inside(points: Any, triangles: Any, mesh: Any, pieces: Pieces) -> tupl
     """(p,) whether both sides of a piece of a triangle have a winding number above 1/2, and its
     area.
 
-    Its own mesh is asked next to it, where its winding number is a whole number.  The others are
-    asked on it: meshes that touch, and do not stand in each other, have nothing inside.
+    The winding number of its own mesh is evaluated next to it, where it is a whole number, and
+    those of the others on it: meshes that touch without penetration have nothing inside.
     """
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     cross = np.cross(b - a, c - a)
@@ -251,16 +251,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Bake them and print what came of it."""
     from limbed import write_limbed
 
-    ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    ask.add_argument("assets", type=Path)
-    ask.add_argument("--only", action="append", default=[], metavar="NAME[:LOOK]")
-    ask.add_argument("--json", action="store_true", help="print the bakes as JSON")
-    ask.add_argument("--keep", type=Path, help="folder for what was baked")
-    ask.add_argument("--again", action="store_true", help="measure again what is in that folder")
-    ask.add_argument("--recorded", type=Path, help="record with rows that are not baked again")
-    ask.add_argument("--kept", action="store_true", help="bake nothing")
-    ask.add_argument("--divide", type=float, metavar="SHARE", help="divide long faces first")
-    args = ask.parse_args(arguments)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("assets", type=Path)
+    parser.add_argument("--only", action="append", default=[], metavar="NAME[:LOOK]")
+    parser.add_argument("--json", action="store_true", help="print the bakes as JSON")
+    parser.add_argument("--keep", type=Path, help="folder for what was baked")
+    parser.add_argument("--again", action="store_true", help="measure again what is in that folder")
+    parser.add_argument("--recorded", type=Path, help="record with rows that are not baked again")
+    parser.add_argument("--kept", action="store_true", help="bake nothing")
+    parser.add_argument("--divide", type=float, metavar="SHARE", help="divide long faces first")
+    args = parser.parse_args(arguments)
     wanted = [word.partition(":")[::2] for word in args.only] or [("", "")]
     pairs = [
         (name, look)
@@ -269,7 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if any(a in ("", name) and b in ("", look) for a, b in wanted)
     ]
     if not pairs:
-        ask.error(f"--only: choose of {', '.join((*FILES, *MADE))}, each with :LOOK or without")
+        parser.error(f"--only: choose of {', '.join((*FILES, *MADE))}, each with :LOOK or without")
     runs, before = [], recorded(args.recorded) if args.recorded else {}
     with tempfile.TemporaryDirectory() as scratch:
         for name, look in pairs:
@@ -280,7 +280,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 write_limbed(name, file)
             if args.divide:
                 if file.suffix not in (".usda", ".usdc", ".usdz"):
-                    ask.error(f"--divide: {file.name} is not USD")
+                    parser.error(f"--divide: {file.name} is not USD")
                 whole, file = file, folder / f"{name}-divided.usdc"
                 divide(whole, file, args.divide)
             seen = folder / look / RESULT

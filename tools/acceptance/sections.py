@@ -403,7 +403,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     everything = [name for name in SECTIONS if name != PLASTIC]
     chosen = [] if options.page else options.only or everything
     if options.rows and (ASSETS in chosen) == (JITTER in chosen):
-        parser.error(f"--rows goes with --only {ASSETS} or --only {JITTER}")
+        parser.error(f"--rows requires --only {ASSETS} or --only {JITTER}")
     if options.assets is None:
         for name in OF_ASSETS:
             if name in (options.only or ()):

@@ -201,7 +201,7 @@ def main() -> int:
             one = bake(pair, folder)
             outcomes.append(one)
             print(
-                f"{pair.name}: {one.estimate:.1f} s said, {one.took:.1f} s taken"
+                f"{pair.name}: {one.estimate:.1f} s estimated, {one.took:.1f} s taken"
                 f" ({one.ratio:.2f}), {one.substeps} substeps of {one.foretold:.0f},"
                 f" {one.passed:.1f} s passed",
                 file=sys.stderr, flush=True,

@@ -68,7 +68,7 @@ def speed(made: Callable[[], Any], body: Any, dt: float, seconds: float) -> dict
     while wall < seconds:
         if at * dt >= scene.SECONDS:
             body, at = made(), 0
-        # a frame of substeps a call, as a program would ask for them
+        # a frame of substeps a call, as a program would request them
         began, began_cpu = time.perf_counter(), time.process_time()
         while at * dt < scene.SECONDS and wall + time.perf_counter() - began < seconds:
             body.advance(frame)

@@ -32,7 +32,7 @@ class Peer:
     requirements: tuple[str, ...] = ()
     sizes: tuple[int, ...] = (1_000, 10_000, 100_000)  # that its time allows
     options: dict[str, Any] = field(default_factory=dict)
-    law: str = "corotated"  # what it obeys; gf-usd's name of it, empty where it has none
+    law: str = "corotated"  # constitutive law; gf-usd's name of it, empty where it has none
     remark: str = ""
 
 

@@ -56,7 +56,7 @@ def isosurface(
     low, high = positions.min(0) - 3.0 * widest, positions.max(0) + 3.0 * widest
     step = float((high - low).max()) / resolution
     n = np.ceil((high - low) / step).astype(int) + 1
-    # igl wants x to run fastest
+    # igl requires x to vary fastest
     z, y, x = np.meshgrid(*(np.arange(n[d]) for d in (2, 1, 0)), indexing="ij")
     grid = low + step * np.stack([x.ravel(), y.ravel(), z.ravel()], -1)
     values = density(grid, positions, axes)
@@ -66,7 +66,7 @@ def isosurface(
             f" reaches the level {level:g}",
             "widen the Gaussians, or take a lower level",
         )
-    march: Any = igl.marching_cubes  # its stub knows no unpacked sizes
+    march: Any = igl.marching_cubes  # its stub has no unpacked sizes
     made = march(values, np.ascontiguousarray(grid), *map(int, n), float(level))
     return np.asarray(made[0]), np.asarray(made[1], np.int64)
 
@@ -101,7 +101,7 @@ def distances(points: Floats, vertices: Floats, triangles: Ints) -> Floats:
             "pip install open3d",
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
-    tensor: Any = open3d.core.Tensor  # its stub knows no numpy arrays
+    tensor: Any = open3d.core.Tensor  # its stub has no numpy arrays
     # single precision: centered, so that far from the origin no digits are lost
     center = vertices.mean(0)
     scene.add_triangles(

@@ -1,4 +1,4 @@
-"""One run of the paper's scene: every figure its tables ask for, frame by frame."""
+"""One run of the paper's scene: every figure of its tables, frame by frame."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def read_options(
         (frame is not None, "--frame", not many, "use --time-codes A:B for films and sheets"),
         (frames is not None, "--time-codes", many, "use --frame for a single image, or --sheet 12"),
         (fps is not None, "--fps", film, "write a film: -o out.mp4"),
-        (columns is not None, "--columns", sheet is not None, "ask for a sheet: --sheet 12"),
+        (columns is not None, "--columns", sheet is not None, "make a sheet: --sheet 12"),
         (
             limits is not None,
             "--color-range",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-# sqrt(3 J2), the equivalent stress, is bounded here, and a viscosity goes with its rate.
+# sqrt(3 J2), the equivalent stress, is bounded here, and a viscosity refers to its rate.
 FLOW = {"yield_stress": ("yieldStress", 3.0**0.5), "flow_viscosity": ("viscosity", 3.0)}
 GRAINS = {"internal_friction": ("internalFriction", 1.0), "cohesion": ("yieldStress", 1.0)}
 GRANULAR, CRUSHABLE = "druckerPrager", "crushable"

@@ -206,8 +206,8 @@ class _Parts:
         a, b, c = np.moveaxis(rows.skins.points[rows.skins.triangles[rows.triangle[begin]]], 1, 0)
         inward = -cross(b - a, c - a)
         way = rows.center[end] - rows.center[begin]
-        sees = (inward * way).sum(1) > 0.0
-        begin, end, one = begin[sees], end[sees], one[sees]
+        visible = (inward * way).sum(1) > 0.0
+        begin, end, one = begin[visible], end[visible], one[visible]
         hit = rows.first_hit(rows.center[begin], end, besides=begin)
         return np.stack([one, rows.patch[hit]], 1)
 

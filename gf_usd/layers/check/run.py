@@ -20,7 +20,7 @@ from gf_usd.layers.check.structure import TIME_CODES
 from gf_usd.layers.check.validators import run_validators
 from gf_usd.layers.stage import VARIANT_SET
 from gf_usd.layers.usd_warnings import gathered
-from gf_usd.system import usd_schema  # noqa: F401  (the rules ask USD for the schema's definitions)
+from gf_usd.system import usd_schema  # noqa: F401  (the rules read the schema's definitions from USD)
 from gf_usd.system.atomic_files import require_utf8
 
 UNSAFE = "not run: the time codes of a layer do not advance, so reading its samples would never end"

@@ -50,7 +50,7 @@ class SplatTrack:
     shape : (N,) [stage units] tolerance of the shape of each (see `accuracy`): orientations
         and scales have half precision where that is within it.  None: as `half` says.
     velocities : whether they are written.
-    laws : of the materials; their internal variables are written where the settings ask for them.
+    laws : of the materials; their internal variables are written where the settings request them.
     """
 
     def __init__(

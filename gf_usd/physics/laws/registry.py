@@ -211,11 +211,11 @@ class ParticleLaws:
         )
         return shear, bulk
 
-    def _each(self, ask: Callable[[Law, Ints], Floats]) -> Floats:
+    def _each(self, value_of: Callable[[Law, Ints], Floats]) -> Floats:
         if not self.set.several:
-            return ask(self.set.first, np.s_[:])
+            return value_of(self.set.first, np.s_[:])
         parts = [np.flatnonzero(self.of == k) for k in range(len(self.set.laws))]
-        values = [ask(law, mine) for law, mine in zip(self.set.laws, parts)]
+        values = [value_of(law, mine) for law, mine in zip(self.set.laws, parts)]
         out = np.empty((*values[0].shape[:-1], len(self.of)))
         for mine, value in zip(parts, values):
             out[..., mine] = value

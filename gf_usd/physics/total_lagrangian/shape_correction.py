@@ -151,5 +151,5 @@ class ShapeCorrection:
 
 
 def is_active(settings: Settings) -> bool:
-    """Whether the settings ask for an operation between frames."""
+    """Whether the settings have an operation between frames."""
     return settings.procrustes > 0.0 or settings.wls

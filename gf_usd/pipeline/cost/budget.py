@@ -39,7 +39,7 @@ KEPT = 200_000  # particles of all solvers that are kept until their bake, at 4 
 class Solvers:
     """The solvers of a bake's variants, each built once.
 
-    Building a solver is expensive, and only the solver knows the number of substeps per frame. The
+    Building a solver is expensive, and only the solver has the number of substeps per frame. The
     solver that is built for the estimate is therefore also used for the bake.
 
     build : makes the solver of a variant, in its initial state.

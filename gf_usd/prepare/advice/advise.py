@@ -24,7 +24,7 @@ from gf_usd.prepare.advice import AUTO, Auto, Question
 if TYPE_CHECKING:
     from gf_usd.core.scene import RenderMesh, Scene
 
-PICTURE = (512, 512)  # pixels of what an advisor sees: what vision models take in one tile
+PICTURE = (512, 512)  # pixels of what an advisor gets: what vision models take in one tile
 Draw = Callable[["Scene", tuple[int, int]], Any]  # scene, size -> pixels (height, width, 3)
 ROUGHNESS = 0.5  # of all surfaces in the picture
 
@@ -41,7 +41,7 @@ def parse_auto(material: str | None, preset: str | None) -> Auto | None:
         return None
     if len(parts) > 1:
         raise UsageError(
-            f"--material {material}: {mine[0]} stands in a list, and it chooses for itself",
+            f"--material {material}: {mine[0]} is in a list, but it chooses the material itself",
             f"bake with --material {mine[0]} alone, and the others in a bake of their own",
         )
     if preset is not None:

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
 
 
-FLOW = frozenset(p.name for p in law_parameters() if p.required)  # asks for a law that flows
+FLOW = frozenset(p.name for p in law_parameters() if p.required)  # require a law that flows
 
-AUTHORED = "authored"  # the look of a stage whose prims do not all ask for the same
+AUTHORED = "authored"  # the look of a stage whose prims have different materials
 
 SAME = 1e-3  # relative: materials that differ by less are one
 

@@ -21,7 +21,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "wind": (),
     "radial": ("at",),
     "noise": ("length",),
-}  # and what each has to be told
+}  # and the values that each requires
 KEYS = ("at", "radius", "length", "rate")
 KEY_FILES = (".csv", ".txt")
 
@@ -88,7 +88,7 @@ T = TypeVar("T", bound=tuple[float, ...])
 
 def _strong(where: str, values: T) -> T:
     if max(map(abs, values)) > STRONGEST:
-        raise UsageError(f"{where} is too strong", f"give up to {STRONGEST:g} m/s^2")
+        raise UsageError(f"{where} is too strong", f"give at most {STRONGEST:g} m/s^2")
     return values
 
 
@@ -135,7 +135,7 @@ def read_gravity_keys(path: Path) -> GravityKeys:
             raise UsageError(f"{where}: time code {code:g} follows {times[-1]:g}", "sort the lines")
         if max(map(abs, given)) > STRONGEST:
             most = max(map(abs, given))
-            raise UsageError(f"{where} says {most:g}", f"give up to {STRONGEST:g} m/s^2")
+            raise UsageError(f"{where} has {most:g}", f"give at most {STRONGEST:g} m/s^2")
         times.append(code)
         values.append(given[0] if len(given) == 1 else (given[0], given[1], given[2]))
     if not times:

@@ -134,7 +134,7 @@ def agreed_value(what: str, agreed: Sequence[tuple[str, object]], file: Path) ->
     for path, value in known:
         if value != known[0][1]:
             raise InputError(
-                f"{file}: <{known[0][0]}> asks for {what} {known[0][1]}, <{path}> for {value}:"
+                f"{file}: <{known[0][0]}> has {what} {known[0][1]}, <{path}> {value}:"
                 " a bake has one",
                 f"give --{what}, or bake them separately with --prim",
             )

@@ -30,7 +30,7 @@ T = TypeVar("T")
 class Option:
     """A row of a table of options."""
 
-    group: str  # heading that it stands under
+    group: str  # heading that it is listed under
     help: str  # one or two sentences, with the unit in brackets
     _: KW_ONLY
     shown: str = ""  # default, where None stands for something that has a name

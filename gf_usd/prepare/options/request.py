@@ -276,7 +276,7 @@ class Request(RequestOptions):
         ):
             if self.loop and given:
                 raise UsageError(
-                    f"--loop {self.loop} writes one cycle, and {option} asks for something else",
+                    f"--loop {self.loop} writes one cycle, which {option} contradicts",
                     "leave one of the two out",
                 )
         for option, given in (

@@ -419,7 +419,7 @@ class BakeOptions(RequestOptions, AssetOptions):
         " [B], such as time=600,memory=32G; none reads them without a separate process.",
         shown="time=300,memory=16G,output=1G", commands=INSPECT, decides=False, write=values.limits,
     )] = None
-    progress: Callable[[int, int], None] | None = None  # told (frames done, frames in all)
+    progress: Callable[[int, int], None] | None = None  # called with (frames done, frames in all)
 
 
 # fmt: on

@@ -182,7 +182,7 @@ def parse_gravity(text: str) -> float | Triple | GravityKeys:
         raise UsageError(f"--gravity is {text!r}", f"give {what}")
     values = [number("--gravity", part, what) for part in parts]
     if max(abs(value) for value in values) > STRONGEST:
-        raise UsageError(f"--gravity is {text}", f"give up to {STRONGEST:g} m/s^2")
+        raise UsageError(f"--gravity is {text}", f"give at most {STRONGEST:g} m/s^2")
     return values[0] if len(values) == 1 else _triple(values)
 
 
@@ -206,7 +206,7 @@ def _motion(option: str, text: str, unit: str) -> Triple:
         raise UsageError(f"{option} is {text!r}", f"give {wanted}")
     found = _triple([number(option, part, wanted) for part in parts])
     if max(map(abs, found)) > FASTEST:
-        raise UsageError(f"{option} is {text}", f"give up to {FASTEST:g} {unit}")
+        raise UsageError(f"{option} is {text}", f"give at most {FASTEST:g} {unit}")
     return found
 
 

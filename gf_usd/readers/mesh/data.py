@@ -188,8 +188,8 @@ def tidy(values: Floats, indices: Ints) -> tuple[Floats, Ints]:
     return values[used], new.reshape(-1)
 
 
-# Errors that trimesh raises for invalid files.  ImportError: for files that are not text, where packages
-# are missing that guess the encoding.
+# Errors that trimesh raises for invalid files.  ImportError: for files that are not text, it loads
+# packages that guess the encoding.
 UNREADABLE = (
     ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, NameError,
     NotImplementedError, ImportError, RecursionError, OSError, MemoryError,

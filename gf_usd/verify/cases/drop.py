@@ -76,8 +76,8 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
             curve=curve("mean least stretch of the rubber drop", "sigma"),
         )  # fmt: skip
         for name, bound, why in (
-            ("sigma", 0.005, "a mean over all particles; half a percent is asked for"),
-            ("spread", 0.005, "a mean over all particles; half a percent is asked for"),
+            ("sigma", 0.005, "a mean over all particles; half a percent is required"),
+            ("spread", 0.005, "a mean over all particles; half a percent is required"),
             (
                 "height", 0.025,
                 "the mesh's lowest point goes into the soft floor by an amount that depends on the"

@@ -88,7 +88,7 @@ def spin(device: str, frames: int = 120, particles: int = 500) -> Iterator[Measu
         target=0.0,
         bound=1e-4,
         why="force and gather are adjoint, so moments cancel exactly: rounding of f32; 1e-4 is"
-        " what the project asks for",
+        " required",
     )
     yield Measure(
         name="energy",

@@ -19,7 +19,7 @@ RATE = 2e5  # [1/s^2] stiffness per mass of the floor
 
 
 def restitution_without_adhesion(restitution: float) -> float:
-    """Restitution of the damped spring where it lets go as soon as its force is zero.
+    """Restitution of the damped spring where it separates as soon as its force is zero.
 
     With the damping ratio z of the formula, exp(-z / q (pi - atan2(2 z q, 1 - 2 z^2))),
     q = sqrt(1 - z^2) (Schwager and Poeschel 2007, eq. 21).
@@ -51,13 +51,13 @@ def bounce(device: str) -> Iterator[Measure]:
     yield Measure(
         name="height", value=top, target=HEIGHT * RESTITUTION**2, bound=0.015, kind=RELATIVE,
         unit="m",
-        why="the formula of r belongs to a spring that also pulls; a floor never does and lets go"
+        why="the formula of r belongs to a spring that also pulls; a floor never does and separates"
         " sooner, which gives back .8553 for .85, 1.25 % more height",
     )  # fmt: skip
     yield Measure(
         name="height-no-pull", value=top, target=exact, bound=0.004, kind=RELATIVE, unit="m",
         why="closed form for a spring that never pulls; damping is half a step late, z w dt = .15"
-        " %, and the spring lets go 2 z v / w = 2 mm under the floor, .06 %",
+        " %, and the spring separates 2 z v / w = 2 mm under the floor, .06 %",
     )  # fmt: skip
 
 

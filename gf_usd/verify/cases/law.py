@@ -123,7 +123,7 @@ CASES = tuple(
         name=f"law-{token}",
         what="A block is strained evenly, upright, nearly flat and inside out.  The stress that its"
         " nodes feel must be the gradient of the energy, turn with the body, vanish at rest however"
-        " turned, and follow Hooke's law with the moduli asked for where strains are small.",
+        " turned, and follow Hooke's law with the given moduli where strains are small.",
         source="finite differences, frame indifference, Hooke",
         quick=check_law(token),
         f64=True,

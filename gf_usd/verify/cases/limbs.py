@@ -62,7 +62,7 @@ def swing_teeth(which: tuple[int, ...], gap: float, device: str) -> tuple[Floats
         settings(device, frames=2 * FRAMES, fps=FRAMES * OMEGA / (2.0 * np.pi), safety=0.8),
         pins=[root_pin()],
     )  # fmt: skip
-    # Particles know which way a tooth goes: where a node stands says nothing of it.
+    # By the teeth of the particles: the position of a node does not determine its tooth.
     deflection = (-1.0) ** tooth * np.maximum(0.0, 1.0 - body.X[:, 1] / LENGTH) ** 2
     nodes = solver.body.stencil
     W = solver.body.rows.combined[:, : nodes.free_count]

@@ -218,7 +218,7 @@ def shadow_ellipsoids(
 ):
     """Draw ellipsoids x' C^-1 x = 1, C (N, 6) = xx xy xz yy yz zz, into the shadow maps as discs.
 
-    The disc of an ellipsoid contains its silhouette as the light sees it: its depth is the
+    The disc of an ellipsoid contains its silhouette in the view of the light: its depth is the
     conditional mean of z given x and y.
     """
     count, size = center.shape[0], depth.shape[1]

@@ -2,7 +2,7 @@
 
     python blender_addon.py ADDON.zip GF_USD CASE OUT
 
-CASE is one of the functions below.  OUT is a folder for the caches; what CASE tells goes to
+CASE is one of the functions below.  OUT is a folder for the caches; the results of CASE go to
 OUT.json, and the world vertices (frames, vertices, 3) of every result to OUT.npz.
 """
 

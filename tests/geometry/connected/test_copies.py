@@ -204,7 +204,7 @@ def test_bodies_are_told_apart_before_limbs_are() -> None:
     both = find_limbs(made, replace(particles, body=body), np.array([0, 1]))
     assert set(both.copies.body[both.copies.of[body == 0]]) == {0}
     nodes = nodes_of(both)
-    # `node_copies` knows no bodies: copies of different bodies are never linked.
+    # `node_copies` has no bodies: copies of different bodies are never linked.
     assert (
         len(np.intersect1d(nodes[both.copies.of[body == 0]], nodes[both.copies.of[body == 1]])) == 0
     )

@@ -36,7 +36,7 @@ def deepest(share: float) -> float:
 def collide(share: float, frame: float) -> list[Health]:
     """A point mass that comes at the floor and goes; frames last `frame` of a spacing's way.
 
-    Its sample stands for `share` of its mass, so that k is so much softer than the impact asks for.
+    Its sample stands for `share` of its mass, so that k is so much softer than the impact requires.
     """
     body = particles_at(
         np.full((8, 3), 0.5), volume=8.0 * LATTICE**3, lattice=LATTICE, corner=np.zeros(3)

@@ -1,4 +1,4 @@
-"""What a detection remembers of the one before, sample by sample."""
+"""What a detection keeps of the one before, sample by sample."""
 
 from __future__ import annotations
 

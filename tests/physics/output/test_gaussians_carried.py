@@ -130,7 +130,7 @@ def test_orientations_do_not_flip():
     for angle in np.linspace(0.0, np.pi, 30):
         R = Rotation.from_euler("y", angle).as_matrix()
         made = carried.advance(pose(rest.points @ R.T, R), np.eye(3))
-        # the step is pi / 29, of which a quaternion sees half
+        # the step is pi / 29, of which a quaternion has half
         assert (np.linalg.norm(made.orientations - last, axis=1) < 0.06).all()
         last = made.orientations
 

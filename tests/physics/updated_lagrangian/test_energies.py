@@ -1,4 +1,4 @@
-"""The step that a strained body asks for on a grid that is fixed in the world."""
+"""The step that a strained body requires on a grid that is fixed in the world."""
 
 from __future__ import annotations
 

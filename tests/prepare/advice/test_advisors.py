@@ -1,4 +1,4 @@
-"""Advisors as plug-ins: found by entry point, asked, and refused in words."""
+"""Advisors as plug-ins: found by entry point, called, and refused in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Long faces of meshes are divided in a layer over the stage: what hangs on them goes with them."""
+"""Long faces of meshes are divided in a layer over the stage: and so is what depends on them."""
 
 from __future__ import annotations
 

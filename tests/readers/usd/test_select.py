@@ -1,4 +1,4 @@
-"""Which prims are read, which are left alone and why, and what an empty stage is told."""
+"""Which prims are read, which are left alone and why, and the errors of empty stages."""
 
 import pytest
 

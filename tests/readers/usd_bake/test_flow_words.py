@@ -1,4 +1,4 @@
-"""Yield stresses in material files: by our names and Newton's, and the law that goes with them."""
+"""Yield stresses in material files: by our names and Newton's, and the law that they imply."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_spacing_and_particles_exclude_each_other(read_settings) -> None:
     assert resolution(fine, few) == (None, 500, "/Pond/Duck")
     assert resolution(few, fine) == (0.25, None, "")
     assert resolution("", few + "\n" + fine) == (0.25, None, "")
-    # 0 takes back what is said above
+    # 0 cancels the value of a parent
     assert resolution(fine, ours(spacing="float 0")) == (None, None, "")
     assert resolution(few + "\n" + fine, ours(spacing="float 0")) == (None, 500, "/Pond")
     assert resolution(few, ours(particles="int 0")) == (None, None, "")

@@ -1,4 +1,4 @@
-"""Imports of Taichi and SciPy leave out what is not asked for, and nothing is missing."""
+"""Imports of Taichi and SciPy leave out what is not used, and nothing is missing."""
 
 import os
 import subprocess

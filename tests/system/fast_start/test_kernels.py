@@ -301,10 +301,10 @@ def test_taichi_asks_no_network_whether_it_is_the_newest() -> None:
         "from gf_usd.system.taichi_runtime import import_taichi, init_taichi\n"
         "import_taichi()\n"
         "from taichi import _version_check\n"
-        "asked = []\n"
-        "_version_check.try_check_version = lambda: asked.append(1)\n"
+        "checks = []\n"
+        "_version_check.try_check_version = lambda: checks.append(1)\n"
         "init_taichi()\n"
-        "print(asked)\n"
+        "print(checks)\n"
     )
 
     def requests(switch: dict[str, str]) -> str:
@@ -319,7 +319,7 @@ def test_taichi_asks_no_network_whether_it_is_the_newest() -> None:
         return done.stdout.strip()
 
     assert requests({}) == "[]"
-    # One who wants the check has it, as Taichi made it.
+    # The check can be enabled, as Taichi made it.
     assert requests({"TI_SKIP_VERSION_CHECK": "OFF"}) == "[1]"
 
 

@@ -72,7 +72,7 @@ def test_a_child_works_where_its_parent_does(
         ("vanish", "caused its reader to crash (without output)"),
     ],
 )
-def test_what_goes_wrong_is_said_and_harms_no_other(file: Path, work: str, message: str) -> None:
+def test_failures_are_reported_and_harms_no_other(file: Path, work: str, message: str) -> None:
     seconds = 0.2 if work == "hang" else 60.0
     with pytest.raises(InputError) as caught:
         run_isolated(file, f"isolated_tasks:{work}", Limits(time=seconds))
@@ -96,7 +96,7 @@ def test_without_the_process_a_child_is_started(file: Path) -> None:
     forks._end.close()
 
 
-def test_children_end_with_the_process_that_wants_them(file: Path, tmp_path: Path) -> None:
+def test_children_end_with_the_process_that_started_them(file: Path, tmp_path: Path) -> None:
     forks = ForkServer(["isolated_tasks"])
     sandbox.set_starter(forks.start)
     written = tmp_path / "told"
@@ -127,10 +127,10 @@ forked = fork_ahead(["isolated_tasks"])
 assert forked is not starts_new_processes()
 for number in range(2):
     try:
-        said = run_isolated(file, f"isolated_tasks:{task}", Limits(time=1.0))
+        message = run_isolated(file, f"isolated_tasks:{task}", Limits(time=1.0))
     except InputError as error:
-        said = error.message
-    print(forked, said)
+        message = error.message
+    print(forked, message)
 os._exit(0)
 """
 

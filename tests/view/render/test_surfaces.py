@@ -47,7 +47,7 @@ def ball(height: float = 0.0) -> RenderEllipsoids:
 
 
 def covered(points, triangles, width=200, height=150, camera=FRONT) -> np.ndarray:
-    """(H, W) index of the triangle that each sample sees, -1 none."""
+    """(H, W) index of the triangle that is visible at each sample, -1 none."""
     ensure_taichi()
     view = pinhole_camera(camera, width, height, np.zeros(3))
     key = np.full((height, width), raster.EMPTY, dtype=np.int64)

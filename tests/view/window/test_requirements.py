@@ -1,4 +1,4 @@
-"""What is said where a window lacks a library or a display."""
+"""Messages where a window lacks a library or a display."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Lateness:
         self._repeats = 0
 
     def renew(self) -> None:
-        """Forget what was found in the frame before."""
+        """Drop the results of the frame before."""
         self._start = self._bound = np.inf
         self._found, self._repeats = None, 0
 

@@ -47,20 +47,20 @@ def close_arms(name: str, speed: float, particles: int, device: str) -> Iterator
     )  # fmt: skip
     yield Measure(
         name=f"let-go.{suffix}", value=float(max(h.let_go for h in results)), target=0.0, bound=0.0,
-        unit="samples", why="a sample knows on which side of what it faces it was",
+        unit="samples", why="each sample stores on which side of the surface that it faces it was",
     )  # fmt: skip
     energy_gain = np.cumsum([h.injected for h in results])
     yield Measure(
         name=f"given.{suffix}", value=max(0.0, float(energy_gain.max())) / results[0].kinetic,
         target=0.0,
         bound=MAX_ENERGY_GAIN,
-        why="new planes store what the old ones did; a thousandth is asked for",
+        why="new planes store what the old ones did; at most a thousandth is allowed",
     )  # fmt: skip
     yield Measure(
         name=f"overlap.{suffix}", value=max(h.overlap for h in results) / body.spacing, target=0.0,
         bound=OVERLAP, unit="spacings",
         why="no outside truth: surfaces yield a little where bodies are pressed together, and less"
-        " than a third of a spacing is asked for",
+        " than a third of a spacing is required",
     )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ CASES = (
         what="Two arms of one body, 3 m long, close until they meet, their tips at 1.5, 3 and 6 m/s"
         " each.  Momentum, samples that pass, the energy that contact gives, and how deep the arms"
         " are in each other.",
-        source="conservation laws; the depth is what is asked for",
+        source="conservation laws; the depth is a requirement of the project",
         quick=arms((1.5, 6.0), (500,)),
         full=arms((1.5, 3.0, 6.0), (500, 2000)),
     ),

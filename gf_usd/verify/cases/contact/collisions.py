@@ -160,7 +160,7 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                 name=f"restitution.head-on.{count}", value=one.restitution, target=1.0,
                 bound=1.0 - tolerance, kind=AT_LEAST,
                 why=f"slow balls part as fast as they met but for what rings in them: {tolerance}"
-                " is what is asked for",
+                " is required",
                 curve=Curve(
                     title="speed lost by two balls", x_label="particles a ball", y_label="1 - e",
                     x=x, y=tuple(1.0 - each.restitution for each in results),

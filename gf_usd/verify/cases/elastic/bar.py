@@ -105,7 +105,7 @@ VERTICAL_E, NU, VERTICAL_DENSITY, G = 1e6, 0.3, 1050.0, 1000.0  # [Pa], -, [kg/m
 # is not of this set-up.
 LIMIT, TIME = -1.751, 0.0884
 END, FRAMES = 0.1, 100  # [s] simulated
-TIP = 0.01  # of it: what is asked for
+TIP = 0.01  # of it: the required accuracy
 FLAT = 0.004  # [s] the corner is within 1 % of its lowest for so long before and after
 
 
@@ -139,7 +139,7 @@ def hang(*cells: int) -> Callable[[str], Iterator[Measure]]:
         times, tips = np.transpose([stretch(n, device) for n in cells])
         yield Measure(
             name="tip", value=float(tips[-1]), target=LIMIT, bound=TIP, kind=RELATIVE, unit="m",
-            why=f"{cells[-1]} cells along the edge; 1 % is what is asked for: linear finite"
+            why=f"{cells[-1]} cells along the edge; 1 % is required: linear finite"
             " elements on the same equations (tools/vertical_reference.py, 8, 12, 16, 24, 32, 48"
             " along the edge) have -1.7640, -1.7618, -1.7571, -1.7519, -1.7519, -1.7511",
             curve=Curve(
@@ -153,7 +153,7 @@ def hang(*cells: int) -> Callable[[str], Iterator[Measure]]:
             unit="s",
             why="the corner shakes about the motion of the block with a period of .01 s, and stays"
             f" within 1 % of its lowest for {FLAT} s on either side: on coarse grids a wave next to"
-            " it is the deepest; 24 cells tell them apart, and a frame is left",
+            " it is the deepest; 24 cells separate them, and a frame is left",
         )  # fmt: skip
 
     return run

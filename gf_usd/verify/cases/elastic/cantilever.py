@@ -132,12 +132,12 @@ CASES = (
         source="closed form: the elastica (Bisshopp and Drucker 1945)",
         quick=elastica(
             Beam(slenderness=10, cells=2), (1.0, 2.0), 0.01,
-            "10 times as long as thick: the elastica knows no shear, .6 (t/L)^2 = .6 % of w, nor"
+            "10 times as long as thick: the elastica has no shear, .6 (t/L)^2 = .6 % of w, nor"
             " stretch; bending itself is exact to .1 % from 2 cells through the thickness",
         ),
         full=elastica(
             Beam(slenderness=20, cells=8), tuple(ELASTICA), 0.01,
-            "20 times as long as thick: the elastica knows no shear, .6 (t/L)^2 = .15 % of w, nor"
+            "20 times as long as thick: the elastica has no shear, .6 (t/L)^2 = .15 % of w, nor"
             " the stretch that a steep load gives the beam, P / E A = .2 %; what still moves .1 %",
         ),
     ),

@@ -117,7 +117,7 @@ def lamb(*counts: int) -> Callable[[str], Iterator[Measure]]:
             error, h = found[:, 0], found[:, 1]
             yield Measure(
                 name=mode.name, value=1.0 + float(error[-1]), target=1.0, bound=mode.tolerance,
-                why=f"what is asked for of a sphere of 8000 particles, here {counts[-1]}",
+                why=f"the tolerance required with 8000 particles, here with {counts[-1]}",
                 curve=Curve(
                     title=f"free sphere, error of {mode.name}", x_label="h / R", y_label="error",
                     x=tuple(h), y=tuple(np.abs(error)),
@@ -163,9 +163,9 @@ def inertia(*counts: int) -> Callable[[str], Iterator[Measure]]:
         ratio = np.array([spun(box, w, device) for w in SPINS]) / closed[:, None]
         yield Measure(
             name="box", value=off_most(ratio), target=1.0, bound=TOLERANCE_OF_INERTIA,
-            why="what is asked for, of a box of 4 x 3 x 2 cells of Gauss points, which have its"
-            " inertia m (a^2 + b^2) / 12; the row sums would have 1 + 6 h^2 / (a^2 + b^2), up to"
-            " 1.46",
+            why="the required tolerance, for a box of 4 x 3 x 2 cells of Gauss points, which have"
+            " its inertia m (a^2 + b^2) / 12; the row sums would have 1 + 6 h^2 / (a^2 + b^2), up"
+            " to 1.46",
         )  # fmt: skip
         mesh = sphere(1.0, FINE)
         solid = trimesh.Trimesh(mesh.points, mesh.triangles, process=False)
@@ -178,8 +178,8 @@ def inertia(*counts: int) -> Callable[[str], Iterator[Measure]]:
             h.append(2.0 * body.lattice / body.radius)
         yield Measure(
             name="ball", value=ratios[0], target=1.0, bound=TOLERANCE_OF_INERTIA,
-            why=f"what is asked for, of a ball of {counts[0]} particles against the polyhedron that"
-            " they fill; the row sums would have 1 + 5/4 (h / R)^2",
+            why=f"the required tolerance, for a ball of {counts[0]} particles against the"
+            " polyhedron that they fill; the row sums would have 1 + 5/4 (h / R)^2",
             curve=Curve(
                 title="ball, inertia of the mass matrix over its mesh's own",
                 x_label="h / R", y_label="error", x=tuple(h),

@@ -36,7 +36,7 @@ def springs(device: str) -> Iterator[Measure]:
         target=float(np.sqrt(DENSITY * RATE**2 / DENSITY)), bound=TOLERANCE, kind=RELATIVE,
         unit="rad/s",
         why=f"the midpoint rule is slow by (w dt)^2 / 12 = {(RATE * dt) ** 2 / 12.0:.1e}; 0.1 % is"
-        " what is asked for",
+        " required",
     )  # fmt: skip
     damped = replace(goals, damping=1.0)
     s = settings(device, frames=33, fps=24.0, gravity=(0.0, -G, 0.0))
@@ -45,7 +45,7 @@ def springs(device: str) -> Iterator[Measure]:
         name="sag", value=float((body.X - last.particles.x)[:, 1].mean()),
         target=DENSITY * G / (DENSITY * RATE**2), bound=TOLERANCE, kind=RELATIVE, unit="m",
         why="at rest the rule of the step does not matter: rounding, and e^(-w t) of the way; 0.1 %"
-        " is what is asked for",
+        " is required",
     )  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def driven_base(*cells: int) -> Callable[[str], Iterator[Measure]]:
             target=AMPLITUDE_RATIO,
             bound=0.01, kind=RELATIVE,
             why=f"{cells[-1]} cells along the bar; its answer changes by 1.56 % for 1 % of its"
-            " length; 1 % is what is asked for",
+            " length; 1 % is required",
         )  # fmt: skip
         # nodes are at cell centers: the last node of the core is at x = 0
         core = replace(clamp(0, 1e-6), sharp=False)
@@ -117,7 +117,7 @@ def driven_base(*cells: int) -> Callable[[str], Iterator[Measure]]:
             name="limit", value=float(np.polyfit(h, answers, 1)[1]), target=AMPLITUDE_RATIO,
             bound=0.01,
             kind=RELATIVE,
-            why="the line through the answers of the core at h = 0; 1 % is asked for",
+            why="the line through the answers of the core at h = 0; 1 % is required",
             curve=Curve(
                 title="bar on a driven core", x_label="h / L", y_label="answer", x=tuple(h),
                 y=tuple(answers), logarithmic=False, target=AMPLITUDE_RATIO,

@@ -69,7 +69,7 @@ def loaded(cells: int) -> Callable[[str], Iterator[Measure]]:
             value, target = swing(times, cells, device)
             yield Measure(
                 name=f"mass {times:g}", value=value, target=target, bound=0.01, kind=RELATIVE,
-                why=f"{cells} cells along the bar; 1 % is what is asked for",
+                why=f"{cells} cells along the bar; 1 % is required",
             )  # fmt: skip
 
     return run
@@ -125,7 +125,7 @@ def tumble(device: str) -> Iterator[Measure]:
         bound=0.01,
         kind=ABSOLUTE,
         why="of the half diagonal; the flesh has 1e-4 of the density, and near the middle axis its"
-        " part of the inertia grows by e^(w t); 1 % is what is asked for",
+        " part of the inertia grows by e^(w t); 1 % is required",
     )  # fmt: skip
     for name, values, scale in (
         ("momentum", [f.health.momentum for f in results],

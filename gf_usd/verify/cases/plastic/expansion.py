@@ -6,7 +6,7 @@ r = sqrt(R^2 + a^2 - A^2) when the hole, A at rest, is a wide, and balance of fo
     -sigma_rr(a) = Y / sqrt(3) ln((B^2 + a^2 - A^2) / a^2)        [Hill 1950, section V.2]
 
 on the hole.  It is measured by the work of what widens the hole over the volume that it takes, less
-what inertia asks for.
+the work of inertia.
 """
 
 from __future__ import annotations

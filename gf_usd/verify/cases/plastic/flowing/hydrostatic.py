@@ -103,7 +103,7 @@ def hydrostatic(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             x=tuple(1.0 / n for n in cells), y=tuple(one.pressure for one in results),
         )  # fmt: skip
         why = (
-            "half a percent is asked for. The error of the grid is of second order, .0002 with 8"
+            "half a percent is required. The error of the grid is of second order, .0002 with 8"
             " cells, since planes mirror; single precision adds 6e-8 of strain a substep, which is"
             f" {SOFT:g} times as much of the pressure (.0012 with 32 cells, measured)"
         )

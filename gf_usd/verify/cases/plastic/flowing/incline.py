@@ -73,7 +73,7 @@ def incline(device: str) -> Iterator[Measure]:
     yield Measure(
         name="acceleration", value=results, target=float(exact), bound=0.01, kind=RELATIVE,
         unit="m/s^2",
-        why="the sum of Coulomb's forces is mu times what presses; 1 % is what was asked for, the"
+        why="the sum of Coulomb's forces is mu times what presses; 1 % is required, the"
         " block's bouncing on the springs of the floor, 1.2 % of it, is taken off by the momentum",
     )  # fmt: skip
     _, left = slide(BELOW, device)
