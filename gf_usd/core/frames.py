@@ -312,6 +312,10 @@ class Health:
     outside_share: float | None = None  # of the particles, far out of the mesh; None: not looked at
     outside_depth: float | None = None  # [m] of the farthest of them
     outside_mesh: str | None = None  # text on the mesh with the longest faces
+    # Largest volume of a body over that at rest, and its prim path; None: no particle has twice its
+    # volume
+    expanded: float | None = None
+    expanded_body: str | None = None
 
     @property
     def dissipation(self) -> float:

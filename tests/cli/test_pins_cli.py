@@ -124,3 +124,19 @@ def test_a_rigid_region_beside_the_body_is_refused(arm: Path) -> None:
     with pytest.raises(gf_usd.InputError, match="rigid box:900") as caught:
         gf_usd.bake(arm, output=arm.with_name("out.usda"), rigid="box:900,0,0,901,1,1")
     assert caught.value.hint
+
+
+@pytest.mark.parametrize(("gravity", "warned"), [(10, False), (60, True)])
+def test_a_body_that_expands_below_its_pin_is_warned_of(
+    gf_usd, tmp_path: Path, gravity: float, warned: bool
+) -> None:
+    path = tmp_path / "ball.usda"
+    ball = 'def Sphere "Ball"\n{\n double radius = 0.1\n}\n'
+    path.write_text(f'#usda 1.0\n(metersPerUnit = 1\nupAxis = "Y")\n{ball}')
+    pinned = ["-m", "jelly", "--pin", "box:-1,0.05,-1,1,2,1", "--gravity", f"0,-{gravity},0"]
+    done = gf_usd(
+        "bake", path, "-o", tmp_path / "out.usda", *pinned, "--particles", "300", "--frames", "12"
+    )
+    assert done.status == 0, done.err
+    assert ("</Ball> expanded to" in done.err + done.out) == warned
+    assert ("[expanded]" in done.err + done.out) == warned

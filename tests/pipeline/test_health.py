@@ -9,7 +9,7 @@ import pytest
 from solids import settings
 
 from gf_usd.core.frames import Health, Settings
-from gf_usd.pipeline.health.log import HealthLog, restitution
+from gf_usd.pipeline.health.log import HealthLog, merged_health, restitution
 
 G = 9.81
 MASS = 2.0  # [kg]
@@ -154,6 +154,9 @@ def test_totals_and_extremes() -> None:
         "outside_mesh_max_share": None,
         "outside_mesh_max_m": None,
         "outside_mesh": None,
+        "expanded_volume": None,
+        "expanded_body": None,
+        "expanded_frame": None,
         "penetration_at_end_spacings": pytest.approx(0.2),
         "resting_penetration_m": 0.02,
         "resting_penetration_spacings": pytest.approx(0.2),
@@ -216,6 +219,20 @@ def test_what_is_outside_is_the_most_of_the_frames_looked_at() -> None:
     out = log_of(frames).summary()
     assert (out["outside_mesh_max_share"], out["outside_mesh_max_m"]) == (0.3, 0.04)
     assert out["outside_mesh"] == "</A>"
+
+
+def test_the_body_that_expanded_most() -> None:
+    frames = [
+        Health(mass=1.0),
+        Health(max_J=2.1, expanded=1.1, expanded_body="/A"),
+        Health(max_J=2.5, expanded=1.3, expanded_body="/B"),
+        Health(max_J=4.0, expanded=1.2, expanded_body="/A"),
+    ]
+    out = log_of(frames).summary()
+    found = out["expanded_volume"], out["expanded_body"], out["expanded_frame"]
+    assert found == (1.3, "/B", 2)
+    merged = merged_health(frames)
+    assert (merged.max_J, merged.expanded, merged.expanded_body) == (4.0, 1.3, "/B")
 
 
 def test_losses_are_no_gain() -> None:
@@ -332,6 +349,7 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     expected = set(Health.__dataclass_fields__) - {
         "plastic_dissipation", "conversion_dissipation", "converted", "settling_dissipation",
         "inside_share", "inside_depth", "outside_share", "outside_depth", "outside_mesh",
+        "expanded", "expanded_body",
         "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
         "pierced", "pierced_through", "pierced_pair",
     }  # fmt: skip

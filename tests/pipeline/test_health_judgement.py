@@ -56,6 +56,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(inverted=3, min_J=-0.5), Health(inverted=1, min_J=-0.1)),
         "up to 3 at once, from frame 1 on, down to J = -0.5; 1 still are at the end",
     ),
+    "expanded": (
+        summary(Health(max_J=5.0, expanded=1.25, expanded_body="/A")),
+        summary(Health(max_J=5.0, expanded=1.5, expanded_body="/A")),
+        "</A> expanded to 1.5 times its volume in frame 1, single particles to 5 times theirs",
+    ),
     "redone": (
         summary(*many(18), *many(2, rollbacks=1), **FLYING),
         summary(*many(17), *many(3, rollbacks=1), **FLYING),
@@ -217,6 +222,12 @@ def test_a_law_is_named_only_to_those_that_do_not_have_it(about: str) -> None:
     assert "use --law vonMisesNeoHookean" in flowing.hint
     (there,) = health_warnings(unsound, ["neoHookean", "vonMises"])
     assert "--law" not in there.hint
+
+
+def test_what_flows_without_end_may_expand() -> None:
+    wide = summary(Health(max_J=5.0, expanded=1.5, expanded_body="/A"))
+    assert [w.about for w in health_warnings(wide, ["neoHookean"])] == ["expanded"]
+    assert health_warnings(wide, ["neoHookean", "snow"]) == ()
 
 
 def test_lengths_of_large_bodies_are_in_meters() -> None:

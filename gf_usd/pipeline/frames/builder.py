@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from gf_usd.physics.output.gaussians import GaussianTrack
     from gf_usd.pipeline.measures.observe import Observer
 
+IMPLAUSIBLE = 2.0  # volume ratio of a particle: the volumes of bodies are measured above it
+
 
 class FrameBuilder:
     """Makes the samples of one variant, poses of meshes and Gaussians, from its solver's frames.
@@ -44,6 +46,7 @@ class FrameBuilder:
     tets : keys of the tetrahedra among the embedded points.
     observer : receives every frame.
     flows : the surfaces of flowing bodies; None: none are written.
+    bodies : prim paths of each body.
     waiting : meshes that are replaced by particles once a particle of their body is converted.
     open_end : the motion may end before its last frame: see `at_end`.
     """
@@ -61,8 +64,10 @@ class FrameBuilder:
         flows: FlowSurfaces | None = None,
         waiting: Mapping[str, int] | None = None,
         *,
+        bodies: Sequence[Sequence[str]] = (),
         open_end: bool = False,
     ) -> None:
+        self._bodies = bodies
         self._tets, self._observer, self._flows = tets, observer, flows
         waiting = waiting or {}
         self._waiting = frozenset(waiting.values())
@@ -138,7 +143,7 @@ class FrameBuilder:
                 points=pose.x, velocities=pose.v * s.time_scale, normals=normals
             )
         self._poses, self._x = poses, frame.particles.x
-        health = frame.health
+        health = self._with_expanded(frame)
         converted = self._converted(frame)
         if self._inside and self._inside.is_measured(frame.index):
             health = self._with_measures(health, self._inside.measure(frame.index, poses))
@@ -178,6 +183,20 @@ class FrameBuilder:
             return sample
         found = self._inside.measure(sample.index, self._poses, ends=True)
         return replace(sample, health=self._with_measures(sample.health, found))
+
+    def _with_expanded(self, frame: Frame) -> Health:
+        """The health of a frame, with the body that expanded most where particles have an
+        implausible volume.
+        """
+        health = frame.health
+        if health.max_J <= IMPLAUSIBLE or not self._bodies:
+            return health
+        body, rest = self.solver.particles.body_of, self.solver.particles.V0
+        volume = np.bincount(body, rest * np.linalg.det(frame.particles.F)) / np.bincount(
+            body, rest
+        )
+        most = int(volume.argmax())
+        return replace(health, expanded=float(volume[most]), expanded_body=self._bodies[most][0])
 
     def _with_measures(self, health: Health, found: Inside) -> Health:
         """Add the measured share inside a body and, for the last sample, the share outside the

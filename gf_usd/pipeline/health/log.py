@@ -107,6 +107,7 @@ class HealthLog:
             "first_contact_frame": next((i for i, f in enumerate(h) if touches(f)), None),
             "min_J": min(f.min_J for f in h),
             "max_J": max(f.max_J for f in h),
+            **self._expanded(),
             "min_stretch": min(f.min_stretch for f in h),
             "max_stretch": max(f.max_stretch for f in h),
             "inverted_particle_frames": sum(f.inverted for f in h),
@@ -237,6 +238,16 @@ class HealthLog:
             "pierced_through": bool(worst.pierced_through),
             "pierced_pair": worst.pierced_pair,
             "pierced_frame": frame if depth else None,
+        }
+
+    def _expanded(self) -> dict[str, Any]:
+        """The body that expanded most; None where no particle had twice its volume."""
+        i, f = max(enumerate(self.frames), key=lambda one: one[1].expanded or 0.0)
+        known = f.expanded is not None
+        return {
+            "expanded_volume": f.expanded,
+            "expanded_body": f.expanded_body,
+            "expanded_frame": i if known else None,
         }
 
     def _inside(self) -> dict[str, Any]:
@@ -413,4 +424,6 @@ def merged_health(samples: Sequence[Health]) -> Health:
     worst = max(samples, key=_pierced_weight)
     for name in ("pierced", "pierced_through", "pierced_pair"):
         values[name] = getattr(worst if worst.pierced else samples[-1], name)
+    most = max(samples, key=lambda sample: sample.expanded or 0.0)
+    values |= {"expanded": most.expanded, "expanded_body": most.expanded_body}
     return replace(samples[-1], **values)

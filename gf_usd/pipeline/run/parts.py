@@ -146,5 +146,6 @@ def frame_builder(
     return FrameBuilder(
         solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer, flows,
         dict(plan.choices.converting),
+        bodies=plan.bodies.surfaces if plan.bodies else (),
         open_end=plan.choices.until_rest or plan.choices.settled,
     )  # fmt: skip
