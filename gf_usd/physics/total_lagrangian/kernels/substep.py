@@ -135,9 +135,19 @@ def build(
     has one thread.
     """
     Body = pack_type(real, epoch)
-    vec = ti.types.vector(3, real)
     table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
-    numbered, work = tuple(enumerate(table)), distinct_works(table)
+    plan, act = _plan(table, options), _item(laws, damped, options)
+    return SimpleNamespace(
+        queued=_queued(Body, real, plan, act),
+        resident=_resident(Body, real, plan, act, held),
+        energy=_energy(Body, real, laws, options),
+        stress=_stress(Body, real, laws, options),
+        held=held,
+    )
+
+
+def _plan(table, options: Options) -> SimpleNamespace:
+    """Which stages run in a substep, and on how many items; table : of `stages.stages`."""
 
     @ti.func
     def size(part: ti.template(), groups, free, followers, active, paired):
@@ -180,6 +190,28 @@ def build(
         elif ti.static(stage.parts[0].name == "filtered followers"):
             way = 0.0 * dt
         return way
+
+    @ti.func
+    def is_in(step, steps: ti.template()):
+        """Whether a stage is among `steps`."""
+        found = step == steps[0]
+        for other in ti.static(steps[1:]):
+            found = found or step == other
+        return found
+
+    return SimpleNamespace(
+        stages=len(table),
+        numbered=tuple(enumerate(table)),
+        work=distinct_works(table),
+        size=size,
+        due=due,
+        way_of=way_of,
+        is_in=is_in,
+    )
+
+
+def _item(laws, damped: bool, options: Options):
+    """The function that applies a part of a stage to one of its items."""
 
     @ti.func
     def act(
@@ -236,13 +268,14 @@ def build(
         elif ti.static(part.name == "move rigid"):
             move_region(body, n, free, active, g, dt, drift, keep, options)
 
-    @ti.func
-    def is_in(step, steps: ti.template()):
-        """Whether a stage is among `steps`."""
-        found = step == steps[0]
-        for other in ti.static(steps[1:]):
-            found = found or step == other
-        return found
+    return act
+
+
+def _queued(Body, real, plan: SimpleNamespace, act):
+    """The kernel of substeps for CPUs."""
+    vec = ti.types.vector(3, real)
+    size, due, way_of, is_in = plan.size, plan.due, plan.way_of, plan.is_in
+    numbered, work, last = plan.numbered, plan.work, plan.stages
 
     @ti.kernel
     def queued(
@@ -265,7 +298,7 @@ def build(
                     drift = dt
                     if s == substeps - 1 and ends & CLOSES > 0:
                         drift = 0.5 * dt
-                    for step in range(ti.static(len(table))):
+                    for step in range(ti.static(last)):
                         pieces = 0
                         way = drift
                         filtering = 0
@@ -294,6 +327,15 @@ def build(
                             work_item = take(body.queue)
                         before += pieces
 
+    return queued
+
+
+def _resident(Body, real, plan: SimpleNamespace, act, held: int):
+    """The kernel of substeps for GPUs."""
+    vec = ti.types.vector(3, real)
+    size, due, way_of, is_in = plan.size, plan.due, plan.way_of, plan.is_in
+    numbered, work, last = plan.numbered, plan.work, plan.stages
+
     @ti.kernel
     def resident(
         body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
@@ -314,7 +356,7 @@ def build(
                     drift = dt
                     if s == substeps - 1 and ends & CLOSES > 0:
                         drift = 0.5 * dt
-                    for step in range(ti.static(len(table))):
+                    for step in range(ti.static(last)):
                         some = 0
                         way = drift
                         filtering = 0
@@ -340,6 +382,12 @@ def build(
                                 barriers += 1
                                 wait_for_all(body.queue, z, barriers * blocks)
 
+    return resident
+
+
+def _energy(Body, real, laws, options: Options):
+    """The kernel of elastic energies."""
+
     @ti.kernel
     def energy(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
         """out[cell] = sum_p V0 psi(F_p); out[particle] in the plain layout."""
@@ -355,6 +403,12 @@ def build(
             for z in range(groups * STRIDE):
                 if z % STRIDE == 0:
                     group_energy(body, z // STRIDE, out, laws, ih, converged, options)
+
+    return energy
+
+
+def _stress(Body, real, laws, options: Options):
+    """The kernel of stresses."""
 
     @ti.kernel
     def stress(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
@@ -372,10 +426,4 @@ def build(
                 if z % STRIDE == 0:
                     group_von_mises(body, z // STRIDE, out, laws, ih, converged, options)
 
-    return SimpleNamespace(
-        queued=queued,
-        resident=resident,
-        energy=energy,
-        stress=stress,
-        held=held,
-    )
+    return stress
