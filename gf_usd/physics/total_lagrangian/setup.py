@@ -181,16 +181,10 @@ def build_body(
         body=particles.body,
         copies=copies,
     )
-    held = {}
+    held, regions = {}, None
     if pin_constraint:
         pin_constraint.check(stencil.held)
-        held = {name: boundary_held(pins, X) for name, X in (embedded or {}).items()}
-        for index, pin in enumerate(pins):
-            for name in pin.meshes & held.keys():
-                held[name] = PinnedPoints(axes=np.full(held[name].axes.shape, index))
-        held[""] = pin_constraint.particles
-    regions = None
-    if pin_constraint:
+        held = _held_points(pin_constraint, pins, embedded or {})
         regions = rigid_regions(stencil, m, pin_constraint.pins)
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
@@ -199,7 +193,6 @@ def build_body(
     if not lumped:
         ways = (rows.spread,) if stencil.factors is None else axis_spreads(stencil)
         frequency = highest_frequency(rows, ways, mass, stiffest, h, regions)
-    on = embedded_body or {}
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     meets = contact_setup is not None and contact_setup.any
     contact = surface_contact(
@@ -232,26 +225,10 @@ def build_body(
         stencil=stencil,
         mass=mass,
         rows=rows,
-        embedded={
-            name: embedded_rows(
-                stencil, X, np.full(len(X), on.get(name, 0)), (embedded_copy or {}).get(name)
-            )
-            for name, X in (embedded or {}).items()
-        },
+        embedded=_embedded(stencil, embedded or {}, embedded_body or {}, embedded_copy or {}),
         pin_constraint=pin_constraint,
         regions=regions,
-        goals=(
-            NodeGoals(
-                goals,
-                stencil.free_X,
-                step.dt,
-                mass.lightest,
-                node_springs(goals, stencil, mass),
-                stencil.node_body[: stencil.free_count],
-            )
-            if goals
-            else None
-        ),
+        goals=_node_goals(goals, stencil, mass, step) if goals else None,
         held=held,
         contact=contact,
         contact_setup=contact_setup,
@@ -267,6 +244,42 @@ def build_body(
         law=law,
         kernels=build(law.set, damped, kind, epoch(), options, resident_blocks()),
         pack_type=pack_type(kind, epoch()),
+    )
+
+
+def _held_points(
+    constraint: PinConstraint, pins: Sequence[Pin], embedded: Mapping[str, Floats]
+) -> dict[str, PinnedPoints]:
+    """The pinned points of each embedded set, by name, and those of the particles, ""."""
+    held = {name: boundary_held(pins, X) for name, X in embedded.items()}
+    for index, pin in enumerate(pins):
+        for name in pin.meshes & held.keys():
+            held[name] = PinnedPoints(axes=np.full(held[name].axes.shape, index))
+    return {**held, "": constraint.particles}
+
+
+def _embedded(
+    stencil: Stencil,
+    embedded: Mapping[str, Floats],
+    body: Mapping[str, int],
+    copies: Mapping[str, Ints],
+) -> dict[str, SplineRows]:
+    """The rows of each embedded set; body, copies : those that it belongs to, by name."""
+    return {
+        name: embedded_rows(stencil, X, np.full(len(X), body.get(name, 0)), copies.get(name))
+        for name, X in embedded.items()
+    }
+
+
+def _node_goals(goals: Goals, stencil: Stencil, mass: NodalMass, step: StableStep) -> NodeGoals:
+    """The goals of the free nodes."""
+    return NodeGoals(
+        goals,
+        stencil.free_X,
+        step.dt,
+        mass.lightest,
+        node_springs(goals, stencil, mass),
+        stencil.node_body[: stencil.free_count],
     )
 
 

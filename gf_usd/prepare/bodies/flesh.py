@@ -161,11 +161,7 @@ def _of_character(
     from gf_usd.readers.usd_bake.caches import read_cache
     from gf_usd.readers.usd_bake.settings import goals_vary, read_goals
 
-    step = settings.time_codes_per_second / settings.fps
-    lead = animation.lead(settings, cycle * repeats)
-    frame = np.arange(settings.frames) - lead
-    frame = np.where((frame > 0) & (cycle > 0), frame % max(cycle, 1), frame)
-    times = animation.first + frame * step
+    times, lead = _animation_times(settings, animation, cycle, repeats)
     paths = [s.path for s in asset.surfaces]
     different, again = np.unique(times, return_inverse=True)
     when = {"first": animation.first, "times": different.tolist()}
@@ -200,32 +196,23 @@ def _of_character(
     kept = named_carried_meshes(rigid, carried, paths)
     pins += carried_pins(kept, carried, skeleton, solid, 2.0 * lattice)
     taken = {path for pin in pins for path in pin.meshes}
-    if soft := [f"<{path}>" for path in carried if path not in taken]:
-        left = len(soft) - 3
-        more = f" and {left} more mesh{'es' * (left > 1)}" if left > 0 else ""
-        moves, becomes = ("moves", "becomes") if len(soft) == 1 else ("move", "become")
-        notes = (
-            *notes,
-            f"{', '.join(soft[:3])}{more} {moves} with a single joint and {becomes} as soft as the"
-            f" rest; --rigid keeps a mesh rigid, such as --rigid {soft[0][1:-1]}",
-        )
+    notes = (*notes, *_soft_meshes([path for path in carried if path not in taken]))
     if not pins:
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
             f" as {bones[0].name}",
             "bind the mesh again, so that in the bind pose its skeleton is inside it",
         )
-    painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
     limits = None
     if squish is not None or stretch is not None:
         limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=2.0 * lattice)
-    if frequency is None and not painted:
-        if limits is None:
-            return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
-        frequency = 0.0  # limits alone: no springs
-    elif frequency is None:
-        frequency = GOAL_FREQUENCY
-        notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
+    painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
+    if frequency is None and limits is None and not painted:
+        return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
+    if frequency is None:
+        frequency = GOAL_FREQUENCY if painted else 0.0  # limits alone: no springs
+        if painted:
+            notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
     keys: list[Mapping[str, Floats]] = []
     if painted and goals_vary(file, asset.facts, asset.surfaces):
         codes = np.maximum(different, animation.first).tolist()
@@ -237,6 +224,33 @@ def _of_character(
         limits=limits,
     )  # fmt: skip
     return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept))
+
+
+def _animation_times(
+    settings: Settings, animation: Animation, cycle: int, repeats: int
+) -> tuple[Floats, int]:
+    """The time code of the animation at each sample, and the number of samples before its start;
+    see `_of_character`.
+    """
+    step = settings.time_codes_per_second / settings.fps
+    lead = animation.lead(settings, cycle * repeats)
+    frame = np.arange(settings.frames) - lead
+    frame = np.where((frame > 0) & (cycle > 0), frame % max(cycle, 1), frame)
+    return animation.first + frame * step, lead
+
+
+def _soft_meshes(paths: Sequence[str]) -> tuple[str, ...]:
+    """The note on meshes that move with a single joint and are not kept rigid."""
+    if not paths:
+        return ()
+    named = ", ".join(f"<{path}>" for path in paths[:3])
+    left = len(paths) - 3
+    more = f" and {left} more mesh{'es' * (left > 1)}" if left > 0 else ""
+    moves, becomes = ("moves", "becomes") if len(paths) == 1 else ("move", "become")
+    return (
+        f"{named}{more} {moves} with a single joint and {becomes} as soft as the"
+        f" rest; --rigid keeps a mesh rigid, such as --rigid {paths[0]}",
+    )
 
 
 def _at_frames(skeleton: Skeleton, rows: list[int]) -> Skeleton:
