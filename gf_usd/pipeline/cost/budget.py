@@ -149,24 +149,12 @@ def estimate(
         simulated.
     ends_early : the number of frames is an upper limit.
     """
-    from gf_usd.geometry.skinning import KEPT_BYTES
-
     n, frames, samples = particles, settings.frames, settings.samples_per_frame
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are expensive to build
-    on_gpu = settings.solver == "tl" and settings.device == "cuda"
-    particle = PARTICLE_MEMORY[settings.solver] + (ROWS_MEMORY if on_gpu else 0.0)
-    memory = PROCESS_MEMORY + particle * n * waiting + VERTEX_MEMORY * vertices
-    fixed, each = GPU_SUBSTEP_SECONDS if on_gpu else SUBSTEP_SECONDS[settings.solver]
-    substep = CONTACT * (fixed + each * n)
-    if paired:
-        memory += CONTACT_PAIR_MEMORY * paired
-        substep += CONTACT_PAIR_SECONDS * paired * crowd
-    if settings.solver == "tl" and settings.device == "cpu":
-        substep /= max(1, min(settings.threads or cores(), n // ALONE))
-    frame = FRAME_SECONDS[0] + FRAME_SECONDS[1] * n + FRAME_SECONDS[2] * vertices
-    if settings.skin == "paper":
-        frame += vertices * n * PAIR_SECONDS[8 * vertices * n <= KEPT_BYTES]
+    memory = _memory(settings, n * waiting, vertices, paired)
+    substep = _substep_seconds(settings, n, paired * crowd)
+    frame = _frame_seconds(settings, n, vertices)
     start = START_SECONDS + VERTEX_SECONDS * vertices
     moving = max(0, frames - 1 - flying)
     rows = []
@@ -215,6 +203,36 @@ def estimate(
         "first_contact_frame": first_contact,
         "per_material": rows,
     }
+
+
+def _memory(settings: Settings, particles: int, vertices: int, paired: int) -> float:
+    """[bytes] of a bake; particles : of all solvers that are kept; see `estimate`."""
+    particle = PARTICLE_MEMORY[settings.solver] + (ROWS_MEMORY if _on_gpu(settings) else 0.0)
+    memory = PROCESS_MEMORY + particle * particles + VERTEX_MEMORY * vertices
+    return memory + CONTACT_PAIR_MEMORY * paired
+
+
+def _substep_seconds(settings: Settings, particles: int, paired: int) -> float:
+    """[s] of a substep in contact; paired : samples of bodies that can touch others."""
+    fixed, each = GPU_SUBSTEP_SECONDS if _on_gpu(settings) else SUBSTEP_SECONDS[settings.solver]
+    seconds = CONTACT * (fixed + each * particles) + CONTACT_PAIR_SECONDS * paired
+    if settings.solver == "tl" and settings.device == "cpu":
+        seconds /= max(1, min(settings.threads or cores(), particles // ALONE))
+    return seconds
+
+
+def _frame_seconds(settings: Settings, particles: int, vertices: int) -> float:
+    """[s] of the poses of a frame."""
+    from gf_usd.geometry.skinning import KEPT_BYTES
+
+    seconds = FRAME_SECONDS[0] + FRAME_SECONDS[1] * particles + FRAME_SECONDS[2] * vertices
+    if settings.skin == "paper":
+        seconds += vertices * particles * PAIR_SECONDS[8 * vertices * particles <= KEPT_BYTES]
+    return seconds
+
+
+def _on_gpu(settings: Settings) -> bool:
+    return settings.solver == "tl" and settings.device == "cuda"
 
 
 def landing_factor(table: Sequence[Material], settings: Settings, fall: float) -> float:
