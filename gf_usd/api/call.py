@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, Protocol, TypeVar, cast, get_args, get_origin
@@ -45,9 +45,9 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
 
         @wraps(function)
         def call(*args: Any, **options: Any) -> R:
-            with keywords():
+            path = options.pop("path", None) if not args else args[0]
+            with in_words(replace(BAKE, kept=_file_names(path, options.get("output")))):
                 require_working_folder()
-                path = options.pop("path", None) if not args else args[0]
                 if args[1:]:
                     raise UsageError(
                         f"{name}() takes the asset and keyword arguments, but {args[1]!r} has "
@@ -91,6 +91,13 @@ def named(function: Callable[Q, S]) -> Callable[Q, S]:
     return call
 
 
+def _file_names(*paths: Any) -> tuple[str, ...]:
+    """Texts of paths, and their last parts, as messages have them."""
+    texts = [os.fspath(path) for path in paths if isinstance(path, str | os.PathLike)]
+    given = [Path(text) for text in texts if isinstance(text, str)]
+    return tuple(dict.fromkeys(text for path in given for text in (str(path), path.name) if text))
+
+
 def _is_row(hint: Any) -> bool:
     return get_origin(hint) is Annotated
 
@@ -109,7 +116,16 @@ def asset_path(path: Any) -> Path:
     raise refuse("the asset", path, "the path of a file, such as 'duck.usda'")
 
 
-OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
+OPTION = re.compile(r"(?<![\w/.~-])--?[a-z][a-z-]*(?![\w/]|\.\w)")
+# Names, which are not changed: quoted, prim paths, and paths of files, which may have spaces.
+NAME = (
+    r"(?<!\w)'[^'\n]*'(?!\w)",
+    r'"[^"\n]*"',
+    r"<[^<>\n]*>",
+    r"@[^@\n]*@",
+    r"(?<!\S)[./~]*/(?:(?! or |, |; |: )[^\n'\"<>])*?"
+    r"\.(?:usd[acz]?|ply|obj|stl|off|gltf|glb|json)\b",
+)
 # An option with a value that Python can be given in its place.
 GIVEN = re.compile(
     rf"({OPTION.pattern})(?: (auto|\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w:%/]|[.,]\s?-?\d))?"
@@ -125,13 +141,17 @@ class Words:
 
     known: Mapping[str, str]  # keywords, by the options with their dashes
     absent: frozenset[str] = frozenset()  # options that it has no counterpart of
+    kept: tuple[str, ...] = ()  # names of files, which are not changed
 
     def text(self, text: str) -> str:
         """A message, with keywords in place of options."""
-        return GIVEN.sub(self._keyword, text)
+        names = "|".join((*map(re.escape, self.kept), *NAME))
+        return re.sub(f"{names}|{GIVEN.pattern}", self._keyword, text)
 
     def _keyword(self, found: re.Match[str]) -> str:
         option, value = found.groups()
+        if option is None:  # a name
+            return found[0]
         keyword = self.known.get(option)
         if keyword is None or value is None or not keyword.isidentifier():
             return found[0] if keyword is None else keyword + found[0][len(option) :]

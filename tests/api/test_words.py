@@ -67,6 +67,40 @@ def test_values_of_options_are_those_of_keywords(text: str, keywords: str) -> No
     assert BAKE.text(text) == keywords
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/tmp/a -m 3 /x.usda",
+        "/shots/run --frames 12/duck.usdc",
+        "'/tmp/x --prim 1/duck.xyz'",
+        '"my file -o out.ply"',
+        "</World/A -m 3>",
+        "@textures/wood -m 2.png@",
+        "/tmp/--prim/a.usda",
+        "/tmp/a.--pin.usda",
+    ],
+)
+def test_names_are_not_taken_for_options(name: str) -> None:
+    assert BAKE.text(f"{name} is small: --particles 10") == f"{name} is small: particles=10"
+
+
+def test_options_next_to_names_are_keywords() -> None:
+    text = "the body's mesh: give --prim /World/A or -m rubber for /tmp/a.usda, the file's unit"
+    assert BAKE.text(text) == text.replace("--prim", "prims").replace("-m", "material")
+
+
+def test_errors_keep_the_name_of_the_file(tmp_path: Path) -> None:
+    """As it is given: nothing shows where an unquoted name begins."""
+    file = tmp_path / "my file -m 3 --prim x"
+    file.write_text("nothing")
+    with pytest.raises(gf_usd.InputError) as caught:
+        gf_usd.bake(file, particles=100)
+    assert str(file) in str(caught.value)
+    missing = tmp_path / "a -m 3.usda"
+    with pytest.raises(gf_usd.InputError, match=r"a -m 3\.usda"):
+        gf_usd.bake(path=missing)
+
+
 def test_a_scene_is_not_told_of_repairs() -> None:
     with pytest.raises(gf_usd.InputError) as caught:
         gf_usd.simulate(scene(FACES[:4]), particles=100)
