@@ -253,23 +253,23 @@ def with_short_edges(points: Floats, triangles: Ints, longest: float) -> tuple[F
 def _cut_at(triangles: Ints, middle: Ints) -> Ints:
     """Triangles (T, 3) cut at the points on their edges: middle (T, 3) after each corner, -1: none.
 
-    One cut leaves two, two leave three, three leave four triangles of the same winding.
+    One cut leaves two, two leave three, three leave four triangles of the same winding. Which
+    diagonal cuts a triangle with two cuts changes the sample mesh of self-contact, and its motion.
     """
-    has = middle >= 0
-    count = has.sum(1)
-    # Each is turned so that what differs comes first: the cut edge, or the one that is not cut.
-    first = np.where(count == 2, (~has).argmax(1), has.argmax(1))
+    count = (middle >= 0).sum(1)
+    # Turned so that one point is on the edge ab, and two are on ab and bc.
+    first = np.where(count == 1, middle.argmax(1), 0)
+    first = np.where(count == 2, (middle.argmin(1) + 1) % 3, first)
     turn = (first[:, None] + np.arange(3)) % 3
     (a, b, c), (ab, bc, ca) = (np.take_along_axis(v, turn, 1).T for v in (triangles, middle))
-    one, two, three = (np.flatnonzero(count == n) for n in (1, 2, 3))
-    cut = [
-        (one, ((a, ab, c), (ab, b, c))),
-        (two, ((bc, c, ca), (a, b, bc), (a, bc, ca))),
-        (three, ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))),
-    ]
-    out = [triangles[count == 0]]
-    out += [np.stack([v[rows] for v in corners], 1) for rows, all in cut for corners in all]
-    return np.concatenate(out)
+    patterns = (
+        [(a, b, c)],
+        [(a, ab, c), (ab, b, c)],
+        [(ab, b, bc), (a, ab, bc), (a, bc, c)],
+        [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)],
+    )
+    cut = [(number, corners) for number, all in enumerate(patterns) for corners in all]
+    return np.concatenate([np.stack(corners, 1)[count == number] for number, corners in cut])
 
 
 def triangulate(

@@ -34,7 +34,7 @@ from gf_usd.core.frames import Choices, Health, Particles, Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Collider
 from gf_usd.pipeline.health.log import health_of
-from gf_usd.prepare.outputs import Outputs
+from gf_usd.prepare.outputs import Outputs, remove_stale
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.atomic_files import dropped_on_failure, partial_path, publish
 from gf_usd.system.fingerprint import program
@@ -108,13 +108,7 @@ def remove_checkpoint(path: Path) -> None:
     removed.
     """
     for file in (path, partial_path(path)):
-        try:
-            file.unlink(missing_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"{file} of an earlier bake cannot be removed: {error.strerror}",
-                "remove it, or choose another -o",
-            ) from error
+        remove_stale(file)
 
 
 def _part(arrays: Mapping[str, Any], part: str) -> dict[str, Any]:

@@ -232,13 +232,18 @@ def create_output_folder(files: Outputs) -> None:
     if is_failure_report(files.report):
         stale.append(files.report)
     for path in stale:
-        try:
-            path.unlink(missing_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"{path} of an earlier bake cannot be removed: {error.strerror}",
-                "remove it, or choose another -o",
-            ) from error
+        remove_stale(path)
+
+
+def remove_stale(path: Path) -> None:
+    """Remove a file of an earlier bake, if it exists; raises UsageError where that fails."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"{path} of an earlier bake cannot be removed: {error.strerror}",
+            "remove it, or choose another -o",
+        ) from error
 
 
 DIGITS = 4

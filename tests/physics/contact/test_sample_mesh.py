@@ -8,8 +8,8 @@ from contact_scenes import bricks
 from solids import sphere
 from two_legs import SPACING, legs, sampled
 
-from gf_usd.core.mesh import boundary_edges, signed_volume
-from gf_usd.physics.contact.self_contact.sample_mesh import Neighbors, incident, split, triangulate
+from gf_usd.core.mesh import boundary_edges, signed_volume, with_short_edges
+from gf_usd.physics.contact.self_contact.sample_mesh import Neighbors, incident, triangulate
 
 
 @pytest.mark.parametrize("body", [sphere(subdivisions=4), sphere(subdivisions=1), legs(0.1)])
@@ -27,7 +27,7 @@ def test_the_triangles_of_samples_close_whatever_the_mesh(body):
 
 def test_long_edges_are_halved_without_gaps():
     skin, _ = sampled(legs(0.1))
-    points, triangles = split(skin.points, skin.triangles, 0.03)
+    points, triangles = with_short_edges(skin.points, skin.triangles, 0.03)
     edge = np.linalg.norm(points[triangles] - points[np.roll(triangles, 1, axis=1)], axis=2)
     assert edge.max() <= 0.03
     assert len(boundary_edges(triangles)) == 0

@@ -15,6 +15,7 @@ import igl
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.mesh import with_short_edges
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Skin
 
@@ -47,7 +48,7 @@ def triangulate(skin: Skin, X: Floats, spacing: float) -> SampleMesh:
     """The triangles of samples X (n, 3) [m] that lie on a skin about a spacing [m] apart."""
     from scipy.sparse.csgraph import dijkstra
 
-    points, triangles = split(*weld(skin.points, skin.triangles), FINE * spacing)
+    points, triangles = with_short_edges(*weld(skin.points, skin.triangles), FINE * spacing)
     home = np.asarray(igl.point_mesh_squared_distance(X, points, triangles)[1]).reshape(-1)
     corners = triangles[home]
     first = len(points)
@@ -83,43 +84,6 @@ def weld(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     welded = of.reshape(-1)[triangles]
     a, b, c = welded.T
     return points[first], welded[(a != b) & (b != c) & (c != a)]
-
-
-def split(points: Floats, triangles: Ints, longest: float) -> tuple[Floats, Ints]:
-    """The surface with its edges halved until none is longer than `longest` [m]; it has no gaps."""
-    while True:
-        edge = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], -1), -1)
-        flat = edge.reshape(-1, 2)
-        long = np.linalg.norm(points[flat[:, 0]] - points[flat[:, 1]], axis=1) > longest
-        if not long.any():
-            return points, triangles
-        pairs, inverse = np.unique(flat[long], axis=0, return_inverse=True)
-        middle = np.full(len(flat), -1)
-        middle[long] = len(points) + inverse.reshape(-1)
-        points = np.concatenate([points, points[pairs].mean(1)])
-        triangles = _divided(triangles, middle.reshape(-1, 3))
-
-
-def _divided(t: Ints, m: Ints) -> Ints:
-    """Triangles (T, 3) divided at the midpoints m (T, 3) of edges 01, 12 and 20; -1: none."""
-    count = (m >= 0).sum(1)
-    # Turned so that one midpoint is on edge 01, and two are on 01 and 12.
-    turn = np.where(count == 1, m.argmax(1), np.where(count == 2, (m.argmin(1) + 1) % 3, 0))
-    order = (turn[:, None] + np.arange(3)) % 3
-    (a, b, c), (d, e, f) = np.take_along_axis(t, order, 1).T, np.take_along_axis(m, order, 1).T
-    patterns = (
-        [(a, b, c)],
-        [(a, d, c), (d, b, c)],
-        [(d, b, e), (a, d, e), (a, e, c)],
-        [(a, d, f), (d, b, e), (f, e, c), (d, e, f)],
-    )
-    return np.concatenate(
-        [
-            np.stack(corner, 1)[count == number]
-            for number, pattern in enumerate(patterns)
-            for corner in pattern
-        ]
-    )
 
 
 def distinct(ends: Ints, n: int) -> Ints:
