@@ -23,7 +23,7 @@ points of the source would override the baked ones.  A specialize is the weakest
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -184,10 +184,9 @@ def _author_metadata(
 
 def _metadata_settings(settings: Settings) -> dict[str, object]:
     """The settings as metadata, with fields by number: metadata has no list of dictionaries."""
-    values = {**vars(settings)}
-    fields = values.pop("fields")
-    if fields:
-        each = [{**vars(f), "values": [g for one in f.values for g in one]} for f in fields]
+    values = asdict(settings)
+    if fields := values.pop("fields"):
+        each = [{**f, "values": [g for one in f["values"] for g in one]} for f in fields]
         values["fields"] = {
             str(k): {name: value for name, value in one.items() if value not in ((), [])}
             for k, one in enumerate(each)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -213,7 +213,7 @@ class Solver(ABC):
             if not fault:
                 frame = self.read(index)
                 done = 0 if stats.rested else substeps
-                seen = {name: value for name, value in vars(stats).items() if value is not None}
+                seen = {name: value for name, value in asdict(stats).items() if value is not None}
                 seen["overlap"] = max(stats.overlap, frame.health.pierced or 0.0)
                 health = replace(
                     frame.health, **{"substeps": done, "rollbacks": attempt, **seen}

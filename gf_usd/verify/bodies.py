@@ -231,10 +231,8 @@ def tension_parameters(law: str) -> dict[str, float]:
 def preset_material(name: str, body: Particles, **changes: Any) -> Material:
     """The material of a preset for a body, elastic in tension; changes replace its fields."""
     preset = DIMENSIONLESS[name].material(body.radius)
-    parameters = {
-        "parameters": {**preset.parameters, **tension_parameters(changes.get("law", preset.law))}
-    }
-    return Material(**{**vars(preset), **parameters, **changes})
+    parameters = {**preset.parameters, **tension_parameters(changes.get("law", preset.law))}
+    return replace(preset, **{"parameters": parameters, **changes})
 
 
 def elastic(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -105,7 +105,7 @@ def rows(result: Result) -> list[dict[str, Any]]:
             "what": result.case.what,
             "source": result.case.source,
             "seconds": round(result.seconds, 3),
-            **({"curve": vars(m.curve)} if m.curve else {}),
+            **({"curve": asdict(m.curve)} if m.curve else {}),
         }
         for m in result.measures
     ]

@@ -10,7 +10,7 @@ Lengths are in cells: the grid planes are at integers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -254,7 +254,7 @@ def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
         patch=np.arange(len(rows)), codes=codes, in_cell=in_cell, cells=cells,
         cell_start=np.append(start, len(rows)),
     )  # fmt: skip
-    return Patches(**{**vars(out), "patch": _patch(out)})
+    return replace(out, patch=_patch(out))
 
 
 def _patch(rows: Patches) -> Ints:

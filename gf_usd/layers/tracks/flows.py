@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -122,7 +123,7 @@ class FlowTrack:
         """The state from which another track of the same bake continues."""
         return {
             "last": [self._last, self._faces, self._padded],
-            "saved": vars(self.saved),
+            "saved": asdict(self.saved),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:

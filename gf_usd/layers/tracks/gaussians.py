@@ -10,7 +10,7 @@ velocities, normals and extents, and of GaussianFleshParticlesAPI, have no half 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -162,7 +162,7 @@ class SplatTrack:
 
     def state(self) -> dict[str, Any]:
         """The state from which another track of the same bake continues."""
-        halves = [[one.error, vars(one.singles), vars(one.stored)] for one in self._halves]
+        halves = [[one.error, asdict(one.singles), asdict(one.stored)] for one in self._halves]
         return {"halves": halves, "shape": self.shape_error}
 
     def restore(self, state: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ moves their origin near the asset.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -221,10 +221,10 @@ class ParticleTrack:
 
     def state(self) -> dict[str, Any]:
         """The state from which another track of the same bake continues."""
-        tets = {key: vars(track.saved) for key, track in self._tets.items()}
+        tets = {key: asdict(track.saved) for key, track in self._tets.items()}
         splats = self._splats.state() if self._splats else {}
         flows = {str(body): track.state() for body, track in self._flows.items()}
-        return {"splats": splats, "tets": tets, "saved": vars(self._saved), "flows": flows}
+        return {"splats": splats, "tets": tets, "saved": asdict(self._saved), "flows": flows}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore the state of the track that wrote the existing samples."""

@@ -6,7 +6,7 @@ The tolerance of a mesh is that of the smallest body in it; each particle has it
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -188,7 +188,7 @@ class AdaptiveSamples:
 
     def state(self) -> dict[str, Any]:
         """The state from which others continue, at the end of a clip; plain values."""
-        return {name: vars(tally) for name, tally in self.tallies.items()}
+        return {name: asdict(tally) for name, tally in self.tallies.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore the state of the selection that wrote the existing samples."""

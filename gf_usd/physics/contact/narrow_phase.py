@@ -67,6 +67,7 @@ class ContactSearch:
             x = self.x[rows, axis]
             there &= (x >= low[axis]) & (x <= high[axis])
         return rows[there]
+
     def keep(self, rows: Ints, planes: ContactPlanes, gap: Floats) -> None:
         """Give samples `rows` (k,) the planes that they had; gap : (n,) [m] of all samples now."""
         for name in ARRAYS:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 from gf_usd.core.errors import UsageError
@@ -57,7 +57,7 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
         procrustes=bool(request.procrustes),
     )  # fmt: skip
     return FilledBodies(
-        **vars(filled),
+        **{field.name: getattr(filled, field.name) for field in fields(filled)},
         count_notes=count_notes(count, filled.particles, sheets=bool(meshes.spacing)),
         resolution_notes=(requested.note,) if requested.note else (),
         character_notes=notes,

@@ -11,6 +11,7 @@ import math
 import numbers
 import os
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
 from pathlib import PurePath
 from typing import Any, TypeAlias
 
@@ -435,7 +436,7 @@ def limits(name: str, value: Any) -> Any:
     if isinstance(value, Limits):
         return value
     if isinstance(value, Mapping):
-        known = vars(Limits())
+        known = asdict(Limits())
         for key, most in value.items():
             if key not in known or not is_number(most) or not 0.0 < most < math.inf:
                 raise UsageError(

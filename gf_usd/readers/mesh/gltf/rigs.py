@@ -16,7 +16,7 @@ of their common joints differ by one matrix, which becomes a part of G.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,7 +212,7 @@ class Rigs:
     def _motion(self, node: int, part: Parts) -> tuple[Floats, Floats, Floats]:
         """Translations (F, 3), rotations (F, 4) (x, y, z, w) and scales (F, 3) of a node."""
         out = []
-        for path, still in vars(part).items():
+        for path, still in asdict(part).items():
             channel = self._animation.channels.get((node, path))
             if channel is None:
                 out.append(np.repeat(np.asarray(still)[None], len(self._times), axis=0))
