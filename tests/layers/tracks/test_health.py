@@ -113,8 +113,8 @@ def test_tables_read_what_there_is(tmp_path: Path) -> None:
     left = set(Health.__dataclass_fields__) - fields
     # The particles have their masses; what is inside is looked at in a few frames alone; what
     # contact planes gave is part of what was injected; bodies and particles that fall past every
-    # obstacle, the volume and thickness of what flows, bodies that expand and particles outside a coarse mesh
-    # are warnings of the totals; conversion is counted in them.
+    # obstacle, the volume and thickness of what flows, bodies that expand and particles outside a
+    # coarse mesh are warnings of the totals; conversion is counted in them.
     apart = {"fallen", "fallen_kinetic", "lost", "flow_volume", "converted", "flow_per_cell"}
     apart |= {"conversion_dissipation", "outside_share", "outside_depth", "outside_mesh"}
     apart |= {"pierced", "pierced_through", "pierced_pair"}  # in every sixth frame
