@@ -94,3 +94,29 @@ def schedule(
             if away < reach:
                 near.append((a, -1 - k))
     return near, hold
+
+
+@dataclass(frozen=True, kw_only=True)
+class BroadPhase:
+    """The broad phase between all bodies of a scene, and with its obstacles."""
+
+    members: Sequence[Ints]  # samples of each body
+    obstacles: Sequence[Obstacle]
+    contact_setup: ContactSetup
+    reach: float  # [m] distance within which contact is considered
+    spacing: float  # [m]
+
+    def boxes(self, x: Floats, v: Floats) -> list[Box]:
+        """Those of each body with samples at x (n, 3) [m] with v (n, 3) [m/s]."""
+        return [Box.around(x[m], v[m]) for m in self.members]
+
+    def pairs(
+        self, boxes: Sequence[Box], frame: float, pull: float, still: Ints | None = None
+    ) -> tuple[list[tuple[int, int]], float]:
+        """See `schedule`."""
+        if len(self.members) == 1 and not self.obstacles:
+            return [], float("inf")
+        return schedule(
+            boxes, self.obstacles, self.contact_setup, frame=frame, pull=pull, reach=self.reach,
+            spacing=self.spacing, still=still,
+        )  # fmt: skip

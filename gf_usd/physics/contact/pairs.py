@@ -19,7 +19,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.physics.contact.broad_phase import Box, schedule
+from gf_usd.physics.contact.broad_phase import BroadPhase
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.floor import HARD, FloorContact
 from gf_usd.physics.contact.narrow_phase import (
@@ -50,14 +50,14 @@ from gf_usd.physics.contact.planes.intervals import (
 )
 from gf_usd.physics.contact.planes.persistence import Outlook, Persistence
 from gf_usd.physics.contact.rest_gaps import RestGaps
-from gf_usd.physics.contact.self_contact.search import AHEAD, FACE, NEARLY, SelfContact
+from gf_usd.physics.contact.self_contact.bodies import OwnContacts
+from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import PairSprings
 from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
-STAY = 1.0  # [spacings]
 CALMLY = 0.05  # [spacings] as `NEARLY`, for bodies that hardly move
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
 # Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
@@ -82,14 +82,19 @@ class BodyContact:
         self._spacing = body.particles.spacing
         self._reach = (FACING + TRAVEL) * self._spacing  # [m] from where something is faced
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
+        self._broad_phase = BroadPhase(
+            members=self._members, obstacles=self._obstacles, contact_setup=self.contact_setup,
+            reach=self._reach, spacing=self._spacing,
+        )  # fmt: skip
         self._skins: dict[int, BodySkin] = {}  # see `_skin`, of bodies that others came near
         self._budget = self._make_budget(body, len(skins))
         self._placed: tuple[ref[StateView], Floats, Floats] | None = None  # `motion` of a view
-        self._own = {
-            k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)
-        }
+        own = {k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)}
+        self._own = OwnContacts(
+            own, self._members, len(samples.X), reach=self._reach, spacing=self._spacing
+        )
         self._rest_gaps = RestGaps(
-            samples.X, of, self.contact_setup, self._obstacles, self._own,
+            samples.X, of, self.contact_setup, self._obstacles, own,
             spacing=self._spacing, reach=self._reach, lift=np.asarray(body.settings.lift),
         )  # fmt: skip
         lift = np.asarray(body.settings.lift, float)
@@ -102,7 +107,6 @@ class BodyContact:
             spacing=self._spacing,
         )  # fmt: skip
         self._kept = np.zeros(len(skins), bool)  # bodies not searched from at the last detection
-        self._own_until = np.zeros(len(skins))  # [s] until when each cannot come near itself
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self.watched = np.zeros(0, np.int64)  # samples whose planes the kernels have
@@ -121,8 +125,6 @@ class BodyContact:
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
         self._gap = np.full(len(samples.X), -np.inf)
-        # [m] then, of what each sample saw of its own body, whatever else it faced.
-        self._own_gap = np.full(len(samples.X), self._reach)
 
     def _meets_itself(self, body: int) -> bool:
         """Whether a body may be in contact with itself: it has samples, and not all are pinned."""
@@ -159,7 +161,7 @@ class BodyContact:
             **{f"contact_{name}": getattr(self.planes, name) for name in ARRAYS},
             "contact_detected": self._detected,
             "contact_gap": self._gap,
-            "contact_own_gap": self._own_gap,
+            "contact_own_gap": self._own.gap,
             "contact_x": self._x,
             "contact_watched": self.watched,
             "contact_stiffness": self._k,
@@ -173,7 +175,7 @@ class BodyContact:
         self.planes = ContactPlanes(**planes)
         self._detected = float(saved["contact_detected"])
         self._gap = np.asarray(saved["contact_gap"])
-        self._own_gap = np.asarray(saved["contact_own_gap"])
+        self._own.gap = np.array(saved["contact_own_gap"])
         self._x = np.asarray(saved["contact_x"])
         self.watched = np.asarray(saved["contact_watched"])
         self._k = np.asarray(saved["contact_stiffness"])
@@ -216,22 +218,22 @@ class BodyContact:
         """
         span = self._body.settings.frame_time
         x, v = self.motion(now)
-        near, hold = self._broad_phase(self._boxes(x, v), time / span, self._pull, still)
+        near, hold = self._broad_phase.pairs(
+            self._broad_phase.boxes(x, v), time / span, self._pull, still
+        )
         if near or hold < span:
             return True
-        return any(
-            own.imminent(
-                x[m := self._members[k]], v[m], span, self._positions_before(k, x), self._own_gap[m]
-            )
-            for k, own in self._own.items()
-            if still is None or not still[k]
-        )
+        return self._own.imminent(x, v, span, self._x_before(x), still)
+
+    def _x_before(self, x: Floats) -> Floats:
+        """(n, 3) [m] samples at the last search from each; before the first one, as in x."""
+        return np.where(np.isinf(self._gap)[:, None], x, self._persistence.x)
 
     def pass_by(self, flying: Ints, time: float) -> None:
         """A frame has passed, up to `time` [s], in which flying bodies (B,) had nothing near."""
         for k in np.flatnonzero(flying):
-            away = self._reach
-            self._gap[self._members[k]] = self._own_gap[self._members[k]] = away
+            self._gap[self._members[k]] = self._reach
+            self._own.forget(self._members[k])
             self.planes.forget(self._members[k])
             self._rest_gaps.forget_planes()
         self._persistence.forget(np.flatnonzero(flying))
@@ -326,9 +328,12 @@ class BodyContact:
             self.note_way(now, time, dt)
         self._frame = frame
         old = self._stored(x, time)
-        boxes = self._boxes(x, v)
-        pairs, hold = self._broad_phase(boxes, frame, self._pull)
-        outlook = self._outlook(x, v, boxes, pairs, frame, time, left * dt)
+        boxes = self._broad_phase.boxes(x, v)
+        pairs, hold = self._broad_phase.pairs(boxes, frame, self._pull)
+        outlook = Outlook.of(
+            x, v, boxes, pairs, [one.speed(frame) > 0.0 for one in self._obstacles],
+            pull=self._pull, time=time, span=left * dt,
+        )  # fmt: skip
         self._persistence.follow(x)
         self._kept[:] = not self.lateness.repeats and self._persistence.kept(old.planes, outlook)
         search, hold = self._search(now, outlook, pairs, hold, frame, frame_begins=done == 0)
@@ -340,7 +345,8 @@ class BodyContact:
             self.watched = self.watched[:0]
             chunk = int(np.clip(hold / dt, 1, left))
             return chunk, int(np.ceil(chunk * shorter))
-        self._keep_unseen(search, old.depth)
+        offset = self._rest_gaps.of_planes(self.planes)
+        self._own.keep_unseen(search, self.planes, offset, old.depth, self._of)
         self._note_overlap(state)
         values = self._replace_planes(search, old, outlook)
         slide = self._persistence.slide - self._persistence.slid(self.planes, x)
@@ -395,36 +401,24 @@ class BodyContact:
                 self._search_obstacle(search, bodies, -1 - other, frame, min(hold, span))
             else:
                 self._search_body(search, bodies, other, now.nodes[0], now.offset)
-        own_hold = self._search_own(search, outlook, min(hold, span), every_sample=frame_begins)
+        own_hold = self._own.search(
+            search, outlook, kept, self._x_before(x), min(hold, span), every_sample=frame_begins
+        )
         search.carry(self._skins, self._X)
         return search, min(hold, own_hold)
-
-    def _outlook(
-        self, x: Floats, v: Floats, boxes: Sequence[Box], pairs: Sequence[tuple[int, int]],
-        frame: float, time: float, span: float,
-    ) -> Outlook:  # fmt: skip
-        """What moves after a detection; see `Outlook` and `_broad_phase`."""
-        count = len(self._obstacles)
-        near = np.zeros((len(boxes), count + len(boxes)), bool)
-        for body, other in pairs:
-            near[body, count + other if other >= 0 else -1 - other] = True
-        return Outlook(
-            x=x, v=v, mean=np.array([box.mean for box in boxes]),
-            spread=np.array([box.spread for box in boxes]), near=near,
-            moving=np.array([one.speed(frame) > 0.0 for one in self._obstacles], bool),
-            pull=self._pull, time=time, span=span,
-        )  # fmt: skip
 
     def note_way(self, now: StateView, time: float, dt: float) -> None:
         """Note whether a detection at a time [s] of the state is late, with substeps of dt [s]."""
         took = time - self._detected
         way = self.motion(now)[0] - self._x
         if np.isfinite(way).all():  # else the frame fails
-            boxes = self._boxes(self._x, way / took)
-            held = self._broad_phase(boxes, self._frame, 0.0)[1]
+            boxes = self._broad_phase.boxes(self._x, way / took)
+            held = self._broad_phase.pairs(boxes, self._frame, 0.0)[1]
             self.lateness.note(self._detected, took, held, dt)
             if self._kept.any():
-                approach = self._persistence.approaches(self.motion(now)[0])[self._kept].max()
+                x = self._x + way
+                self._persistence.follow(x)
+                approach = self._persistence.approaches(x)[self._kept].max()
                 if approach > self._reach:
                     self.lateness.note(self._detected, took, took * self._reach / approach, dt)
 
@@ -446,7 +440,7 @@ class BodyContact:
         slide = TRAVEL * self._spacing + WAIT * np.maximum(self._gap, 0.0)
         self._persistence.note(
             np.flatnonzero(~self._kept), self.planes, self._gap, outlook,
-            slide=slide, shift=shift, own_until=self._own_until,
+            slide=slide, shift=shift, own_until=self._own.until,
         )  # fmt: skip
 
     def _replace_planes(
@@ -503,26 +497,6 @@ class BodyContact:
         s = self._body.settings
         return float(np.linalg.norm(s.gravity)) + s.pushes
 
-    def _boxes(self, x: Floats, v: Floats) -> list[Box]:
-        """Those of the samples at x (n, 3) [m] with v (n, 3) [m/s] of each body."""
-        return [Box.around(x[m], v[m]) for m in self._members]
-
-    def _broad_phase(
-        self, boxes: Sequence[Box], frame: float, pull: float, still: Ints | None = None
-    ) -> tuple[list[tuple[int, int]], float]:
-        if len(self._members) == 1 and not self._obstacles:
-            return [], float("inf")
-        return schedule(
-            boxes,
-            self._obstacles,
-            self.contact_setup,
-            frame=frame,
-            pull=pull,
-            reach=self._reach,
-            spacing=self._spacing,
-            still=still,
-        )
-
     def _search_body(
         self,
         search: ContactSearch,
@@ -548,69 +522,6 @@ class BodyContact:
         mine = rows[found.rows]
         point = found.point + self._rest_gaps.from_body(mine, other)[:, None] * found.normal
         search.offer_places(mine, found.gap, found.normal, point, other, rest)
-
-    def _search_own(
-        self, search: ContactSearch, outlook: Outlook, span: float, *, every_sample: bool
-    ) -> float:
-        """Offer each body the places of its own surface that it faces.
-
-        Returns for how long [s] nothing is missing.  span : [s] after which the search is repeated
-        anyway; every_sample : search from all samples of a body, not only from those of patches
-        that may be near each other.  Once a frame that finds contact between neighboring patches
-        before the surface is folded there.
-        """
-        hold, v = float("inf"), outlook.v
-        known = self._own_gap
-        self._own_gap = np.where(self._kept[self._of], known, self._reach)
-        self._own_until = np.full(len(self._members), np.inf)
-        for k, own in self._own.items():
-            if self._kept[k]:
-                continue
-            m = self._members[k]
-            patch_pairs, until = own.broad_phase(search.x[m], v[m], min(span, hold))
-            hold = min(hold, until)
-            self._own_until[k] = outlook.time + until
-            if patch_pairs is None:
-                continue
-            before = self._positions_before(k, search.x)
-            found = own.find(
-                search.x[m], v[m], FACE * self._spacing, before, known[m],
-                None if every_sample else patch_pairs,
-            )  # fmt: skip
-            self._own_gap[m[found.rows]] = found.gap
-            hold = min(hold, found.hold)
-            self._own_until[k] = outlook.time + min(until, found.hold)
-            order = np.argsort(-found.weights, axis=1, kind="stable")
-            search.offer(
-                m[found.rows], found.gap, found.normal,
-                found.point + own.offset[found.rows, None] * found.normal,
-                m[np.take_along_axis(found.carriers, order, 1)],
-                np.take_along_axis(found.weights, order, 1), sure=True,
-            )  # fmt: skip
-        return hold
-
-    def _keep_unseen(self, search: ContactSearch, depth: Floats) -> None:
-        """Keep the old planes of samples inside their own body for which the search found none.
-
-        depth : (n,) [m] under the old planes.  Beyond an edge or in a crease there may be no
-        closest place; a sample is no longer inside once it is STAY to the side of its old plane.
-        """
-        f, offset = self.planes, self._rest_gaps.of_planes(self.planes)
-        unseen = (depth > 0.0) & (search.planes.partner == NOBODY) & (f.partner >= 0)
-        rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
-        point = f.of(rows).interpolated(search.x) + f.point[rows]
-        away = search.x[rows] - point
-        aside = away + depth[rows, None] * f.normal[rows]
-        near = np.linalg.norm(aside, axis=1) < STAY * self._spacing
-        rows, point = rows[near], point[near]
-        gap = offset[rows] - depth[rows]
-        self._own_gap[rows] = gap
-        search.offer(rows, gap, f.normal[rows], point, f.carriers[rows], f.weights[rows], sure=True)
-
-    def _positions_before(self, body: int, x: Floats) -> Floats:
-        """(m, 3) [m] samples of a body at the last detection; before the first one, as in x."""
-        m = self._members[body]
-        return np.where(np.isinf(self._gap[m])[:, None], x[m], self._persistence.x[m])
 
     def _search_obstacle(
         self, search: ContactSearch, bodies: Sequence[int], which: int, frame: float, span: float

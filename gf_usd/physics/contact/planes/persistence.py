@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, lengths
+from gf_usd.physics.contact.broad_phase import Box
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 
 DEFORMED = 0.5  # [spacings] largest motion of a sample relative to the mean of its body
@@ -49,6 +50,22 @@ class Outlook:
     pull: float  # [m/s^2] bound of the acceleration by gravity and fields
     time: float  # [s] of the detection
     span: float  # [s] until the next one, at most
+
+    @classmethod
+    def of(
+        cls, x: Floats, v: Floats, boxes: Sequence[Box], pairs: Sequence[tuple[int, int]],
+        moving: Sequence[bool], *, pull: float, time: float, span: float,
+    ) -> Outlook:  # fmt: skip
+        """From the boxes of all bodies and the pairs of `broad_phase.schedule`."""
+        obstacles = len(moving)
+        near = np.zeros((len(boxes), obstacles + len(boxes)), bool)
+        for body, other in pairs:
+            near[body, obstacles + other if other >= 0 else -1 - other] = True
+        return cls(
+            x=x, v=v, mean=np.array([box.mean for box in boxes]),
+            spread=np.array([box.spread for box in boxes]), near=near,
+            moving=np.array(moving, bool), pull=pull, time=time, span=span,
+        )  # fmt: skip
 
 
 class Persistence:
