@@ -30,7 +30,10 @@ class Box:
 
     @classmethod
     def around(cls, x: Floats, v: Floats) -> Box:
-        """The box of samples at x (n, 3) [m] with v (n, 3) [m/s]."""
+        """The box of samples at x (n, 3) [m] with v (n, 3) [m/s]; without any, far from all."""
+        if not len(x):
+            far = np.full(3, np.inf)
+            return cls(low=far, high=-far, mean=np.zeros(3), spread=0.0)
         mean = v.mean(0)
         off = v - mean
         fastest = float(np.sqrt(np.einsum("na,na->n", off, off).max()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -151,7 +152,7 @@ def test_what_moves_as_one_has_not_slid() -> None:
     kept.follow(x)
     assert kept.slid(planes, x) == pytest.approx(np.zeros(4), abs=1e-12)
     assert kept.gaps(planes, x)[0] == pytest.approx(0.15)
-    assert kept.approaches(x) == pytest.approx(np.zeros((2, 2)), abs=1e-12)
+    assert kept.approaches(x) == pytest.approx(np.zeros(2), abs=1e-12)
     still = np.zeros_like(X)
     assert kept.kept(planes, outlook(x, still, 0.1)).all()
 
@@ -165,7 +166,7 @@ def test_motions_add_up_over_detections(axis: int) -> None:
         x[0, axis] += step
         kept.follow(x)
     assert kept.slid(planes, x)[0] == pytest.approx(0.3)
-    assert kept.approaches(x)[0, 1] == pytest.approx(0.3)
+    assert kept.approaches(x)[0] == pytest.approx(0.3)
     assert kept.gaps(planes, x)[0] == pytest.approx(0.15 + (0.3 if axis == 2 else 0.0))
     assert not kept.kept(planes, outlook(x, still, 0.1))[0]
 
@@ -211,3 +212,18 @@ def test_planes_shifted_from_the_surface_are_found_anew() -> None:
         own_until=np.full(2, np.inf),
     )  # fmt: skip
     assert kept.valid.tolist() == [False, True]
+
+
+def test_planes_of_an_obstacle_that_moved_are_found_anew() -> None:
+    """The frame after the last in which it moved."""
+    kept = Persistence([np.array([0]), np.array([1, 2, 3])], 1, X, reach=1.0, spacing=0.5)
+    planes, still = facing(X), np.zeros_like(X)
+    near = np.array([[True, False, False], [False, False, False]])
+    for moving in (True, False):
+        now = replace(outlook(X, still, 0.1), near=near, moving=np.array([moving]))
+        assert not kept.kept(planes, now)[0]
+        kept.note(
+            np.array([0, 1]), planes, np.full(4, 0.1), now,
+            slide=np.full(4, 0.25), shift=np.zeros(4), own_until=np.full(2, np.inf),
+        )  # fmt: skip
+    assert kept.kept(planes, now)[0]

@@ -7,7 +7,7 @@ body are kept if, from the search that found them until the next detection,
 - nothing that was near can have come within reach of a sample that did not face it: the difference
   of the mean motions of two bodies, and the motions of their samples relative to these means, add
   up to no more than the reach,
-- nothing comes near that was not, and no obstacle moves that was,
+- nothing comes near that was not, and no obstacle that was near has moved or will,
 - the body is not deformed by more than `DEFORMED`, and the time has not passed within which it
   cannot come near itself.
 
@@ -50,6 +50,11 @@ class Outlook:
     pull: float  # [m/s^2] bound of the acceleration by gravity and fields
     time: float  # [s] of the detection
     span: float  # [s] until the next one, at most
+
+    @property
+    def beside_moving(self) -> Ints:
+        """(B,) bodies that are near an obstacle that moves."""
+        return (self.near[:, : len(self.moving)] & self.moving).any(1)
 
     @classmethod
     def of(
@@ -113,55 +118,47 @@ class Persistence:
         """Count how the bodies were deformed since the last detection; x : (n, 3) [m] now."""
         step = x - self.last
         for k, m in enumerate(self._members):
-            self.way[k] += lengths(step[m] - step[m].mean(0)).max(initial=0.0)
+            if len(m):
+                self.way[k] += lengths(step[m] - step[m].mean(0)).max()
         self.last = x
 
     def kept(self, planes: ContactPlanes, now: Outlook) -> Ints:
         """(B,) bodies whose planes may be kept until the next detection."""
         kept = self.valid & (self.own_until >= now.time + now.span)
-        kept &= ~(now.near & ~self.near).any(1)
-        obstacles = len(now.moving)
-        kept &= ~(now.near[:, :obstacles] & now.moving).any(1)
-        own = self._deformed().diagonal()
+        kept &= ~(now.near & ~self.near).any(1) & ~now.beside_moving
+        own = self.way - self.path.diagonal()
         kept &= own + now.span * now.spread <= DEFORMED * self._spacing
         if kept.any():
-            kept &= self._approach(now).max(1) <= self._reach
+            kept &= self.approaches(now.x, now) <= self._reach
         if kept.any():
             kept &= ~self._slid(planes, now)
         return kept
 
-    def _deformed(self) -> Floats:
-        """(B, B) [m] by which each body was deformed at most since the search from another."""
-        return self.way - self.path
-
     def _means(self, x: Floats) -> Floats:
         """(B, 3) [m] mean positions."""
-        return np.array([x[m].mean(0) for m in self._members])
+        return np.array([x[m].mean(0) if len(m) else np.zeros(3) for m in self._members])
 
-    def approaches(self, x: Floats) -> Floats:
-        """(B, O + B) [m] by which bodies and what is near them may have approached since the
-        search; x : (n, 3) [m] now."""
-        drift = self._means(x) - self.mean  # since the search from each (first index)
-        own, deformed = np.arange(len(drift)), self._deformed()
-        alone = drift[own, own]
-        to_bodies = (
-            np.linalg.norm(drift - alone[:, None], axis=2) + deformed + deformed.diagonal()[:, None]
-        )
-        to_obstacles = (lengths(alone) + deformed.diagonal())[:, None]
-        count = self.near.shape[1] - len(own)
-        both = np.concatenate([np.repeat(to_obstacles, count, 1), to_bodies], 1)
-        return np.where(self.near, both, 0.0)
+    def approaches(self, x: Floats, now: Outlook | None = None) -> Floats:
+        """(B,) [m] by which bodies and what was near them may have approached since the search
+        from each, at most; 0 where nothing was.
 
-    def _approach(self, now: Outlook) -> Floats:
-        """(B, O + B) [m] `approaches` until the next detection."""
-        to_bodies = (
-            np.linalg.norm(now.mean[:, None] - now.mean, axis=2) + now.spread[:, None] + now.spread
-        )
-        to_obstacles = (lengths(now.mean) + now.spread)[:, None]
-        count = self.near.shape[1] - len(now.mean)
-        speed = np.concatenate([np.repeat(to_obstacles, count, 1), to_bodies], 1)
-        ahead = now.span * speed + 0.5 * now.pull * now.span**2
-        return self.approaches(now.x) + np.where(self.near, ahead, 0.0)
+        x : (n, 3) [m] of the samples; now : until the next detection.
+        """
+        means, out = self._means(x), np.zeros(len(self._members))
+        obstacles = self.near.shape[1] - len(out)
+        a, b = np.nonzero(self.near)
+        b = np.where(b < obstacles, -1, b - obstacles)  # obstacles do not move
+        drift = means - self.mean[np.arange(len(out)), np.arange(len(out))]
+        way = self.way - self.path.diagonal()
+        others = np.where((b >= 0)[:, None], means[b] - self.mean[a, b], 0.0)
+        far = lengths(others - drift[a]) + way[a]
+        far += np.where(b >= 0, self.way[b] - self.path[a, b], 0.0)
+        if now is not None:
+            v = np.where((b >= 0)[:, None], now.mean[b], 0.0)
+            speed = lengths(v - now.mean[a]) + now.spread[a] + np.where(b >= 0, now.spread[b], 0.0)
+            far += now.span * speed + 0.5 * now.pull * now.span**2
+        np.maximum.at(out, a, far)
+        return out
 
     def slid(self, planes: ContactPlanes, x: Floats) -> Floats:
         """(n,) [m] by which samples have moved along their planes since the search."""
@@ -181,7 +178,7 @@ class Persistence:
     def gaps(self, planes: ContactPlanes, x: Floats) -> Floats:
         """(n,) [m] gaps of samples at x (n, 3) [m], by the motion since the search."""
         rows = planes.facing
-        out = np.maximum(self._reach - self.approaches(x).max(1, initial=0.0), 0.0)[self._of]
+        out = np.maximum(self._reach - self.approaches(x), 0.0)[self._of]
         out[rows] = self.offset[rows] - planes.below(x)[rows]
         return out
 
@@ -205,4 +202,4 @@ class Persistence:
         self.mean[bodies], self.path[bodies] = self._means(now.x), self.way
         self.own_until[bodies] = own_until[bodies]
         shifted = np.bincount(self._of[shift > SHIFTED * self._spacing], minlength=len(self.way))
-        self.valid[bodies] = shifted[bodies] == 0
+        self.valid[bodies] = ((shifted == 0) & ~now.beside_moving)[bodies]
