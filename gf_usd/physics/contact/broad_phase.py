@@ -19,6 +19,9 @@ from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 
 
+FAR = 1e30  # [m]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Box:
     """Bounding box and velocity range of a body."""
@@ -32,7 +35,7 @@ class Box:
     def around(cls, x: Floats, v: Floats) -> Box:
         """The box of samples at x (n, 3) [m] with v (n, 3) [m/s]; without any, far from all."""
         if not len(x):
-            far = np.full(3, np.inf)
+            far = np.full(3, FAR)
             return cls(low=far, high=-far, mean=np.zeros(3), spread=0.0)
         mean = v.mean(0)
         off = v - mean

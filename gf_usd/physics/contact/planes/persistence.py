@@ -54,7 +54,7 @@ class Outlook:
     @property
     def beside_moving(self) -> Ints:
         """(B,) bodies that are near an obstacle that moves."""
-        return (self.near[:, : len(self.moving)] & self.moving).any(1)
+        return np.asarray((self.near[:, : len(self.moving)] & self.moving).any(1))
 
     @classmethod
     def of(
