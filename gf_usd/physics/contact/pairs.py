@@ -394,9 +394,11 @@ class BodyContact:
         if kept.any():
             mine = kept[self._of]
             search.keep(np.flatnonzero(mine), self.planes, self._persistence.gaps(self.planes, x))
-        searched = [(body, other) for body, other in pairs if not kept[body]]
-        for other in sorted({other for _, other in searched}):
-            bodies = [body for body, faced in searched if faced == other]
+        searched: dict[int, list[int]] = {}
+        for body, other in pairs:
+            if not kept[body]:
+                searched.setdefault(other, []).append(body)
+        for other, bodies in sorted(searched.items()):
             if other < 0:
                 self._search_obstacle(search, bodies, -1 - other, frame, min(hold, span))
             else:
