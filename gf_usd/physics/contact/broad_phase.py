@@ -18,7 +18,6 @@ from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 
-
 FAR = 1e30  # [m]
 
 
