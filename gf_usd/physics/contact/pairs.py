@@ -52,13 +52,12 @@ from gf_usd.physics.contact.planes.persistence import Outlook, Persistence
 from gf_usd.physics.contact.rest_gaps import RestGaps
 from gf_usd.physics.contact.self_contact.bodies import OwnContacts
 from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY, SelfContact
-from gf_usd.physics.contact.stability import PairSprings
+from gf_usd.physics.contact.stability import CALM, PairSprings
 from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
-CALMLY = 0.05  # [spacings] as `NEARLY`, for bodies that hardly move
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
 # Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
 # those of planes it carries, and each of the two strained by both bodies.
@@ -353,12 +352,11 @@ class BodyContact:
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
         span = chunk * dt
-        kept = self._kept[self._of]
+        calm = (self._kept & outlook.hardly_moving(CALM * self._spacing))[self._of]
         springs = PairSprings(
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing, x=x, v=v, span=span,
-            gain=np.where(kept, 0.0, self._pull * span),
-            margin=np.where(kept, CALMLY, NEARLY) * self._spacing,
+            fall=self._pull * span, calm=calm,
         )  # fmt: skip
         by = self._step_ratio(springs, stable or dt, floor(span) if floor else None)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
@@ -370,7 +368,7 @@ class BodyContact:
         dt = chunk * dt / parts
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
-        self.watched, self._span = springs.touching[0], parts * dt
+        self.watched, self._span = springs.watched, parts * dt
         planes = moved(self.planes.only(self.watched), x, v, -dt if done else -0.5 * dt)
         self._upload(state, now, values, dt, planes)
         return chunk, parts

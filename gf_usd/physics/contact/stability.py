@@ -22,11 +22,11 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints, cross, row_dots
 from gf_usd.physics.contact.floor import FloorContact
-from gf_usd.physics.contact.narrow_phase import CLOSER
+from gf_usd.physics.contact.narrow_phase import CLOSER, TRAVEL
 from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.self_contact.patches import CHANGE
-from gf_usd.physics.contact.self_contact.search import AHEAD
+from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
@@ -34,6 +34,7 @@ from gf_usd.physics.time_step import StableStep
 ACCURACY = 0.05  # relative error bound of an eigenvalue, which is added
 COLUMN = 4.0  # mass stopped by one sample in contact, in masses of a sample
 DAMPED = 0.9  # of the undamped step: below it the damped one is computed, not bounded
+CALM = 0.05  # [spacings] as `NEARLY`, for bodies at rest on others
 SPARE = 1.5  # factor on the springs of a crowded sample: few samples are deep
 
 
@@ -49,8 +50,8 @@ class PairSprings:
     x: Floats  # (n, 3) [m] of the samples now
     v: Floats  # (n, 3) [m/s]
     span: float  # [s] until the next detection
-    gain: Floats  # (n,) [m/s] bound of the speed gained from body forces until then
-    margin: Floats  # (n,) [m] gap that is left below which a sample counts as touching
+    fall: float  # [m/s] bound of the speed gained from body forces until then
+    calm: Ints  # (n,) whether a sample is of a body at rest on others, which gains no speed
 
     def step(
         self, contact: FloorContact, mass: NodalMass, rest: StableStep, near: Ints
@@ -92,6 +93,21 @@ class PairSprings:
         """Samples (m,) that may be in contact until the next detection; (m,) >= 1 factor by which
         their springs may harden: 1 + 3 (d / a)^2.
         """
+        faces, coming = self.planes.facing, self._coming
+        touches = coming > -np.where(self.calm, CALM, NEARLY)[faces] * self.spacing
+        return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
+
+    @cached_property
+    def watched(self) -> Ints:
+        """Samples (m,) that may be in contact until then where a body in motion is stopped, too:
+        it moves on by `TRAVEL` before that is detected (`intervals.until_stopped`).
+        """
+        faces, coming = self.planes.facing, self._coming
+        return faces[coming > -np.where(self.calm, CALM, TRAVEL)[faces] * self.spacing]
+
+    @cached_property
+    def _coming(self) -> Floats:
+        """(f,) [m] bound of the depth of samples with a plane until then; negative: a gap."""
         faces, x, v = self.planes.facing, self.x, self.v
         f = self.planes.of(faces)
         away = f.interpolated(x) + f.point - x[faces]
@@ -99,13 +115,11 @@ class PairSprings:
         depth, closing = row_dots(away, f.normal), row_dots(speed, f.normal)
         fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed)))
         coming = largest_depth(
-            depth, fastest, self.gain[faces], self.span, self.k[faces], self.values["mass"][faces],
-            self.hardening,
+            depth, fastest, np.where(self.calm, 0.0, self.fall)[faces], self.span, self.k[faces],
+            self.values["mass"][faces], self.hardening,
         )  # fmt: skip
         # Detection precedes a closer approach; a larger estimate indicates a failing frame.
-        coming = np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
-        touches = coming > -self.margin[faces]
-        return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
+        return np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
 
 
 def _most(c: Floats, k: Floats) -> float:

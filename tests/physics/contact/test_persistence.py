@@ -93,16 +93,15 @@ def test_what_is_thrown_is_searched_from_again() -> None:
 def test_a_plane_that_the_kernels_lack_is_noticed_and_the_frame_repeated(monkeypatch) -> None:
     """In first attempts at a frame no plane is given to the kernels, so that balls go through each
     other."""
-    touching, left_out = PairSprings.touching.func, []
-    none = np.zeros(0, np.int64), np.zeros(0)
+    watched, left_out = PairSprings.watched.func, []
 
     def lacking(springs: PairSprings) -> Any:
         if solver.lateness is not None and solver.lateness.repeats:
-            return touching(springs)
+            return watched(springs)
         left_out.append(1)
-        return none
+        return np.zeros(0, np.int64)
 
-    monkeypatch.setattr(PairSprings, "touching", property(lacking))
+    monkeypatch.setattr(PairSprings, "watched", property(lacking))
     left, right = (sphere(center=(x, 0.0, 0.0), path=p) for x, p in ((-1.05, "/L"), (1.05, "/R")))
     solver = contact_solver(
         left, right, particles=300, frames=12, velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]

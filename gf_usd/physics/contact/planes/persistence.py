@@ -56,6 +56,10 @@ class Outlook:
         """(B,) bodies that are near an obstacle that moves."""
         return np.asarray((self.near[:, : len(self.moving)] & self.moving).any(1))
 
+    def hardly_moving(self, distance: float) -> Ints:
+        """(B,) bodies of which no sample moves by more than a distance [m]."""
+        return self.span * (lengths(self.mean) + self.spread) <= distance
+
     @classmethod
     def of(
         cls, x: Floats, v: Floats, boxes: Sequence[Box], pairs: Sequence[tuple[int, int]],
