@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from arm import arm, cached, write
+from pxr import Gf, Usd, UsdGeom
 from small_bakes import Done
 
 from gf_usd.physics.frame_loop import Solver
@@ -41,6 +43,22 @@ def test_an_animation_that_is_followed_is_not_told_as_left(tmp_path: Path) -> No
     assert note not in " ".join(plan_of(path).notes)
     loose = prepare(path, particles=300, output=tmp_path / "out.usda").plan
     assert note in " ".join(loose.notes)
+
+
+@pytest.mark.parametrize("y", [0.5, -0.5])
+def test_the_floor_that_is_proposed_does_not_cut_through_the_bind_pose(
+    tmp_path: Path, y: float
+) -> None:
+    """--floor 0 ended a bake of a character about the origin at its first frame."""
+    path = write(tmp_path, arm())
+    stage = Usd.Stage.Open(str(path))
+    UsdGeom.Xformable(stage.GetDefaultPrim()).AddTranslateOp().Set(Gf.Vec3d(0.0, y, 0.0))
+    stage.Save()
+    plan = plan_of(path)
+    (note,) = (note for note in plan.notes if note.startswith("there is no floor"))
+    lowest = min(float(s.face_points[:, 1].min()) for s in plan.asset.surfaces)
+    assert (lowest < 0.0) == (y < 0.0)
+    assert note == f"there is no floor under the animation; --floor {min(lowest, 0.0):.3g} adds one"
 
 
 def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:

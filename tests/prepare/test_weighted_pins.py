@@ -57,6 +57,22 @@ def test_the_default_floor_does_not_cut_through_what_is_pinned(
     assert (note in seen.plan.notes) == (floor is None)
 
 
+@pytest.mark.parametrize(("floor", "told"), [(0, True), (-0.5, True), (-0.95, False), (-1, False)])
+def test_a_floor_that_cuts_through_what_is_held_is_told_with_one_that_does_not(
+    floor: float, told: bool
+) -> None:
+    """It ended at the first frame: all nodes of the grid were no longer finite."""
+    top = ((-1, 0.6, -1), (1, 1, 1))
+    seen = gf_usd.inspect(SAMPLES / "sphere.usda", pins=[top], particles=300, floor=floor)
+    assert seen.plan is not None
+    depth, spacing = floor + 1.0, seen.plan.particles.spacing
+    note = (
+        f"the asset begins {depth:.3g} m ({depth / spacing:.2g} spacings) below the floor, which"
+        " pushes it out at once: lower floor to -1, or leave it out"
+    )
+    assert (note in seen.plan.notes) == told
+
+
 def test_other_bodies_keep_the_floor_that_a_pinned_one_reaches_through(tmp_path: Path) -> None:
     """They fell for ever beside it."""
     path, sphere = tmp_path / "two.usda", SAMPLES / "sphere.usda"

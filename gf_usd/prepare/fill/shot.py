@@ -67,6 +67,7 @@ def plan_shot(
             f"the asset is held where it is, {-gap:.3g} m below height 0: there is no floor;"
             " --floor adds one",
         )
+    notes += _deep_notes(settings, gap, filled.particles.spacing, inputs)
     require_resolved(request, settings, gap, filled.particles.spacing)
     return Shot(
         settings=settings,
@@ -75,6 +76,18 @@ def plan_shot(
         attachments=attachments,
         springs=springs,
         notes=notes,
+    )
+
+
+def _deep_notes(settings: Settings, gap: float, spacing: float, inputs: Inputs) -> tuple[str, ...]:
+    """A note where bodies begin deeper in the floor than contact is designed for."""
+    if settings.floor is None or gap >= -spacing:
+        return ()
+    to = f" to {(settings.floor + gap) / inputs.unit:.3g}" if settings.floor_normal is None else ""
+    given = inputs.request.parsed["floor"] is not None
+    return (
+        f"the asset begins {-gap:.3g} m ({-gap / spacing:.2g} spacings) below the floor, which"
+        f" pushes it out at once: lower --floor{to}{', or leave it out' if given else ''}",
     )
 
 

@@ -44,7 +44,11 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
         notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
     if request.flesh and request.floor is None:
         more["floor"] = "none"
-        notes.append("there is no floor under the animation; --floor 0 adds one")
+        up = asset.facts.up
+        lowest = min((float((s.face_points @ up).min()) for s in asset.surfaces), default=0.0)
+        # one at height 0 would cut through a bind pose about the origin
+        height = min(0.0, lowest) / asset.facts.units.length
+        notes.append(f"there is no floor under the animation; --floor {height:.3g} adds one")
     if obstacles := physics.obstacles:
         several = len(obstacles) > 1
         counted = f"there {'are' if several else 'is'} {len(obstacles)} obstacle{'s' * several}"
