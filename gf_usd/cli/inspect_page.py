@@ -189,7 +189,7 @@ def _parts(console: Console, seen: Inspection) -> None:
     console.print(table)
     if len(seen.parts) > MOST_PARTS:
         console.print(f"and {len(seen.parts) - MOST_PARTS} more (--json lists all)")
-    console.print("such parts hardly bend: they follow what they are connected to stiffly", end="")
+    console.print("few particles, or none, carry such parts: they may be too stiff", end="")
     needed = suggestion(seen.parts)
     which = "all but the thinnest" if any(p.suggested is None for p in seen.parts) else "them"
     console.print(f"; --particles {needed} would fill {which}" if needed else "")
@@ -206,6 +206,7 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 
 def _notes(seen: Inspection) -> list[str]:
     """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
+    from gf_usd.pipeline.cost.budget import shortcuts
     from gf_usd.prepare.fill.notes import not_baked_notes
 
     left = set(not_baked_notes(seen.asset.skipped))
@@ -226,6 +227,8 @@ def _notes(seen: Inspection) -> list[str]:
             notes.append(f"<{mesh.path}> has {', '.join(wrong)}")
         elif odd:
             notes.append(f"<{mesh.path}> has {', '.join(odd)}, which do not affect the fill")
+    if seen.plan is not None and seen.cost is not None:
+        notes += shortcuts(seen.cost, seen.plan.materials)
     return notes
 
 

@@ -146,6 +146,11 @@ class Solver(ABC):
         return 0.5 * self.body.step.viscous_time * self.body.step.elastic
 
     @property
+    def contact_factor(self) -> float:
+        """Substeps at rest with contact springs, relative to those without."""
+        return self.body.step.contact_factor
+
+    @property
     def dt(self) -> float:
         """[s] length of the next frame's substeps."""
         return self.frame_time / self.substeps

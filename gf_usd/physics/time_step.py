@@ -58,6 +58,11 @@ class StableStep:
         w = np.hypot(self.elastic, self.contact)
         return float(0.5 * (self.viscous_time * self.elastic**2 + self.contact_damping) / w)
 
+    @property
+    def contact_factor(self) -> float:
+        """Substeps with contact springs, relative to those that the body needs without."""
+        return replace(self, contact=0.0, contact_damping=0.0).dt / self.dt
+
     def crowded(self, by: float) -> StableStep:
         """With `by` times as many contact springs on a sample."""
         return replace(

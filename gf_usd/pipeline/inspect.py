@@ -21,8 +21,9 @@ parts       poorly filled: path, shell, kind (empty | few | thin | bare region |
             cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
 materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
-            substeps (expected in all), damping_ratio (of the grid's stiffest vibration), seconds
-            (of all frames), usual_seconds (of a bake that ends at rest), flying_samples (without
+            substeps (expected in all), damping_ratio (of the grid's stiffest vibration),
+            contact_factor (substeps with contact over those without), seconds (of all frames),
+            usual_seconds (of a bake that ends at rest), flying_samples (without
             substeps), sample_seconds, moving_seconds (of a sample without and with substeps),
             end_seconds (once all are written), disk_bytes, memory_bytes
 advice      of --material auto, for each mesh: path, material, confidence, reason, by

@@ -78,6 +78,7 @@ class Prepared:
             flying=flying(plan),
             fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
             damping=[self.solvers.damping(variant) for variant in plan.variants],
+            contact=[self.solvers.contact(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
             usual=[
                 typical_rest(plan.settings, material, plan.particles.radius, contact)

@@ -140,3 +140,23 @@ def test_bake_repairs_and_reports_it(gf_usd, odd, tmp_path):
     report = json.loads((tmp_path / "odd.rubber.report.json").read_text(encoding="utf-8"))
     assert any("turned 1 part" in note for note in report["notes"])
     assert "--repair" in report["command"]
+
+
+@pytest.mark.parametrize("fin", [False, True])
+def test_a_face_that_encloses_nothing_is_named_as_what_makes_a_bake_slow(
+    gf_usd, tmp_path: Path, fin: bool
+) -> None:
+    path = tmp_path / "fin.usda"
+    counts, corners = ("[4, 4, 4, 4, 4, 4, 3]", ", 0, 1, 8]") if fin else (6 * [4], "]")
+    path.write_text(
+        '#usda 1.0\n(\n metersPerUnit = 1\n)\ndef Mesh "Box"\n{\n'
+        ' uniform token subdivisionScheme = "none"\n'
+        f" int[] faceVertexCounts = {counts}\n int[] faceVertexIndices = [0, 1, 3, 2, 4, 6, 7, 5,"
+        f" 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3{corners}\n"
+        " point3f[] points = [(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1), (1, 0, 0), (1, 0, 1),"
+        " (1, 1, 0), (1, 1, 1), (-1, 0.5, 0.5)]\n}\n",
+        encoding="utf-8",
+    )
+    done = gf_usd("inspect", path, "--particles", "2000")
+    assert done.status == 0, done.err
+    assert ("hardly any mass, such as faces that enclose nothing" in done.out) == fin

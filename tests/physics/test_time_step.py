@@ -50,6 +50,14 @@ def test_an_oscillator_is_stable_below_the_limit_and_not_above(viscous_time, con
     assert swing(w, z, 1.05 * limit.dt) > 1e6
 
 
+def test_the_factor_of_contact_is_that_of_the_steps_with_and_without():
+    assert step(viscous_time=0.01).contact_factor == 1.0
+    for more in ({"contact_omega2": 1e8}, {"contact_damping": 5e4}):
+        factor = step(**more).contact_factor
+        assert factor == pytest.approx(step().dt / step(**more).dt)
+        assert factor > 10.0
+
+
 def test_each_of_its_parts_shortens_the_step():
     base = step()
     assert base.dt == pytest.approx(2.0 / (grid_frequency(8.0) * 3.0 / 0.1))

@@ -124,8 +124,8 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "coarse-mesh": (
         summary(Health(outside_share=0.01, outside_depth=0.02, outside_mesh="</Box>")),
         summary(Health(outside_share=0.02, outside_depth=0.03, outside_mesh="</Box>")),
-        "the mesh </Box> is too coarse to show how its body bends: in some frame 2 % of the"
-        " particles are a spacing or more outside it, up to 30 mm",
+        "faces of </Box> are too long to show how the body bends: in some frame 2 % of the"
+        " particles are a spacing or more outside the mesh, up to 30 mm",
     ),
     "resting-depth": (
         summary(Health(penetration=0.024)),

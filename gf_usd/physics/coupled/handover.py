@@ -166,6 +166,11 @@ class Converting(Solver):
         """See `Solver`."""
         return self.now.damping_ratio
 
+    @property
+    def contact_factor(self) -> float:
+        """See `Solver`."""
+        return self.now.contact_factor
+
     def pressed(self, depth: float) -> int:
         """See `Solver`."""
         return self.now.pressed(depth)

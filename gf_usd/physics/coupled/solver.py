@@ -110,6 +110,11 @@ class Coupled(Solver):
         """See `Solver`; the larger of the two."""
         return max(self.solid.damping_ratio, self.flow.damping_ratio)
 
+    @property
+    def contact_factor(self) -> float:
+        """See `Solver`; the larger of the two."""
+        return max(self.solid.contact_factor, self.flow.contact_factor)
+
     def pressed(self, depth: float) -> int:
         """See `Solver`."""
         return max(self.solid.pressed(depth), self.flow.pressed(depth))

@@ -50,6 +50,7 @@ class Solvers:
         self._build, self._particles = build, particles
         self._substeps: dict[str, int] = {}
         self._damping: dict[str, float] = {}
+        self._contact: dict[str, float] = {}
         self._kept: dict[str, tuple[Solver, int]] = {}  # with the epoch of Taichi
 
     def substeps(self, variant: Variant) -> int:
@@ -60,12 +61,18 @@ class Solvers:
                 self._kept[variant.name] = solver, epoch()
             self._substeps[variant.name] = solver.substeps
             self._damping[variant.name] = solver.damping_ratio
+            self._contact[variant.name] = solver.contact_factor
         return self._substeps[variant.name]
 
     def damping(self, variant: Variant) -> float:
         """Damping ratio that the variant's material gives the stiffest vibration of the grid."""
         self.substeps(variant)
         return self._damping[variant.name]
+
+    def contact(self, variant: Variant) -> float:
+        """Substeps with contact springs, relative to those that the body needs without."""
+        self.substeps(variant)
+        return self._contact[variant.name]
 
     def take(self, variant: Variant) -> Solver:
         """A solver in its initial state, which the caller may advance."""
@@ -125,6 +132,7 @@ def estimate(
     fall: float = 0.0,
     crowd: bool = True,
     damping: Sequence[float] = (),
+    contact: Sequence[float] = (),
     usual: Sequence[int] = (),
     ends_early: bool = False,
 ) -> dict[str, Any]:
@@ -143,7 +151,7 @@ def estimate(
     flying : frames at the start without substeps; fall : [m] height of fall before the first
         contact.
     crowd : several bodies or obstacles can touch.
-    damping : ratio of each material, of `Solvers.damping`; (): unknown.
+    damping, contact : ratio and factor of each material, of `Solvers`; (): unknown.
     usual : frames after which each material is typically at rest (`typical_rest`), for a bake that
         ends there; the seconds up to that frame are reported in addition. (): all frames are
         simulated.
@@ -159,10 +167,11 @@ def estimate(
     moving = max(0, frames - 1 - flying)
     rows = []
     ratios = damping or [0.0] * len(materials)
+    springs = contact or [1.0] * len(materials)
     ends = [min(frames, one) for one in usual] or [frames] * len(materials)
     each_table = tables or [(material,) for material in materials]
-    for material, table, count, ratio, last in zip(
-        materials, each_table, substeps, ratios, ends, strict=True
+    for material, table, count, ratio, spring, last in zip(
+        materials, each_table, substeps, ratios, springs, ends, strict=True
     ):
         many = float(count)
         if not settings.substeps:
@@ -179,6 +188,7 @@ def estimate(
                 "substeps_per_frame": count,
                 "substeps_per_sample": count / samples,
                 "damping_ratio": ratio,
+                "contact_factor": spring,
                 "substeps": round(moving * many),
                 "flying_samples": flying * samples,
                 "sample_seconds": frame,
@@ -337,8 +347,25 @@ def damping_hint(row: Mapping[str, Any], material: Material) -> str:
     )
 
 
+# Contact factor from which part of a surface has too little mass: 1 to 3 is usual, and 14 for jelly
+# that falls from 60 radii.
+LIGHT = 30.0
+
+
+def light_hint(row: Mapping[str, Any]) -> str:
+    """A hint at parts without mass, where their contact limits the time step; "" otherwise."""
+    factor = float(row.get("contact_factor", 1.0))
+    if factor < LIGHT or row["seconds"] < DAMPED:
+        return ""
+    return (
+        f"contact makes {row['name']} take {row['substeps_per_frame']} substeps a frame,"
+        f" {factor:.0f} times as many as without: part of the surface has hardly any mass, such as"
+        " faces that enclose nothing; remove them, or try --repair"
+    )
+
+
 def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
-    """Hints for long bakes: a shorter damping time, or --mass-scaling, and the time saved.
+    """Hints for long bakes: a shorter damping time, a mended mesh, or --mass-scaling.
 
     The suggested mass scaling is the largest factor, in two digits, for which the elastic strain at
     yield of a flowing material stays below ELASTIC.
@@ -348,6 +375,8 @@ def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
         material = next(m for m in materials if m.name == row["name"])
         if less := damping_hint(row, material):
             found.append(less)
+        if light := light_hint(row):
+            found.append(light)
         strain = material.yield_strain
         if row["seconds"] < LONG or strain is None or not 0.0 < strain <= ELASTIC / 4.0:
             continue

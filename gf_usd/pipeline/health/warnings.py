@@ -268,8 +268,8 @@ def _outside(h: HealthSummary) -> MessageAndHint:
     if share is None or share <= OUTSIDE:
         return None
     return (
-        f"the mesh {h['outside_mesh']} is too coarse to show how its body bends: in some frame"
-        f" {100.0 * share:.2g} % of the particles are a spacing or more outside it, up to"
+        f"faces of {h['outside_mesh']} are too long to show how the body bends: in some frame"
+        f" {100.0 * share:.2g} % of the particles are a spacing or more outside the mesh, up to"
         f" {_length(h['outside_mesh_max_m'])}",
         "divide its faces (--max-edge-length auto); the particles and Gaussians show the true"
         " shape",
