@@ -297,6 +297,17 @@ def checked(
     return out
 
 
+def _as_in_python(option: Option, value: Any, where: str) -> Any:
+    """The text of a value that `gf_usd.bake` takes too: false, three numbers, a list of shapes."""
+    try:
+        taken = option.take(value)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error.message}", error.hint) from error
+    if not isinstance(taken, str):  # a list of materials, which is an axis; limits
+        raise UsageError(f"{where}: {option.name} is {value!r}", "give a text")
+    return taken
+
+
 def _typed(option: Option, value: Any, where: str) -> Any:
     """The value in the format of the command line."""
     kind = option.kind
@@ -309,6 +320,8 @@ def _typed(option: Option, value: Any, where: str) -> Any:
             return str(value)
         if kind is bool or math.isfinite(value) or option.name == "filter_rate":
             return value
+    elif option.write is not None and isinstance(value, bool | list | dict):
+        return _as_in_python(option, value, where)
     names = {str: "a list of strings" if option.repeated else "a text", bool: "true or false"}
     wanted = names.get(kind, f"one {kind.__name__}")
     raise UsageError(f"{where}: {option.name} is {value!r}", f"give {wanted}")

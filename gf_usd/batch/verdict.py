@@ -10,7 +10,8 @@ from typing import Any
 
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.core.errors import counted
-from gf_usd.system.processes import ProcessResult
+from gf_usd.prepare.outputs import RESUME
+from gf_usd.system.processes import KILLED, ProcessResult, signal_name
 
 LOG = 4000  # characters of stderr that are kept of a bake that failed
 MESSAGE_LENGTH = 600  # characters of a message
@@ -19,6 +20,7 @@ HEALTH = (
     "rollbacks", "inverted_particle_frames", "deepest_penetration_spacings",
     "energy_gain_max_share", "restitution", "min_J", "max_J", "plastic_dissipation_J", "substeps",
 )  # fmt: skip
+GO_ON = "run the same command to continue"
 INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)
 # exit statuses of bake
 STATUS = {1: "failed", 2: "refused", 3: "refused", 4: "unsound", 5: "sliced"}
@@ -46,7 +48,8 @@ def attempt_outcome(
     error = events.get("error", {})
     if "finished" in events and ended.status in (0, 4):
         return _complete(outcome, ended, events["finished"], error)
-    message, hint = error.get("message", ""), error.get("hint", "")
+    # a batch resumes without being told to
+    message, hint = error.get("message", ""), error.get("hint", "").replace(RESUME, GO_ON)
     state = STATUS.get(ended.status, "crashed")
     if ended.stopped:
         state, message, hint = "stopped", "interrupted before it ended", ""
@@ -57,7 +60,7 @@ def attempt_outcome(
             "raise --timeout",
         )
     elif state == "sliced":
-        message, hint = "a slice is done", "run the same command to continue"
+        message, hint = "a slice is done", GO_ON
         if (slice := events.get("sliced")) is not None:
             message = "{look}: {done} of {frames} frames are done".format_map(slice)
     elif ended.status == 0:

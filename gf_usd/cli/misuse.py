@@ -20,7 +20,7 @@ def usage_message(error: Any) -> str:
     option = getattr(error, "option_name", None)
     message = error.format_message().rstrip(".")
     if option is not None and getattr(error, "possibilities", None) is not None:
-        close = _nearest(option, context)
+        close = _of_bake(option, context) or _nearest(option, context)
         message = f"{command} has no option {option}"
         return f"{message}\n\nhint: {close}{command} --help lists its options"
     if parameter is not None and type(error).__name__ == "MissingParameter":
@@ -39,6 +39,20 @@ def usage_message(error: Any) -> str:
     meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""
     message = f"{message[:1].lower()}{message[1:].rstrip('.')}"
     return f"{message}\n\nhint: {meant}see {command} --help"
+
+
+def _of_bake(option: str, context: Any) -> str:
+    """How a batch takes an option of bake; "" for another command or option."""
+    if context.command.name != "batch":
+        return ""
+    if option == "--resume":
+        return "leave it out: a batch continues by itself; "
+    from gf_usd.batch.manifest import KNOWN
+
+    row = next((row for row in KNOWN.values() if row.flag == option), None)
+    if row is None:
+        return ""
+    return f"give it to every job: --set {row.name}={'true' if row.kind is bool else 'VALUE'}; "
 
 
 def _nearest(option: str, context: Any) -> str:

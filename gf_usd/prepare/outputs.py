@@ -216,6 +216,9 @@ def report_of_failure(files: Outputs) -> Path:
     return partial_path(files.report) if good else files.report
 
 
+RESUME = "run the same command with --resume to continue"  # the hint of an interrupted bake
+
+
 def interrupted(files: Outputs) -> bool:
     """Whether a bake of these names was interrupted and can be resumed."""
     return any(path.exists() for path in files.checkpoints)

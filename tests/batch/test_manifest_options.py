@@ -50,6 +50,28 @@ def test_words_become_values(name: str, text: str, value: object) -> None:
     assert type(found) is type(value)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("only", ["mesh", "points"], "mesh,points"),
+        ("floor", False, "none"),
+        ("gravity", [0, -1.62, 0], "0,-1.62,0"),
+        ("range", [1, 24], "1:24"),
+        ("stress_cap", False, "none"),
+    ],
+)
+def test_values_of_python_are_those_of_a_manifest(name: str, value: object, text: str) -> None:
+    assert clean({name: value}, "here", Path()) == {name: text}
+
+
+def test_a_value_that_python_does_not_take_is_refused() -> None:
+    with pytest.raises(UsageError, match="here: drop is False, of type bool") as caught:
+        clean({"drop": False}, "here", Path())
+    assert (caught.value.hint or "").startswith("give a length such as 2.5")
+    with pytest.raises(UsageError, match="here: only is 3, of type int"):
+        clean({"only": [3]}, "here", Path())
+
+
 def test_a_word_that_is_no_number_is_refused() -> None:
     with pytest.raises(UsageError, match="'many' is not of type int"):
         parse("particles", "many", "--set")

@@ -10,6 +10,7 @@ import pytest
 from batch_jobs import job
 
 from gf_usd.batch.verdict import attempt_outcome
+from gf_usd.prepare.outputs import RESUME
 from gf_usd.system.processes import ProcessResult
 
 RESULT = {
@@ -73,6 +74,14 @@ def test_every_other_end_has_its_name(
     assert bake.outcome.log == process.err
     assert not bake.files
     assert not bake.outcome.good
+
+
+def test_a_full_disk_says_how_a_batch_continues_and_names_no_option_of_a_bake(
+    tmp_path: Path,
+) -> None:
+    full = {"error": {"event": "error", "message": "full", "hint": f"free some space; {RESUME}"}}
+    bake = attempt_outcome(job(tmp_path), ended(1), full)
+    assert bake.outcome.hint == f"free some space; {GOES_ON}"
 
 
 def test_a_kill_that_may_be_the_systems_hints_at_memory(tmp_path: Path) -> None:

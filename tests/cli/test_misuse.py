@@ -196,3 +196,19 @@ def test_a_number_of_another_kind_has_the_kind_as_its_hint(gf_usd) -> None:
 def test_what_was_meant_is_named(gf_usd, here: Path, block: Path, line: str, guess: str) -> None:
     done = gf_usd(*line.replace(ASSET, str(block)).split(" "))
     assert f"hint: did you mean {guess}?" in done.err
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        ("--flesh", "hint: give it to every job: --set flesh=true"),
+        ("--drop 2r", "hint: give it to every job: --set drop=VALUE"),
+        ("--pin /A", "hint: give it to every job: --set pins=VALUE"),
+        ("--resume", "hint: leave it out: a batch continues by itself"),
+    ],
+)
+def test_a_batch_says_how_it_takes_an_option_of_bake(gf_usd, block, words: str, hint: str) -> None:
+    done = gf_usd("batch", str(block), *words.split(" "))
+    assert done.status == 2
+    assert done.err.startswith(f"error: gf-usd batch has no option {words.split(' ')[0]}\n\n{hint}")
+    assert "did you mean" not in done.err

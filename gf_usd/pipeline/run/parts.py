@@ -16,6 +16,7 @@ from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.measures.observe import Observer
 from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.pipeline.prepared import has_driven_motion
+from gf_usd.prepare.outputs import RESUME
 from gf_usd.prepare.plan import Plan, Variant, input_hash
 
 if TYPE_CHECKING:
@@ -29,8 +30,7 @@ def folder(plan: Plan) -> Path:
 
 def resume_hint(plan: Plan) -> str:
     """Text: how to continue a bake that ended early."""
-    go_on = "run the same command with --resume to continue"
-    return go_on if plan.choices.clip_frames else "bake again"
+    return RESUME if plan.choices.clip_frames else "bake again"
 
 
 def bake_info(plan: Plan, variant: Variant) -> BakeInfo:
