@@ -66,12 +66,9 @@ def attempt_outcome(
     elif ended.status == 0:
         state, message, hint = "crashed", "the bake ended without a result", ""
     elif ended.status < 0 or ended.status in INTERRUPTED:
-        state, message, hint = "crashed", f"the bake was ended by {_signal(ended.status)}", ""
+        state, message, hint = "crashed", f"the bake was ended by {signal_name(ended.status)}", ""
         if ended.status == -signal.SIGKILL:
-            hint = (
-                "the system kills processes that use too much memory: run fewer jobs at once"
-                " (--jobs)"
-            )
+            hint = f"{KILLED}: run fewer jobs at once (--jobs)"
     elif not message:
         # Python's message of an unexpected exception
         state, message = "crashed", (ended.err.strip().splitlines() or ["no words"])[-1]
@@ -112,11 +109,3 @@ def _complete(
         message, hint = error.get("message", "")[:MESSAGE_LENGTH], error.get("hint", "")
         outcome = replace(outcome, state="unsound", message=message, hint=hint)
     return Attempt(outcome=outcome, files=tuple(Path(path) for path in result["outputs"]))
-
-
-def _signal(status: int) -> str:
-    number = -status if status < 0 else status - 128
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

@@ -16,6 +16,7 @@ from gf_usd.cli.events import STDOUT, event_stream
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, UsageError
 from gf_usd.system.atomic_files import is_utf8
+from gf_usd.system.processes import KILLED, signal_name
 
 if TYPE_CHECKING:
     from gf_usd.system.warm.server import Server
@@ -215,8 +216,9 @@ def bake_by_server(
         elif not quiet and events != STDOUT:
             typer.echo(_summary(result, warnings))
     if ended["status"]:
-        typer.echo(_why(ended, last), err=True)
-        raise SystemExit(ended["status"])
+        typer.echo(failure(ended, last), err=True)
+        # as in shells for a process that a signal ended
+        raise SystemExit(ended["status"] if ended["status"] > 0 else 128 - ended["status"])
 
 
 def _tell(event: Mapping[str, Any]) -> None:
@@ -239,7 +241,7 @@ def _summary(result: Mapping[str, Any], warnings: Sequence[Mapping[str, Any]]) -
     return "\n".join([*result["outputs"], f"{particles} particles, {seconds:.1f} s", *reply])
 
 
-def _why(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> str:
+def failure(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> str:
     """Text on why a bake failed."""
     if ended["timed_out"]:
         return "error: it exceeded the timeout of the server"
@@ -247,4 +249,12 @@ def _why(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> str
         return f"{last['sliced']['done']} of {last['sliced']['frames']} frames are done"
     if "error" in last:
         return f"error: {GfUsdError(last['error']['message'], last['error']['hint'])}"
-    return f"error: its process ended with status {ended['status']}: {ended['log'][-300:].strip()}"
+    status = ended["status"]
+    if status < 0:
+        hint = (
+            f"\n\nhint: {KILLED}: bake with fewer --particles" if status == -signal.SIGKILL else ""
+        )
+        return f"error: the process of the bake was ended by {signal_name(status)}{hint}"
+    # Python's message of an unexpected exception is the last line
+    told = (ended["log"].strip().splitlines() or ["it says nothing"])[-1]
+    return f"error: the process of the bake ended with status {status}: {told}"

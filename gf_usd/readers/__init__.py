@@ -141,5 +141,8 @@ def _near(path: Path) -> str:
     if not path.parent.is_dir():
         return f"the folder {path.parent} does not exist either; "
     names = [p.name for p in path.parent.iterdir() if _is_candidate(p)]
-    close = difflib.get_close_matches(path.name, names, n=3)
+    # a suffix in common makes no names similar
+    stems = sorted({Path(name).stem for name in names})
+    near = difflib.get_close_matches(path.stem, stems, n=3)
+    close = [name for stem in near for name in sorted(names) if Path(name).stem == stem][:3]
     return f"did you mean {' or '.join(close)}? otherwise " if close else ""

@@ -47,6 +47,18 @@ class ProcessResult:
     reply: bytes = b""  # stdout of a child whose output is binary; `out` is empty then
 
 
+KILLED = "the system kills processes that use too much memory"  # a hint for SIGKILL
+
+
+def signal_name(status: int) -> str:
+    """The name of the signal of an exit status, negative or above 128 as in shells."""
+    number = -status if status < 0 else status - 128
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
 def peak_memory(usage: struct_rusage) -> int:
     """[bytes] peak resident memory; macOS reports bytes, other systems kilobytes."""
     return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from small_bakes import Done
 
-from gf_usd.cli.serve import arguments_of
+from gf_usd.cli.serve import arguments_of, failure
 from gf_usd.core.errors import UsageError
 from gf_usd.system.warm.client import events
 from gf_usd.system.warm.local_socket import AVAILABLE
@@ -55,6 +55,21 @@ def test_without_a_server_it_is_refused(gf_usd: Call, block: Path, path: Path) -
     for option in ("--status", "--stop"):
         assert "no gf-usd serve is listening" in gf_usd("serve", option).err
     assert "cannot show a plan" in gf_usd("bake", block, "--serve", "--dry-run").err
+
+
+@pytest.mark.parametrize(
+    ("status", "log", "told"),
+    [
+        (-signal.SIGKILL, "note: parts\n", "was ended by SIGKILL\n\nhint: the system kills"),
+        (-signal.SIGSEGV, "note: parts\n", "was ended by SIGSEGV"),
+        (1, "note: parts\nKeyError: 'x'\n", "ended with status 1: KeyError: 'x'"),
+        (1, "", "ended with status 1: it says nothing"),
+    ],
+)
+def test_a_bake_that_dies_is_told_without_its_notes(status: int, log: str, told: str) -> None:
+    text = failure({"timed_out": False, "status": status, "log": log}, {})
+    assert text.startswith(f"error: the process of the bake {told}")
+    assert "note" not in text
 
 
 def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:

@@ -22,6 +22,22 @@ def test_missing_file_names_its_neighbors(tmp_path):
     assert ".usdz" in error.value.hint
 
 
+def test_a_common_suffix_makes_no_names_similar(tmp_path):
+    for name in ("cloth.usda", "worm.usda", "shell.usda"):
+        (tmp_path / name).write_text("#usda 1.0\n")
+    with pytest.raises(InputError) as error:
+        read_asset(tmp_path / "nothere.usda")
+    assert "did you mean" not in error.value.hint
+
+
+def test_the_same_name_with_another_suffix_is_near(tmp_path):
+    (tmp_path / "a.glb").write_bytes(b"glTF")
+    (tmp_path / "b.usda").write_text("#usda 1.0\n")
+    with pytest.raises(InputError) as error:
+        read_asset(tmp_path / "a.usda")
+    assert "did you mean a.glb? otherwise" in error.value.hint
+
+
 def test_missing_folder(tmp_path):
     with pytest.raises(InputError, match="does not exist") as error:
         read_asset(tmp_path / "no" / "duck.usda")

@@ -49,10 +49,14 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _fault(error: Tf.ErrorException) -> str:
-    """The first line of a USD error, without its location in USD's source."""
+    """The first line of a USD error, without its location and its names in USD's source.
+
+    Of several errors it is the first with a line of the file, if one has that.
+    """
     text = _text(error)
-    quoted = re.search(r": '(.*?)'(?:\n|$)", text, re.DOTALL)
-    return _first_line(quoted.group(1) if quoted else text)
+    faults = re.findall(r": '(.*?)'(?:\n|$)", text, re.DOTALL) or [text]
+    line = next((fault for fault in faults if re.search(r":\d+:\d+: ", fault)), faults[0])
+    return re.sub(r"parse error matching (?:\w+::)*(\w+)", r"\1 is expected", _first_line(line))
 
 
 def _text(error: object) -> str:

@@ -104,11 +104,25 @@ def test_a_text_file_is_not_usd(write, suffix, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_broken_syntax_names_the_line(write, capfd):
-    path = write('#usda 1.0\ndef Mesh "a"\n{\n    int x =\n}\n')
-    with pytest.raises(InputError, match=r"is damaged: .*asset\.usda:4") as error:
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ('#usda 1.0\ndef Mesh "a"\n{\n    int x =\n}\n', r"asset\.usda:4"),
+        (
+            '#usda 1.0\ndef Mesh "a"\n{\n    point3f[] points = [(0, 0\n',
+            r":5:1: TupleValueClose",
+        ),
+        ("#usda 1.0\ndef Mesh a {}\n", r":2:1: eof is expected at 'def Mesh a {}'"),
+        ("#usda 1.0\n(\n    upAxis = 3\n)\n", r"asset\.usda:3:14: Error parsing simple value"),
+    ],
+    ids=["no value", "open tuple", "no quotes", "wrong type"],
+)
+def test_broken_syntax_names_the_line(write, capfd, text, fault):
+    path = write(text)
+    with pytest.raises(InputError, match=rf"is damaged: .*{fault}") as error:
         read_asset(path)
     assert "pxrInternal" not in error.value.message
+    assert "::" not in error.value.message
     assert capfd.readouterr().err == ""
 
 
