@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -90,6 +91,11 @@ class Scene:
         self._velocities: dict[str, tuple[Triple, Triple]] = {}
         self._obstacles: list[_Moving] = []
         self._pins: list[_Moving] = []
+
+    def __repr__(self) -> str:
+        obstacles = tuple(one.name for one in self._obstacles)
+        pins = tuple(one.name for one in self._pins)
+        return f"Scene(bodies={self.bodies}, obstacles={obstacles}, pins={pins})"
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -266,13 +272,21 @@ def _triple(name: str, value: Any, most: float = math.inf, unit: str = "m") -> T
     return x, y, z
 
 
+def _no_mesh(what: str, points: Any) -> UsageError:
+    """The error for points without faces that are no mesh."""
+    if isinstance(points, (str, Path)):
+        name = str(points)
+        return values.refuse(f"{what}: points", name, f"a mesh: trimesh.load_mesh({name!r})")
+    if hasattr(points, "geometry") and hasattr(points, "to_mesh"):
+        return UsageError(f"{what}: points is a Scene of trimesh", "give one mesh: scene.to_mesh()")
+    return UsageError(f"{what} has points but no faces", "give both, or a mesh of trimesh: (mesh)")
+
+
 def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """(V, 3) points, (P,) counts and (C,) indices.  Raises UsageError for an invalid mesh."""
     if faces is None:
         if not (hasattr(points, "vertices") and hasattr(points, "faces")):
-            raise UsageError(
-                f"{what} has points but no faces", "give both, or a mesh of trimesh: (mesh)"
-            )
+            raise _no_mesh(what, points)
         points, faces = points.vertices, points.faces
     if np.iscomplexobj(points):
         raise values.refuse(f"{what}: points", points, "real numbers")

@@ -14,7 +14,7 @@ from gf_usd.api.call import in_words, named, words_of
 from gf_usd.api.host.guest import guest, require_here
 from gf_usd.api.read import Table
 from gf_usd.api.scene import Scene, at_frames
-from gf_usd.core.errors import SolverError, UsageError
+from gf_usd.core.errors import SolverError, UsageError, counted
 from gf_usd.core.frames import Health
 from gf_usd.core.units import STRONGEST
 from gf_usd.prepare.options import values
@@ -91,6 +91,12 @@ class Simulation(Iterator[SimulationFrame]):
         self.notes: tuple[str, ...] = tuple(
             WORDS.hint(note) for note in (*scene._notes, *self._plan.notes)
         )
+
+    def __repr__(self) -> str:
+        if self._solver is None:
+            return "Simulation(closed)"
+        frame, count = min(self._index + 1, self._frames), len(self._plan.particles)
+        return f"Simulation(next frame {frame} of {self._frames}, particles={count})"
 
     @property
     def particles(self) -> Particles:
@@ -319,11 +325,10 @@ class Simulation(Iterator[SimulationFrame]):
             raise values.refuse(name, given, f"numbers of shape ({count}, 3), or 0") from None
         if rows.shape == () and rows == 0.0:
             return np.zeros((count, 3))
-        if rows.shape != (count, 3) or not np.isfinite(rows).all():
-            raise UsageError(
-                f"{name} has the shape {rows.shape}, or is not finite",
-                f"give finite numbers of shape ({count}, 3), one row per particle",
-            )
+        wanted = f"give finite numbers of shape ({count}, 3), one row per particle"
+        if rows.shape != (count, 3):
+            raise UsageError(f"{name} has the shape {rows.shape}", wanted)
+        _require_finite(name, rows, wanted)
         return rows
 
 
@@ -339,6 +344,16 @@ def _next(solver: Any, index: int, last: Health) -> Frame:
             frame=error.frame,
             particle=error.particle,
         ) from error
+
+
+def _require_finite(name: str, vectors: Array, hint: str) -> None:
+    """Raise UsageError where vectors (3,) or (n, 3) hold infinities or NaN."""
+    wrong = (~np.isfinite(np.atleast_2d(vectors))).any(axis=1)
+    if not wrong.any():
+        return
+    count = int(wrong.sum())
+    fault = f"has {counted(count, 'row')} that {'is' if count == 1 else 'are'} not finite"
+    raise UsageError(f"{name} {fault if vectors.ndim > 1 else 'is not finite'}", hint)
 
 
 def _require_most(name: str, vectors: Array, most: float, unit: str) -> None:
@@ -359,11 +374,9 @@ def _field(name: str, given: Any, at: Array) -> Array:
     except (TypeError, ValueError):
         raise values.refuse(name, made, form) from None
     whole = found.shape in ((3,), at.shape) or (found.shape == () and found == 0.0)
-    if not (whole and np.isfinite(found).all()):
-        raise UsageError(
-            f"{name} has the shape {found.shape}, or is not finite",
-            f"give {form}",
-        )
+    if not whole:
+        raise UsageError(f"{name} has the shape {found.shape}", f"give {form}")
+    _require_finite(name, found, f"give {form}, all finite")
     return np.array(np.broadcast_to(found, at.shape))
 
 

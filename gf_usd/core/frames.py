@@ -272,10 +272,10 @@ class Health:
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] center of mass
     momentum: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [kg m/s]
     angular_momentum: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [kg m^2/s] about the origin
-    min_J: float = 1.0
-    max_J: float = 1.0
+    min_J: float = 1.0  # smallest volume ratio det F of a particle
+    max_J: float = 1.0  # largest
     min_stretch: float = 1.0  # smallest singular value of F
-    max_stretch: float = 1.0
+    max_stretch: float = 1.0  # largest
     inverted: int = 0  # particles with J <= 0
     penetration: float = 0.0  # [m] deepest contact sample in the floor during the frame
     overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle; at least `pierced`
@@ -294,9 +294,8 @@ class Health:
     conversion_dissipation: float | None = None  # [J] of `plastic_dissipation`, by conversion
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
-    # Bodies below every obstacle where there is no floor, and [J] of their motion and of that of
-    # flowing particles there; None: not so
-    fallen: int | None = None
+    fallen: int | None = None  # bodies below every obstacle; None: not looked at
+    # [J] of the motion of these bodies, or of flowing particles there; None: not looked at
     fallen_kinetic: float | None = None
     # Flowing particles below the floor or every obstacle; None: nothing flows without end
     lost: int | None = None

@@ -347,6 +347,12 @@ def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
     assert next(other).index == 0
 
 
+def push_one_by_nan(simulation: gf_usd.Simulation) -> None:
+    forces = np.zeros((len(simulation.masses), 3))
+    forces[7, 1] = np.nan
+    simulation.push(forces)
+
+
 WRONG = gf_usd.Material(
     name="wrong", law="corotated", density=1e3, youngs_modulus=-1.0, poissons_ratio=0.3
 )
@@ -356,6 +362,8 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.Scene(gravity=(0, 1)), "gravity is (0, 1), of type tuple"),
     (lambda s: gf_usd.Scene(floor="0"), "floor is '0', of type str"),
     (lambda s: s.add_body(UNIT), "has points but no faces"),
+    (lambda s: s.add_body("mug.glb"), "body body0: points is 'mug.glb', of type str"),
+    (lambda s: s.add_body(trimesh.creation.box().scene()), "points is a Scene of trimesh"),
     (lambda s: s.add_body(UNIT[:, :2], FACES), "points is an array of shape (8, 2)"),
     (lambda s: s.add_body(UNIT * np.nan, FACES), "8 of 8 points are not finite"),
     (lambda s: s.add_body(UNIT, [[0, 1, 8]]), "a face refers to point 8, but there are 8"),
@@ -401,6 +409,14 @@ MISUSES: list[tuple[Any, str]] = [
     ),
     (lambda s: gf_usd.simulate(s, particles=100).push("x"), "forces is 'x', of type str"),
     (lambda s: gf_usd.simulate(s, particles=100).push(1.0), "forces has the shape ()"),
+    (
+        lambda s: push_one_by_nan(gf_usd.simulate(s, particles=100)),
+        "forces has 1 row that is not finite",
+    ),
+    (
+        lambda s: gf_usd.simulate(s, particles=100).set_velocities((0.0, np.inf, 0.0)),
+        "velocities is not finite",
+    ),
     (lambda s: gf_usd.simulate(s, particles=100).load(None), "was not made by save()"),
     (lambda s: gf_usd.simulate(s, particles=100, spacing=0.1), "particles=100 and spacing=0.1"),
     (lambda s: gf_usd.simulate(s, device="tpu"), "there is no device 'tpu'"),
@@ -435,6 +451,20 @@ def test_a_motion_that_is_none_is_refused(motion: Any, message: str) -> None:
     with pytest.raises(gf_usd.UsageError) as caught:
         gf_usd.simulate(scene, frames=3)
     assert message in caught.value.message
+
+
+def test_a_scene_and_a_simulation_are_shown_with_what_they_hold() -> None:
+    scene = alone(floor=0.0)
+    assert repr(scene) == "Scene(bodies=('block',), obstacles=(), pins=())"
+    scene.add_obstacle(UNIT - [0.0, 5.0, 0.0], FACES, name="step")
+    scene.pin((0, 0, 0), (1, 1, 1))
+    assert repr(scene) == "Scene(bodies=('block',), obstacles=('step',), pins=('pin0',))"
+    with gf_usd.simulate(alone(), frames=3, particles=100) as simulation:
+        count = len(simulation.masses)
+        assert repr(simulation) == f"Simulation(next frame 0 of 3, particles={count})"
+        next(simulation)
+        assert repr(simulation) == f"Simulation(next frame 1 of 3, particles={count})"
+    assert repr(simulation) == "Simulation(closed)"
 
 
 def test_a_body_that_begins_below_the_floor_is_refused() -> None:
