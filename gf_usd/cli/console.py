@@ -104,9 +104,11 @@ def frames_of(forecast: Mapping[str, Any]) -> str:
 
 def time_of(forecast: Mapping[str, Any]) -> str:
     """The duration of a bake as text; forecast : as of `frames_of`."""
-    from gf_usd.pipeline.cost.budget import duration
+    from gf_usd.pipeline.cost.budget import rough_duration
 
-    whole, usual = (duration(forecast[name]) for name in ("estimated_seconds", "usual_seconds"))
+    whole, usual = (
+        rough_duration(forecast[name]) for name in ("estimated_seconds", "usual_seconds")
+    )
     if not forecast["ends_early"] or whole == usual:
         return f"about {whole}"
     return f"about {usual}, at most {whole}"
@@ -258,11 +260,11 @@ def _counted(now: Activity) -> str:
 
 
 def _left(seconds: float | None, *, ends_early: bool) -> str:
-    from gf_usd.pipeline.cost.budget import duration
+    from gf_usd.pipeline.cost.budget import rough_duration
 
     if seconds is None:
         return ""
-    return f", {'at most' if ends_early else 'about'} {duration(seconds)} left"
+    return f", {'at most' if ends_early else 'about'} {rough_duration(seconds)} left"
 
 
 @contextmanager

@@ -36,7 +36,8 @@ gf-usd materials lists the presets. rubber, metal and jelly deform alike at any 
 such as hard-rubber or mild-steel have moduli in pascals, so their stiffness depends on the size.
 --material takes a preset, a USD file with a material, several of these separated by commas
 (one variant each), or auto. --friction, --restitution and --damping-time change one value.
-A body that is too soft to carry its weight collapses: use a stiffer material."""),
+A body that is too soft to carry its weight collapses: use a stiffer material. Slender parts, such
+as the legs of a chair, may collapse even of metal: use hard-rubber or mild-steel."""),
     "motion": ("what makes a body move", """\
 A body falls from the height --drop onto a floor (--floor) under --gravity. If the stage has
 colliders, they replace the floor, and the body is lifted only if you give --drop. --pin fixes a

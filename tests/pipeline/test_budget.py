@@ -23,6 +23,7 @@ from gf_usd.pipeline.cost.budget import (
     Solvers,
     duration,
     require_affordable,
+    rough_duration,
     typical_rest,
 )
 from gf_usd.pipeline.prepared import Prepared
@@ -195,6 +196,23 @@ def test_a_solver_that_is_too_large_to_wait_is_built_again(
 )
 def test_times_for_reading(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (119.0, "119 s"),
+        (120.0, "2 minutes"),
+        (123.6, "2.1 minutes"),
+        (598.0, "10 minutes"),
+        (1092.0, "18 minutes"),
+        (7199.0, "120 minutes"),
+        (9000.0, "2.5 hours"),
+        (1.2e6, "14 days"),
+    ],
+)
+def test_estimates_have_no_digits_that_nobody_knows(seconds: float, text: str) -> None:
+    assert rough_duration(seconds) == text
 
 
 def test_too_long_is_refused_with_the_numbers(plan: Plan) -> None:

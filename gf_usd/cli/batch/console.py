@@ -13,7 +13,7 @@ import typer
 from gf_usd.batch.board import Board, Row
 from gf_usd.batch.job import NOT_FAILED
 from gf_usd.core.errors import counted
-from gf_usd.pipeline.cost.budget import duration
+from gf_usd.pipeline.cost.budget import duration, rough_duration
 
 SHOWN = 12  # rows of a kind on the table
 COLORS = {"done": "green", "kept": "dim", "running": "cyan", "waiting": "dim"}
@@ -76,7 +76,11 @@ def plain_lines(board: Board, event: dict[str, Any], row: Row | None) -> list[st
         return []
     at = f"[{len(board.ended)}/{len(board.rows)}]"
     left = board.left
-    eta = f", about {duration(left)} left" if left and len(board.ended) < len(board.rows) else ""
+    eta = (
+        f", about {rough_duration(left)} left"
+        if left and len(board.ended) < len(board.rows)
+        else ""
+    )
     if row.state == "kept":
         return [f"{at} {row.name}: kept"]
     if row.state == "done":
@@ -118,13 +122,13 @@ def table(board: Board) -> Any:
             f"{row.done}/{row.total}" if row.total else "",
             f"{row.frames_per_second:.3g}" if row.frames_per_second else "",
             duration(seconds),
-            duration(row.left) if row.state == "running" and row.left is not None else "",
+            rough_duration(row.left) if row.state == "running" and row.left is not None else "",
         )
     left = board.left
     line = (
         f"{len(board.ended)} of {counted(len(board.rows), 'job')}"
         + (f", {len(board.failed)} of them failed" if board.failed else "")
         + f", {len(board.of('running'))} running, {duration(board.seconds)}"
-        + (f", about {duration(left)} left" if left is not None else "")
+        + (f", about {rough_duration(left)} left" if left is not None else "")
     )
     return Group(rows, Text(line, style="bold"))

@@ -399,6 +399,14 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s"
 
 
+def rough_duration(seconds: float) -> str:
+    """An estimate as text: like `duration`, with a fraction only below ten."""
+    for size, unit in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
+        if (count := seconds / size) >= 2.0:
+            return f"{f'{count:.2g}' if count < 9.95 else f'{count:.0f}'} {unit}"
+    return duration(seconds)
+
+
 RESERVE = 2e6  # [bytes] for the root layer and the ends of files
 REPORT_BYTES = 3e3  # of a frame, in the report and in the health of the cache
 LEAST_MEMORY = 64e6  # [bytes] free: below it the system starts to kill processes

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import triple
-from gf_usd.core.asset import Asset
+from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Choices, Settings
 from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare.bodies.cages import cage_notes
@@ -149,7 +149,7 @@ def fill(
             *constraints.attachment_notes, *goal_notes, *filled.resolution_notes,
             *filled.bodies.notes, *overlap_notes,
             *cage_notes(
-                solid.surfaces, filled.particles.spacing,
+                _moving_surfaces(inputs, filled, materials), filled.particles.spacing,
                 refined=request.max_edge_length is not None,
             ),
             *loose_notes, *filled.character_notes, *constraints.flesh.notes, *limbs.notes,
@@ -160,6 +160,17 @@ def fill(
         ),
     )  # fmt: skip
     return plan, solid
+
+
+def _moving_surfaces(
+    inputs: Inputs, filled: SampledBodies, materials: Assigned
+) -> Sequence[Surface]:
+    """The surfaces for which particles do not stand in every variant."""
+    hidden = [
+        set(flow_of(inputs.solid, filled.bodies, materials.particles, table).meshes)
+        for table in materials.tables
+    ]
+    return [s for s in inputs.solid.surfaces if s.path not in set.intersection(*hidden)]
 
 
 def _choose_outputs(

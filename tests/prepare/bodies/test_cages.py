@@ -42,6 +42,11 @@ def test_a_refined_cage_is_not(cube: Path):
     assert cage_note(cube, max_edge_length="auto") == []
 
 
+@pytest.mark.parametrize("more", [{}, {"surface": True}])
+def test_a_cage_that_particles_stand_for_is_not(cube: Path, more):
+    assert cage_note(cube, material="honey", **more) == []
+
+
 def test_polygons_are_not(cube: Path):
     stage = Usd.Stage.Open(str(cube))
     UsdGeom.Mesh(stage.GetPrimAtPath("/Cube")).GetSubdivisionSchemeAttr().Set("none")
