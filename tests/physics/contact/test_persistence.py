@@ -226,3 +226,25 @@ def test_planes_of_an_obstacle_that_moved_are_found_anew() -> None:
             slide=np.full(4, 0.25), shift=np.zeros(4), own_until=np.full(2, np.inf),
         )  # fmt: skip
     assert kept.kept(planes, now)[0]
+
+
+def test_a_body_that_slides_slowly_over_another_is_not_held_by_kept_planes(monkeypatch) -> None:
+    """Beside the edges of the upper one planes are tilted: kept for long, they were a wall to it."""
+
+    def way() -> float:
+        low = cube((-1.5, -0.5, -0.5), edge=(3.0, 0.5, 1.0), path="/Low")
+        high = cube((-1.0, 0.2, -0.25), edge=0.5, path="/High")
+        solver = contact_solver(
+            low, high, particles=500, frames=80, gravity=DOWN, changes={"friction": 0.0},
+            colliders=(half_space(height=-0.502, friction=5.0),),
+            velocity=[(0.0, 0.0, 0.0), (0.15, 0.0, 0.0)],
+        )  # fmt: skip
+        *_, last = solver.frames()
+        mine = solver.particles.body_of == 1
+        return float((last.particles.x - solver.particles.X)[mine, 0].mean())
+
+    some = way()
+    never(monkeypatch)
+    usual = way()
+    assert usual > 0.3
+    assert some == pytest.approx(usual, rel=0.05)

@@ -3,10 +3,11 @@
 Bodies that rest on each other face the same places for many frames. The planes of all samples of a
 body are kept if, from the search that found them until the next detection,
 
-- no sample moves along its plane by more than between two searches (see `intervals`),
-- nothing that was near can have come within reach of a sample that did not face it: the difference
-  of the mean motions of two bodies, and the motions of their samples relative to these means, add
-  up to no more than the reach,
+- no sample moves along its plane by more than `CREEP`, or `RISE` of its height above it: beside an
+  edge or a corner a plane is tilted, and a body that slid on would run into it as into a wall,
+- what is near has not approached by more than `APPROACH`, and cannot come within reach of a sample
+  that did not face it: the difference of the mean motions of two bodies, and the motions of their
+  samples relative to these means, add up to no more than the reach,
 - nothing comes near that was not, and no obstacle that was near has moved or will,
 - the body is not deformed by more than `DEFORMED`, and the time has not passed within which it
   cannot come near itself.
@@ -29,11 +30,14 @@ from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.physics.contact.broad_phase import Box
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 
+CREEP = 0.02  # [spacings] largest motion of a sample along a kept plane that it touches
+RISE = 0.25  # of its height above the plane, by which one that does not may move besides
+APPROACH = 0.5  # [spacings] largest motion of what is near
 DEFORMED = 0.5  # [spacings] largest motion of a sample relative to the mean of its body
 SHIFTED = 0.05  # [spacings] largest shift of a kept plane from the true surface
 
 SAVED = (
-    "x", "place", "offset", "slide", "near", "mean", "path", "way", "own_until", "valid", "last"
+    "x", "place", "offset", "slide", "stay", "near", "mean", "path", "way", "own_until", "valid", "last"
 )  # fmt: skip
 
 
@@ -96,6 +100,7 @@ class Persistence:
         self.place = np.zeros((n, 3))  # [m] points of their planes
         self.offset = np.zeros(n)  # [m] gaps less the distances from the planes
         self.slide = np.zeros(n)  # [m] that a sample may move along its plane
+        self.stay = np.zeros(n)  # [m] the same of a kept plane
         self.near = np.zeros((count, obstacles + count), bool)  # see `Outlook`
         self.mean = np.zeros((count, count, 3))  # [m] of all bodies, at the search from each
         self.path = np.zeros((count, count))  # [m] `way` of all bodies, then
@@ -133,6 +138,7 @@ class Persistence:
         own = self.way - self.path.diagonal()
         kept &= own + now.span * now.spread <= DEFORMED * self._spacing
         if kept.any():
+            kept &= self.approaches(now.x) <= APPROACH * self._spacing
             kept &= self.approaches(now.x, now) <= self._reach
         if kept.any():
             kept &= ~self._slid(planes, now)
@@ -176,7 +182,7 @@ class Persistence:
         rows = planes.facing
         f = planes.of(rows)
         speed = lengths(now.v[rows] - f.interpolated(now.v) - f.velocity)
-        far = self.slid(planes, now.x)[rows] + now.span * speed > self.slide[rows]
+        far = self.slid(planes, now.x)[rows] + now.span * speed > self.stay[rows]
         return np.bincount(self._of[rows[far]], minlength=len(self._members)) > 0
 
     def gaps(self, planes: ContactPlanes, x: Floats) -> Floats:
@@ -197,9 +203,12 @@ class Persistence:
         """
         mine = np.isin(self._of, bodies)
         place = planes.point + planes.interpolated(now.x)
-        offset = gap + planes.below(now.x)
+        below = planes.below(now.x)
+        offset = gap + below
+        stay = CREEP * self._spacing + RISE * np.maximum(-below, 0.0)
         for array, new in (
-            (self.x, now.x), (self.place, place), (self.offset, offset), (self.slide, slide)
+            (self.x, now.x), (self.place, place), (self.offset, offset), (self.slide, slide),
+            (self.stay, stay),
         ):  # fmt: skip
             array[mine] = new[mine]
         self.near[bodies] = now.near[bodies]
