@@ -13,18 +13,19 @@ from solids import cube, sphere
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.contact.planes.contact_planes import nothing
-from gf_usd.physics.contact.planes.persistence import DEFORMED, Outlook, Persistence
+from gf_usd.physics.contact.planes.persistence import APPROACH, DEFORMED, Outlook, Persistence
 from gf_usd.physics.contact.stability import PairSprings
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 DOWN = (0.0, -9.81, 0.0)
 
 
-def stack(frames: int = 40, **options: Any) -> TotalLagrangian:
+def stack(frames: int = 60, **options: Any) -> TotalLagrangian:
     """A box on a box on a half space, which settle under gravity."""
     return contact_solver(
         cube(path="/Low"), cube((0.0, 1.25, 0.0), path="/High"), particles=250, frames=frames,
-        gravity=DOWN, colliders=(half_space(),), material="jelly", **options,
+        gravity=DOWN, colliders=(half_space(),), changes={"damping_time": 0.03, "restitution": 0.2},
+        **options,
     )  # fmt: skip
 
 
@@ -45,7 +46,7 @@ def test_a_stack_at_rest_is_searched_seldom_and_stays_where_it_is(monkeypatch) -
     def run() -> tuple[Floats, int, float]:
         solver, x, energy = stack(), np.zeros(0), 0.0
         for frame in solver.frames():
-            if frame.index == 25:
+            if frame.index == 40:
                 searches.clear()
             x, energy = frame.particles.x, energy + frame.health.injected
         return x, len(searches), energy
@@ -63,22 +64,22 @@ def test_a_stack_at_rest_is_searched_seldom_and_stays_where_it_is(monkeypatch) -
 def test_a_state_with_kept_planes_goes_on_to_the_bit() -> None:
     solver, saved, last = stack(), {}, None
     for frame in solver.frames():
-        if frame.index == 30:
+        if frame.index == 50:
             assert solver.pairs is not None
             assert solver.pairs._kept.any()
             saved, last = solver.save(), frame.health
     assert last is not None
     other = stack()
     other.load(saved)
-    *_, end = other.frames_after(30, last)
+    *_, end = other.frames_after(50, last)
     assert np.array_equal(solver.state.view().u, other.state.view().u)
-    assert end.index == 39
+    assert end.index == 59
 
 
 def test_what_is_thrown_is_searched_from_again() -> None:
     solver = stack()
     for frame in solver.frames():
-        if frame.index == 30:
+        if frame.index == 50:
             break
     pairs = solver.pairs
     assert pairs is not None
@@ -86,7 +87,7 @@ def test_what_is_thrown_is_searched_from_again() -> None:
     before = pairs._persistence.x[pairs.members[1]].copy()
     high = solver.body.stencil.node_body[: solver.body.stencil.free_count] == 1
     solver.throw(np.where(high[:, None], (3.0, 0.0, 0.0), 0.0))
-    solver.advance(31, solver.substeps)
+    solver.advance(51, solver.substeps)
     assert (pairs._persistence.x[pairs.members[1]] != before).any()
 
 
@@ -170,7 +171,7 @@ def test_motions_add_up_over_detections(axis: int) -> None:
     assert not kept.kept(planes, outlook(x, still, 0.1))[0]
 
 
-@pytest.mark.parametrize(("speed", "stays"), [(2.0, True), (3.0, False)])
+@pytest.mark.parametrize(("speed", "stays"), [(0.4, True), (0.6, False)])
 def test_speeds_count_until_the_next_detection(speed: float, stays: bool) -> None:
     kept, planes = noted()
     v = np.zeros_like(X)
@@ -193,14 +194,23 @@ def test_gravity_and_new_neighbors_and_moving_obstacles_and_time_count() -> None
 
 def test_a_body_that_is_deformed_is_searched_from_again() -> None:
     kept, planes = noted()
+    kept.near[:] = False
     x, still = X.copy(), np.zeros_like(X)
     x[3, 0] += 1.5 * 0.9 * DEFORMED * 0.5  # 2/3 of it is relative to the mean of three samples
     kept.follow(x)
-    assert kept.kept(planes, outlook(x, still, 0.01)).tolist() == [True, True]
+    alone = replace(outlook(x, still, 0.01), near=kept.near)
+    assert kept.kept(planes, alone)[1]
     x = x.copy()
     x[3, 0] -= 1.5 * 0.2 * DEFORMED * 0.5
     kept.follow(x)
-    assert kept.kept(planes, outlook(x, still, 0.01)).tolist() == [True, False]
+    assert not kept.kept(planes, replace(alone, x=x))[1]
+
+
+@pytest.mark.parametrize(("way", "stays"), [(0.9, True), (1.1, False)])
+def test_what_is_near_may_approach_by_a_bounded_way(way: float, stays: bool) -> None:
+    kept, planes = noted()
+    kept.mean[1, 0] = X[0] + (way * APPROACH * 0.5, 0.0, 0.0)  # where the other was
+    assert kept.kept(planes, outlook(X, np.zeros_like(X), 0.01))[1] == stays
 
 
 def test_planes_shifted_from_the_surface_are_found_anew() -> None:
@@ -229,7 +239,7 @@ def test_planes_of_an_obstacle_that_moved_are_found_anew() -> None:
 
 
 def test_a_body_that_slides_slowly_over_another_is_not_held_by_kept_planes(monkeypatch) -> None:
-    """Beside the edges of the upper one planes are tilted: kept for long, they were a wall to it."""
+    """Beside the edges of the upper one planes are tilted: kept for long, they were a wall."""
 
     def way() -> float:
         low = cube((-1.5, -0.5, -0.5), edge=(3.0, 0.5, 1.0), path="/Low")

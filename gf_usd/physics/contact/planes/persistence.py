@@ -37,8 +37,9 @@ DEFORMED = 0.5  # [spacings] largest motion of a sample relative to the mean of 
 SHIFTED = 0.05  # [spacings] largest shift of a kept plane from the true surface
 
 SAVED = (
-    "x", "place", "offset", "slide", "stay", "near", "mean", "path", "way", "own_until", "valid", "last"
-)  # fmt: skip
+    *("x", "place", "offset", "slide", "stay", "near", "mean", "path", "way", "own_until"),
+    *("valid", "last"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
