@@ -199,11 +199,12 @@ COMMANDS["worker"] = (worker, {"hidden": True})
 
 
 LATER = 0.05  # [s]
+BOOTSTRAP = "<frozen importlib._bootstrap>"  # the file of the code that imports modules
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    if _in_usd(frame):
-        # The import of USD continues after an exception within it.
+    if _in_usd(frame) or _is_callback(frame):
+        # The import of USD, and what called a callback, continue after an exception within it.
         again = threading.Timer(LATER, signal.raise_signal, (number,))
         again.daemon = True
         again.start()
@@ -214,6 +215,12 @@ def _stop(number: int, frame: FrameType | None) -> None:
     # typer ends a KeyboardInterrupt without a message
     typer.echo("; ".join(filter(None, (STOPPED[number], exit.message()))), err=True)
     sys.exit(128 + number)
+
+
+def _is_callback(frame: FrameType | None) -> bool:
+    """Whether a frame is the callback of a weak reference to the lock of an import."""
+    code = frame.f_code if frame else None
+    return code is not None and (code.co_filename, code.co_name) == (BOOTSTRAP, "cb")
 
 
 def _in_usd(frame: FrameType | None) -> bool:

@@ -116,3 +116,31 @@ def test_a_bake_that_is_stopped_leaves_partial_files_only(
     assert process.returncode == status
     assert (out, err) == ("", f"{word}; only *.partial.* files remain\n")
     assert names(here) == ["block.rubber.cache.partial.usdc"]
+
+
+IN_A_CALLBACK = """
+import signal, time, weakref
+from gf_usd.cli import main
+
+class Lock: pass
+
+names = {"signal": signal}
+source = "def cb(_): signal.raise_signal(signal.SIGTERM)"
+exec(compile(source, main.BOOTSTRAP, "exec"), names)
+signal.signal(signal.SIGTERM, main._stop)
+lock = Lock()
+watched = weakref.ref(lock, names["cb"])
+del lock
+time.sleep(30.0)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_signal_within_the_callback_of_an_import_lock_is_not_lost() -> None:
+    """Python ignores exceptions there, and the bake would go on."""
+    done = subprocess.run(
+        [sys.executable, "-c", IN_A_CALLBACK], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert "terminated" in done.stderr
+    assert "ignored" not in done.stderr

@@ -58,7 +58,7 @@ def files(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     ("arguments", "status", "message", "hint"),
     [
-        (["gone.usda"], 3, "gone.usda does not exist", "did you mean"),
+        (["bal.usda"], 3, "bal.usda does not exist", "did you mean ball.usda"),
         (["text.usda"], 3, "text.usda is not a USD file", "check the type of the file"),
         (["sheet.usda"], 3, "</Cloth>: the surface is open", "give the mesh thickness"),
         (["ball.usda", "-m", "granite"], 2, "there is no material 'granite'", "choose one of"),
