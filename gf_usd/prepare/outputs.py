@@ -238,14 +238,17 @@ def create_output_folder(files: Outputs) -> None:
         remove_stale(path)
 
 
-def remove_stale(path: Path) -> None:
-    """Remove a file of an earlier bake, if it exists; raises UsageError where that fails."""
+def remove_stale(path: Path, instead: str = "choose another -o") -> None:
+    """Remove a file of an earlier bake, if it exists.
+
+    Raises UsageError where that fails; instead : what else the hint proposes.
+    """
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise UsageError(
             f"{path} of an earlier bake cannot be removed: {error.strerror}",
-            "remove it, or choose another -o",
+            f"remove it, or {instead}",
         ) from error
 
 
@@ -321,13 +324,7 @@ def clear(requested: Sequence[SplatSequence]) -> None:
     Raises UsageError where one cannot be removed.
     """
     for path in (path for sequence in requested for path in sequence.existing_frames()):
-        try:
-            path.unlink(missing_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"{path} of an earlier bake cannot be removed: {error.strerror}",
-                "remove it, or name another folder",
-            ) from error
+        remove_stale(path, "name another folder")
 
 
 Stamp = tuple[int, int] | None  # (time of change [ns], inode); None: no such file

@@ -564,7 +564,8 @@ class BodyContact:
         x, v = self.motion(state.view())
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             return False
-        f, who = self.planes, self.planes.only(self.watched).carried
+        f = self.planes
+        who = self.watched[f.partner[self.watched] >= 0]
         normal, point = f.normal.copy(), f.point.copy()
         places = state.part("pair", layout.ROW, layout.POINT, layout.VELOCITY)
         point[who], normal[who] = places[who, :3], places[who, 3:]

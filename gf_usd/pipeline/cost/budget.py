@@ -391,20 +391,26 @@ def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
     return tuple(found)
 
 
+UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"))  # [s]
+
+
 def duration(seconds: float) -> str:
     """A time as text: seconds, minutes, hours or days, with two or three digits."""
-    for size, unit in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
-        if seconds >= 2.0 * size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds:.0f} s"
+    count, unit = _in_units(seconds)
+    return f"{count:.3g} {unit}" if unit != "s" else f"{count:.0f} s"
 
 
 def rough_duration(seconds: float) -> str:
     """An estimate as text: like `duration`, with a fraction only below ten."""
-    for size, unit in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
-        if (count := seconds / size) >= 2.0:
-            return f"{f'{count:.2g}' if count < 9.95 else f'{count:.0f}'} {unit}"
-    return duration(seconds)
+    count, unit = _in_units(seconds)
+    return f"{count:.2g} {unit}" if unit != "s" and count < 9.95 else f"{count:.0f} {unit}"
+
+
+def _in_units(seconds: float) -> tuple[float, str]:
+    """A time in the largest unit of which it has at least two, or in seconds."""
+    return next(
+        ((seconds / size, unit) for size, unit in UNITS if seconds >= 2.0 * size), (seconds, "s")
+    )
 
 
 RESERVE = 2e6  # [bytes] for the root layer and the ends of files

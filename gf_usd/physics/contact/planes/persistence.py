@@ -139,8 +139,7 @@ class Persistence:
         own = self.way - self.path.diagonal()
         kept &= own + now.span * now.spread <= DEFORMED * self._spacing
         if kept.any():
-            kept &= self.approaches(now.x) <= APPROACH * self._spacing
-            kept &= self.approaches(now.x, now) <= self._reach
+            kept &= ~self._approaches_far(now)
         if kept.any():
             kept &= ~self._slid(planes, now)
         return kept
@@ -149,27 +148,41 @@ class Persistence:
         """(B, 3) [m] mean positions."""
         return np.array([x[m].mean(0) if len(m) else np.zeros(3) for m in self._members])
 
-    def approaches(self, x: Floats, now: Outlook | None = None) -> Floats:
+    def approaches(self, x: Floats) -> Floats:
         """(B,) [m] by which bodies and what was near them may have approached since the search
         from each, at most; 0 where nothing was.
 
-        x : (n, 3) [m] of the samples; now : until the next detection.
+        x : (n, 3) [m] of the samples now.
         """
-        means, out = self._means(x), np.zeros(len(self._members))
-        obstacles = self.near.shape[1] - len(out)
+        out = np.zeros(len(self._members))
+        a, _, far = self._approached(x)
+        np.maximum.at(out, a, far)
+        return out
+
+    def _approached(self, x: Floats) -> tuple[Ints, Ints, Floats]:
+        """Pairs (k,) of a body and what was near it, -1: an obstacle, which does not move, and
+        (k,) [m] by which they may have approached.
+        """
+        means, bodies = self._means(x), np.arange(len(self._members))
+        obstacles = self.near.shape[1] - len(bodies)
         a, b = np.nonzero(self.near)
-        b = np.where(b < obstacles, -1, b - obstacles)  # obstacles do not move
-        drift = means - self.mean[np.arange(len(out)), np.arange(len(out))]
+        b = np.where(b < obstacles, -1, b - obstacles)
+        drift = means - self.mean[bodies, bodies]
         way = self.way - self.path.diagonal()
         others = np.where((b >= 0)[:, None], means[b] - self.mean[a, b], 0.0)
         far = lengths(others - drift[a]) + way[a]
-        far += np.where(b >= 0, self.way[b] - self.path[a, b], 0.0)
-        if now is not None:
-            v = np.where((b >= 0)[:, None], now.mean[b], 0.0)
-            speed = lengths(v - now.mean[a]) + now.spread[a] + np.where(b >= 0, now.spread[b], 0.0)
-            far += now.span * speed + 0.5 * now.pull * now.span**2
-        np.maximum.at(out, a, far)
-        return out
+        return a, b, far + np.where(b >= 0, self.way[b] - self.path[a, b], 0.0)
+
+    def _approaches_far(self, now: Outlook) -> Ints:
+        """(B,) bodies that something near has approached by more than `APPROACH`, or may come
+        within reach of until the next detection.
+        """
+        a, b, far = self._approached(now.x)
+        v = np.where((b >= 0)[:, None], now.mean[b], 0.0)
+        speed = lengths(v - now.mean[a]) + now.spread[a] + np.where(b >= 0, now.spread[b], 0.0)
+        ahead = now.span * speed + 0.5 * now.pull * now.span**2
+        too_far = (far > APPROACH * self._spacing) | (far + ahead > self._reach)
+        return np.bincount(a[too_far], minlength=len(self._members)) > 0
 
     def slid(self, planes: ContactPlanes, x: Floats) -> Floats:
         """(n,) [m] by which samples have moved along their planes since the search."""
