@@ -130,7 +130,7 @@ for number in range(2):
         message = run_isolated(file, f"isolated_tasks:{task}", Limits(time=1.0))
     except InputError as error:
         message = error.message
-    print(forked, message)
+    print(forked, message, flush=True)  # `os._exit` flushes nothing
 os._exit(0)
 """
 
