@@ -141,8 +141,8 @@ class ActiveSamples:
         height = contact.rows.X @ normal - floor_height(body.settings)
         height += contact.driven @ ((c + 0.5 * dt * rate) @ normal)
         given = state.rows("sample_given", GIVEN_ROW)
-        given[:, HEIGHT] = height
-        given[:, DRIFT:WORK] = contact.driven @ rate
+        given[: len(height), HEIGHT] = height
+        given[: len(height), DRIFT:WORK] = contact.driven @ rate
         state.put("sample_given", given)
 
 

@@ -43,6 +43,8 @@ HARD = 0.2
 REST_DEPTH = 0.045  # of s; twice as deep for jelly, whose strain is too large for Hertz's theory
 
 
+NO_FLOOR = -1e9  # [m] height of the floor where there is none
+
 # The constants of a sample are one row of `sample_constants`, to limit the number of arrays.
 FLOOR_ROW = 7
 # [N/m], [N s/m], [N/m] along the floor, friction, [kg], d0 [m] and 1 / a^2 [1/m^2] of hardening
@@ -63,7 +65,8 @@ class FloorContact:
         sparse.csr_matrix | None
     )  # (n, followers) weights of the followers' constants, with pins
     driven: sparse.csr_matrix | None  # the same for prescribed nodes; None: there are none
-    nodes: sparse.csr_matrix  # (n, nodes) weights of free nodes, and of those of rigid regions
+    # (n + points, nodes) weights of free nodes, and of those of rigid regions
+    nodes: sparse.csr_matrix
     mass: Floats  # (n,) [kg] represented by each sample: rho * area * s
     stiffness: Floats  # (n,) [N/m]
     pair_stiffness: Floats  # (n,) [N/m] in contact with a body or an obstacle
@@ -75,17 +78,24 @@ class FloorContact:
     hardening: float  # [1/m^2] 1 / a^2 beyond it
     omega2: float  # [1/s^2] largest eigenvalue of M^-1 W^T K W: the contact's stiffest vibration
     damping_rate: float  # [1/s] the same bound for M^-1 W^T C W
+    points: int = 0  # rows of points of obstacles, which no node moves: see `obstacles.edges`
+
+    @property
+    def count(self) -> int:
+        """Rows of samples and points."""
+        return len(self.mass) + self.points
 
     @property
     def law(self) -> Floats:
-        """(n, FLOOR_ROW) values for the kernels."""
+        """(n + points, FLOOR_ROW) values for the kernels."""
         alike = np.ones_like(self.mass)
-        return np.stack(
+        rows = np.stack(
             [
                 self.stiffness, self.damping, self.tangential, self.friction, self.mass,
                 self.linear * alike, self.hardening * alike,
             ], 1
         )  # fmt: skip
+        return np.pad(rows, ((0, self.points), (0, 0)))
 
     def normal_energy(self, depth: Floats) -> float:
         """sum_s k (d^2 / 2 + e^4 / (4 a^2)) [J] of depths (n,) [m]."""
@@ -158,12 +168,14 @@ def build_contact(
     pressure: Floats,
     rate: float | None = None,
     mass: NodalMass | None = None,
+    points: int = 0,
 ) -> FloorContact:
     """Contact samples with their rows; material values are per sample (n,).
 
     rate : [1/s^2] stiffness per mass instead of the formula. The floor then does not harden, and
     friction is viscous as in the paper.
     mass : of the free nodes; None: lumped.
+    points : rows of points of obstacles.
     """
     # The floor acts on sliding nodes too: a sample has one row for all axes.
     rows = stencil.across.rows(samples.X, samples.body, samples.cell_copy, gradients=False)
@@ -200,7 +212,7 @@ def build_contact(
         rows=rows,
         constants=constants,
         driven=driven,
-        nodes=nodes,
+        nodes=_with_empty_rows(nodes, points),
         mass=m,
         stiffness=k,
         pair_stiffness=stiffness(PAIR_STIFFNESS),
@@ -212,7 +224,15 @@ def build_contact(
         hardening=(HARD * spacing) ** -2 if rate is None else 0.0,
         omega2=contact_eigenvalue(rows.W, k, mass),
         damping_rate=contact_eigenvalue(rows.W, c, mass),
+        points=points,
     )
+
+
+def _with_empty_rows(W: sparse.csr_matrix, more: int) -> sparse.csr_matrix:
+    """The same matrix with `more` empty rows at its end."""
+    start = np.append(W.indptr, np.full(more, W.indptr[-1], W.indptr.dtype))
+    shape = (W.shape[0] + more, W.shape[1])
+    return sparse.csr_matrix((W.data, W.indices, start), shape=shape)
 
 
 def contact_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: NodalMass) -> float:

@@ -17,7 +17,8 @@ the falling speed (`active`), it is skipped while h - b - n dt w > 0 after n sub
 b of one spacing. Its force would be 0, so that results are unchanged. A node likewise skips its sum
 while all its samples are skipped.
 
-Bodies and obstacles. A sample s has at most one plane, chosen by `pairs` between substeps. It
+Bodies and obstacles. A sample s has at most one plane, chosen by `pairs` between substeps. Points
+of obstacles in front of bodies are samples, too, that no node moves (`obstacles.edges`). The plane
 belongs to an obstacle (point q, velocity v_q), or to a body and is then carried by three of its
 samples (`planes.carriers`), with which it rotates at omega,
 
@@ -285,16 +286,16 @@ def pair_contact(body: ti.template(), s, dt):
 
 
 @ti.func
-def pair_total(body: ti.template(), s, dt, driven: ti.template()):
+def pair_total(body: ti.template(), s, dt):
     """sample_force += own force + reactions of the planes that s carries.
 
-    driven : pins move samples; their work against these forces is counted.
+    The work of pins that move the sample against these forces is counted, and that of an obstacle
+    at a point of it.
     """
     f = row(body.pair, ROW * s + FORCE)
     for e in range(body.links[LINKS * s + START], body.links[LINKS * (s + 1) + START]):
         entry = body.links[LINKS * (e // 3) + PAIR_FACING + e % 3]
         f += row(body.pair, ROW * (entry // 3) + REACTION + 3 * (entry % 3))
-    if ti.static(driven):
-        o = ROW * s
-        body.pair[o + WORK] = body.pair[o + WORK] - dt * f.dot(row(body.pair, o + DRIFT))
+    o = ROW * s
+    body.pair[o + WORK] = body.pair[o + WORK] - dt * f.dot(row(body.pair, o + DRIFT))
     keep(body.sample_force, 3 * s, row(body.sample_force, 3 * s) + f)

@@ -98,16 +98,39 @@ class ContactSearch:
         f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, self.x[who])
 
     def offer_places(
-        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: int, rest: Floats
-    ) -> None:
+        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: int, rest: Floats,
+        obstacle: int = -1,
+    ) -> Ints:  # fmt: skip
         """Offer planes to samples `rows` (k,) at points of a body, rest (k, 3) [m] at rest.
 
         A call of `carry` must follow, which finds the carriers of the planes that are selected.
+
+        obstacle : that the samples belong to; -1: to bodies.  Returns which (k,) are selected.
         """
-        nearer = self._take(rows, gap, normal, -1, sure=False)
+        nearer = self._take(rows, gap, normal, obstacle, sure=False)
         rows = rows[nearer]
         self.planes.point[rows] = point[nearer]
         self._owner[rows], self._rest[rows] = body, rest[nearer]
+        return nearer
+
+    def keep_beside(
+        self, rows: Ints, planes: ContactPlanes, offset: Floats, depth: Floats, far: float
+    ) -> tuple[Ints, Floats]:
+        """Keep the planes that samples `rows` (k,) had, of those that have not moved away.
+
+        offset : (k,) [m] of the samples from these planes, see `RestGaps`; depth : (k,) [m] under
+        them; far : [m] to the side of the place where it was, beyond which a sample is no longer
+        inside.  Returns the samples (l,), and their gaps (l,) [m].
+        """
+        f = planes.of(rows)
+        point = f.interpolated(self.x) + f.point
+        aside = self.x[rows] - point + depth[:, None] * f.normal
+        near = np.linalg.norm(aside, axis=1) < far
+        rows, point, f = rows[near], point[near], planes.of(rows[near])
+        gap = offset[near] - depth[near]
+        self.offer(rows, gap, f.normal, point, f.carriers, f.weights, sure=True)
+        self.planes.obstacle[rows] = f.obstacle
+        return rows, gap
 
     def _take(self, rows: Ints, gap: Floats, normal: Floats, obstacle: int, *, sure: bool) -> Ints:
         """(k,) which offers are plausible and nearer than the current plane; stores their common
@@ -143,18 +166,22 @@ def pair_values(
     contact: FloorContact,
     walls: Sequence[tuple[float | None, float | None]],
 ) -> dict[str, Floats]:
-    """k, m, friction and damping c of each sample with its partner.
+    """k, m, friction and damping c of each sample, and point of an obstacle, with its partner.
 
     Two bodies have the softer one's stiffness, their reduced mass, the geometric mean of their
     friction coefficients and the lower restitution.
 
-    walls : (friction, restitution) of each obstacle, None: those of the sample.
+    walls : (friction, restitution) of each obstacle, None: those of the sample. A point of an
+    obstacle has the values of the surface that it presses.
     """
     mass, friction, restitution = contact.mass, contact.friction, contact.restitution
+    n = len(mass)
+    of = np.append(np.arange(n), np.maximum(planes.partner[n:], 0))
     k, m, mu, e = (
-        np.array(v, float) for v in (contact.pair_stiffness, mass, friction, restitution)
+        np.array(v[of], float) for v in (contact.pair_stiffness, mass, friction, restitution)
     )
     a = planes.carried
+    a = a[a < n]
     b = planes.partner[a]
     k[a] = np.minimum(contact.pair_stiffness[a], contact.pair_stiffness[b])
     m[a] = mass[a] * mass[b] / (mass[a] + mass[b])

@@ -30,13 +30,13 @@ from gf_usd.physics.contact.narrow_phase import (
     ContactSearch,
     pair_values,
 )
+from gf_usd.physics.contact.obstacles.edges import EdgePoints
 from gf_usd.physics.contact.obstacles.obstacle import obstacles
 from gf_usd.physics.contact.obstacles.piercing import Piercing
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import (
     ARRAYS,
     NOBODY,
-    OBSTACLE,
     ContactPlanes,
     moved,
     nothing,
@@ -92,28 +92,34 @@ class BodyContact:
         self._own = OwnContacts(
             own, self._members, len(samples.X), reach=self._reach, spacing=self._spacing
         )
-        self._rest_gaps = RestGaps(
-            samples.X, of, self.contact_setup, self._obstacles, own,
-            spacing=self._spacing, reach=self._reach, lift=np.asarray(body.settings.lift),
-        )  # fmt: skip
         lift = np.asarray(body.settings.lift, float)
         self._piercing = Piercing(
             self.contact_setup, self._obstacles, self._members, self._spacing,
             lambda k: self._skin(k).posed(lift), body.settings.frames - 1,
         )  # fmt: skip
+        n, points = len(samples.X), body.contact.points
+        self._edges = EdgePoints(
+            n, points, self._obstacles, self._piercing.sharp,
+            lambda k: self._skin(k).posed(lift), self._spacing,
+        )  # fmt: skip
+        self._rest_gaps = RestGaps(
+            samples.X, of, self.contact_setup, self._obstacles, own, spacing=self._spacing,
+            reach=self._reach, lift=lift, edges=self._edges,
+        )  # fmt: skip
         self._persistence = Persistence(
-            self._members, len(self._obstacles), samples.X, reach=self._reach,
-            spacing=self._spacing,
+            self._members, len(self._obstacles), np.pad(samples.X, ((0, points), (0, 0))),
+            reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
         self._kept = np.zeros(len(skins), bool)  # bodies not searched from at the last detection
         self._x = samples.X  # [m] at the last detection
-        self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
+        # Of samples and points of obstacles, as they were when the kernels last ended.
+        self.planes = nothing(n + points)
         self.watched = np.zeros(0, np.int64)  # samples whose planes the kernels have
         self._span = 0.0  # [s] for which they have them
         self._detected = 0.0  # [s] time of the last detection
         self._frame = 0.0  # of the obstacles, then
         self.lateness = Lateness()
-        self._k = self.contact.stiffness
+        self._k = np.pad(self.contact.stiffness, (0, points))
         crowd = CROWD * float(
             (self.contact.pair_stiffness / self.contact.stiffness).max(initial=1.0)
         )
@@ -123,7 +129,7 @@ class BodyContact:
         self.released = 0  # most samples at once, since `begin`
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
-        self._gap = np.full(len(samples.X), -np.inf)
+        self._gap = np.full(n + points, -np.inf)
 
     def _meets_itself(self, body: int) -> bool:
         """Whether a body may be in contact with itself: it has samples, and not all are pinned."""
@@ -166,6 +172,7 @@ class BodyContact:
             "contact_stiffness": self._k,
             "contact_given": self._budget.given.copy(),
             **self._persistence.save(),
+            **self._edges.save(),
         }
 
     def load(self, saved: Mapping[str, Any]) -> None:
@@ -180,6 +187,7 @@ class BodyContact:
         self._k = np.asarray(saved["contact_stiffness"])
         self._budget.given = np.array(saved["contact_given"])
         self._persistence.load(saved)
+        self._edges.load(saved)
 
     def begin(self, state: State) -> None:
         """Count from zero."""
@@ -190,7 +198,7 @@ class BodyContact:
 
     def energy(self, now: StateView, time: float) -> float:
         """[J] in the springs of the planes last detected, at a time [s]."""
-        return self._stored(self.motion(now)[0], time).energy
+        return self._stored(self._joined(now, time)[0], time).energy
 
     def _stored(self, x: Floats, time: float) -> Stored:
         depth = np.zeros(len(x))  # the kernels have no springs of the others
@@ -201,10 +209,15 @@ class BodyContact:
         )  # fmt: skip
 
     def _pairs(self, planes: ContactPlanes) -> Ints:
-        """(n,) which body of each sample and what it faces, as one number; -1: nothing."""
-        theirs = np.where(planes.partner >= 0, self._of[planes.partner], planes.obstacle)
-        theirs = theirs + np.where(planes.partner >= 0, len(self._obstacles), 0)
-        return np.where(planes.partner == NOBODY, -1, self._pair_number(self._of, theirs))
+        """(n + m,) which body of each sample and what it faces, as one number; -1: nothing.
+
+        A point of an obstacle has that of the body that it faces and the obstacle.
+        """
+        of_body = (planes.partner >= 0) & (planes.obstacle < 0)
+        others = self._of[planes.partner] + len(self._obstacles)
+        theirs = np.where(of_body, others, planes.obstacle)
+        mine = self._pair_number(planes.bodies(self._of), theirs)
+        return np.where(planes.partner == NOBODY, -1, mine)
 
     def _pair_number(self, body: Ints, theirs: Ints) -> Ints:
         """The number of pairs of a body and what it faces: obstacles first, then bodies."""
@@ -226,14 +239,16 @@ class BodyContact:
 
     def _x_before(self, x: Floats) -> Floats:
         """(n, 3) [m] samples at the last search from each; before the first one, as in x."""
-        return np.where(np.isinf(self._gap)[:, None], x, self._persistence.x)
+        n = len(self._X)
+        return np.where(np.isinf(self._gap[:n])[:, None], x[:n], self._persistence.x[:n])
 
     def pass_by(self, flying: Ints, time: float) -> None:
         """A frame has passed, up to `time` [s], in which flying bodies (B,) had nothing near."""
+        of = self.planes.bodies(self._of)
         for k in np.flatnonzero(flying):
-            self._gap[self._members[k]] = self._reach
+            self._gap[of == k] = self._reach
             self._own.forget(self._members[k])
-            self.planes.forget(self._members[k])
+            self.planes.forget(np.flatnonzero(of == k))
             self._rest_gaps.forget_planes()
         self._persistence.forget(np.flatnonzero(flying))
         self._detected = time
@@ -291,6 +306,10 @@ class BodyContact:
         self._placed = ref(now), x, rate
         return x, rate
 
+    def _joined(self, now: StateView, time: float) -> tuple[Floats, Floats]:
+        """The same of samples and points of obstacles (n + m, 3), at a time [s]."""
+        return self._edges.joined(*self.motion(now), time - self._detected)
+
     def set_friction(self, contact: FloorContact) -> None:
         """Take the friction of the samples from here on; all else of them stays."""
         self.contact = contact
@@ -322,7 +341,7 @@ class BodyContact:
         now, elapsed = state.view(), done * dt
         frame = index - 1 + elapsed / self._body.settings.frame_time
         time = state.time + elapsed
-        x, v = self.motion(now)
+        x, v = self._joined(now, time)
         if done:
             self.note_way(now, time, dt)
         self._frame = frame
@@ -339,24 +358,26 @@ class BodyContact:
         landed = self._until_landed(x, v, floor(left * dt) if floor else None)
         hold = min(hold, landed, self.lateness.bound(time))
         if not old.planes.any_planes and not search.planes.any_planes:
-            self._gap, self._detected, self._x = search.gap, time, x
+            self._gap, self._detected, self._x = search.gap, time, x[: len(self._X)]
             self._note_search(outlook, np.zeros(len(x)))
             self.watched = self.watched[:0]
             chunk = int(np.clip(hold / dt, 1, left))
             return chunk, int(np.ceil(chunk * shorter))
         offset = self._rest_gaps.of_planes(self.planes)
         self._own.keep_unseen(search, self.planes, offset, old.depth, self._of)
+        self._edges.keep_unseen(search, self.planes, old.depth)
+        x = search.x  # of new points, too
         self._note_overlap(state)
         values = self._replace_planes(search, old, outlook)
         slide = self._persistence.slide - self._persistence.slid(self.planes, x)
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
         span = chunk * dt
-        calm = (self._kept & outlook.hardly_moving(CALM * self._spacing))[self._of]
+        calm = self._kept & outlook.hardly_moving(CALM * self._spacing)
         springs = PairSprings(
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing, x=x, v=v, span=span,
-            fall=self._pull * span, calm=calm,
+            fall=self._pull * span, calm=calm[self.planes.bodies(self._of)],
         )  # fmt: skip
         by = self._step_ratio(springs, stable or dt, floor(span) if floor else None)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
@@ -387,10 +408,12 @@ class BodyContact:
         pairs, hold : of the broad phase; frame : where the obstacles are.
         """
         x, span, kept = outlook.x, outlook.span, self._kept
+        self._edges.begin(outlook.time - self._detected, self.planes)
         shrunk = CLOSER * (self._spacing + WAIT / TRAVEL * np.maximum(self._gap, 0.0))
         search = ContactSearch(x, self._reach, self._gap - shrunk)
         if kept.any():
-            mine = kept[self._of]
+            of = self.planes.bodies(self._of)
+            mine = kept[of] & (of >= 0)
             search.keep(np.flatnonzero(mine), self.planes, self._persistence.gaps(self.planes, x))
         searched: dict[int, list[int]] = {}
         for body, other in pairs:
@@ -401,6 +424,11 @@ class BodyContact:
                 self._search_obstacle(search, bodies, -1 - other, frame, min(hold, span))
             else:
                 self._search_body(search, bodies, other, now.nodes[0], now.offset)
+        for body, other in pairs if self.contact.points else ():
+            if other < 0 and not kept[body]:
+                self._search_edges(search, body, -1 - other, now, frame, min(hold, span))
+        if self.contact.points:
+            outlook.v[len(self._X) :] = self._edges.v
         own_hold = self._own.search(
             search, outlook, kept, self._x_before(x), min(hold, span), every_sample=frame_begins
         )
@@ -430,7 +458,7 @@ class BodyContact:
         s = self._body.settings
         if s.floor is None:
             return float("inf")
-        near = slice(None) if floor is None else floor
+        near = slice(len(self._X)) if floor is None else floor
         height = x[near] @ s.normal - floor_height(s)
         pull = abs(float(np.dot(s.gravity, s.normal))) + s.pushes
         return until_stopped(height, -(v[near] @ s.normal), pull, TRAVEL * self._spacing)
@@ -466,11 +494,11 @@ class BodyContact:
         )  # fmt: skip
         self.planes, self._k = new.planes, new.stiffness
         self.injected += new.energy - old.energy
-        self._gap, self._detected, self._x = search.gap, time, x
+        self._gap, self._detected, self._x = search.gap, time, x[: len(self._X)]
         self._overlap = max(self._overlap, -float(search.gap.min()))
         self._note_search(outlook, np.abs(true.depth - new.depth))
         lost = (old.depth > EASE * self._spacing) & (self.planes.partner == NOBODY)
-        self.released = max(self.released, search.released, int(lost.sum()))
+        self.released = max(self.released, search.released + self._edges.left_out, int(lost.sum()))
         return values
 
     def _step_ratio(self, springs: PairSprings, stable: float, floor: Ints | None) -> float:
@@ -482,7 +510,7 @@ class BodyContact:
         body = self._body
         if body.settings.substeps:
             return 1.0
-        near = np.arange(len(springs.x)) if floor is None else floor
+        near = np.arange(len(self._X)) if floor is None else floor
         if body.settings.floor is None:
             near = near[:0]
         if body.regions:
@@ -534,6 +562,18 @@ class BodyContact:
         point = found.point + sunk[mine, None] * found.normal
         search.offer(mine, found.gap, found.normal, point, velocity=plane.velocity, obstacle=which)
 
+    def _search_edges(
+        self, search: ContactSearch, body: int, which: int, now: StateView, frame: float,
+        span: float,
+    ) -> None:  # fmt: skip
+        """Offer planes of one body's surface to edges and corners of an obstacle."""
+        skin = self._skin(body)
+        self._edges.search(
+            search, body, which, self._members[body],
+            lambda X, known: skin.near(X, known, now.nodes[0], now.offset, search.reach),
+            self.planes, self._gap, frame, span / self._body.settings.frame_time,
+        )  # fmt: skip
+
     def _upload(
         self,
         state: State,
@@ -542,17 +582,13 @@ class BodyContact:
         dt: float,
         f: ContactPlanes,
     ) -> None:
-        constants = self.contact.driven
-        point = f.point - 0.5 * dt * f.velocity
-        point[f.partner == OBSTACLE] -= now.offset + self._origin
+        constants, origin = self.contact.driven, now.offset + self._origin
         X, drift = self._X - self._origin, None
         if constants is not None:
             c, rate = now.constants
             X, drift = X + constants @ (c + 0.5 * dt * rate), constants @ rate
-        with state.written("pair", layout.ROW) as pair:
-            layout.write_rest(pair, X, drift)
-            layout.write_planes(pair, replace(f, point=point), values, self._hardening)
-        state.put("links", layout.links(f))
+        X, drift = self._edges.with_points(X, drift, dt, origin)
+        layout.upload(state, f, values, self._hardening, X=X, drift=drift, origin=origin, dt=dt)
 
     def follow(self, state: State, dt: float, closed: bool) -> bool:
         """Read the planes back after substeps of dt [s]; closed : these ended a frame.
@@ -561,7 +597,7 @@ class BodyContact:
         """
         if not self.planes.any_planes:
             return True
-        x, v = self.motion(state.view())
+        x, v = self._joined(state.view(), self._detected + self._span)
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             return False
         f = self.planes

@@ -14,6 +14,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.distance.closest import closest
+from gf_usd.physics.contact.obstacles.edges import EdgePoints
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.self_contact.search import SelfContact
@@ -27,7 +28,8 @@ class RestGaps:
     """Offsets of contact samples from what they face; each is computed when it is first needed.
 
     X : (n, 3) [m] samples at rest; body : (n,) the body of each; reach : [m] from where something
-    is faced; lift : (3,) [m] from rest to where the simulation begins.
+    is faced; lift : (3,) [m] from rest to where the simulation begins; edges : points of obstacles,
+    which know their offsets.
     """
 
     def __init__(
@@ -41,7 +43,9 @@ class RestGaps:
         spacing: float,
         reach: float,
         lift: Floats,
+        edges: EdgePoints,
     ) -> None:
+        self._edges = edges
         self._X, self._body, self._contact_setup, self._own = X, body, contact_setup, own
         self._members = [np.flatnonzero(body == k) for k in range(len(contact_setup.skins))]
         self._obstacles, self._reach, self._lift = obstacles, reach, lift
@@ -51,13 +55,17 @@ class RestGaps:
         self._last: tuple[Ints, Floats] | None = None  # partners, and their offsets
 
     def of_planes(self, planes: ContactPlanes) -> Floats:
-        """(n,) [m] offset of each sample from the plane it faces; 0 where it faces nothing."""
-        partner, obstacle = planes.partner, planes.obstacle
+        """(n + m,) [m] offset of each sample and point of an obstacle from the plane it faces; 0
+        where it faces nothing.
+        """
+        partner, obstacle = planes.partner, planes.obstacle[: len(self._body)]
         # Planes that move on keep what they face, and this array of it.
         if self._last is not None and self._last[0] is partner:
             return self._last[1]
-        out = np.zeros(len(self._body))
+        out = np.zeros(len(partner))
+        out[len(self._body) :] = self._edges.sunk
         carried = planes.carried
+        carried = carried[carried < len(self._body)]
         theirs = self._body[partner[carried]]
         for other in np.unique(theirs):
             rows = carried[theirs == other]

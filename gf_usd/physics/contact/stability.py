@@ -63,7 +63,7 @@ class PairSprings:
         """
         rows, harder = self.touching
         k, c = self.k[rows] * harder, self.values["damping"][rows]
-        lever = levers(self.planes, rows, self.x)
+        lever = levers(self.planes, rows, self.x, len(contact.mass))
         B = stretches(contact.rows.W, self.planes, rows, near)
 
         def largest(pairs: Floats, floor: Floats) -> float:
@@ -132,14 +132,16 @@ def stretches(
 ) -> sparse.csr_matrix:
     """B (m + l, nodes) of samples `rows` (m,) with a plane, and `floor` (l,) near the floor.
 
-    W : (n, nodes) of all samples.
+    W : (n, nodes) of all samples; points of obstacles, behind them, move no node.
     """
     carriers, weights = planes.carriers[rows], planes.weights[rows]
     carried = np.flatnonzero(planes.partner[rows] >= 0)
     count = len(rows) + len(floor)
-    row = np.concatenate([np.arange(count), np.repeat(carried, 3)])
-    column = np.concatenate([rows, floor, carriers[carried].ravel()])
-    value = np.concatenate([np.ones(count), -weights[carried].ravel()])
+    own = np.append(rows, floor)
+    moved = np.flatnonzero(own < W.shape[0])
+    row = np.concatenate([moved, np.repeat(carried, 3)])
+    column = np.concatenate([own[moved], carriers[carried].ravel()])
+    value = np.concatenate([np.ones(len(moved)), -weights[carried].ravel()])
     used, local = np.unique(column, return_inverse=True)
     P = sparse.csr_matrix((value, (row, local.reshape(-1))), shape=(count, len(used)))
     return sparse.csr_matrix(P @ W[used])
@@ -157,11 +159,12 @@ def stiffest(B: sparse.csr_matrix, mass: NodalMass, k: Floats) -> float:
     )
 
 
-def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
+def levers(planes: ContactPlanes, rows: Ints, x: Floats, samples: int) -> Floats:
     """(m,) >= 1: ratio of |G|^2 of the planes of `rows` to its value without rotation.
 
     G n = (n, -w_k n + alpha x r_k) is the force on a sample and on its carriers for a unit normal
-    force: see `planes.carriers`. x : (n, 3) [m].
+    force: see `planes.carriers`. x : (n + m, 3) [m], of which the first n are `samples` and the
+    others points of obstacles, which do not move.
     """
     out = np.ones(len(rows))
     carried = np.flatnonzero(planes.partner[rows] >= 0)
@@ -173,8 +176,9 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats) -> Floats:
     arm = x[s] - np.einsum("nk,nka->na", w, corners)
     alpha = turn(r, cross(n, arm))
     back = cross(alpha[:, None], r) - w[:, :, None] * n[:, None]
-    plain = 1.0 + (w * w).sum(1)
-    out[carried] = np.maximum(1.0, (1.0 + (back * back).sum((1, 2))) / plain)
+    own = np.where(s < samples, 1.0, 0.0)
+    plain = own + (w * w).sum(1)
+    out[carried] = np.maximum(1.0, (own + (back * back).sum((1, 2))) / plain)
     return out
 
 

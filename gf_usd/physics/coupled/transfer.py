@@ -212,7 +212,9 @@ def copy_solid(before: TotalLagrangian, after: TotalLagrangian, left: Ints) -> N
         body = old.contact.samples.body
         assert body is not None  # several bodies were solid: some are transferred
         mine = np.flatnonzero(number[np.asarray(body)] >= 0)
-        after.state.put("sample_spring", before.state.rows("sample_spring")[mine])
+        springs = after.state.rows("sample_spring")
+        springs[: len(mine)] = before.state.rows("sample_spring")[mine]
+        after.state.put("sample_spring", springs)
     if new.law.set.flows and old.law.set.flows:
         body = number[old.particles.body_of]
         known, history = before.state.view().history, after.state.view().history.copy()

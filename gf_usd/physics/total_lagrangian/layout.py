@@ -17,7 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, FloorContact
+from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, NO_FLOOR, FloorContact
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.grid.reference import Stencil
 
@@ -208,7 +208,8 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
     transposed.sort_indices()
     n = W.shape[0]
     given = np.zeros((n, GIVEN_ROW))
-    given[:, HEIGHT] = height
+    given[:, HEIGHT] = -NO_FLOOR  # points of obstacles do not meet it
+    given[: len(height), HEIGHT] = height
     return {
         "sample_given": given.ravel(),
         "sample_constants": contact.law.ravel(),

@@ -161,15 +161,21 @@ class Settling:
         """The forces of static obstacles on bodies, by body."""
         contact = self._body.contact
         assert contact is not None
-        pair = state.rows("pair", layout.ROW)[: len(contact.samples.X)]
-        links = state.rows("links", layout.LINKS)[: len(pair)]
-        fixed = (links[:, layout.PARTNER] == OBSTACLE) & ~(_three(pair, layout.VELOCITY).any(1))
+        pair, n = state.rows("pair", layout.ROW), len(contact.samples.X)
+        partner = state.rows("links", layout.LINKS)[: len(pair), layout.PARTNER].astype(int)
+        point = (np.arange(len(pair)) >= n) & (partner >= 0)  # of an obstacle, in a body
+        moves = np.where(point, layout.DRIFT, layout.VELOCITY)[:, None] + np.arange(3)
+        fixed = (point | (partner == OBSTACLE)) & ~np.take_along_axis(pair, moves, 1).any(1)
         f = np.where(fixed[:, None], _three(pair, layout.FORCE), 0.0)
+        f[point] *= -1.0
         pushed = np.flatnonzero(f.any(1))
         of = contact.samples.body
-        of = np.zeros(len(pair), int) if of is None else of
-        # Not PLACE, which is relative to the offset during the frame.
+        of = np.zeros(n, int) if of is None else of
+        of = np.append(of, of[np.maximum(partner[n:], 0)])
+        # Not PLACE, which is relative to the offset during the frame: the first of the samples that
+        # carry the plane of a point is beside it.
         place = state.view().samples
+        place = np.append(place, place[np.maximum(partner[n:], 0)], axis=0)
         out = {}
         for k in np.unique(of[pushed]):
             mine = pushed[of[pushed] == k]

@@ -16,8 +16,15 @@ from gf_usd.core.materials.keys import ValueKeys
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import spread, with_derived
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.core.stage import ContactSetup, Goals, Pin
-from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure, plane_modulus
+from gf_usd.core.stage import Collider, ContactSetup, Goals, Pin
+from gf_usd.physics.contact.floor import (
+    NO_FLOOR,
+    FloorContact,
+    build_contact,
+    hertz_pressure,
+    plane_modulus,
+)
+from gf_usd.physics.contact.obstacles.edges import capacity
 from gf_usd.physics.contact.planes.layout import pack_arrays
 from gf_usd.physics.grid.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
@@ -44,7 +51,6 @@ if TYPE_CHECKING:
 
 
 CELL_PER_LATTICE = 2.0  # h over the lattice spacing: eight particles in a full cell
-NO_FLOOR = -1e9  # [m] height of the floor where there is none
 PILE = 8.0  # number of bodies on top of one for which the contact stiffness is designed
 
 
@@ -200,6 +206,7 @@ def build_body(
         meets=meets,
         datum=contact_setup.lowest(settings.normal) if contact_setup else np.inf,
         speed=fastest(start), mass=mass,
+        colliders=contact_setup.colliders if contact_setup else (),
     )  # fmt: skip
     if not (meets and contact):
         contact_setup = None
@@ -377,6 +384,7 @@ def surface_contact(
     datum: float = np.inf,
     speed: float = 0.0,
     mass: NodalMass | None = None,
+    colliders: Sequence[Collider] = (),
 ) -> FloorContact | None:
     """Contact samples with the material of the nearest particle; None where there is no contact.
 
@@ -385,6 +393,7 @@ def surface_contact(
     meets : there is contact besides that with the floor.
     datum : [m] lowest point of the obstacles along the floor's normal.
     speed : [m/s] of the fastest body at the start; mass : of the nodes, None: lumped.
+    colliders : obstacles whose edges and corners are contact samples, too.
     """
     if samples is None or (settings.floor is None and not meets):
         return None
@@ -420,6 +429,7 @@ def surface_contact(
         impact_speed=np.sqrt(speed**2 + 2.0 * g * fall),
         rate=settings.contact_rate,
         mass=mass,
+        points=capacity(colliders, len(samples.X), particles.spacing),
     )
 
 
@@ -552,7 +562,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
             body.settings,
             stencil.h,
             body.converged,
-            max(stencil.node_count, len(contact.samples.X) if contact else 0),
+            max(stencil.node_count, contact.count if contact else 0),
         ),
-        **pack_arrays(len(contact.samples.X) if contact and body.options.meets else 0),
+        **pack_arrays(contact.count if contact and body.options.meets else 0),
     }

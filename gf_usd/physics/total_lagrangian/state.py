@@ -421,5 +421,5 @@ class StateView:
             height = height + contact.constants @ (self.constants[0] @ normal)
         depth = np.maximum(0.0, s.floor - height)
         xi = self._given[-3 if self._body.law.set.flows else -2].astype(float).reshape(-1, 3)
-        held = spring_energy(contact.tangential, xi)
+        held = spring_energy(contact.tangential, xi[: len(depth)])
         return held + contact.normal_energy(depth)

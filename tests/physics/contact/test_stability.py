@@ -87,7 +87,7 @@ def test_it_is_that_of_the_whole_matrix_or_a_little_more(alike: bool) -> None:
     if not alike:
         k = k * np.linspace(0.1, 3.0, len(k))
     B = stretches(contact.rows.W, planes, rows, rows[:0])
-    found = stiffest(B, mass, k * levers(planes, rows, x))
+    found = stiffest(B, mass, k * levers(planes, rows, x, len(x)))
     value = largest(whole(x, planes, rows, k, contact.rows.W.toarray()), mass)
     # Lanczos' residual is added; levers act in one direction and count in all.
     assert value <= 1.001 * found
@@ -102,7 +102,7 @@ def test_it_counts_places_far_beside_what_carries_them() -> None:
     rows = rows[contact.samples.body[rows] == 0]
     beside = np.where((contact.samples.body == 0)[:, None], (0.0, 1.0, 0.0), 0.0)
     x = x + beside  # of one body: its samples leave the carriers of their planes
-    lever = levers(planes, rows, x)
+    lever = levers(planes, rows, x, len(x))
     assert lever.max() > 10.0
     k = contact.pair_stiffness[rows]
     B = stretches(contact.rows.W, planes, rows, rows[:0])
@@ -122,7 +122,7 @@ def test_planes_of_coarse_meshes_are_carried_beside_their_place(
     def watched(springs: PairSprings, *arguments: Any) -> StableStep:
         x, faces = springs.x, springs.planes.carried
         touching = faces[springs.planes.depth(x, 0.0)[faces] > 0.0]
-        most.append(float(levers(springs.planes, touching, x).max(initial=1.0)))
+        most.append(float(levers(springs.planes, touching, x, len(x)).max(initial=1.0)))
         return step(springs, *arguments)
 
     monkeypatch.setattr(PairSprings, "step", watched)

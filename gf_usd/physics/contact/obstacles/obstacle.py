@@ -29,7 +29,7 @@ class Obstacle:
 
     def __init__(self, collider: Collider, frame_time: float) -> None:
         self.collider = collider
-        self._frame_time = frame_time
+        self.frame_time = frame_time
         self.endless = collider.shape == "plane"
         frames = [collider.positions(f) for f in range(collider.frames)]
         self._low = np.min([p.min(0) for p in frames], axis=0)
@@ -55,7 +55,7 @@ class Obstacle:
         if not self.collider.moves:
             return 0.0
         way = self.positions(np.floor(frame) + 1.0) - self.positions(np.floor(frame))
-        return float(np.linalg.norm(way, axis=1).max()) / self._frame_time
+        return float(np.linalg.norm(way, axis=1).max()) / self.frame_time
 
     def gap(self, low: Floats, high: Floats) -> float:
         """[m] distance of a box to the bounding box over all frames."""
@@ -74,7 +74,7 @@ class Obstacle:
             seen = self._tree.closest(X, now, reach, moved=self.collider.moves)
         if not self.collider.moves or span <= 0.0:
             return Plane(seen=seen, velocity=np.zeros_like(seen.point))
-        way = self.positions(frame + span / self._frame_time) - now
+        way = self.positions(frame + span / self.frame_time) - now
         corners = way[triangles[seen.triangle]]
         return Plane(seen=seen, velocity=np.einsum("nk,nka->na", seen.weights, corners) / span)
 

@@ -104,7 +104,7 @@ class Piercing:
                 if not one.endless
                 and (body, k) not in self._setup.through_colliders
                 and box_gap(low - reach, high + reach, *one.box) == 0.0
-                and self._sharp(k).any
+                and self.sharp(k).any
             ]
             for which in near:  # before the pose: one tree is fitted to both
                 self._find_start(body, which)
@@ -127,7 +127,8 @@ class Piercing:
         ]
         return max([worst, *found], key=lambda one: one.weight)
 
-    def _sharp(self, which: int) -> SharpFeatures:
+    def sharp(self, which: int) -> SharpFeatures:
+        """Edges and corners of an obstacle, found when something comes near it."""
         if which not in self._features:
             one = self._obstacles[which]
             self._features[which] = SharpFeatures(
@@ -153,7 +154,7 @@ class Piercing:
         """Keys (k,) and depths (k,) [m] of points in a body, and which have come out of it."""
         vertices, most = self._obstacles[which].positions(frame), FAR * self._spacing
         low, high = skin.box
-        points = self._sharp(which).within(vertices, low - most, high + most)
+        points = self.sharp(which).within(vertices, low - most, high + most)
         start = points.among(vertices)
         end = self._ends(which, points, start, frame)
         own = _gaps(skin.closest(start, most), len(start), most)

@@ -48,6 +48,17 @@ class ContactPlanes:
         """Whether a sample has a plane."""
         return bool((self.partner != NOBODY).any())
 
+    def bodies(self, of: Ints) -> Ints:
+        """The body of each sample; of a point of an obstacle, behind the samples, the one that it
+        faces, -1: none.
+
+        of : (n,) the bodies of the samples.
+        """
+        partner = self.partner[len(of) :]
+        if not len(partner):
+            return of
+        return np.append(of, np.where(partner >= 0, of[partner], -1))
+
     def forget(self, rows: Ints) -> None:
         """Remove the planes of samples `rows`."""
         away = nothing(len(rows))

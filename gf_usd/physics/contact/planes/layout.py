@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes
+from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE, ContactPlanes
+from gf_usd.physics.taichi_arrays import DeviceState
 
 # To limit the number of arrays, all reals of a sample are in one row of `pair`, ...
 ROW = 45
@@ -63,6 +65,23 @@ def write_planes(
     pair[:, DAMPING] = values["damping"]
     pair[:, FRICTION] = values["friction"]
     pair[:, HARDENING] = hardening
+
+
+def upload(
+    state: DeviceState, f: ContactPlanes, values: Mapping[str, Floats], hardening: float, *,
+    X: Floats, drift: Floats | None, origin: Floats, dt: float,
+) -> None:  # fmt: skip
+    """Write planes for substeps of dt [s], and what moves their samples besides the nodes.
+
+    values, hardening : see `write_planes`; X, drift : see `write_rest`, in the middle of the first
+    substep; origin : (3,) [m] of the frame in which the samples are at X.
+    """
+    point = f.point - 0.5 * dt * f.velocity
+    point[f.partner == OBSTACLE] -= origin
+    with state.written("pair", ROW) as pair:
+        write_rest(pair, X, drift)
+        write_planes(pair, replace(f, point=point), values, hardening)
+    state.put("links", links(f))
 
 
 def origin_of(X: Floats) -> Floats:

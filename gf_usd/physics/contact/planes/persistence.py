@@ -86,7 +86,7 @@ class Persistence:
     """What the last search from each of B bodies found.
 
     members : the samples of each; obstacles : their number O; X : (n, 3) [m] of the samples at
-    rest; reach : [m] from where something is faced.
+    rest, and of m points of obstacles; reach : [m] from where something is faced.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Persistence:
     ) -> None:
         n, count = len(X), len(members)
         self._members, self._reach, self._spacing = members, reach, spacing
-        self._of = np.zeros(n, np.int64)
+        self._of = np.zeros(sum(map(len, members)), np.int64)
         for k, m in enumerate(members):
             self._of[m] = k
         self.x = X.copy()  # (n, 3) [m] of the samples then
@@ -109,7 +109,7 @@ class Persistence:
         self.valid = np.zeros(count, bool)  # whether there is such a search
         # [m] sum over detections of the largest motion of a sample relative to its body's mean
         self.way = np.zeros(count)
-        self.last = X.copy()  # (n, 3) [m] at the last detection
+        self.last = X[: len(self._of)].copy()  # (n, 3) [m] of samples at the last detection
 
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
@@ -126,6 +126,7 @@ class Persistence:
 
     def follow(self, x: Floats) -> None:
         """Count how the bodies were deformed since the last detection; x : (n, 3) [m] now."""
+        x = x[: len(self._of)]
         step = x - self.last
         for k, m in enumerate(self._members):
             if len(m):
@@ -197,12 +198,14 @@ class Persistence:
         f = planes.of(rows)
         speed = lengths(now.v[rows] - f.interpolated(now.v) - f.velocity)
         far = self.slid(planes, now.x)[rows] + now.span * speed > self.stay[rows]
-        return np.bincount(self._of[rows[far]], minlength=len(self._members)) > 0
+        of = planes.bodies(self._of)
+        return np.bincount(of[rows[far]], minlength=len(self._members)) > 0
 
     def gaps(self, planes: ContactPlanes, x: Floats) -> Floats:
         """(n,) [m] gaps of samples at x (n, 3) [m], by the motion since the search."""
         rows = planes.facing
-        out = np.maximum(self._reach - self.approaches(x), 0.0)[self._of]
+        out = np.full(len(x), self._reach)
+        out[: len(self._of)] -= np.minimum(self.approaches(x), self._reach)[self._of]
         out[rows] = self.offset[rows] - planes.below(x)[rows]
         return out
 
@@ -215,7 +218,8 @@ class Persistence:
         gap : (n,) [m] of the samples; slide : (n,) [m] that they may move along their planes;
         shift : (n,) [m] of the planes from the true surface; own_until : (B,) see `own_until`.
         """
-        mine = np.isin(self._of, bodies)
+        of = planes.bodies(self._of)
+        mine = np.isin(of, bodies)
         place = planes.point + planes.interpolated(now.x)
         below = planes.below(now.x)
         offset = gap + below
@@ -228,5 +232,5 @@ class Persistence:
         self.near[bodies] = now.near[bodies]
         self.mean[bodies], self.path[bodies] = self._means(now.x), self.way
         self.own_until[bodies] = own_until[bodies]
-        shifted = np.bincount(self._of[shift > SHIFTED * self._spacing], minlength=len(self.way))
+        shifted = np.bincount(of[shift > SHIFTED * self._spacing], minlength=len(self.way))
         self.valid[bodies] = ((shifted == 0) & ~now.beside_moving)[bodies]

@@ -103,12 +103,6 @@ class OwnContacts:
         """
         f = planes
         unseen = (depth > 0.0) & (search.planes.partner == NOBODY) & (f.partner >= 0)
-        rows = np.flatnonzero(unseen & (of[f.partner] == of))
-        point = f.of(rows).interpolated(search.x) + f.point[rows]
-        away = search.x[rows] - point
-        aside = away + depth[rows, None] * f.normal[rows]
-        near = np.linalg.norm(aside, axis=1) < STAY * self._spacing
-        rows, point = rows[near], point[near]
-        gap = offset[rows] - depth[rows]
+        rows = np.flatnonzero(unseen[: len(of)] & (of[f.partner[: len(of)]] == of))
+        rows, gap = search.keep_beside(rows, f, offset[rows], depth[rows], STAY * self._spacing)
         self.gap[rows] = gap
-        search.offer(rows, gap, f.normal[rows], point, f.carriers[rows], f.weights[rows], sure=True)

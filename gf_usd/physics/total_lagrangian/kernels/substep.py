@@ -253,7 +253,7 @@ def _item(laws, damped: bool, options: Options):
         elif ti.static(part.name == "pair contact"):
             pair_contact(body, body.sample_active[1 + n], dt)
         elif ti.static(part.name == "pair total"):
-            pair_total(body, body.sample_active[1 + n], dt, options.driven)
+            pair_total(body, body.sample_active[1 + n], dt)
         elif ti.static(part.work == "share"):
             follower_share(body, n, free, dt, alpha, filtering, options)
         elif ti.static(part.work == "move"):
