@@ -11,7 +11,7 @@ from contact_scenes import bricks, contact_solver, depth, half_space, momenta, o
 from solids import cube, sphere, surface
 
 from gf_usd.core.materials.dimensionless import G0
-from gf_usd.physics.contact.rest_gaps import APART
+from gf_usd.physics.contact.planes.rest_gaps import APART
 from gf_usd.physics.contact.self_contact.search import OFFSET
 from gf_usd.pipeline.health.log import gain_of_frames
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
-from weakref import ref
 
 import numpy as np
 
@@ -49,19 +48,16 @@ from gf_usd.physics.contact.planes.intervals import (
     until_stopped,
 )
 from gf_usd.physics.contact.planes.persistence import Outlook, Persistence
-from gf_usd.physics.contact.rest_gaps import RestGaps
+from gf_usd.physics.contact.planes.rest_gaps import RestGaps
+from gf_usd.physics.contact.samples import MovingSamples
 from gf_usd.physics.contact.self_contact.bodies import OwnContacts
 from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import CALM, PairSprings
-from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
-# Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
-# those of planes it carries, and each of the two strained by both bodies.
-CROWD = 4.0
 
 
 class BodyContact:
@@ -75,26 +71,26 @@ class BodyContact:
         assert body.contact is not None
         self._body, self.contact_setup, self.contact = body, body.contact_setup, body.contact
         samples, skins = body.contact.samples, body.contact_setup.skins
-        self._X, self._origin = samples.X, layout.origin_of(samples.X)
-        of = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
-        self._of, self._members = of, [np.flatnonzero(of == k) for k in range(len(skins))]
+        self._samples = MovingSamples(body.contact, len(skins))
+        self._X, self._of = self._samples.X, self._samples.of
+        self.members = self._samples.members  # the contact samples of each body
+        self.motion = self._samples.motion
         self._spacing = body.particles.spacing
         self._reach = (FACING + TRAVEL) * self._spacing  # [m] from where something is faced
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._broad_phase = BroadPhase(
-            members=self._members, obstacles=self._obstacles, contact_setup=self.contact_setup,
+            members=self.members, obstacles=self._obstacles, contact_setup=self.contact_setup,
             reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
         self._skins: dict[int, BodySkin] = {}  # see `_skin`, of bodies that others came near
         self._budget = self._make_budget(body, len(skins))
-        self._placed: tuple[ref[StateView], Floats, Floats] | None = None  # `motion` of a view
         own = {k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)}
         self._own = OwnContacts(
-            own, self._members, len(samples.X), reach=self._reach, spacing=self._spacing
+            own, self.members, len(samples.X), reach=self._reach, spacing=self._spacing
         )
         lift = np.asarray(body.settings.lift, float)
         self._piercing = Piercing(
-            self.contact_setup, self._obstacles, self._members, self._spacing,
+            self.contact_setup, self._obstacles, self.members, self._spacing,
             lambda k: self._skin(k).posed(lift), body.settings.frames - 1,
         )  # fmt: skip
         n, points = len(samples.X), body.contact.points
@@ -103,11 +99,11 @@ class BodyContact:
             lambda k: self._skin(k).posed(lift), self._spacing,
         )  # fmt: skip
         self._rest_gaps = RestGaps(
-            samples.X, of, self.contact_setup, self._obstacles, own, spacing=self._spacing,
+            self._X, self._of, self.contact_setup, self._obstacles, own, spacing=self._spacing,
             reach=self._reach, lift=lift, edges=self._edges,
         )  # fmt: skip
         self._persistence = Persistence(
-            self._members, len(self._obstacles), np.pad(samples.X, ((0, points), (0, 0))),
+            self.members, len(self._obstacles), np.pad(samples.X, ((0, points), (0, 0))),
             reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
         self._kept = np.zeros(len(skins), bool)  # bodies not searched from at the last detection
@@ -120,10 +116,6 @@ class BodyContact:
         self._frame = 0.0  # of the obstacles, then
         self.lateness = Lateness()
         self._k = np.pad(self.contact.stiffness, (0, points))
-        crowd = CROWD * float(
-            (self.contact.pair_stiffness / self.contact.stiffness).max(initial=1.0)
-        )
-        self._crowd = crowd
         self._hardening = (HARD * self._spacing) ** -2
         self.injected = 0.0  # [J] since `begin`
         self.released = 0  # most samples at once, since `begin`
@@ -133,12 +125,12 @@ class BodyContact:
 
     def _meets_itself(self, body: int) -> bool:
         """Whether a body may be in contact with itself: it has samples, and not all are pinned."""
-        return body in self.contact_setup.self_contact and len(self._members[body]) > 0
+        return body in self.contact_setup.self_contact and len(self.members[body]) > 0
 
     def _skin(self, body: int) -> BodySkin:
         """The surface of a body, built once something comes near it."""
         if body not in self._skins:
-            skin, m = self.contact_setup.skins[body], self._members[body]
+            skin, m = self.contact_setup.skins[body], self.members[body]
             self._skins[body] = BodySkin(skin, body, self._body.stencil, m, self._X[m])
         return self._skins[body]
 
@@ -155,7 +147,7 @@ class BodyContact:
         )
 
     def _make_own(self, body: int, samples: SurfaceSamples) -> SelfContact:
-        m = self._members[body]
+        m = self.members[body]
         assert samples.normal is not None
         skin = self.contact_setup.skins[body]
         return SelfContact(skin, samples.X[m], samples.normal[m], self._spacing)
@@ -221,7 +213,7 @@ class BodyContact:
 
     def _pair_number(self, body: Ints, theirs: Ints) -> Ints:
         """The number of pairs of a body and what it faces: obstacles first, then bodies."""
-        return body * (len(self._obstacles) + len(self._members)) + theirs
+        return body * (len(self._obstacles) + len(self.members)) + theirs
 
     def imminent(self, now: StateView, time: float, still: Ints | None = None) -> bool:
         """Whether anything may touch before the next frame; bodies `still` (B,) do not move.
@@ -247,7 +239,7 @@ class BodyContact:
         of = self.planes.bodies(self._of)
         for k in np.flatnonzero(flying):
             self._gap[of == k] = self._reach
-            self._own.forget(self._members[k])
+            self._own.forget(self.members[k])
             self.planes.forget(np.flatnonzero(of == k))
             self._rest_gaps.forget_planes()
         self._persistence.forget(np.flatnonzero(flying))
@@ -272,11 +264,6 @@ class BodyContact:
             self.motion(now)[0], frame, lambda k: self._skin(k).posed(now.offset, now.nodes[0])
         )
 
-    @property
-    def members(self) -> list[Ints]:
-        """The contact samples of each body."""
-        return self._members
-
     def surface(
         self,
         body: int,
@@ -292,22 +279,8 @@ class BodyContact:
         seen, rest = skin.near(X, known, u, offset, reach)
         return seen, *skin.carriers(rest)
 
-    def motion(self, now: StateView) -> tuple[Floats, Floats]:
-        """x [m] and v [m/s] of the samples, (n, 3), not to be changed."""
-        if self._placed is not None and self._placed[0]() is now:
-            return self._placed[1:]
-        constants = self.contact.constants
-        x, rate = placed(self.contact.rows, now.u, now.v)
-        x += self._X + now.offset
-        if constants is not None:
-            c, c_rate = now.constants
-            x, rate = x + constants @ c, rate + constants @ c_rate
-        x.flags.writeable = rate.flags.writeable = False
-        self._placed = ref(now), x, rate
-        return x, rate
-
     def _joined(self, now: StateView, time: float) -> tuple[Floats, Floats]:
-        """The same of samples and points of obstacles (n + m, 3), at a time [s]."""
+        """x [m] and v [m/s] of samples and points of obstacles (n + m, 3), at a time [s]."""
         return self._edges.joined(*self.motion(now), time - self._detected)
 
     def set_friction(self, contact: FloorContact) -> None:
@@ -379,7 +352,8 @@ class BodyContact:
             spacing=self._spacing, x=x, v=v, span=span,
             fall=self._pull * span, calm=calm[self.planes.bodies(self._of)],
         )  # fmt: skip
-        by = self._step_ratio(springs, stable or dt, floor(span) if floor else None)
+        near = floor(span) if floor else np.arange(len(self._X))
+        by = springs.step_ratio(self._body, self.contact, near, stable or dt)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
         free = until_contact(self.planes, gap, v, AHEAD) / dt
         if free >= min(chunk, FEWEST) and (by - 1.0) * min(chunk, free) >= FEWEST:
@@ -501,24 +475,6 @@ class BodyContact:
         self.released = max(self.released, search.released + self._edges.left_out, int(lost.sum()))
         return values
 
-    def _step_ratio(self, springs: PairSprings, stable: float, floor: Ints | None) -> float:
-        """Substeps with these springs over those where nothing touches.
-
-        stable : [s] of the substeps where nothing touches; floor : (k,) samples that may reach the
-        floor until the next detection; None: all.  1 where the number of substeps is given.
-        """
-        body = self._body
-        if body.settings.substeps:
-            return 1.0
-        near = np.arange(len(self._X)) if floor is None else floor
-        if body.settings.floor is None:
-            near = near[:0]
-        if body.regions:
-            contact = springs.crowded_step(self.contact, body.step, self._crowd)
-        else:
-            contact = springs.step(self.contact, body.mass, body.step, near)
-        return body.step.substeps_with_contact(stable, contact)
-
     @property
     def _pull(self) -> float:
         """[m/s^2] bound of the acceleration by gravity and fields."""
@@ -537,8 +493,8 @@ class BodyContact:
 
         All at once: the surface is posed and its tree is refitted only once.
         """
-        mine = np.concatenate([self._members[k] for k in bodies])
-        rows = search.candidates(mine, search.x[self._members[other]])
+        mine = np.concatenate([self.members[k] for k in bodies])
+        rows = search.candidates(mine, search.x[self.members[other]])
         if len(rows) == 0:
             return
         # A sample that was inside this body at the last detection still is.  One that newly seems
@@ -555,7 +511,7 @@ class BodyContact:
         self, search: ContactSearch, bodies: Sequence[int], which: int, frame: float, span: float
     ) -> None:
         """Offer planes of one obstacle to samples of `bodies`."""
-        rows = np.concatenate([self._members[k] for k in bodies])
+        rows = np.concatenate([self.members[k] for k in bodies])
         sunk = self._rest_gaps.from_obstacle(which)
         plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span)
         found, mine = plane.seen, rows[plane.seen.rows]
@@ -569,7 +525,7 @@ class BodyContact:
         """Offer planes of one body's surface to edges and corners of an obstacle."""
         skin = self._skin(body)
         self._edges.search(
-            search, body, which, self._members[body],
+            search, body, which, self.members[body],
             lambda X, known: skin.near(X, known, now.nodes[0], now.offset, search.reach),
             self.planes, self._gap, frame, span / self._body.settings.frame_time,
         )  # fmt: skip
@@ -582,11 +538,8 @@ class BodyContact:
         dt: float,
         f: ContactPlanes,
     ) -> None:
-        constants, origin = self.contact.driven, now.offset + self._origin
-        X, drift = self._X - self._origin, None
-        if constants is not None:
-            c, rate = now.constants
-            X, drift = X + constants @ (c + 0.5 * dt * rate), constants @ rate
+        origin = now.offset + self._samples.origin
+        X, drift = self._samples.without_nodes(now, dt)
         X, drift = self._edges.with_points(X, drift, dt, origin)
         layout.upload(state, f, values, self._hardening, X=X, drift=drift, origin=origin, dt=dt)
 

@@ -30,11 +30,15 @@ from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
+from gf_usd.physics.total_lagrangian.setup import Body
 
 ACCURACY = 0.05  # relative error bound of an eigenvalue, which is added
 COLUMN = 4.0  # mass stopped by one sample in contact, in masses of a sample
 DAMPED = 0.9  # of the undamped step: below it the damped one is computed, not bounded
 CALM = 0.05  # [spacings] as `NEARLY`, for bodies at rest on others
+# Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
+# those of planes it carries, and each of the two strained by both bodies.
+CROWD = 4.0
 SPARE = 1.5  # factor on the springs of a crowded sample: few samples are deep
 
 
@@ -52,6 +56,23 @@ class PairSprings:
     span: float  # [s] until the next detection
     fall: float  # [m/s] bound of the speed gained from body forces until then
     calm: Ints  # (n,) whether a sample is of a body at rest on others, which gains no speed
+
+    def step_ratio(self, body: Body, contact: FloorContact, near: Ints, stable: float) -> float:
+        """Substeps of a solver's bodies with these springs over those where nothing touches.
+
+        near : (k,) samples that may reach the floor until the next detection; stable : [s] of the
+        substeps where nothing touches.  1 where the number of substeps is given.
+        """
+        if body.settings.substeps:
+            return 1.0
+        if body.settings.floor is None:
+            near = near[:0]
+        if body.regions:
+            ratio = float((contact.pair_stiffness / contact.stiffness).max(initial=1.0))
+            with_contact = self.crowded_step(contact, body.step, CROWD * ratio)
+        else:
+            with_contact = self.step(contact, body.mass, body.step, near)
+        return body.step.substeps_with_contact(stable, with_contact)
 
     def step(
         self, contact: FloorContact, mass: NodalMass, rest: StableStep, near: Ints
