@@ -36,7 +36,9 @@ FACING = 0.2  # least cosine of the outward normal of a body and the direction i
 BACK = 0.75  # [spacings] behind a point that has come past the middle of a body
 # [spacings] by which a point may be beside the place where it entered a body to be inside of it
 STAY = 1.0
-FEWEST = 64  # points that there is room for, at least
+# Points that there is room for, at least, and samples of the bodies for each: every pass over the
+# contact samples passes over this room.
+FEWEST, SHARE = 64, 8
 START = 8.0  # [spacings] depth in a body up to which a point may be at the start
 OBSTACLE_KEYS = 1 << 40  # more than an obstacle has points
 
@@ -47,7 +49,8 @@ SAVED = ("key", "x", "v", "sunk")
 def capacity(colliders: Sequence[Collider], samples: int, spacing: float) -> int:
     """Points that a simulation of a number of samples a spacing [m] apart has room for.
 
-    At most all of all obstacles, by the lengths of their edges, and half of the samples.
+    At most all of all obstacles, by the lengths of their edges, and a share of the samples: edges
+    are lines, on which a body of n samples meets some sqrt(n) points each.
     """
     all_of_them = 0.0
     for one in colliders:
@@ -58,7 +61,7 @@ def capacity(colliders: Sequence[Collider], samples: int, spacing: float) -> int
             lengths(p[one.triangles[:, k]] - p[one.triangles[:, k - 1]]).sum() for k in range(3)
         )
         all_of_them += len(p) + 0.5 * length / (STEP * spacing)
-    return int(min(np.ceil(all_of_them), max(FEWEST, samples // 2)))
+    return int(min(np.ceil(all_of_them), max(FEWEST, samples // SHARE)))
 
 
 class EdgePoints:
