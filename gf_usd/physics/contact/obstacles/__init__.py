@@ -1,1 +1,1 @@
-"""Obstacles: where they are, their edges and corners, and how far these are in bodies."""
+"""Obstacles: their motion, contact of their edges and corners, and how deep these are in bodies."""

@@ -1,11 +1,11 @@
 """How deep edges and corners of obstacles are in bodies, or through them.
 
-Contact is detected at samples of the bodies, between which an edge can stand out. From a point of a
-convex edge or corner a line goes inward to the middle of the obstacle. The last place where it
-leaves the body is as far behind the point as the body would have to be moved, also where the point
-has come out of a thin body on the other side. Where it does not leave it, the distance to the
-surface counts. The line advances by the distance to the surface
-(sphere tracing; Hart 1996). What was so at the start does not count.
+Contact at points of obstacles (`edges`) holds bodies up, but a spike may go through a thin one.
+From a point of a convex edge or corner a line goes inward to the middle of the obstacle. The last
+place where it leaves the body is as far behind the point as the body would have to be moved, also
+where the point has come out of a thin body on the other side. Where it does not leave it, the
+distance to the surface counts. The line advances by the distance to the surface (sphere tracing;
+Hart 1996). What was so at the start does not count.
 """
 
 from __future__ import annotations
