@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from gf_usd.physics.contact.narrow_phase import (
     ContactSearch,
     pair_values,
 )
-from gf_usd.physics.contact.obstacles.edges import EdgePoints
+from gf_usd.physics.contact.obstacles.edges import ABOUT, EdgePoints
 from gf_usd.physics.contact.obstacles.obstacle import obstacles
 from gf_usd.physics.contact.obstacles.piercing import Piercing
 from gf_usd.physics.contact.planes import layout
@@ -395,12 +396,9 @@ class BodyContact:
                 searched.setdefault(other, []).append(body)
         for other, bodies in sorted(searched.items()):
             if other < 0:
-                self._search_obstacle(search, bodies, -1 - other, frame, min(hold, span))
+                self._search_obstacle(search, bodies, -1 - other, now, frame, min(hold, span))
             else:
                 self._search_body(search, bodies, other, now.nodes[0], now.offset)
-        for body, other in pairs if self.contact.points else ():
-            if other < 0 and not kept[body]:
-                self._search_edges(search, body, -1 - other, now, frame, min(hold, span))
         if self.contact.points:
             outlook.v[len(self._X) :] = self._edges.v
         own_hold = self._own.search(
@@ -508,27 +506,25 @@ class BodyContact:
         search.offer_places(mine, found.gap, found.normal, point, other, rest)
 
     def _search_obstacle(
-        self, search: ContactSearch, bodies: Sequence[int], which: int, frame: float, span: float
-    ) -> None:
-        """Offer planes of one obstacle to samples of `bodies`."""
+        self, search: ContactSearch, bodies: Sequence[int], which: int, now: StateView,
+        frame: float, span: float,
+    ) -> None:  # fmt: skip
+        """Offer planes of one obstacle to samples of `bodies`, and theirs to its edges."""
         rows = np.concatenate([self.members[k] for k in bodies])
         sunk = self._rest_gaps.from_obstacle(which)
         plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span)
         found, mine = plane.seen, rows[plane.seen.rows]
         point = found.point + sunk[mine, None] * found.normal
         search.offer(mine, found.gap, found.normal, point, velocity=plane.velocity, obstacle=which)
-
-    def _search_edges(
-        self, search: ContactSearch, body: int, which: int, now: StateView, frame: float,
-        span: float,
-    ) -> None:  # fmt: skip
-        """Offer planes of one body's surface to edges and corners of an obstacle."""
-        skin = self._skin(body)
-        self._edges.search(
-            search, body, which, self.members[body],
-            lambda X, known: skin.near(X, known, now.nodes[0], now.offset, search.reach),
-            self.planes, self._gap, frame, span / self._body.settings.frame_time,
-        )  # fmt: skip
+        near = mine[found.gap < ABOUT * self._spacing]
+        for body in bodies if self.contact.points else ():
+            surface = partial(
+                self._skin(body).near, u=now.nodes[0], offset=now.offset, reach=search.reach
+            )
+            self._edges.search(
+                search, body, which, near[self._of[near] == body], surface, self.planes, self._gap,
+                frame, span / self._body.settings.frame_time,
+            )  # fmt: skip
 
     def _upload(
         self,

@@ -121,24 +121,26 @@ class EdgePoints:
         self.left_out = 0
 
     def search(
-        self, search: ContactSearch, body: int, which: int, members: Ints, near: Near,
+        self, search: ContactSearch, body: int, which: int, samples: Ints, near: Near,
         before: ContactPlanes, gap: Floats, frame: float, ahead: float,
     ) -> None:  # fmt: skip
         """Offer planes of a body to the points of one obstacle that are near it.
 
-        members : samples of the body; near : see `BodySkin.near`, of points and their smallest
-        plausible distances; before, gap : planes and gaps (n + m,) [m] of the last detection;
-        frame : where the obstacle is; ahead : [frames] of the motion that gives its velocity.
+        samples : those of the body that are within ABOUT of the obstacle; near : see
+        `BodySkin.near`, of points and their smallest plausible distances; before, gap : planes and
+        gaps (n + m,) [m] of the last detection; frame : where the obstacle is; ahead : [frames] of
+        the motion that gives its velocity.
         """
-        about = search.x[members[search.gap[members] < search.reach]]
-        features = self._features(which)
-        if not len(about) or not features.any:
+        if not len(samples):
             return
+        features, about = self._features(which), search.x[samples]
         obstacle, margin = self._obstacles[which], ABOUT * self._spacing
         vertices = obstacle.positions(frame)
         low, high = corners(about)
         points = features.within(vertices, low - margin, high + margin)
         x = points.among(vertices)
+        if not len(x):
+            return
         close = np.isfinite(kd_tree(about).query(x, 1, distance_upper_bound=margin)[0])
         x, inward, keys = x[close], points.inward[close], self._keys(which, points.key[close])
         if not len(x):

@@ -91,23 +91,28 @@ class SharpFeatures:
             ends=np.concatenate([self._ends[edge], np.stack([corners, corners], 1)]),
             at=np.concatenate([number / self._parts[edge], np.zeros(len(corners))]),
             inward=np.concatenate(
-                [self._into_edges(points)[edge], self._into_corners(points, corners)]
+                [self._into_edges(points, edge), self._into_corners(points, corners)]
             ),
         )
 
-    def _into_edges(self, points: Floats) -> Floats:
-        """(E, 3) the mean of the directions from each edge into its two faces."""
-        along = points[self._ends[:, 1]] - points[self._ends[:, 0]]
+    def _into_edges(self, points: Floats, edge: Ints) -> Floats:
+        """(k, 3) the mean of the directions from edges (k,) into their two faces."""
+        if not len(edge):
+            return np.zeros((0, 3))
+        ends, faces = self._ends[edge], self._faces[edge]
+        along = points[ends[:, 1]] - points[ends[:, 0]]
         into = np.zeros_like(along)
         for side in (0, 1):
-            face = self._triangles[self._faces[:, side]]
-            way = points[face].sum(1) - points[self._ends].sum(1) - points[self._ends[:, 0]]
+            face = self._triangles[faces[:, side]]
+            way = points[face].sum(1) - points[ends].sum(1) - points[ends[:, 0]]
             square = np.maximum(row_dots(along, along), 1e-300)
             way = way - (row_dots(way, along) / square)[:, None] * along
             into += _unit(way)
         return _unit(into)
 
     def _into_corners(self, points: Floats, corners: Ints) -> Floats:
+        if not len(corners):
+            return np.zeros((0, 3))
         around = np.isin(self._triangles, corners)
         face, k = np.nonzero(around)
         normal = np.zeros((len(self._triangles), 3))
