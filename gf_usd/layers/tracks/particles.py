@@ -8,7 +8,7 @@ moves their origin near the asset.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -81,42 +81,18 @@ class ParticleTrack:
         self.low = self.high = np.zeros(3)
         self._origin = particle_origin(particles) / self._unit
         UsdGeom.Scope.Define(cache, home.scope)
-        self._splats = self._twin = None
         both = {"gaussians", "points"} & set(choices.shapes)
         self._rates, self._saved = choices.velocities or not both, Saved()
-        if "gaussians" in choices.shapes:
-            where = home.scope.AppendChild("Gaussians")
-            self._splats = SplatTrack(
-                cache, where, particles, info.settings, asset.facts.units, choices.half,
-                [material.law for material in info.materials],
-                shape=shape, velocities=choices.velocities,
-            )  # fmt: skip
-        if "points" in choices.shapes:
-            where = home.scope.AppendChild("Points")
-            self._twin = PointsTrack(
-                cache, where, particles, self._unit, velocities=choices.velocities
-            )
-        self._grains, self._flow = particles_shown_with_meshes(particles, info, choices), None
+        self._splats, self._twin = _shape_tracks(
+            cache, home.scope, asset, particles, info, choices, shape
+        )
+        self._grains = particles_shown_with_meshes(particles, info, choices)
         self._body, self._waiting = particles.body_of, {body for _, body in choices.converting}
+        self._flow = None
         if self._grains is not None:
-            self._flow = PointsTrack(
-                cache, home.scope.AppendChild(FLOW), some(particles, self._grains), self._unit,
-                velocities=choices.velocities, some=bool(choices.converting),
-            )  # fmt: skip
-            inside = home.scope.GetPrefixes()[0]
-            paths = [p for p in map(Sdf.Path, choices.replaced) if p.HasPrefix(inside)]
-            self._flow.prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(
-                paths
-            )
-        prims = [track.prim for track in (self._splats, self._twin) if track]
-        self._flows = {
-            body: FlowTrack(
-                cache, home.scope.AppendChild(flow_name(body)), self._unit, self._origin,
-                shading=flow_shading(asset, choices.replaced, home.scope.GetPrefixes()[0]),
-                velocities=choices.velocities,
-            )
-            for body in choices.flows
-        }  # fmt: skip
+            grains = some(particles, self._grains)
+            self._flow = _grain_track(cache, home.scope, grains, self._unit, choices)
+        self._flows = _flow_tracks(cache, home.scope, asset, choices, self._origin)
         materials = write_materials(
             cache,
             home.scope.AppendChild("Materials"),
@@ -124,14 +100,9 @@ class ParticleTrack:
             info.look,
             asset.facts.units,
         )
-        self._tets = {
-            one.key: TetTrack(
-                cache, home.scope.AppendChild(f"Tets{one.body}" if one.body else "Tets"), one,
-                particles, info, asset.facts.units, self._origin, materials,
-                still=not choices.clip_frames, velocities=choices.velocities,
-            )
-            for one in tets
-        }  # fmt: skip
+        self._tets = _tet_tracks(
+            cache, home.scope, asset, particles, info, choices, tets, self._origin, materials
+        )
         self._attachments = None
         if new := not_in_source(root.GetStage(), attachments):
             self._attachments = Attachments(
@@ -139,19 +110,10 @@ class ParticleTrack:
                 {one.body: (one, self._tets[one.key].path) for one in tets},
                 asset, info.settings, clock, self._origin,
             )  # fmt: skip
-        meshes = [Sdf.Path(s.path) for s in asset.surfaces]
+        prims = [track.prim for track in (self._splats, self._twin) if track]
         for prim in prims:
             _describe(prim, asset, particles, info, self._origin)
-            prim.CreateRelationship("gaussianFlesh:materials", False).SetTargets(materials)
-            # a payload may not point outside its root prim: the root layer adds the rest
-            inside = [p for p in meshes if p.HasPrefix(home.scope.GetPrefixes()[0])]
-            prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(inside)
-            if len(materials) == 1:
-                bind(prim, materials[0])
-            elif prim.IsA(UsdGeom.Points):
-                first = info.settings.time_code(info.settings.first)
-                when = first if choices.clip_frames else None
-                bind_points(prim, materials, particles.material, when)
+            _relate(prim, home.scope, asset, particles, info, choices, materials)
         self.space = Space(root, clock, self._unit) if home.inside else None
         prims += [self._flow.prim] if self._flow else []
         prims += [track.prim for track in (*self._tets.values(), *self._flows.values())]
@@ -318,6 +280,92 @@ def particle_origin(particles: Particles) -> Floats:
     X = np.asarray(particles.X, np.float64)
     rounding = np.finfo(np.float32).eps * np.abs(X).max(initial=0.0)
     return X.mean(axis=0) if rounding > COARSE * particles.spacing else np.zeros(3)
+
+
+def _shape_tracks(
+    cache: Usd.Stage, scope: Sdf.Path, asset: Asset, particles: Particles, info: BakeInfo,
+    choices: Choices, shape: Floats | None,
+) -> tuple[SplatTrack | None, PointsTrack | None]:  # fmt: skip
+    """The particles as Gaussians and as points, of which `choices` are written."""
+    splats, points, units = None, None, asset.facts.units
+    if "gaussians" in choices.shapes:
+        splats = SplatTrack(
+            cache, scope.AppendChild("Gaussians"), particles, info.settings, units, choices.half,
+            [material.law for material in info.materials],
+            shape=shape, velocities=choices.velocities,
+        )  # fmt: skip
+    if "points" in choices.shapes:
+        points = PointsTrack(
+            cache, scope.AppendChild("Points"), particles, units.length,
+            velocities=choices.velocities,
+        )  # fmt: skip
+    return splats, points
+
+
+def _grain_track(
+    cache: Usd.Stage, scope: Sdf.Path, grains: Particles, unit: float, choices: Choices
+) -> PointsTrack:
+    """Flowing particles, which stand for meshes; unit : [m]."""
+    track = PointsTrack(
+        cache, scope.AppendChild(FLOW), grains, unit,
+        velocities=choices.velocities, some=bool(choices.converting),
+    )  # fmt: skip
+    replaced = _inside(scope, map(Sdf.Path, choices.replaced))
+    track.prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(replaced)
+    return track
+
+
+def _flow_tracks(
+    cache: Usd.Stage, scope: Sdf.Path, asset: Asset, choices: Choices, origin: Floats
+) -> dict[int, FlowTrack]:
+    """The surfaces of flowing bodies; origin : (3,) [stage units]."""
+    return {
+        body: FlowTrack(
+            cache, scope.AppendChild(flow_name(body)), asset.facts.units.length, origin,
+            shading=flow_shading(asset, choices.replaced, scope.GetPrefixes()[0]),
+            velocities=choices.velocities,
+        )
+        for body in choices.flows
+    }  # fmt: skip
+
+
+def _tet_tracks(
+    cache: Usd.Stage, scope: Sdf.Path, asset: Asset, particles: Particles, info: BakeInfo,
+    choices: Choices, tets: Sequence[TetLattice], origin: Floats, materials: Sequence[Sdf.Path],
+) -> dict[str, TetTrack]:  # fmt: skip
+    """The tetrahedra, by `TetLattice.key`."""
+    return {
+        one.key: TetTrack(
+            cache, scope.AppendChild(f"Tets{one.body}" if one.body else "Tets"), one,
+            particles, info, asset.facts.units, origin, materials,
+            still=not choices.clip_frames, velocities=choices.velocities,
+        )
+        for one in tets
+    }  # fmt: skip
+
+
+def _inside(scope: Sdf.Path, paths: Iterable[Sdf.Path]) -> list[Sdf.Path]:
+    """Those below the root prim of a scope: a payload may not point outside of it."""
+    root = scope.GetPrefixes()[0]
+    return [path for path in paths if path.HasPrefix(root)]
+
+
+def _relate(
+    prim: Usd.Prim, scope: Sdf.Path, asset: Asset, particles: Particles, info: BakeInfo,
+    choices: Choices, materials: Sequence[Sdf.Path],
+) -> None:  # fmt: skip
+    """Relate particles to their materials and meshes; the root layer adds those that are not in the
+    same payload.
+    """
+    prim.CreateRelationship("gaussianFlesh:materials", False).SetTargets(materials)
+    meshes = _inside(scope, (Sdf.Path(s.path) for s in asset.surfaces))
+    prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(meshes)
+    if len(materials) == 1:
+        bind(prim, materials[0])
+    elif prim.IsA(UsdGeom.Points):
+        first = info.settings.time_code(info.settings.first)
+        when = first if choices.clip_frames else None
+        bind_points(prim, materials, particles.material, when)
 
 
 def _describe(
