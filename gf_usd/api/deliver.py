@@ -21,7 +21,7 @@ def deliver(
     path: str | os.PathLike[str],
     output: str | os.PathLike[str],
     *,
-    error: float = 0.005,
+    error: float | str = 0.005,
     variant: str | None = None,
     kind: str = "auto",
     max_joints: int = 400,
@@ -40,7 +40,7 @@ def deliver(
     path : root layer of a bake, or a flattened bake.
     output : .usdz, .usda, .usdc or .glb; a file of that name is replaced.
     error : the largest distance from the bake over points and frames, as a fraction of the radius
-        of each body, which is that of a sphere of its volume.
+        of each body, which is that of a sphere of its volume: 0.02, or "2%".
     variant : write only this variant; None: all of them in a USD file, the selected one in a .glb.
     kind : "joints" (linear blend skinning), "shapes" (blend shapes), or "auto": the smaller file.
     max_joints : of a body.
@@ -83,7 +83,7 @@ def retime(
     output: str | os.PathLike[str],
     *,
     speed: float | None = None,
-    keys: Sequence[tuple[float, float]] | None = None,
+    keys: Sequence[tuple[float, float]] | str | None = None,
 ) -> Retimed:
     """Write a bake at another speed, without simulating again.
 
@@ -104,7 +104,7 @@ def retime(
         the same speed.
     keys : pairs (time code of the result, time code of the bake), for a varying speed: equal time
         codes of the bake hold a pose, decreasing ones play backwards.  The animation of the source
-        follows them.
+        follows them.  Or a string: "1:1,48:24".
 
     Returns
     -------
@@ -131,6 +131,8 @@ PAIRS = "pairs (time code of the result, time code of the bake)"
 
 
 def _pairs(keys: object) -> list[tuple[float, float]]:
+    if isinstance(keys, str):
+        return read_keys(keys)
     found = []
     for pair in values.items("keys", keys, PAIRS):
         if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
@@ -155,8 +157,10 @@ def read_keys(text: str) -> list[tuple[float, float]]:
 
 
 def _share(name: str, value: object) -> float:
+    if isinstance(value, str):
+        return read_share(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise values.refuse(name, value, "a share of the radius, such as 0.005")
+        raise values.refuse(name, value, "a share of the radius, such as 0.005 or '0.5%'")
     return float(value)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -42,10 +42,10 @@ def materials() -> Mapping[str, Preset]:
 
 def fit(
     path: str | os.PathLike[str],
-    targets: str | os.PathLike[str] | Mapping[str, float] | Sequence[str | os.PathLike[str]],
+    targets: str | os.PathLike[str] | Mapping[str, float | str] | Sequence[str | os.PathLike[str]],
     *,
     unknowns: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | str | Sequence[str] | None = None,
     output: str | os.PathLike[str] | None = None,
     picture: str | os.PathLike[str] | None = None,
     evaluations: str | os.PathLike[str] | None = None,
@@ -71,11 +71,13 @@ def fit(
     ----------
     path : the asset.
     targets : USD files with the motion of its meshes or of tracked points, and strings such as
-        "rebound=0.6+-0.02"; or a mapping of figures to numbers [stage units].
-    unknowns : names of the values to find: fields of `Material`, parameters of its law, or E, nu,
-        tau and rho; empty: E, nu, the damping time and, for laws with plastic flow, the yield
-        stress.
-    bounds : {name: (low, high)} [SI] instead of the default bounds.
+        "rebound=0.6+-0.02"; or a mapping of figures to numbers [stage units], or to strings such as
+        "0.6+-0.02".
+    unknowns : names of the values to find, or a string with commas between them: fields of
+        `Material`, parameters of its law, or E, nu, tau and rho; empty: E, nu, the damping time
+        and, for laws with plastic flow, the yield stress.
+    bounds : {name: (low, high)} [SI], or strings such as "E=1e4:1e6", instead of the default
+        bounds.
     output : layer for the material; picture : .png; None: not written.
     evaluations : folder in which to keep the simulations; None: they are not kept.
     max_minutes : the search ends after this time [min], with the best values so far.
@@ -101,7 +103,10 @@ def fit(
         "bounds", "unknowns", "evaluations", "overwrite", "jobs", "max_minutes", target="targets"
     ):
         if isinstance(targets, Mapping):
-            texts = [f"{name}={values.real(name, value):g}" for name, value in targets.items()]
+            texts = [
+                f"{name}={value if isinstance(value, str) else f'{values.real(name, value):g}'}"
+                for name, value in targets.items()
+            ]
         else:
             texts = list(values.paths("targets", targets))
         for name in options:
@@ -109,12 +114,11 @@ def fit(
                 raise UsageError(
                     f"fit() has no option {name!r}", f"its options are {', '.join(sorted(FITTED))}"
                 )
-        pairs = [f"{name}={low!r}:{high!r}" for name, (low, high) in (bounds or {}).items()]
         wanted = prepared_fit(
             asset_path(path),
             texts,
-            unknowns=list(unknowns),
-            bounds=pairs,
+            unknowns=names_of(unknowns),
+            bounds=_bounds(bounds),
             output=None if output is None else Path(values.path("output", output)),
             picture=None if picture is None else Path(values.path("picture", picture)),
             evaluations=None if evaluations is None else Path(os.fspath(evaluations)),
@@ -125,6 +129,27 @@ def fit(
         )
         arguments = {"request": wanted}
         return here_or_away("gf_usd.fitting.fit:fit_counted", arguments, progress)[0]
+
+
+def names_of(unknowns: str | Sequence[str] | None) -> list[str]:
+    """The names of "E,nu", or of a list."""
+    if isinstance(unknowns, str):
+        return [name.strip() for name in unknowns.split(",")]
+    return list(unknowns or ())
+
+
+def _bounds(bounds: Mapping[str, tuple[float, float]] | str | Sequence[str] | None) -> list[str]:
+    """The bounds as the command line has them.  Raises UsageError for anything else."""
+    wanted = "bounds by name [SI], such as {'E': (1e4, 1e6)}"
+    if not isinstance(bounds, Mapping):
+        return list(values.texts("bounds", bounds or (), wanted))
+    pairs = []
+    for name, pair in bounds.items():
+        ends = tuple(pair) if isinstance(pair, Iterable) else ()
+        if len(ends) != 2 or not all(map(values.is_number, ends)):
+            raise values.refuse("bounds", bounds, wanted)
+        pairs.append(f"{name}={':'.join(map(values.digits, ends))}")
+    return pairs
 
 
 def prepared_fit(

@@ -104,7 +104,7 @@ def fit(
     values with their intervals as a layer. The output names values that the targets do not
     determine.
     """
-    from gf_usd.api.materials import prepared_fit
+    from gf_usd.api.materials import names_of, prepared_fit
     from gf_usd.fitting.fit import fit as run
     from gf_usd.system.sandbox import parse_limits
 
@@ -113,7 +113,7 @@ def fit(
     wanted = prepared_fit(
         asset,
         target or [],
-        unknowns=[name.strip() for name in unknowns.split(",")] if unknowns else [],
+        unknowns=names_of(unknowns),
         bounds=bounds or [],
         output=layer,
         picture=sibling(layer, picture, ".png"),

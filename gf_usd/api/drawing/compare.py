@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.drawing.options import FILMS, Options, read_options
+from gf_usd.api.drawing.options import FILMS, Options, joined, read_options
 from gf_usd.api.host.guest import here_or_away
 from gf_usd.core.errors import UsageError
 from gf_usd.core.scene import Camera, Quantity, Scene
@@ -35,7 +35,7 @@ def compare(
     variant: str | None = None,
     other_variant: str | None = None,
     align: Align = "time",
-    size: tuple[int, int] | None = None,
+    size: tuple[int, int] | str | None = None,
     fps: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
@@ -56,7 +56,7 @@ def compare(
         "0.5%" (of the radius of a sphere of A's volume); None: 0.
     variant, other_variant : of the bakes; None: those selected in the files.
     align : "time": compare at equal times of the two stages; "start": from the first frame of each.
-    size : (width, height) [pixels] of each of the three parts of an image or film.
+    size : (width, height) [pixels] of each of the three parts of an image or film, or "480x360".
     fps : frames per second of the film; None: real time.
     progress : called after each frame of a film with (frames done, total frames).
 
@@ -85,7 +85,7 @@ def compare(
             "tolerance": tolerance,
             "variants": (variant, other_variant),
             "align": align,
-            "size": None if size is None else "{}x{}".format(*size),
+            "size": None if size is None else joined("size", size, "x", (2,)),
             "fps": fps,
         }
         return here_or_away("gf_usd.api.drawing.compare:run", arguments, progress, schema=False)[0]

@@ -6,8 +6,10 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options import values
 
 FILMS = (".mp4", ".gif")
 SUFFIXES = (".png", *FILMS)
@@ -98,6 +100,21 @@ def read_options(
         fps=fps,
         limits=None if limits is None else parse_limits(limits),
     )
+
+
+def joined(name: str, value: Any, sign: str, counts: tuple[int, ...]) -> str:
+    """Numbers of Python as the command line has them, with a sign between; texts are theirs.
+
+    Raises UsageError for anything else, and for another count of numbers.
+    """
+    if isinstance(value, str):
+        return value
+    wanted = f"{' or '.join(map(str, counts))} numbers, such as ({', '.join('1' * counts[0])})"
+    parts = values.items(name, value, wanted)
+    sound = all(part is None or values.is_number(part) for part in parts)
+    if len(parts) not in counts or not sound:
+        raise values.refuse(name, value, wanted)
+    return sign.join("" if part is None else values.digits(part) for part in parts)
 
 
 def _refuse(wrong: bool, message: str, hint: str) -> None:

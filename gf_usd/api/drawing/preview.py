@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.drawing.options import Options, read_options, time_codes
+from gf_usd.api.drawing.options import Options, joined, read_options, time_codes
 from gf_usd.api.host.guest import here_or_away
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
 T = TypeVar("T")
 # (first, last) or (first, last, step)
-TimeCodes = tuple[float | None, float | None] | tuple[float | None, float | None, float] | None
+TimeCodes = (
+    tuple[float | None, float | None] | tuple[float | None, float | None, float] | str | None
+)
 Show = Literal["mesh", "splats", "gaussians", "ellipsoids", "points", "both"]
 SHOWN = ("mesh", "splats", "gaussians", "ellipsoids", "points", "both")
 COLORS = ("strain", "elastic", "plastic", "stress")
@@ -56,17 +58,17 @@ def preview(
     frame: float | None = None,
     time_codes: TimeCodes = None,
     show: Show | None = None,
-    size: tuple[int, int] | None = None,
+    size: tuple[int, int] | str | None = None,
     sheet: int | None = None,
     columns: int | None = None,
     fps: float | None = None,
     camera: str | None = None,
     variant: str | None = None,
-    color: Literal["strain", "elastic", "plastic", "stress"] | None = None,
-    color_range: tuple[float, float] | None = None,
+    color: Literal["none", "strain", "elastic", "plastic", "stress"] | None = None,
+    color_range: tuple[float, float] | str | None = None,
     progress: Callable[[int, int], None] | None = None,
     frames: TimeCodes = None,
-    range: tuple[float, float] | None = None,
+    range: tuple[float, float] | str | None = None,
 ) -> Preview:
     """Render a stage on the CPU, without a window.
 
@@ -80,11 +82,11 @@ def preview(
         returned and nothing is written.
     frame : time code of a single image; None: the first of the stage.
     time_codes : (first, last) or (first, last, step), time codes of a film or a sheet, including
-        the last; None for an open end.  None: the whole motion.
+        the last; None for an open end.  Or a string: "1:24:2".  None: the whole motion.
     show : mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard deviation), points
         or both (mesh and gaussians); None: the first of mesh, splats, gaussians, points that
         exists.
-    size : (width, height) [pixels]; of one tile for a sheet.
+    size : (width, height) [pixels], or "640x480"; of one tile for a sheet.
     sheet : number of frames of a contact sheet, spaced by the amount of motion, or evenly over
         `time_codes`; columns : of the sheet.
     fps : frames per second of the film; None: real time.
@@ -92,9 +94,9 @@ def preview(
     variant : of a bake: one of its materials, or "none" for the asset itself; None: the one
         selected in the file.
     color : strain (largest |stretch - 1|), elastic or plastic (its parts, of a bake with internal),
-        or stress (von Mises, of a bake with stress); None: the asset's own colors.
+        or stress (von Mises, of a bake with stress); None or none: the asset's own colors.
     color_range : (low, high) values of the first and the last color, dimensionless for strains,
-        [Pa] for stress.
+        [Pa] for stress; or a string: "0:0.5".
     progress : called after each frame of a film with (frames done, total frames).
     frames, range : former names of `time_codes` and `color_range`, which work until 1.0.
 
@@ -122,6 +124,7 @@ def preview(
                 values.whole(name, value)
         if show is not None and show not in SHOWN:
             raise UsageError(f"show is {show!r}", f"give one of {', '.join(SHOWN)}")
+        color = None if color == "none" else color
         if color not in (None, *COLORS):
             raise UsageError(
                 f"color is {color!r}", f"give {', '.join(map(repr, COLORS))}, or leave it out"
@@ -130,14 +133,14 @@ def preview(
             values.text("variant", variant, "the name of a variant, such as 'rubber' or 'none'")
         options = read_options(
             target or UNWRITTEN,
-            size=None if size is None else _joined("size", size, "x", (2,)),
+            size=None if size is None else joined("size", size, "x", (2,)),
             frame=frame,
-            frames=None if codes is None else _joined("time_codes", codes, ":", (2, 3)),
+            frames=None if codes is None else joined("time_codes", codes, ":", (2, 3)),
             sheet=sheet,
             columns=columns,
             fps=fps,
             color=color,
-            limits=None if limits is None else _joined("color_range", limits, ":", (2,)),
+            limits=None if limits is None else joined("color_range", limits, ":", (2,)),
         )
         arguments = {
             "path": asset_path(path), "options": options, "show": show, "camera": camera,
@@ -156,16 +159,6 @@ def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:
     message = f"{former} is now called {name}; the old name works until 1.0"
     warnings.warn(message, FutureWarning, stacklevel=3)  # the line that calls `preview`
     return old
-
-
-def _joined(name: str, value: Any, sign: str, counts: tuple[int, ...]) -> str:
-    """Numbers as the command line has them, with a sign between."""
-    wanted = f"{' or '.join(map(str, counts))} numbers, such as ({', '.join('1' * counts[0])})"
-    parts = values.items(name, value, wanted)
-    sound = all(part is None or values.is_number(part) for part in parts)
-    if len(parts) not in counts or not sound:
-        raise values.refuse(name, value, wanted)
-    return sign.join("" if part is None else values.digits(part) for part in parts)
 
 
 def draw(

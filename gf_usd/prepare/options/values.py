@@ -280,7 +280,7 @@ def boxes(name: str, value: Any) -> tuple[str, ...]:
     """Presets of boxes: {preset: (corner, corner)}, or with a list of boxes; or texts."""
     wanted = "presets with boxes: {'metal': ((-1, 0, -1), (1, 0.2, 1))}"
     if not isinstance(value, Mapping):
-        return _texts(name, value, wanted)
+        return texts(name, value, wanted)
     found: list[str] = []
     for preset, regions in value.items():
         each = (regions,) if _is_box(regions) else items(name, regions, wanted)
@@ -293,19 +293,19 @@ def boxes(name: str, value: Any) -> tuple[str, ...]:
 def fields(name: str, value: Any) -> tuple[str, ...]:
     """Texts; one stands for itself."""
     wanted = "a field such as 'wind:3,0,0', or a list of them"
-    return (value,) if isinstance(value, str) else _texts(name, value, wanted)
+    return (value,) if isinstance(value, str) else texts(name, value, wanted)
 
 
 def conversions(name: str, value: Any) -> tuple[str, ...]:
     """Texts; one stands for itself."""
-    return _texts(name, value, "a material and limit such as 'honey@time:48', or a list of them")
+    return texts(name, value, "a material and limit such as 'honey@time:48', or a list of them")
 
 
 def labels(name: str, value: Any) -> tuple[str, ...]:
     """Presets of labels: {property: {value: preset}}; or texts."""
     wanted = "presets of labels: {'label': {3: 'metal'}}"
     if not isinstance(value, Mapping):
-        return _texts(name, value, wanted)
+        return texts(name, value, wanted)
     found: list[str] = []
     for label, presets in value.items():
         if not isinstance(presets, Mapping) or not all(map(is_number, presets)):
@@ -317,7 +317,8 @@ def labels(name: str, value: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _texts(name: str, value: Any, wanted: str) -> tuple[str, ...]:
+def texts(name: str, value: Any, wanted: str) -> tuple[str, ...]:
+    """Texts; one stands for itself."""
     if isinstance(value, str):
         return (text(name, value, wanted),)
     return tuple(text(name, one, wanted) for one in items(name, value, wanted))
