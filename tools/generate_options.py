@@ -78,14 +78,14 @@ def bake_table(group: str, kept: dict[str, str]) -> list[str]:
 
 
 def inspect_table(kept: dict[str, str]) -> list[str]:
-    """Options as in bake in one line, then those that say something else."""
+    """Options as in bake in one line, by those that are missing; then those of inspect alone."""
     bake, options = parameters("bake"), parameters("inspect")
-    alike = [p for name, p in options.items() if name in bake and p.help == bake[name].help]
-    names = ", ".join(spelling(p) for p in alike)
-    others = [p for p in options.values() if p not in alike]
+    missing = [p for name, p in bake.items() if name not in options and name in OPTIONS]
+    names = f"those of `bake` without {', '.join(spelling(p) for p in missing)}"
+    others = [p for name, p in options.items() if name not in bake or p.help != bake[name].help]
     return [
         *HEAD,
-        line(names, "as for `bake`", "as for `bake`", kept.get(names, "")),
+        line(names, "as for `bake`", "as for `bake`", kept.get(names, "[options.md](options.md)")),
         *(row(parameter, kept) for parameter in others),
     ]
 

@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import BAKE, in_python, takes
 from gf_usd.api.host.guest import guest, require_here
-from gf_usd.prepare.options.table import BakeOptions
+from gf_usd.prepare.options.table import OPTIONS, PROGRESS, BakeOptions
 
 if TYPE_CHECKING:
     from gf_usd.pipeline.inspect import Inspection
 
 # Keywords of a bake that change nothing of what would be filled or what it would cost.
-LATER = ("output", "overwrite", "resume", "slice", "strict", "max_hours", "progress")
+LATER = tuple(
+    name
+    for name, row in OPTIONS.items()
+    if "inspect" not in row.commands and name != "repair"  # of which the command has its own help
+)
 
 
 @takes(BakeOptions)
@@ -47,7 +51,9 @@ def inspect(path: Path, **options: Any) -> Inspection:
     require_saved(path)
     require_here("inspect")
     with guest():
-        seen = inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})
+        seen = inspect_asset(
+            path, **{k: v for k, v in options.items() if k not in (*LATER, PROGRESS)}
+        )
     if seen.refusal is not None:
         in_python(seen.refusal, BAKE)
     facts, plan = seen.asset.facts, seen.plan

@@ -14,7 +14,7 @@ import typer
 
 from gf_usd.cli import exit
 from gf_usd.cli.events import STDOUT, event_stream
-from gf_usd.cli.help import show_all
+from gf_usd.cli.help import HelpAll
 from gf_usd.cli.worker import read_ahead
 from gf_usd.core import __version__
 from gf_usd.core.errors import UsageError
@@ -52,15 +52,7 @@ def bake(
             help="Bake in a warm process of a running gf-usd serve, which saves start-up time.",
         ),
     ] = False,
-    help_all: Annotated[
-        bool,
-        typer.Option(
-            "--help-all",
-            is_eager=True,
-            callback=show_all,
-            help="Show this page with the expert options, and exit.",
-        ),
-    ] = False,
+    help_all: HelpAll = False,
     **options: Any,
 ) -> None:
     """Turn an asset into a soft body: fill it with particles, simulate it, and write USD layers.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
@@ -207,3 +207,14 @@ def show_all(ctx: typer.Context, wanted: bool) -> None:
         ctx.meta[EXPERT] = True
         typer.echo(ctx.get_help())
         raise typer.Exit
+
+
+HelpAll = Annotated[
+    bool,
+    typer.Option(
+        "--help-all",
+        is_eager=True,
+        callback=show_all,
+        help="Show this page with the expert options, and exit.",
+    ),
+]

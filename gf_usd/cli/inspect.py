@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from gf_usd.cli.help import HelpAll
 from gf_usd.core.errors import InputError
 
 
@@ -18,10 +19,12 @@ def inspect(
         bool, typer.Option("--repair", help="Show what bake --repair would do.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+    help_all: HelpAll = False,
     **options: Any,
 ) -> None:
     """Report on an asset before a bake: meshes, holes, units, thin parts, time, memory and disk.
 
+    It takes the options of bake, except for those on how the results are named and written.
     The exit status is 0 if the asset can be baked, 3 if bake would refuse it, with the
     same message.
     """

@@ -20,7 +20,7 @@ from gf_usd.prepare.options import values
 
 BAKE = ("bake",)
 BATCH = ("bake", "batch")  # a manifest may give it, too
-INSPECT = ("bake", "batch", "inspect")
+PLAN = ("bake", "batch", "inspect")  # what decides the plan, which an inspection shows
 PLAIN: tuple[type, ...] = (int, float, bool, str)  # what an argument becomes
 
 T = TypeVar("T")
@@ -44,7 +44,7 @@ class Option:
     parse: Callable[[str], Any] | None = None  # a text to its value; raises UsageError
     # (name, value of Python) to the text, or to the texts of a list; raises UsageError
     write: Callable[[str, Any], Any] | None = None
-    commands: tuple[str, ...] = BATCH
+    commands: tuple[str, ...] = PLAN
     decides: bool = True  # what is written hangs on it
     # read from the field
     name: str = ""  # in Python

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import texts, values
-from gf_usd.prepare.options.option import BAKE, INSPECT, Option, command_arguments, rows, table
+from gf_usd.prepare.options.option import BAKE, BATCH, Option, command_arguments, rows, table
 from gf_usd.prepare.options.sweep import parse_sweep
 from gf_usd.prepare.options.values import Corners, Vector
 
@@ -50,7 +50,7 @@ class AssetOptions:
         ASSET, "A preset (see gf-usd materials) or a USD file with a material; separate several"
         " by commas to get variants. auto chooses presets by names and labels; auto:NAME uses"
         " the advisor NAME.",
-        shown="the stage's, else rubber", short="-m", commands=INSPECT,
+        shown="the stage's, else rubber", short="-m",
         write=values.material,
     )] = None
     output: Annotated[Path | None, Option(
@@ -60,22 +60,22 @@ class AssetOptions:
     )] = None
     prims: Annotated[str | Sequence[str], Option(
         ASSET, "Bake this prim and its descendants; repeatable.",
-        shown="the default prim", commands=INSPECT,
+        shown="the default prim",
         write=values.prims,
     )] = ()
     meters_per_unit: Annotated[float | None, Option(
         ASSET, "Length of one unit of the file [m]: 0.01 for centimeters.",
         shown="the file's; if it has none, 1, or 0.01 or 0.001 if only that gives a plausible"
-        " size", commands=INSPECT,
+        " size",
     )] = None
     up_axis: Annotated[str | None, Option(
         ASSET, "Up axis of the file: Y or Z; -Y or -Z for splat files that appear upside down.",
         shown="the file's; Y for obj, ply, off and splat files, Z for stl",
-        commands=INSPECT,
     )] = None
     repair: Annotated[bool, Option(
         ASSET, "Before filling, close small holes, make the winding consistent, drop faces that"
         " bound no volume and thicken sheets; the mesh itself does not change.",
+        commands=BATCH,
     )] = False
     law: Annotated[str | None, Option(
         MATERIAL, "Compute stresses with this constitutive law, such as corotated or neoHookean.",
@@ -89,11 +89,11 @@ class RequestOptions:
 
     particles: Annotated[int | None, Option(
         PARTICLES, "Fill the bodies with about this many particles.",
-        shown="8000; to 32000 for thin parts", above_zero=True, commands=INSPECT,
+        shown="8000; to 32000 for thin parts", above_zero=True,
     )] = None
     spacing: Annotated[float | None, Option(
         PARTICLES, "Place particles about this far apart [stage units].",
-        above_zero=True, commands=INSPECT,
+        above_zero=True,
     )] = None
     max_edge_length: Annotated[float | str | None, Option(
         PARTICLES, "Divide faces of meshes, and refine cages of subdivision surfaces, whose edges"
@@ -104,7 +104,7 @@ class RequestOptions:
     seed: Annotated[int | None, Option(
         PARTICLES, "Random seed of the positions of particles that flow, of all with --preset"
         " paper, and of noise fields.",
-        shown="the stage's, else 0", low=0, high=2**31 - 1, commands=INSPECT,
+        shown="the stage's, else 0", low=0, high=2**31 - 1,
     )] = None
     frames: Annotated[int | str | None, Option(
         TIME, "Number of frames to simulate, at --fps. rest: until everything is at rest;"
@@ -112,15 +112,15 @@ class RequestOptions:
         shown="rest, at most 108.8 T; 13.6 T with pins or fields, or without a floor or"
         " obstacle. T = sqrt(r / g), r the radius of the body",
         noun="number of frames",
-        parse=texts.parse_frames, commands=INSPECT, write=values.frames,
+        parse=texts.parse_frames, write=values.frames,
     )] = None
     fps: Annotated[float | None, Option(
         TIME, "Frames per second of playback.",
-        shown="the asset's, else 24", above_zero=True, commands=INSPECT,
+        shown="the asset's, else 24", above_zero=True,
     )] = None
     start: Annotated[float | None, Option(
         TIME, "Time code of the first frame.",
-        shown="the asset's start, else 1", noun="time code", commands=INSPECT,
+        shown="the asset's start, else 1", noun="time code",
     )] = None
     time_scale: Annotated[float | str | None, Option(
         TIME, "Simulated seconds per second of playback; auto makes a body of any size appear to"
@@ -134,7 +134,7 @@ class RequestOptions:
     drop: Annotated[float | str | None, Option(
         SCENE, "Height from which the body falls [stage units], or in radii of the body: 3r.",
         shown="3r; 0 if the stage has physics; not moved with --pin or without a floor",
-        parse=texts.parse_drop, commands=INSPECT, write=values.length,
+        parse=texts.parse_drop, write=values.length,
     )] = None
     gravity: Annotated[float | Vector | str | None, Option(
         SCENE, "Gravity [m/s^2]: a number (downward), a vector x,y,z, or a .csv or .txt file"
@@ -163,7 +163,7 @@ class RequestOptions:
     colliders: Annotated[Path | Sequence[Path], Option(
         SCENE, "File whose meshes are static obstacles; repeatable. Like obstacles of the stage,"
         " they replace the floor.",
-        shown="none", commands=INSPECT, write=values.paths,
+        shown="none", write=values.paths,
     )] = ()
     drag: Annotated[float | None, Option(
         SCENE, "Drag coefficient that slows all motion down, like air [1/s].",
@@ -201,7 +201,6 @@ class RequestOptions:
         " medial axis of animated points; captured Gaussians follow the nearest bones of the only"
         " skeleton): the bind pose is the rest shape, a core around each"
         " bone moves with its joint, and the remaining flesh moves freely.",
-        commands=INSPECT,
     )] = False
     bone_radius: Annotated[float | None, Option(
         SCENE, "For --flesh: radius of the rigid cores around the bones, as a fraction of the"
@@ -238,7 +237,7 @@ class RequestOptions:
         shown="1", parse=texts.parse_loop, write=values.repeats, bare=texts.AUTO,
     )] = None
     combine: Annotated[bool, Option(
-        SCENE, "Treat all meshes as one body, even if they do not touch.", commands=INSPECT,
+        SCENE, "Treat all meshes as one body, even if they do not touch.",
     )] = False
     self_contact: Annotated[bool | None, Option(
         SCENE, "Let bodies collide with themselves.",
@@ -260,11 +259,11 @@ class RequestOptions:
     material_boxes: Annotated[Boxes, Option(
         MATERIAL, "Preset for the particles that are in a box at rest, PRESET:x0,y0,z0,x1,y1,z1"
         " [stage units]; repeatable, later boxes override earlier ones.",
-        shown="nothing", commands=INSPECT, write=values.boxes,
+        shown="nothing", write=values.boxes,
     )] = ()
     material_labels: Annotated[Labels, Option(
         MATERIAL, "Preset for captured Gaussians with a label, NAME=VALUE:PRESET; repeatable.",
-        shown="nothing", commands=INSPECT, write=values.labels,
+        shown="nothing", write=values.labels,
     )] = ()
     conversions: Annotated[str | Sequence[str], Option(
         MATERIAL, "Turn solid particles that pass a limit into a flowing preset,"
@@ -299,7 +298,7 @@ class RequestOptions:
     )] = None
     solver: Annotated[Literal["tl", "ul"] | None, Option(
         METHOD, "tl (Total Lagrangian) or ul (Updated Lagrangian MLS-MPM, for comparison).",
-        shown="tl", choices=("tl", "ul"), commands=INSPECT,
+        shown="tl", choices=("tl", "ul"),
     )] = None
     no_shortcuts: Annotated[bool, Option(METHOD, "Also simulate frames in which bodies fly"
     " freely or sleep.")] = False
@@ -379,11 +378,11 @@ class RequestOptions:
     )] = None
     export_ply: Annotated[Path | None, Option(
         ASSET, "Write a sequence of 3DGS PLY files, one per frame, to this folder.", shown="none",
-        write=values.path,
+        commands=BATCH, write=values.path,
     )] = None
     export_spz: Annotated[Path | None, Option(
         ASSET, "Write a sequence of SPZ files, one per frame, to this folder.", shown="none",
-        write=values.path,
+        commands=BATCH, write=values.path,
     )] = None
 
 
@@ -408,16 +407,17 @@ class BakeOptions(RequestOptions, AssetOptions):
         ASSET, "Replace existing results.", commands=BAKE,
     )] = False
     strict: Annotated[bool, Option(
-        WRITE, "Treat warnings about the result as an error (status 4).", decides=False,
+        WRITE, "Treat warnings about the result as an error (status 4).", commands=BATCH,
+        decides=False,
     )] = False
     max_hours: Annotated[float, Option(
         WRITE, "Refuse a bake with a longer estimated time [h], and end a bake that takes twice"
-        " as long.", low=0.0, decides=False,
+        " as long.", low=0.0, commands=BATCH, decides=False,
     )] = MAX_HOURS
     limits: Annotated["Limits | Mapping[str, float] | Literal[False] | str | None", Option(
         WRITE, "Limits of the process that reads untrusted files: time [s], memory [B], output"
         " [B], such as time=600,memory=32G; none reads them without a separate process.",
-        shown="time=300,memory=16G,output=1G", commands=INSPECT, decides=False, write=values.limits,
+        shown="time=300,memory=16G,output=1G", decides=False, write=values.limits,
     )] = None
     progress: Callable[[int, int], None] | None = None  # called with (frames done, frames in all)
 
