@@ -9,16 +9,18 @@ from pathlib import Path
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, first_time_code
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import Reading, read_surface, with_limit
 from gf_usd.readers.usd.select import (
     INVISIBLE,
+    PROXIES,
     PURPOSE,
     REPEATED,
     Selection,
     instances_above,
     select,
+    shapes_outside,
 )
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
@@ -30,7 +32,9 @@ from gf_usd.readers.usd.stage import (
     require_saved,
     stage_facts,
 )
+from gf_usd.readers.usd_physics.attributes import body_of, is_collider
 
+MOST_NAMED = 3  # prims that a note lists
 INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
 
 
@@ -64,6 +68,7 @@ def read_usd(
         surfaces, splats, skipped = _surfaces(path, found, facts, time, notes, bind_pose)
         if not surfaces and not splats:
             raise _no_geometry(stage, path, found, skipped, notes, by_name=bool(prims))
+        _note_passed_through(stage, found, time, notes)
         return Asset(
             facts=replace(facts, notes=notes.lines()),
             surfaces=tuple(surfaces),
@@ -108,6 +113,34 @@ def _surfaces(
             for instance in instances_above(prim):
                 notes.add(INSTANCE, str(instance.GetPath()))
     return surfaces, splats, skipped
+
+
+def _note_passed_through(
+    stage: Usd.Stage, found: Selection, time: Usd.TimeCode, notes: Notes
+) -> None:
+    """Add a note on shapes of the stage that are neither selected nor obstacles."""
+    stands = {
+        body.GetPath()
+        for prim in Usd.PrimRange.Stage(stage, PROXIES)
+        if is_collider(prim, time) and (body := body_of(prim, time))
+    }
+    loose = [
+        str(prim.GetPath())
+        for prim in shapes_outside(stage, found.roots, time)
+        if not is_collider(prim, time)
+        and not ((body := body_of(prim, time)) and body.GetPath() in stands)
+    ]
+    if not loose:
+        return
+    listed = ", ".join(f"<{path}>" for path in loose[:MOST_NAMED])
+    listed += f" and {len(loose) - MOST_NAMED} more" if len(loose) > MOST_NAMED else ""
+    one = len(loose) == 1
+    notes.add(
+        f"{counted(len(loose), 'shape')} of the stage, {listed}, {'is' if one else 'are'} neither"
+        f" soft nor {'an obstacle' if one else 'obstacles'}: bodies pass through"
+        f" {'it' if one else 'them'}; a PhysicsCollisionAPI makes a shape an obstacle, and --prim"
+        " makes it soft"
+    )
 
 
 def _no_geometry(

@@ -93,6 +93,26 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
     )
 
 
+def shapes_outside(
+    stage: Usd.Stage, roots: Sequence[Usd.Prim], time: Usd.TimeCode
+) -> list[Usd.Prim]:
+    """The visible meshes and implicit shapes that are under none of the roots, in stage order."""
+    inside = {root.GetPath() for root in roots}
+    if Sdf.Path.absoluteRootPath in inside:
+        return []
+    found: list[Usd.Prim] = []
+    repeated = _prototypes(stage)
+    walk = iter(Usd.PrimRange.Stage(stage, PROXIES))
+    for prim in walk:
+        path = prim.GetPath()
+        repeats = path in repeated or prim.IsA(UsdGeom.PointInstancer)
+        if path in inside or repeats or _is_hidden(prim, time):
+            walk.PruneChildren()
+        elif prim.IsA(UsdGeom.Gprim) and has_surface(prim) and not _skip_reason(prim, time):
+            found.append(prim)
+    return found
+
+
 def _inherits_from(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | None:
     """The baked prim from which this one inherits its points, and thereby its motion; or None."""
     if len(geometry) == 1:

@@ -318,3 +318,53 @@ def test_only_what_can_be_baked_is_suggested(read, name, hint):
 def test_an_inactive_prim_by_name(read):
     with pytest.raises(InputError, match="the prim /A is inactive"):
         read('def Cube "A" (active = false) {}\ndef Cube "B" {}', prims=["/A"])
+
+
+ROOM = """
+def Xform "World"
+{
+    def Sphere "Duck" {}
+    def Cube "Table" {}
+    def Cube "Wall" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}
+    def Xform "Chair" (prepend apiSchemas = ["PhysicsRigidBodyAPI"])
+    {
+        def Cube "Seen" {}
+        def Cube "Met" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}
+    }
+    def Cube "Hidden"
+    {
+        token visibility = "invisible"
+    }
+    def Cube "Guide"
+    {
+        uniform token purpose = "guide"
+    }
+    def BasisCurves "Hair" {}
+}
+def Cube "A" {}
+def Cube "B" {}
+def Cube "C" {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("prims", "note"),
+    [
+        (["/"], ""),
+        (
+            ["/World"],
+            "3 shapes of the stage, </A>, </B>, </C>, are neither soft nor obstacles: bodies pass"
+            " through them; a PhysicsCollisionAPI makes a shape an obstacle, and --prim makes it"
+            " soft",
+        ),
+        (
+            ["/World/Duck"],
+            "4 shapes of the stage, </World/Table>, </A>, </B> and 1 more, are neither soft",
+        ),
+        (["/World/Duck", "/A", "/B", "/C"], "1 shape of the stage, </World/Table>, is neither"),
+    ],
+)
+def test_what_bodies_pass_through_is_said(read, prims, note):
+    notes = [text for text in read(ROOM, prims=prims).facts.notes if "pass through" in text]
+    assert len(notes) == bool(note)
+    assert "".join(notes).startswith(note)
