@@ -26,6 +26,7 @@ from gf_usd.prepare.bodies.contact import (
     separate_limbs,
 )
 from gf_usd.prepare.bodies.flow import flow_of
+from gf_usd.prepare.bodies.grounds import ground_notes
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
@@ -115,6 +116,9 @@ def fill(
     goals, goal_notes = springs_of(inputs, filled, shot, constraints.flesh, limbs, settings)
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     loose_notes: tuple[str, ...] = ()
+    ground: tuple[str, ...] = ()  # bodies and obstacles of a scene have calls of their own
+    if file is not None:
+        ground = ground_notes(asset.surfaces, dict(solid.embedded), asset.facts.up, unit)
     if not goals:
         loose_notes = unpinned_animation_notes(
             filled.bodies, spec.bodies, limbs.particles, constraints.pins
@@ -144,6 +148,7 @@ def fill(
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
         notes=(
+            *ground,
             *_asset_notes(asset, shot.animation), *(one.note for one in advice),
             *meshes.notes, *filled.count_notes, *flow_notes, *stage_notes, *shot.notes,
             *constraints.attachment_notes, *goal_notes, *filled.resolution_notes,
