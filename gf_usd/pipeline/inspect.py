@@ -17,8 +17,8 @@ body        particles, spacing, volume_m3, radius, frames, fps, start, drop, fir
             thickness_5_percent (of the surface is no thicker), thickness_median, and the
             particles_across the former
 parts       poorly filled: path, shell, kind (empty | few | thin | bare region | thin region),
-            center, size, thickness, particles, suggested_particles; none where faults of a mesh
-            cost much of the fill
+            center, size, thickness (median: of a rod, its diameter), particles,
+            suggested_particles; none where faults of a mesh cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
 materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
             substeps (expected in all), damping_ratio (of the grid's stiffest vibration),

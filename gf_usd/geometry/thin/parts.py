@@ -7,8 +7,8 @@ shells that are far from any particle or too thin: an antenna, the brim of a hat
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -20,6 +20,7 @@ from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import Nearest, nearest
+from gf_usd.geometry.thin.thickness import chords, spread
 
 FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] three quarters of a cell: a thinner wall may have no cell of its own that is more
@@ -33,6 +34,8 @@ BARE, CLEARLY_BARE = 1.5, 2.0  # [spacings]
 PLATE = 4.0  # [spacings] area over length from which a region is a strip, not just an edge
 STEPS = 4  # inward sample points
 OFF_EDGE = 0.01  # of the way to the centroid of a triangle
+RAYS = 64  # of a part, for its thickness
+CLEAR_OF_WALL = 0.05  # [walls] offset from its surface for an unambiguous inside test
 VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
 SENSIBLE = 2_000_000  # particles: the greatest number that is suggested
 # Of the box's diagonal: below it a thickness is the rounding error of the volume of loose faces.
@@ -50,8 +53,10 @@ class Part:
     high: Floats  # (3,) [m]
     area: float  # [m^2] of its surface
     particles: int  # inside it; of a region, those nearest to its surface
-    thickness: float  # [m] 2 V / A: the thickness of a plate, the radius of a rod
+    wall: float  # [m] 2 V / A: the thickness of a plate, the radius of a rod
     suggested: int | None  # particles of the bake that would fill it; None: above `SENSIBLE`
+    rays: tuple[Floats, Floats]  # points (n, 3) [m] of its surface, and normals
+    thickness: float = 0.0  # [m] median along rays inward: the diameter of a rod
 
     @property
     def size(self) -> float:
@@ -61,7 +66,7 @@ class Part:
     @property
     def loose(self) -> bool:
         """Whether it consists of faces that enclose no volume."""
-        return self.thickness <= LOOSE * self.size
+        return self.wall <= LOOSE * self.size
 
     @property
     def center(self) -> Floats:
@@ -83,6 +88,7 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
         settled |= {(number, part.shell) for part in found}
         settled |= {(number, shell) for shell in hollow}
     parts += _poor_regions(solid, labels, settled, particles, samples)
+    parts = _with_thickness(solid, parts)
     return tuple(sorted(parts, key=lambda part: -part.size))
 
 
@@ -108,12 +114,12 @@ def _poor_shells(
             continue
         X = particles.X[tree.query_ball_point(0.5 * (low[k] + high[k]), reach[k])]
         count = int(winding.winding_inside(points, triangles[rows], X).sum()) if len(X) else 0
-        thickness = float(2.0 * volume[k] / area[k]) if area[k] > 0.0 else 0.0
+        wall = float(2.0 * volume[k] / area[k]) if area[k] > 0.0 else 0.0
         kind = "empty" if count == 0 else "few" if count < FEW else ""
-        kind = kind or ("thin" if thickness < THIN * particles.spacing else "")
+        kind = kind or ("thin" if wall < THIN * particles.spacing else "")
         if not kind:
             continue
-        spacing = min(thickness, float(np.cbrt(volume[k] / FEW)))
+        spacing = min(wall, float(np.cbrt(volume[k] / FEW)))
         found.append(
             Part(
                 path=solid.surfaces[number].path,
@@ -123,7 +129,8 @@ def _poor_shells(
                 high=high[k],
                 area=float(area[k]),
                 particles=count,
-                thickness=thickness,
+                wall=wall,
+                rays=spread(points, triangles[rows], RAYS),
                 suggested=_particles_for(solid, spacing),
             )
         )
@@ -145,6 +152,7 @@ def _poor_regions(
     poor = np.flatnonzero((distance > BARE * s) | _thin(solid, X, at.normal, s))
     if len(poor) == 0:
         return []
+    moved, normal = X[poor], at.normal[poor]
     X, area, owner = samples.X[poor], samples.area[poor], at.surface[poor]
     # The shell of a row of Surface.triangles is that of its welded triangle.
     shell = np.full(len(poor), -1)
@@ -171,7 +179,8 @@ def _poor_regions(
         ):
             continue
         volume = _volume_where(solid, low - s, high + s, lambda P, k=k: home[tree.query(P)[1]] == k)
-        thick = float(2.0 * volume / area[rows].sum())
+        wall = float(2.0 * volume / area[rows].sum())
+        some = rows[:: max(1, len(rows) // RAYS)]
         found.append(
             Part(
                 path=solid.surfaces[owner[rows[0]]].path,
@@ -181,11 +190,30 @@ def _poor_regions(
                 high=high,
                 area=float(area[rows].sum()),
                 particles=int(count[k]),
-                thickness=thick,
-                suggested=_particles_for(solid, thick / WHOLE_LAYER),
+                wall=wall,
+                rays=(moved[some], normal[some]),
+                suggested=_particles_for(solid, wall / WHOLE_LAYER),
             )
         )
     return found
+
+
+def _with_thickness(solid: Solid, parts: Sequence[Part]) -> list[Part]:
+    """The parts with their thickness, which is the wall where no ray gives one."""
+    parts = [replace(part, thickness=part.wall) for part in parts]
+    solids = [part for part in parts if part.wall > 0.0]
+    if not solids:
+        return parts
+    start, normal = (np.concatenate(ends) for ends in zip(*(part.rays for part in solids)))
+    counts = [len(part.rays[0]) for part in solids]
+    clear = np.repeat([CLEAR_OF_WALL * part.wall for part in solids], counts)
+    lengths = np.split(chords(solid, start, normal, clear), np.cumsum(counts)[:-1])
+    found = {
+        id(part): replace(part, thickness=float(np.nanmedian(length)))
+        for part, length in zip(solids, lengths, strict=True)
+        if np.isfinite(length).any()
+    }
+    return [found.get(id(part), part) for part in parts]
 
 
 def _off_edges(solid: Solid, X: Floats, at: Nearest) -> Floats:

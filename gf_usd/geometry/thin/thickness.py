@@ -47,15 +47,29 @@ def ray_lengths(solid: Solid, rays: int) -> Floats:
 
     Points inside another surface, and rays that leave through a hole, are left out.
     """
-    center = 0.5 * (solid.low + solid.high)
-    points = np.concatenate([s.points for s in solid.surfaces]) - center
-    first = np.cumsum([0, *(len(s.points) for s in solid.surfaces)])
-    faces = np.concatenate([t + o for t, o in zip(solid.triangles, first)])
+    points, faces = _mesh(solid)
     clear = CLEAR * float(np.linalg.norm(solid.high - solid.low))
-    start, normal = _spread(points, faces, rays)
+    length = chords(solid, *spread(points, faces, rays), np.full(rays, clear))
+    return length[np.isfinite(length)]
+
+
+def chords(solid: Solid, start: Floats, normal: Floats, clear: Floats) -> Floats:
+    """(n,) [m] lengths of inward rays from points (n, 3) on the surface of the union.
+
+    nan for points inside another surface, and for rays that leave through a hole.
+
+    normal : (n, 3) unit, outward or inward; clear : (n,) [m] offset from the surface for an
+        unambiguous inside test.
+    """
+    center = 0.5 * (solid.low + solid.high)
+    points, faces = _mesh(solid)
+    points = points - center
+    length = np.full(len(start), np.nan)
+    start, clear = start - center, clear[:, None]
     ahead, behind = (solid.inside(start + side * clear * normal + center) for side in (1.0, -1.0))
     bounds = ahead != behind
     inward = np.where(ahead[bounds, None], 1.0, -1.0) * normal[bounds]
+    clear = clear[bounds]
     start = start[bounds] + clear * inward
     tree = igl.AABB()
     tree.init(points, faces)
@@ -73,11 +87,19 @@ def ray_lengths(solid: Solid, rays: int) -> Floats:
     probes = start[:, None, :] + middle[:, :, None] * inward[:, None, :]
     goes_on[ends_inside] = solid.inside(probes[ends_inside] + center)
     last = np.argmin(goes_on, axis=1)
-    length = ends[np.arange(len(ends)), last] + clear
-    return length[np.isfinite(length)]
+    found = ends[np.arange(len(ends)), last] + clear[:, 0]
+    length[bounds] = np.where(np.isfinite(found), found, np.nan)
+    return length
 
 
-def _spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
+def _mesh(solid: Solid) -> tuple[Floats, Ints]:
+    """Points (V, 3) [m] and triangles of all surfaces."""
+    points = np.concatenate([s.points for s in solid.surfaces])
+    first = np.cumsum([0, *(len(s.points) for s in solid.surfaces)])
+    return points, np.concatenate([t + o for t, o in zip(solid.triangles, first)])
+
+
+def spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
     """(count, 3) points on triangles, sampled uniformly by area, and their unit normals."""
     a, b, c = np.moveaxis(points[faces], 1, 0)
     normal = cross(b - a, c - a)

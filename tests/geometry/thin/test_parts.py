@@ -127,3 +127,23 @@ def test_turned_faces_do_not_look_thin():
 
 def test_nothing_is_suggested_where_nothing_is_missing():
     assert suggestion(()) is None
+
+
+@pytest.mark.parametrize(("radius", "kind"), [(0.02, "few"), (0.002, "few")])
+def test_a_rod_is_as_thick_as_its_diameter(radius: float, kind: str) -> None:
+    rod = trimesh.creation.cylinder(radius=radius, height=1.0, sections=32)
+    rod.apply_translation((3.0, 0.0, 0.0))
+    (found,) = parts_of(sphere(), surface(rod.vertices, rod.faces, "/Rod"), particles=500)
+    # flat sides of 32 lie between the inner and the outer circle
+    assert 2.0 * radius * np.cos(np.pi / 32) - 1e-9 <= found.thickness <= 2.0 * radius
+    assert found.wall == pytest.approx(radius, rel=0.05)
+
+
+def test_the_thickness_of_an_end_of_a_shell_is_its_diameter() -> None:
+    # a ball with a spine, of one shell
+    profile = [[0.0, -1.0], [1.0, 0.0], [0.03, 0.99], [0.03, 3.0], [0.0, 3.0]]
+    mesh = trimesh.creation.revolve(np.array(profile), sections=32)
+    mesh.fix_normals()
+    found = parts_of(surface(mesh.vertices, mesh.faces, "/Body"), particles=300)
+    spine = max(found, key=lambda part: part.high[2])
+    assert spine.thickness == pytest.approx(0.06, rel=0.02)
