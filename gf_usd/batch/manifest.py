@@ -32,6 +32,7 @@ SUFFIXES = (".toml", ".json")
 OUT = "baked"
 RETRIES = 1
 SHORTEST = 0.1  # [s] of a time limit
+UNSET = "default"  # as a value: that of the asset or of bake, whatever else is set
 TOP = ("out", "name", "timeout", "retries", "settings", "matrix", "assets")
 GROUP = ("files", "name", "settings", "matrix")
 
@@ -141,7 +142,7 @@ def make_group(
         for value in values:
             clean({**settings, key: value}, where, folder)
     fixed = {k: v for k, v in clean(settings, where, folder).items() if k not in axes}
-    cleaned = {key: [clean({key: v}, where, folder)[key] for v in vs] for key, vs in axes.items()}
+    cleaned = {key: [clean_value(key, v, where, folder) for v in vs] for key, vs in axes.items()}
     return Group(
         files=find_files(patterns, folder, where),
         settings=fixed,
@@ -268,10 +269,17 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
     return out
 
 
+def clean_value(key: str, value: Any, where: str, folder: Path) -> Any:
+    """The checked value of an axis, or UNSET; see `clean`."""
+    return clean({key: value}, where, folder).get(key, UNSET)
+
+
 def checked(
     given: Mapping[str, Any], where: str, known: Mapping[str, Option] = KNOWN
 ) -> dict[str, Any]:
     """Options with the names and values of the command line; paths are unchanged.
+
+    An option that is UNSET, or null in JSON, is left out.
 
     known : the allowed options.
 
@@ -285,7 +293,10 @@ def checked(
                 f"{where}: unknown option {key!r}",
                 f"{nearest(name, known)}the options are {', '.join(sorted(known))}",
             )
-        out[name] = _typed(known[name], value, where)
+        if is_unset(value):
+            out.pop(name, None)  # which may be there by its other spelling
+        else:
+            out[name] = _typed(known[name], value, where)
     fields = Request.__dataclass_fields__
     try:
         Request.of({name: value for name, value in out.items() if name in fields}).check()
@@ -295,6 +306,11 @@ def checked(
     except UsageError as error:
         raise UsageError(f"{where}: {error.message}", error.hint) from error
     return out
+
+
+def is_unset(value: Any) -> bool:
+    """Whether a value stands for the default."""
+    return value is None or value == UNSET
 
 
 def _as_in_python(option: Option, value: Any, where: str) -> Any:
@@ -329,6 +345,8 @@ def _typed(option: Option, value: Any, where: str) -> Any:
 
 def parse(name: str, text: str, where: str) -> Any:
     """The value of NAME=VALUE on the command line.  Raises UsageError for an invalid one."""
+    if is_unset(text):
+        return UNSET
     option = KNOWN.get(name.replace("-", "_"))
     kind = option.kind if option else str
     if kind is bool and text in ("true", "false"):

@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from gf_usd.batch.job import RECORD, Job
-from gf_usd.batch.manifest import Group, Manifest, material_files, obstacle_files
+from gf_usd.batch.manifest import Group, Manifest, is_unset, material_files, obstacle_files
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.prepare.outputs import outputs, sequences
 
@@ -88,8 +88,9 @@ def _jobs(group: Group, out: Path) -> list[Job]:
     jobs = []
     for asset in group.files:
         for values in itertools.product(*axes.values()):
-            options = {**group.settings, **dict(zip(axes, values))}
-            name = name_of(template, asset, options, group.where)
+            chosen = {**group.settings, **dict(zip(axes, values))}
+            name = name_of(template, asset, chosen, group.where)
+            options = {key: value for key, value in chosen.items() if not is_unset(value)}
             jobs.append(Job(name=name, asset=asset, root=out / f"{name}.usda", options=options))
     return jobs
 

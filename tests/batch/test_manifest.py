@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from gf_usd.batch.manifest import read_manifest
+from gf_usd.batch.plan import make_plan
+from gf_usd.cli.batch.arguments import Arguments, parse_settings, plan_of
 from gf_usd.core.errors import InputError, UsageError
 
 TOML = """
@@ -133,3 +135,58 @@ def test_a_material_file_is_found_from_the_manifest(folder: Path) -> None:
     text = '[settings]\nmaterial = "looks/wax.usda"\n[[assets]]\nfiles = ["models/a.usda"]'
     (group,) = read_manifest(written(folder, text)).groups
     assert group.settings["material"] == str(folder / "looks" / "wax.usda")
+
+
+UNSET = """
+[settings]
+floor = "none"
+damping_time = 0.5
+repair = true
+pins = ["/A"]
+
+[matrix]
+friction = ["default", 0.1]
+seed = [0, 1]
+
+[[assets]]
+files = "models/a.usda"
+settings = { floor = "default", damping-time = "default", repair = "default", pins = "default", seed = "default" }
+
+[[assets]]
+files = "models/b.usda"
+"""  # noqa: E501
+
+
+def test_a_group_takes_back_what_all_have(folder: Path) -> None:
+    first, second = read_manifest(written(folder, UNSET)).groups
+    assert first.settings == {}
+    assert first.matrix == {"friction": ["default", 0.1]}, "what a group takes back is no axis"
+    assert second.settings == {"floor": "none", "damping_time": 0.5, "repair": True, "pins": ["/A"]}
+
+
+def test_null_in_json_is_the_default(folder: Path) -> None:
+    rows = [{"files": "models/a.usda", "settings": {"floor": None}}]
+    text = json.dumps({"settings": {"floor": "none", "seed": 3}, "assets": rows})
+    (group,) = read_manifest(written(folder, text, "toys.json")).groups
+    assert group.settings == {"seed": 3}
+
+
+def test_the_default_is_a_value_of_an_axis(folder: Path) -> None:
+    jobs = make_plan(read_manifest(written(folder, UNSET))).jobs
+    assert [(job.name, job.options) for job in jobs[:2]] == [
+        ("a.rubber.frictiondefault", {}), ("a.rubber.friction0.1", {"friction": 0.1}),
+    ]  # fmt: skip
+
+
+def test_the_default_of_no_option_is_refused(folder: Path) -> None:
+    text = UNSET.replace('floor = "default"', 'flor = "default"')
+    with pytest.raises(UsageError, match=r"assets 1: unknown option 'flor'"):
+        read_manifest(written(folder, text))
+
+
+def test_the_command_line_takes_back_what_a_manifest_sets(folder: Path) -> None:
+    path = written(folder, UNSET)
+    given = parse_settings(["floor=default", "damping-time=default", "friction=default"], {})
+    jobs = plan_of([str(path)], Arguments(settings=given)).jobs
+    assert jobs[-1].options == {"repair": True, "pins": ["/A"], "seed": 1}
+    assert all({"friction", "floor"}.isdisjoint(job.options) for job in jobs)

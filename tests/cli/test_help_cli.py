@@ -102,3 +102,16 @@ def test_a_shell_is_told_what_a_choice_may_be(gf_usd, monkeypatch) -> None:
     monkeypatch.setenv("COMP_WORDS", "gf-usd bake x.usda --device c")
     monkeypatch.setenv("COMP_CWORD", "4")
     assert gf_usd().out.split() == ["cpu", "cuda"]
+
+
+def test_an_empty_file_takes_back_the_options_of_a_folder_above(
+    gf_usd, here: Path, block: Path, monkeypatch
+) -> None:
+    (here / "gf-usd.toml").write_text("[bake]\nparticles = 200\n")
+    below = here / "shots"
+    below.mkdir()
+    (below / "gf-usd.toml").touch()
+    monkeypatch.chdir(below)
+    done = gf_usd("bake", block, "--dry-run", "--json", "--particles", "100")
+    assert done.status == 0, done.err
+    assert done.err.startswith(f"note: {below / 'gf-usd.toml'}: no options")

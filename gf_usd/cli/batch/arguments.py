@@ -14,6 +14,7 @@ from gf_usd.batch.manifest import (
     Manifest,
     absolute,
     clean,
+    clean_value,
     make_group,
     parse,
     read_manifest,
@@ -138,14 +139,17 @@ def _of_assets(sources: Sequence[str], arguments: Arguments) -> Manifest:
 def _overridden(manifest: Manifest, arguments: Arguments) -> Manifest:
     """A manifest whose settings and axes are replaced by those of the command line."""
     axes = {
-        key: [clean({key: value}, "the command line", Path.cwd())[key] for value in values]
+        key: [clean_value(key, value, "the command line", Path.cwd()) for value in values]
         for key, values in _axes(arguments).items()
     }
-    settings = clean(arguments.settings or {}, "the command line", Path.cwd())
+    given = arguments.settings or {}
+    settings = clean(given, "the command line", Path.cwd())
+    fixed = {name.replace("-", "_") for name in given} - axes.keys()
     groups = []
     for group in manifest.groups:
-        own = {k: v for k, v in {**group.settings, **settings}.items() if k not in axes}
-        matrix = {k: v for k, v in {**group.matrix, **axes}.items() if k not in settings}
+        kept = {k: v for k, v in group.settings.items() if k not in fixed}
+        own = {k: v for k, v in {**kept, **settings}.items() if k not in axes}
+        matrix = {k: v for k, v in {**group.matrix, **axes}.items() if k not in fixed}
         groups.append(
             replace(group, settings=own, matrix=matrix, name=arguments.name or group.name)
         )
