@@ -85,6 +85,10 @@ def test_thin_walls_that_take_more_particles_than_asked_for_are_told(plan) -> No
     thin = plan(mesh("Plate", scaled), particles=200)
     assert len(thin.particles) > 400
     assert noted(thin, f"there are {len(thin.particles)} particles instead of 200")
+    assert noted(thin, "for fewer, give a larger --spacing in place of --particles")
+    assert not noted(thin, "at least 16")
+    tiny = plan(mesh("Plate", scaled), particles=2)
+    assert noted(tiny, f"there are {len(tiny.particles)} particles instead of 2: a bake needs at")
     assert not noted(plan(mesh("Block"), particles=200), "instead of")
     # a spacing requires no number
     assert not noted(plan(mesh("Plate", scaled), particles=None, spacing=0.05), "instead")

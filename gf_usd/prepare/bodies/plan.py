@@ -75,7 +75,8 @@ def plan_bodies(
     paths = [s.path for s in solid.surfaces]
     names = tuple(tuple(p for p, k in zip(paths, of) if k == b) for b in range(int(of.max()) + 1))
     notes += [
-        f"<{paths[s]}> holds {counted(n, 'particle')} and is merged with <{paths[host]}>"
+        f"<{paths[s]}> has {counted(n, 'particle')}, too few for a body of its own, and is one"
+        f" body with <{paths[host]}>"
         for s, n, host in fused
     ]
     notes += _small(names, np.bincount(body))
@@ -147,9 +148,9 @@ def _small(names: Sequence[Sequence[str]], particles: Ints) -> list[str]:
         return []
     most = int(particles[few].max())
     count = f"{most} particle{'s' * (most > 1)}"
-    holds = f"holds only {count}" if len(few) == 1 else f"hold at most {count} each"
+    have = f"has only {count}" if len(few) == 1 else f"have at most {count} each"
     return [
-        f"{_listed([names[int(k)] for k in few])} {holds}, too few to bend: use more --particles"
+        f"{_listed([names[int(k)] for k in few])} {have}, too few to bend: give more --particles,"
         " or a smaller --spacing"
     ]
 

@@ -96,15 +96,18 @@ def count_notes(requested: int, particles: Particles, *, sheets: bool) -> tuple[
         return ()
     if sheets:
         return (
-            f"sheets of one layer have {count} particles instead of {requested}: --spacing sets how"
-            " fine they are",
+            f"sheets of one layer have {count} particles instead of {requested}: --spacing sets"
+            " the distance between them",
         )
     if count < requested:
         return ()
-    from gf_usd.geometry.sampling.particles import CELL_PER_LATTICE
+    from gf_usd.geometry.sampling.particles import CELL_PER_LATTICE, LEAST_PARTICLES
 
+    few = requested < LEAST_PARTICLES
+    least = f"a bake needs at least {LEAST_PARTICLES}, and " if few else ""
     return (
-        f"there are {count} particles instead of {requested}: cells at the surface have four or"
-        " eight each, and parts are thinner than a cell,"
-        f" {CELL_PER_LATTICE * particles.lattice:.3g} m; fewer --particles make the cells larger",
+        f"there are {count} particles instead of {requested}: {least}each cell of the grid that the"
+        " surface cuts gets four or eight, which are many where the body is thinner than a cell"
+        f" ({CELL_PER_LATTICE * particles.lattice:.3g} m); for fewer, give a larger --spacing in"
+        " place of --particles",
     )

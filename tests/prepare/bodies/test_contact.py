@@ -55,7 +55,9 @@ def crumb(x: float, y: float, *lines: str, apis: tuple[str, ...] = ()) -> str:
 def test_a_crumb_is_one_body_with_what_is_next_to_it(plan) -> None:
     seen = plan(cubes(), crumb(3.4, 1.1))
     assert seen.bodies.surfaces == (("/One",), ("/Two", "/Crumb"))
-    assert noted(seen, "</Crumb> holds 8 particles and is merged with </Two>")
+    assert noted(
+        seen, "</Crumb> has 8 particles, too few for a body of its own, and is one body with </Two>"
+    )
     assert not noted(seen, "that touch")
 
 
@@ -63,7 +65,7 @@ def test_a_crumb_far_from_all_others_is_a_body_that_collides(plan) -> None:
     """One that had no node in common with its body fell through it."""
     seen = plan(cubes(), crumb(3.4, 2.0))
     assert seen.bodies.surfaces == (("/One",), ("/Two",), ("/Crumb",))
-    assert noted(seen, "</Crumb> holds only 8 particles, too few to bend: use more")
+    assert noted(seen, "</Crumb> has only 8 particles, too few to bend: give more")
     assert not noted(seen, "merged")
     assert len(seen.contact_setup.skins) == 3
 
