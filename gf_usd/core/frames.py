@@ -327,6 +327,13 @@ class Health:
 AT_REST = 1e-7
 
 
+def pierced_weight(depth: float, through: bool) -> float:
+    """[m] by which depths of obstacles are compared: what has come through, and is seen, counts
+    twice.
+    """
+    return (2.0 if through else 1.0) * depth
+
+
 @dataclass(frozen=True, kw_only=True)
 class Frame:
     """One frame from a solver."""

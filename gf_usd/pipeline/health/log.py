@@ -12,7 +12,7 @@ from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
-from gf_usd.core.frames import Health, Settings, shortened
+from gf_usd.core.frames import Health, Settings, pierced_weight, shortened
 from gf_usd.core.materials.dimensionless import G0
 
 REST = 1e-3  # of the energy scale: a body with less kinetic energy is at rest
@@ -330,8 +330,7 @@ def touches(f: Health) -> bool:
 
 
 def _pierced_weight(f: Health) -> float:
-    """[m] by which depths of obstacles are compared: what is seen counts twice."""
-    return (2.0 if f.pierced_through else 1.0) * (f.pierced or 0.0)
+    return pierced_weight(f.pierced or 0.0, bool(f.pierced_through))
 
 
 def flight_drift(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.frames import pierced_weight
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.narrow_phase import PosedSkin
@@ -41,8 +42,8 @@ class Pierced:
 
     @property
     def weight(self) -> float:
-        """[m] by which it is compared with others: what is seen counts twice."""
-        return (1.0 + self.through) * self.depth
+        """[m] by which it is compared with others."""
+        return pierced_weight(self.depth, self.through)
 
 
 class Piercing:

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from contact_scenes import contact_solver, obstacle
-from solids import cube
+from solids import cube, settings
 
-from gf_usd.physics.contact.obstacles.piercing import EVERY
+from gf_usd.core.frames import Health
+from gf_usd.physics.contact.obstacles.piercing import EVERY, Pierced
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.pipeline.health.log import HealthLog
 
 LAST = 4  # frame, which is always measured
 POST = 0.3  # [m] half the width of an obstacle
@@ -109,3 +111,13 @@ def test_an_edge_that_comes_through_a_cloth_counts_as_overlap() -> None:
     assert (frames[-1].health.pierced or 0.0) > 0.0
     for frame in frames:
         assert frame.health.overlap >= (frame.health.pierced or 0.0)
+
+
+def test_depths_in_a_frame_and_over_frames_are_compared_alike() -> None:
+    found = [Pierced(depth=0.5), Pierced(depth=0.3, through=True), Pierced(depth=0.2)]
+    frames = [Health(pierced=one.depth, pierced_through=one.through) for one in found]
+    deepest = max(range(3), key=lambda k: found[k].weight)
+    log = HealthLog(settings(), spacing=1.0, drop=0.0, radius=1.0, particles=1)
+    for frame in frames:
+        log.add(frame)
+    assert log.summary()["pierced_frame"] == deepest == 1
