@@ -40,6 +40,7 @@ SENSIBLE = 2_000_000  # particles: more is no advice
 DEFAULT_FPS = 24.0
 LEAD = 1.0  # [s] that a pre-roll takes at least: what its start shakes up dies away
 DEFAULT_DROP = Height(value=3.0, in_radii=True)
+ON_FLOOR = Height(value=0.0, in_radii=False)
 
 # GaussianFlesh section 4, with what it leaves out as fitted in docs/physics.md: a unit sphere,
 # so that rates are given in units of 1/T with its T.
@@ -224,10 +225,13 @@ def resolve(
     fps = request.fps or (60.0 * PAPER_T / T if paper else playback)
     requested = request.parsed
     floor, normal = floor_plane(requested["floor"], facts.up, facts.units.length)
-    still = Height(value=0.0, in_radii=False) if facts.says_physics and not paper else DEFAULT_DROP
-    height = (requested["drop"] or still).meters(radius, facts.units.length)
+    placed = facts.says_physics and not paper and requested["drop"] is None
+    drop = ON_FLOOR if placed else requested["drop"] or DEFAULT_DROP
+    height = drop.meters(radius, facts.units.length)
     # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
     lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
+    if placed:  # by the stage, which may have it in the air
+        lift = max(lift, 0.0)
     if animation or (request.drop is None and (request.pins or attached or floor is None)):
         lift = 0.0
     elif floor is None:

@@ -157,10 +157,15 @@ def test_drop_in_stage_units_and_in_radii() -> None:
 
 
 def test_a_stage_with_physics_stays_where_it_is() -> None:
-    # A physics stage has placed its things; lifted onto the floor, not above it.
+    # A physics stage has placed its things: they fall from there, but not from below the floor.
     stage_facts = facts(says_physics=True)
-    assert height(settled(lowest=0.5, stage_facts=stage_facts)) == pytest.approx(-0.5)
+    assert height(settled(lowest=0.5, stage_facts=stage_facts)) == 0.0
+    assert height(settled(lowest=0.5, stage_facts=stage_facts, floor="0.2")) == 0.0
+    assert height(settled(lowest=-0.5, stage_facts=stage_facts)) == pytest.approx(0.5)
+    assert height(settled(lowest=0.1, stage_facts=stage_facts, floor="0.2")) == pytest.approx(0.1)
+    assert height(settled(lowest=-0.5, stage_facts=stage_facts, floor="none")) == 0.0
     assert height(settled(lowest=0.5, stage_facts=stage_facts, drop="1r")) == pytest.approx(0.5)
+    assert height(settled(lowest=0.5, stage_facts=stage_facts, drop="0")) == pytest.approx(-0.5)
 
 
 def test_rates_are_in_units_of_the_body() -> None:

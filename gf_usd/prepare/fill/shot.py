@@ -68,6 +68,7 @@ def plan_shot(
             " --floor adds one",
         )
     notes += _deep_notes(settings, gap, filled.particles.spacing, inputs)
+    notes += _raised_notes(settings, lowest, inputs)
     require_resolved(request, settings, gap, filled.particles.spacing)
     return Shot(
         settings=settings,
@@ -88,6 +89,18 @@ def _deep_notes(settings: Settings, gap: float, spacing: float, inputs: Inputs) 
     return (
         f"the asset begins {-gap:.3g} m ({-gap / spacing:.2g} spacings) below the floor, which"
         f" pushes it out at once: lower --floor{to}{', or leave it out' if given else ''}",
+    )
+
+
+def _raised_notes(settings: Settings, lowest: float, inputs: Inputs) -> tuple[str, ...]:
+    """A note where what a physics stage has placed below the floor is moved up onto it."""
+    raised = float(np.dot(settings.lift, settings.normal))
+    asked = inputs.request.drop is not None or inputs.request.preset == "paper"
+    if not inputs.asset.facts.says_physics or asked or raised <= 0.0:
+        return ()
+    return (
+        f"the asset begins {raised:.3g} m below the floor and is moved up onto it: --floor"
+        f" {lowest / inputs.unit:.3g} keeps it where it is, with a floor there",
     )
 
 

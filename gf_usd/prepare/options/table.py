@@ -133,7 +133,7 @@ class RequestOptions:
     )] = False
     drop: Annotated[float | str | None, Option(
         SCENE, "Height from which the body falls [stage units], or in radii of the body: 3r.",
-        shown="3r; 0 if the stage has physics; not moved with --pin or without a floor",
+        shown="3r; not moved if the stage has physics, with --pin, or without a floor",
         parse=texts.parse_drop, write=values.length,
     )] = None
     gravity: Annotated[float | Vector | str | None, Option(
