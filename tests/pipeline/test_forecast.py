@@ -307,12 +307,3 @@ def test_a_damping_that_makes_the_step_short_is_told_with_a_time_that_does_not()
     assert line.endswith("its damping time of 0.002 s takes 200000")
     for calm in ({"damping_ratio": 2.0}, {"seconds": 10.0}):
         assert shortcuts({"per_material": [{**row, **calm}]}, [made]) == ()
-
-
-def test_contact_of_a_part_without_mass_that_makes_the_step_short_is_told() -> None:
-    made = PHYSICAL["foam"].material(0.04)
-    row = {"name": "foam", "seconds": 60.0, "contact_factor": 820.0, "substeps_per_frame": 50_433}
-    (line,) = shortcuts({"per_material": [row]}, [made])
-    assert line.startswith("contact makes foam take 50433 substeps a frame, 820 times as many")
-    for calm in ({"contact_factor": 3.0}, {"seconds": 10.0}):
-        assert shortcuts({"per_material": [{**row, **calm}]}, [made]) == ()

@@ -9,6 +9,10 @@ resolve, so that the duration of an impact agrees with Hertz's theory. The secon
 within about a quarter of a spacing where the body is soft. The third limits the depth of a body at
 rest to a tenth of s under the largest pressure of its own weight, which for a sphere is Hertz's p0
 (Johnson 1985, eq. 4.24; half a spacing without this term, measured).
+
+A sample of area A has the mass m = rho A s of a layer one spacing thick. In a blade, at a sharp
+edge or on a face that encloses nothing it moves less (`layers_moved`): the mass in its damping is
+at most LIGHT times that, and the mass in its stiffness at most STIFF times that.
 """
 
 from __future__ import annotations
@@ -41,6 +45,13 @@ PAIR_STIFFNESS = 2.0
 # springs between bodies harden from depth 0 on, by the same term.
 HARD = 0.2
 REST_DEPTH = 0.045  # of s; twice as deep for jelly, whose strain is too large for Hertz's theory
+# Largest mass of a sample in its damping and its stiffness, in masses that it moves. A layer one
+# spacing thick is 1 of these on the faces of a thick body, 2 at the edges of a cube, up to 3.4 at
+# its corners and in the samples, 4 on a sheet half a spacing thick (measured). Damping of the layer
+# would be overcritical at a knife edge, which takes more substeps than stiffness. Thin parts also
+# bear what lies on them: with STIFF = 4 leaves under a ball overlap by .3 spacings, with 16 by .08.
+LIGHT = 4.0
+STIFF = 16.0
 
 
 NO_FLOOR = -1e9  # [m] height of the floor where there is none
@@ -67,7 +78,8 @@ class FloorContact:
     driven: sparse.csr_matrix | None  # the same for prescribed nodes; None: there are none
     # (n + points, nodes) weights of free nodes, and of those of rigid regions
     nodes: sparse.csr_matrix
-    mass: Floats  # (n,) [kg] represented by each sample: rho * area * s
+    layer: Floats  # (n,) [kg] of a layer one spacing thick: rho * area * s
+    mass: Floats  # (n,) [kg] in the damping: that, or less where it moves less
     stiffness: Floats  # (n,) [N/m]
     pair_stiffness: Floats  # (n,) [N/m] in contact with a body or an obstacle
     damping: Floats  # (n,) [N s/m]
@@ -169,6 +181,7 @@ def build_contact(
     rate: float | None = None,
     mass: NodalMass | None = None,
     points: int = 0,
+    carried: sparse.csr_matrix | None = None,
 ) -> FloorContact:
     """Contact samples with their rows; material values are per sample (n,).
 
@@ -176,6 +189,7 @@ def build_contact(
     friction is viscous as in the paper.
     mass : of the free nodes; None: lumped.
     points : rows of points of obstacles.
+    carried : (n, nodes) weights by which samples move, where these are not their rows.
     """
     # The floor acts on sliding nodes too: a sample has one row for all axes.
     rows = stencil.across.rows(samples.X, samples.body, samples.cell_copy, gradients=False)
@@ -194,18 +208,22 @@ def build_contact(
             mine.eliminate_zeros()
             nodes = sparse.csr_matrix(sparse.hstack([rows.W, mine], format="csr"))
             nodes.sort_indices()
-    m = density * samples.area * spacing
+    mass = lumped_mass(stencil) if mass is None else mass
+    W = rows.W if carried is None else carried
+    layer = density * samples.area * spacing
+    moved = layers_moved(W, layer, mass) if rate is None else np.zeros_like(layer)
+    m = layer * (LIGHT / np.maximum(LIGHT, moved))
+    stiff = layer * (STIFF / np.maximum(STIFF, moved))
 
     def stiffness(times: float) -> Floats:
         if rate is not None:
-            return m * rate
-        return m * stiffness_per_mass(
+            return stiff * rate
+        return stiff * stiffness_per_mass(
             modulus=modulus, spacing=spacing, impact_speed=impact_speed, pressure=pressure,
             density=density, times=times,
         )  # fmt: skip
 
     k = stiffness(1.0)
-    mass = lumped_mass(stencil) if mass is None else mass
     c = damping_coefficient(k, m, restitution)
     return FloorContact(
         samples=samples,
@@ -213,6 +231,7 @@ def build_contact(
         constants=constants,
         driven=driven,
         nodes=_with_empty_rows(nodes, points),
+        layer=layer,
         mass=m,
         stiffness=k,
         pair_stiffness=stiffness(PAIR_STIFFNESS),
@@ -222,8 +241,8 @@ def build_contact(
         restitution=np.broadcast_to(restitution, m.shape).astype(float),
         linear=STOPPING_DISTANCE * spacing,
         hardening=(HARD * spacing) ** -2 if rate is None else 0.0,
-        omega2=contact_eigenvalue(rows.W, k, mass),
-        damping_rate=contact_eigenvalue(rows.W, c, mass),
+        omega2=contact_eigenvalue(W, k, mass),
+        damping_rate=contact_eigenvalue(W, c, mass),
         points=points,
     )
 
@@ -233,6 +252,18 @@ def _with_empty_rows(W: sparse.csr_matrix, more: int) -> sparse.csr_matrix:
     start = np.append(W.indptr, np.full(more, W.indptr[-1], W.indptr.dtype))
     shape = (W.shape[0] + more, W.shape[1])
     return sparse.csr_matrix((W.data, W.indices, start), shape=shape)
+
+
+def layers_moved(W: sparse.csr_matrix, layer: Floats, mass: NodalMass) -> Floats:
+    """(n,) masses of samples, relative to what they move: y = |W| M^-1 |W|^T layer.
+
+    With forces proportional to `layer` (n,) [kg] on all samples, sample s accelerates y_s times as
+    fast as a mass of `layer` would alone. With masses m of at most STIFF / y of the layer, the
+    largest eigenvalue of M^-1 W^T diag(m) W, which is that of diag(m / layer) W M^-1 W^T
+    diag(layer), is at most STIFF: its rows have sums of at most that (lumped M).
+    """
+    size = abs(W)
+    return np.asarray(size @ ((size.T @ layer) / mass.lumped))
 
 
 def contact_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: NodalMass) -> float:

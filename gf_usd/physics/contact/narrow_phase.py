@@ -192,7 +192,10 @@ def pair_values(
             mu[at] = wall_friction
         if wall_restitution is not None:
             e[at] = wall_restitution
-    return {"stiffness": k, "mass": m, "friction": mu, "damping": damping_coefficient(k, m, e)}
+    layer = np.array(contact.layer[of], float)
+    layer[a] = layer[a] * layer[b] / (layer[a] + layer[b])
+    damping = damping_coefficient(k, m, e)
+    return {"stiffness": k, "mass": m, "layer": layer, "friction": mu, "damping": damping}
 
 
 class PosedSkin:

@@ -137,7 +137,7 @@ class PairSprings:
         fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed)))
         coming = largest_depth(
             depth, fastest, np.where(self.calm, 0.0, self.fall)[faces], self.span, self.k[faces],
-            self.values["mass"][faces], self.hardening,
+            self.values["layer"][faces], self.hardening,
         )  # fmt: skip
         # Detection precedes a closer approach; a larger estimate indicates a failing frame.
         return np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)

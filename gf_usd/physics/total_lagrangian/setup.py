@@ -385,6 +385,7 @@ def surface_contact(
     speed: float = 0.0,
     mass: NodalMass | None = None,
     colliders: Sequence[Collider] = (),
+    carried: sparse.csr_matrix | None = None,
 ) -> FloorContact | None:
     """Contact samples with the material of the nearest particle; None where there is no contact.
 
@@ -394,6 +395,7 @@ def surface_contact(
     datum : [m] lowest point of the obstacles along the floor's normal.
     speed : [m/s] of the fastest body at the start; mass : of the nodes, None: lumped.
     colliders : obstacles whose edges and corners are contact samples, too.
+    carried : see `build_contact`.
     """
     if samples is None or (settings.floor is None and not meets):
         return None
@@ -430,6 +432,7 @@ def surface_contact(
         rate=settings.contact_rate,
         mass=mass,
         points=capacity(colliders, len(samples.X), particles.spacing),
+        carried=carried,
     )
 
 

@@ -14,7 +14,7 @@ from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import stiffest_by_conversion
 from gf_usd.core.stage import ContactSetup, Pin
-from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact, largest_eigenvalue
+from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact
 from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.grid.reference import CHUNK, Stencil, build_stencil
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
@@ -200,22 +200,18 @@ def floor_contact(
     ride : how the samples are embedded in the particles at rest, `embed` or `attach`.
     meets, datum, speed : as for `surface_contact`; without contact, only the fall speed matters.
     """
-    contact = surface_contact(
-        samples, particles, stencil, settings, per,
-        meets=meets, datum=datum, speed=speed if meets else 0.0,
-    )  # fmt: skip
-    if contact is None or samples is None:
+    if samples is None or (settings.floor is None and not meets):
         return None, None
     embedding = ride(samples.X, particles.X)
     used, within = np.unique(embedding.particle, return_inverse=True)
     some = replace(embedding, particle=within.reshape(embedding.particle.shape))
     # attached points need no gradients
     B = some.rows(stencil.rows(particles.X[used], gradients=not embedding.single))
-    return replace(
-        contact,
-        omega2=largest_eigenvalue(B, contact.stiffness, stencil.mass),
-        damping_rate=largest_eigenvalue(B, contact.damping, stencil.mass),
-    ), embedding
+    contact = surface_contact(
+        samples, particles, stencil, settings, per,
+        meets=meets, datum=datum, speed=speed if meets else 0.0, carried=B,
+    )  # fmt: skip
+    return contact, embedding
 
 
 def arrays(body: Body) -> dict[str, Floats]:

@@ -347,25 +347,8 @@ def damping_hint(row: Mapping[str, Any], material: Material) -> str:
     )
 
 
-# Contact factor from which part of a surface has too little mass: 1 to 3 is usual, and 14 for jelly
-# that falls from 60 radii.
-LIGHT = 30.0
-
-
-def light_hint(row: Mapping[str, Any]) -> str:
-    """A hint at parts without mass, where their contact limits the time step; "" otherwise."""
-    factor = float(row.get("contact_factor", 1.0))
-    if factor < LIGHT or row["seconds"] < DAMPED:
-        return ""
-    return (
-        f"contact makes {row['name']} take {row['substeps_per_frame']} substeps a frame,"
-        f" {factor:.0f} times as many as without: part of the surface has hardly any mass, such as"
-        " faces that enclose nothing; remove them, or try --repair"
-    )
-
-
 def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
-    """Hints for long bakes: a shorter damping time, a mended mesh, or --mass-scaling.
+    """Hints for long bakes: a shorter damping time, or --mass-scaling.
 
     The suggested mass scaling is the largest factor, in two digits, for which the elastic strain at
     yield of a flowing material stays below ELASTIC.
@@ -375,8 +358,6 @@ def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
         material = next(m for m in materials if m.name == row["name"])
         if less := damping_hint(row, material):
             found.append(less)
-        if light := light_hint(row):
-            found.append(light)
         strain = material.yield_strain
         if row["seconds"] < LONG or strain is None or not 0.0 < strain <= ELASTIC / 4.0:
             continue
