@@ -72,4 +72,4 @@ def _excluded(bake: PrimBake) -> str:
 
 
 def _obstacle(role: str) -> str:
-    return f"it is a {role} collider: an obstacle"
+    return f"{role} colliders are obstacles"

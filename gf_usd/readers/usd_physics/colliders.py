@@ -110,8 +110,8 @@ def _shapes(
     found = []
     for prim in prims:
         if prim.GetTypeName() not in (*IMPLICIT, "Mesh", "Plane"):
-            kind = prim.GetTypeName() or "untyped prim"
-            notes.add(f"is a {kind}: only meshes and implicit shapes collide", _name(prim))
+            kind = prim.GetTypeName() or "prims without a type"
+            notes.add(f"only meshes and implicit shapes collide, not {kind}", _name(prim))
             continue
         try:
             found.append(read_shape(prim, reading, notes))

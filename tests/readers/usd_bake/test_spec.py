@@ -28,8 +28,8 @@ def test_a_collider_that_could_not_be_baked_is_called_an_obstacle(plan) -> None:
     wall = mesh("Wall", at(9.0), 'token visibility = "invisible"', apis=[COLLISION])
     seen = plan(mesh("One", at(0.0, 4.0)), ground, wall, prim("Plane", "Backdrop"))
     assert [c.path for c in seen.contact_setup.colliders] == ["/Ground", "/Wall"]
-    assert noted(seen, "</Wall> is not baked: it is a static collider: an obstacle")
-    assert noted(seen, "</Ground> is not baked: it is a static collider: an obstacle")
+    assert noted(seen, "</Wall> is not baked: static colliders are obstacles")
+    assert noted(seen, "</Ground> is not baked: static colliders are obstacles")
     assert noted(
         seen,
         "</Backdrop> is not baked: Plane: only meshes, solid shapes, points and splats are made"
@@ -44,8 +44,8 @@ def test_colliders_are_obstacles_and_no_bodies(plan) -> None:
     assert soft(seen) == ["/One"]
     assert [c.path for c in seen.contact_setup.colliders] == ["/Table", "/Tray"]
     assert [c.moves for c in seen.contact_setup.colliders] == [False, True]
-    assert noted(seen, "</Table> is not baked: it is a static collider: an obstacle")
-    assert noted(seen, "</Tray> is not baked: it is a kinematic collider: an obstacle")
+    assert noted(seen, "</Table> is not baked: static colliders are obstacles")
+    assert noted(seen, "</Tray> is not baked: kinematic colliders are obstacles")
     # SLIDE moves by two meters a time code: frames 0, 1 and 2 are at 1, 2 and 3.
     np.testing.assert_allclose(seen.contact_setup.colliders[1].offset[:, 0], [0.0, 2.0, 4.0])
 
@@ -79,7 +79,7 @@ def test_a_prim_asked_for_by_name_is_baked_all_the_same(plan) -> None:
 def test_a_stage_of_obstacles_only_is_refused_with_every_reason(plan) -> None:
     with pytest.raises(InputError, match="excludes every mesh from the bake") as refused:
         plan(TABLE, mesh("One", OFF, at(3.0)))
-    assert "</Table>: it is a static collider" in str(refused.value)
+    assert "</Table>: static colliders are obstacles" in str(refused.value)
     assert "</One>: the stage turns off its bake" in str(refused.value)
     assert "--prim" in (refused.value.hint or "")
 

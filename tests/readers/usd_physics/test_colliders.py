@@ -236,7 +236,7 @@ def test_colliders_without_a_surface_are_left_out_and_this_is_said(read_physics)
         prim("Xform", "Empty", apis=[COLLISION]), mesh("Flat", squash, apis=[COLLISION])
     )
     assert found.colliders == ()
-    assert found.notes[0] == "</Empty>: is a Xform: only meshes and implicit shapes collide"
+    assert found.notes[0] == "</Empty>: only meshes and implicit shapes collide, not Xform"
     assert found.notes[1].startswith("</Flat>: does not collide: its transform flattens it")
 
 
