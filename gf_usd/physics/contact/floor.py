@@ -90,7 +90,7 @@ class FloorContact:
     hardening: float  # [1/m^2] 1 / a^2 beyond it
     omega2: float  # [1/s^2] largest eigenvalue of M^-1 W^T K W: the contact's stiffest vibration
     damping_rate: float  # [1/s] the same bound for M^-1 W^T C W
-    points: int = 0  # rows of points of obstacles, which no node moves: see `obstacles.edges`
+    points: int = 0  # rows of points of obstacles, which no node moves: see `obstacles.edge_points`
 
     @property
     def count(self) -> int:

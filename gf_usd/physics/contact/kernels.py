@@ -18,9 +18,9 @@ b of one spacing. Its force would be 0, so that results are unchanged. A node li
 while all its samples are skipped.
 
 Bodies and obstacles. A sample s has at most one plane, chosen by `pairs` between substeps. Points
-of obstacles in front of bodies are samples, too, that no node moves (`obstacles.edges`). The plane
-belongs to an obstacle (point q, velocity v_q), or to a body and is then carried by three of its
-samples (`planes.carriers`), with which it rotates at omega,
+of obstacles in front of bodies are samples, too, that no node moves (`obstacles.edge_points`). The
+plane belongs to an obstacle (point q, velocity v_q), or to a body and is then carried by three of
+its samples (`planes.carriers`), with which it rotates at omega,
 
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 

@@ -58,6 +58,10 @@ class ContactSearch:
         """Number of released samples."""
         return int(self._gone.sum())
 
+    def allow(self, rows: Ints, least: Floats) -> None:
+        """Set the smallest possible gaps (k,) [m] of samples `rows` that were not there before."""
+        self._least[rows] = np.minimum(self._least[rows], least)
+
     def candidates(self, rows: Ints, theirs: Floats) -> Ints:
         """Those of the samples `rows` in the box of `theirs` (m, 3) [m], widened by the reach."""
         low, high = corners(theirs)

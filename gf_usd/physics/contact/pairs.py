@@ -30,7 +30,8 @@ from gf_usd.physics.contact.narrow_phase import (
     ContactSearch,
     pair_values,
 )
-from gf_usd.physics.contact.obstacles.edges import ABOUT, EdgePoints
+from gf_usd.physics.contact.obstacles.edge_points import EdgePoints
+from gf_usd.physics.contact.obstacles.edge_search import ABOUT
 from gf_usd.physics.contact.obstacles.obstacle import obstacles
 from gf_usd.physics.contact.obstacles.piercing import Piercing
 from gf_usd.physics.contact.planes import layout
@@ -328,7 +329,9 @@ class BodyContact:
         )  # fmt: skip
         self._persistence.follow(x)
         self._kept[:] = not self.lateness.repeats and self._persistence.kept(old.planes, outlook)
-        search, hold = self._search(now, outlook, pairs, hold, frame, frame_begins=done == 0)
+        search, hold = self._search(
+            now, outlook, pairs, old.depth, hold, frame, frame_begins=done == 0
+        )
         landed = self._until_landed(x, v, floor(left * dt) if floor else None)
         hold = min(hold, landed, self.lateness.bound(time))
         if not old.planes.any_planes and not search.planes.any_planes:
@@ -375,20 +378,21 @@ class BodyContact:
         return self.planes.only(self.watched).active if self.planes.any_planes else self.watched
 
     def _search(
-        self, now: StateView, outlook: Outlook, pairs: Sequence[tuple[int, int]], hold: float,
-        frame: float, *, frame_begins: bool,
+        self, now: StateView, outlook: Outlook, pairs: Sequence[tuple[int, int]], depth: Floats,
+        hold: float, frame: float, *, frame_begins: bool,
     ) -> tuple[ContactSearch, float]:  # fmt: skip
         """What samples face, and for how long [s] that is all.
 
-        pairs, hold : of the broad phase; frame : where the obstacles are.
+        pairs, hold : of the broad phase; depth : (n + m,) [m] under the present planes; frame :
+        where the obstacles are.
         """
         x, span, kept = outlook.x, outlook.span, self._kept
-        self._edges.begin(outlook.time - self._detected, self.planes)
+        of = self.planes.bodies(self._of)
+        mine = kept[of] & (of >= 0)
+        self._edges.begin(outlook.time - self._detected, self.planes, depth, mine)
         shrunk = CLOSER * (self._spacing + WAIT / TRAVEL * np.maximum(self._gap, 0.0))
         search = ContactSearch(x, self._reach, self._gap - shrunk)
         if kept.any():
-            of = self.planes.bodies(self._of)
-            mine = kept[of] & (of >= 0)
             search.keep(np.flatnonzero(mine), self.planes, self._persistence.gaps(self.planes, x))
         searched: dict[int, list[int]] = {}
         for body, other in pairs:
@@ -400,6 +404,7 @@ class BodyContact:
             else:
                 self._search_body(search, bodies, other, now.nodes[0], now.offset)
         if self.contact.points:
+            self._edges.offer(search)
             outlook.v[len(self._X) :] = self._edges.v
         own_hold = self._own.search(
             search, outlook, kept, self._x_before(x), min(hold, span), every_sample=frame_begins

@@ -24,7 +24,7 @@ from gf_usd.physics.contact.floor import (
     hertz_pressure,
     plane_modulus,
 )
-from gf_usd.physics.contact.obstacles.edges import capacity
+from gf_usd.physics.contact.obstacles.edge_points import capacity
 from gf_usd.physics.contact.planes.layout import pack_arrays
 from gf_usd.physics.grid.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS

@@ -1,9 +1,9 @@
 """How deep edges and corners of obstacles are in bodies, or through them.
 
-Contact at points of obstacles (`edges`) holds bodies up, but a spike may go through a thin one.
-From a point of a convex edge or corner a line goes inward to the middle of the obstacle. The last
-place where it leaves the body is as far behind the point as the body would have to be moved, also
-where the point has come out of a thin body on the other side. Where it does not leave it, the
+Contact at points of obstacles (`edge_points`) holds bodies up, but a spike may go through a thin
+one. From a point of a convex edge or corner a line goes inward to the middle of the obstacle. The
+last place where it leaves the body is as far behind the point as the body would have to be moved,
+also where the point has come out of a thin body on the other side. Where it does not leave it, the
 distance to the surface counts. The line advances by the distance to the surface (sphere tracing;
 Hart 1996). What was so at the start does not count.
 """
@@ -22,7 +22,7 @@ from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.narrow_phase import PosedSkin
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle, box_gap
-from gf_usd.physics.contact.obstacles.sharp import SharpFeatures, SharpPoints
+from gf_usd.physics.contact.obstacles.sharp import SharpFeatures, SharpPoints, known_values
 
 STEP = 1.0  # [spacings] between points of an edge
 FIRST = 0.5  # [spacings] depth from which it is measured: less is not visible
@@ -145,11 +145,7 @@ class Piercing:
 
     def _at_start(self, body: int, which: int, key: Ints) -> Floats:
         """(k,) [m] depths of points at the start."""
-        keys, depths = self._start[body, which]
-        if not len(keys):
-            return np.zeros(len(key))
-        at = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
-        return np.where(keys[at] == key, depths[at], 0.0)
+        return known_values(*self._start[body, which], key)
 
     def _depths(self, which: int, frame: float, skin: PosedSkin) -> tuple[Ints, Floats, Ints]:
         """Keys (k,) and depths (k,) [m] of points in a body, and which have come out of it."""

@@ -27,6 +27,12 @@ class SharpPoints:
     at: Floats  # (k,) from the first of them, 0, to the second, 1
     inward: Floats  # (k, 3) unit direction into the obstacle
 
+    def of(self, rows: Ints) -> SharpPoints:
+        """Some of them."""
+        return SharpPoints(
+            key=self.key[rows], ends=self.ends[rows], at=self.at[rows], inward=self.inward[rows]
+        )
+
     def among(self, points: Floats) -> Floats:
         """(k, 3) [m] their positions, with the vertices of the obstacle at points (V, 3) [m]."""
         a, b = points[self.ends[:, 0]], points[self.ends[:, 1]]
@@ -120,6 +126,14 @@ class SharpFeatures:
         normal[some] = normals(points, self._triangles[some])
         corner = self._triangles[face, k]
         return _inward(points, normal, corner, face, self._triangles, len(points))[corners]
+
+
+def known_values(known: Ints, values: Floats, keys: Ints) -> Floats:
+    """(k,) the values (l,) of keys (k,) among known ones (l,), which ascend; 0 of others."""
+    if not len(known):
+        return np.zeros(len(keys))
+    at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+    return np.where(known[at] == keys, values[at], 0.0)
 
 
 def normals(points: Floats, triangles: Ints) -> Floats:

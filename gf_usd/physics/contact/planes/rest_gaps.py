@@ -14,7 +14,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.distance.closest import closest
-from gf_usd.physics.contact.obstacles.edges import EdgePoints
+from gf_usd.physics.contact.obstacles.edge_points import EdgePoints
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.self_contact.search import SelfContact
@@ -63,7 +63,8 @@ class RestGaps:
         if self._last is not None and self._last[0] is partner:
             return self._last[1]
         out = np.zeros(len(partner))
-        out[len(self._body) :] = self._edges.sunk
+        n = len(self._body)
+        out[n:] = np.where(partner[n:] >= 0, self._edges.sunk, 0.0)
         carried = planes.carried
         carried = carried[carried < len(self._body)]
         theirs = self._body[partner[carried]]
