@@ -46,8 +46,8 @@ SAVED = (
 class Outlook:
     """What moves from a detection until the next one."""
 
-    x: Floats  # (n, 3) [m] of the samples
-    v: Floats  # (n, 3) [m/s]
+    x: Floats  # (n + m, 3) [m] of samples and points of obstacles
+    v: Floats  # (n + m, 3) [m/s]
     mean: Floats  # (B, 3) [m/s] of each body
     spread: Floats  # (B,) [m/s] largest deviation of a sample from it
     near: Ints  # (B, O + B) whether a body is near an obstacle, or near another body
@@ -186,7 +186,9 @@ class Persistence:
         return np.bincount(a[too_far], minlength=len(self._members)) > 0
 
     def slid(self, planes: ContactPlanes, x: Floats) -> Floats:
-        """(n,) [m] by which samples have moved along their planes since the search."""
+        """(n + m,) [m] by which samples, and points of obstacles, have moved along their planes
+        since the search.
+        """
         out, rows = np.zeros(len(x)), planes.facing
         place = planes.point[rows] + planes.of(rows).interpolated(x)
         out[rows] = lengths((x[rows] - self.x[rows]) - (place - self.place[rows]))
@@ -202,7 +204,9 @@ class Persistence:
         return np.bincount(of[rows[far]], minlength=len(self._members)) > 0
 
     def gaps(self, planes: ContactPlanes, x: Floats) -> Floats:
-        """(n,) [m] gaps of samples at x (n, 3) [m], by the motion since the search."""
+        """(n + m,) [m] gaps of samples, and of points of obstacles, at x (n + m, 3) [m], by the
+        motion since the search.
+        """
         rows = planes.facing
         out = np.full(len(x), self._reach)
         out[: len(self._of)] -= np.minimum(self.approaches(x), self._reach)[self._of]
@@ -215,8 +219,8 @@ class Persistence:
     ) -> None:  # fmt: skip
         """A detection has searched from the samples of bodies (k,).
 
-        gap : (n,) [m] of the samples; slide : (n,) [m] that they may move along their planes;
-        shift : (n,) [m] of the planes from the true surface; own_until : (B,) see `own_until`.
+        gap : (n + m,) [m] of samples and points of obstacles; slide : (n + m,) [m] that they may
+        move along their planes; shift : (n + m,) [m] of the planes from the true surface; own_until : (B,) see `own_until`.
         """
         of = planes.bodies(self._of)
         mine = np.isin(of, bodies)
