@@ -105,7 +105,7 @@ class EdgeSearch:
             points = features.within(vertices, -end, end)
             self._all[which] = points, points.among(vertices)
         points, x = self._all[which]
-        inside = ((x >= low) & (x <= high)).all(1)
+        inside = np.flatnonzero(((x >= low) & (x <= high)).all(1))
         return points.of(inside), x[inside]
 
     def contacts(

@@ -220,7 +220,8 @@ class Persistence:
         """A detection has searched from the samples of bodies (k,).
 
         gap : (n + m,) [m] of samples and points of obstacles; slide : (n + m,) [m] that they may
-        move along their planes; shift : (n + m,) [m] of the planes from the true surface; own_until : (B,) see `own_until`.
+        move along their planes; shift : (n + m,) [m] of the planes from the true surface;
+        own_until : (B,) see `own_until`.
         """
         of = planes.bodies(self._of)
         mine = np.isin(of, bodies)
