@@ -343,12 +343,15 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
 
 
 def _measured(bake: VariantResult) -> str:
+    from gf_usd.pipeline.measures.rest import at_rest
+
     h = bake.health
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
     overlap = h["deepest_overlap_spacings"]
     met = f", deepest overlap {overlap:.2f} spacings" if overlap else ""
     redone = f", {counted(h['rollbacks'], 'frame')} recomputed" if h["rollbacks"] else ""
-    rest = f", at rest at frame {bake.at_rest}" if bake.at_rest else ""
+    rested = at_rest(bake.at_rest, h) if bake.at_rest else ""
+    rest = f", {rested}" if rested else ""
     return (
         f"{bake.variant}: {counted(bake.frames, 'frame')}{rest},"
         f" {counted(h['substeps'], 'substep')}{redone}, {rebound},"

@@ -49,6 +49,22 @@ def test_what_fell_past_every_obstacle_does_not_keep_the_others_from_resting() -
     assert [rest.reached(h, 5) for h in (moves, moves, fell, fell)] == [False] * 3 + [True]
 
 
+@pytest.mark.parametrize(
+    ("fallen", "bodies", "text"),
+    [
+        (0, 1, "clay: at rest at frame 2"),
+        (1, 1, "clay: ends at frame 2: the body has fallen past every obstacle"),
+        (3, 3, "clay: ends at frame 2: all 3 bodies have fallen past every obstacle"),
+        (1, 3, "clay: at rest at frame 2 (without 1 of 3 bodies, which fell)"),
+    ],
+)
+def test_a_body_that_fell_is_not_said_to_rest(fallen: int, bodies: int, text: str) -> None:
+    frames = [Health(mass=3.0, kinetic=50.0, fallen=fallen, fallen_kinetic=50.0)] * 2
+    summary = {"fallen_bodies": fallen, "fallen_of": bodies} if fallen else {"fallen_bodies": 0}
+    rest = Rest(time_scale(2.0), 2.0)
+    assert rest.message("clay", frames, 9, settled=True, summary=summary) == text
+
+
 @pytest.mark.parametrize("frame_time", [1.0, 3.0, 50.0])
 def test_one_frame_at_rest_is_no_rest(frame_time: float) -> None:
     """However short T is against a frame: what is about to fall is at rest in the first one."""
@@ -156,7 +172,7 @@ def test_the_reason_that_is_given_is_what_keeps_it_from_rest(
     rest = Rest(0.5 * time_scale(2.0), 2.0, moving_frames)
     last = Health(mass=3.0, kinetic=kinetic * 1e-7 * 3.0 * G0 * 2.0)
     assert not rest.reached(last, 4)
-    assert reason in rest.message("clay", [last], 5, settled=False)
+    assert reason in rest.message("clay", [last], 5, settled=False, summary={})
     assert reason in rest.refusal("clay", last, 5, SPHERE).message
 
 
@@ -426,6 +442,9 @@ def test_a_ball_that_rolls_on_a_table_stops_on_it_or_falls(table: Path, tmp_path
     assert bake.health["fallen_bodies"] == 1
     (warning,) = [w for _, w in fast.warnings if w.about == "fallen"]
     assert "1 of 1 bodies fell past every obstacle" in warning.message
+    assert (
+        f"metal: ends at frame {bake.frames}: the body has fallen past every obstacle" in fast.notes
+    )
 
 
 @pytest.mark.slow

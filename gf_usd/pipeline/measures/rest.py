@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from gf_usd.core.errors import BakeError, counted
 from gf_usd.core.frames import AT_REST, Health
@@ -35,10 +36,22 @@ class Rest:
         before, self.still = self.still, self.still + self._step if still else 0.0
         return before > 0.0 and self.still >= time_scale(self._radius)
 
-    def message(self, variant: str, frames: Sequence[Health], most: int, *, settled: bool) -> str:
-        """Text on when a material came to rest; most : maximum number of frames."""
+    def message(
+        self,
+        variant: str,
+        frames: Sequence[Health],
+        most: int,
+        *,
+        settled: bool,
+        summary: Mapping[str, Any],
+    ) -> str:
+        """Text on when a material came to rest.
+
+        most : maximum number of frames; summary : the totals of the frames.
+        """
         if settled:
-            return f"{variant}: at rest at frame {len(frames)}"
+            rested = at_rest(len(frames), summary)
+            return f"{variant}: {rested or _all_fell(len(frames), summary)}"
         return (
             f"{variant}: not at rest within {counted(most, 'frame')}: {self._reason(frames[-1])};"
             f" --frames rest:{2 * most} simulates longer"
@@ -66,6 +79,28 @@ class Rest:
             f"at the end the bodies have been at rest for {self.still:.3g} s, but"
             f" {time_scale(self._radius):.3g} s are needed"
         )
+
+
+def at_rest(frame: int, summary: Mapping[str, Any]) -> str:
+    """Text on the frame, from 1, at which all bodies rest that have not fallen past every
+    obstacle; "" where none is left.
+
+    summary : the totals of the frames.
+    """
+    fallen = summary.get("fallen_bodies", 0)
+    if not fallen:
+        return f"at rest at frame {frame}"
+    if fallen == summary["fallen_of"]:
+        return ""
+    return (
+        f"at rest at frame {frame} (without {fallen} of {summary['fallen_of']} bodies, which fell)"
+    )
+
+
+def _all_fell(frame: int, summary: Mapping[str, Any]) -> str:
+    count = summary["fallen_of"]
+    who = "the body has" if count == 1 else f"all {count} bodies have"
+    return f"ends at frame {frame}: {who} fallen past every obstacle"
 
 
 def _moving(health: Health) -> float:

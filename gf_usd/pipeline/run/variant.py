@@ -311,7 +311,11 @@ def _outcome(run: VariantRun, done: Simulated) -> Outcome:
     )
     at = ()
     if rest is not None:
-        at = (rest.message(variant.name, frames, run.frames, settled=done.settled),)
+        at = (
+            rest.message(
+                variant.name, frames, run.frames, settled=done.settled, summary=result.health
+            ),
+        )
     notes = (*at, *done.cache.notes, *run.splats.notes, *run.period.notes)
     return Outcome(result=result, baked=baked, notes=notes, error=done.error)
 
