@@ -208,6 +208,8 @@ KNOWN = (
     "none", "convexDecomposition", "convexHull", "boundingSphere", "boundingCube",
     "meshSimplification",
 )  # fmt: skip
+# Omniverse's own, for which PhysX has schemas; a mesh with "sdf" collides with its own surface.
+PHYSX = ("sdf", "sphereFill")
 BALL_LEVEL = 3  # icosphere of 642 points: within 0.4 % of the radius
 # Corners are numbered 4 x + 2 y + z; outward winding.
 BOX = np.array(
@@ -260,7 +262,7 @@ def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
         make = _box if approximation == "boundingCube" else _ball
         points, triangles = make(points, prim, reading)
         carriers = None
-    elif approximation != "none":
+    elif approximation not in ("none", "sdf"):
         notes.add(
             f"approximation {approximation}: its own triangles, which are finer, are used", where
         )
@@ -273,7 +275,7 @@ def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
 def _approximation(prim: Usd.Prim, reading: Reading) -> str:
     attribute = prim.GetAttribute(APPROXIMATION)
     value = attribute.Get() if attribute and prim.IsA(UsdGeom.Mesh) else None
-    if value is not None and value not in KNOWN:
+    if value is not None and value not in (*KNOWN, *PHYSX):
         raise InputError(
             f"{reading.path}: <{prim.GetPath()}>: {APPROXIMATION} is {value!r}",
             f"author one of {', '.join(KNOWN)}",

@@ -199,6 +199,19 @@ def test_an_approximation_that_is_left_out_is_said(read_physics) -> None:
     assert found.notes[0].startswith("</Sheet>: is flat: its own triangles are used")
 
 
+def test_approximations_of_omniverse_are_the_own_triangles(read_physics) -> None:
+    def found(kind: str) -> StagePhysics:
+        token = f'uniform token physics:approximation = "{kind}"'
+        return read_physics(mesh("Rock", token, apis=HULL))
+
+    field, spheres = found("sdf"), found("sphereFill")
+    assert (volume(only(field)), volume(only(spheres))) == pytest.approx((1.0, 1.0))
+    assert field.notes == ()  # a distance field is that of the triangles
+    assert spheres.notes == (
+        "</Rock>: approximation sphereFill: its own triangles, which are finer, are used",
+    )
+
+
 def test_an_approximation_that_is_none_is_refused(read_physics) -> None:
     token = 'uniform token physics:approximation = "blob"'
     with pytest.raises(InputError) as caught:
