@@ -131,12 +131,17 @@ def enclosing_parts(points: Floats, triangles: Ints, label: Ints) -> Ints:
 
 
 def winding_inside(points: Floats, triangles: Ints, X: Floats) -> Flags:
-    """(n,) True for X (n, 3) where the winding number of the triangles exceeds one half."""
+    """(n,) True for X (n, 3) where the winding number of the triangles exceeds one half, in
+    magnitude."""
+    return np.abs(winding_numbers(points, triangles, X)) > 0.5
+
+
+def winding_numbers(points: Floats, triangles: Ints, X: Floats) -> Floats:
+    """(n,) winding numbers of triangles (T, 3) about X (n, 3): positive behind their front."""
     used, local = np.unique(triangles, return_inverse=True)
     center = points[used].mean(0)
     local = np.ascontiguousarray(local.reshape(-1, 3), np.int64)
-    w = igl.fast_winding_number(points[used] - center, local, X - center)
-    return np.abs(np.atleast_1d(w)) > 0.5
+    return np.atleast_1d(igl.fast_winding_number(points[used] - center, local, X - center))
 
 
 @dataclass(frozen=True, kw_only=True)

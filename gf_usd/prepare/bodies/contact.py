@@ -179,17 +179,22 @@ def penetration_notes(
         met = [a for a in range(bodies.count) if (a, k) not in setup.through_colliders]
         count = np.bincount(body[_inside(one, X)], minlength=bodies.count)
         for a in (a for a in met if count[a]):
+            whole = int((body == a).sum())
+            room = ", or reverse the faces of the obstacle if it is a room around the body"
             notes.append(
-                f"<{bodies.surfaces[a][0]}> starts with {count[a]} of {int((body == a).sum())}"
+                f"<{bodies.surfaces[a][0]}> starts with {count[a]} of {whole}"
                 f" particles inside the obstacle <{one.path}> and stays as deep as it is until"
-                " it moves away; move them apart in the asset"
+                f" it moves away; move them apart in the asset{room if count[a] == whole else ''}"
             )
     return tuple(notes)
 
 
 def _inside(obstacle: Collider, X: Floats) -> Ints:
-    """(n,) whether points X (n, 3) [m] are inside an obstacle at the start."""
-    from gf_usd.geometry.winding import winding_inside
+    """(n,) whether points X (n, 3) [m] are inside an obstacle at the start.
+
+    What a room encloses is in front of its faces, and thus outside.
+    """
+    from gf_usd.geometry.winding import winding_numbers
 
     points = obstacle.positions(0)
     if obstacle.shape == "plane":
@@ -198,7 +203,7 @@ def _inside(obstacle: Collider, X: Floats) -> Ints:
     near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
     found = np.zeros(len(X), bool)
     if near.any():
-        found[near] = winding_inside(points, obstacle.triangles, X[near])
+        found[near] = winding_numbers(points, obstacle.triangles, X[near]) > 0.5
     return found
 
 

@@ -25,6 +25,7 @@ from gf_usd.prepare.bodies.contact import (
     require_clear_start,
     separate_limbs,
 )
+from gf_usd.prepare.bodies.facing import turned_to_bodies
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.grounds import ground_notes
 from gf_usd.prepare.bodies.sampling import SampledBodies
@@ -223,9 +224,10 @@ def _plan_contact(
     )  # fmt: skip
     notes: tuple[str, ...] = ()
     if not inputs.paper:
-        setup = limbs.contact_setup
+        setup, turned = turned_to_bodies(limbs.contact_setup, particles, settings.lift)
+        limbs = replace(limbs, contact_setup=setup)
         require_clear_start(asset.facts.path, particles, settings.lift, setup, inputs.unit)
-        notes = penetration_notes(particles, settings.lift, setup, bodies)
+        notes = (*turned, *penetration_notes(particles, settings.lift, setup, bodies))
     if not inputs.paper and request.solver != "ul":
         limbs = separate_limbs(solid, bodies, limbs, embedded_points(asset))
     return limbs, notes
