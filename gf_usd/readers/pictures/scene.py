@@ -152,8 +152,9 @@ class PictureStage:
 
         The box is the one to fit an image to: see `gf_usd.readers.pictures.framing`.
         The floor is at height 0 where the body rests there, to 5 % of its size, or descends to it
-        from above; else at the lowest point of the motion.  Times at which nothing is visible are
-        ignored.
+        from above; else at the lowest point of the motion.  There is none where something falls
+        past height 0 by more than the height of all prims at the start: shadows on a floor there
+        would appear in mid-air.  Times at which nothing is visible are ignored.
         """
         if self._motion is None:
             prims = [prim for _, prim in self._prims]
@@ -399,4 +400,6 @@ def _floor_height(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -
     lowest, start = (float(np.min(box.corners @ up)) for box in (motion, first))
     near = FLOOR_TOLERANCE * motion.diagonal
     rests, lands = abs(lowest) <= near, lowest <= near and start >= -near
+    if lands and not rests and -lowest > float(np.ptp(first.corners @ up)):
+        return None
     return 0.0 if rests or lands else lowest

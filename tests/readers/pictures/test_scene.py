@@ -111,6 +111,7 @@ def test_the_motion_is_known_whole_and_its_floor_is_the_ground(tmp_path):
         ((3.0, -0.9), 0.0),  # comes down on the floor and is pressed through it
         ((3.0, 2.0), 2.0),  # never comes near height 0
         ((-3.0, 1.0), -3.0),  # begins below it: height 0 is no floor
+        ((3.0, -1.1), None),  # falls past it by more than its own height
     ],
 )
 def test_the_floor_of_a_motion(tmp_path, heights, ground):
