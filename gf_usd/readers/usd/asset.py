@@ -171,6 +171,8 @@ def _no_geometry(
     hint = "give an asset that contains a mesh"
     if elsewhere:
         hint = f"there are meshes outside the default prim: --prim {elsewhere[0]}"
+    elif unselected := _unselected_variants(found.roots):
+        hint = unselected
     return InputError(f"{path}: no mesh was found under {under}, which contains {there}", hint)
 
 
@@ -178,6 +180,8 @@ def _remedy(stage: Usd.Stage, where: str, reason: str, by_name: bool) -> str:
     """A hint at how the skipped prim at a path can be simulated."""
     if reason == INVISIBLE:
         return f"make <{where}> visible in the file: what is hidden is not baked"
+    if reason.startswith(INVISIBLE):
+        return f"start the bake where <{where}> is visible: --start {reason.split()[-1]}"
     if reason.startswith(PURPOSE):
         return f"set the purpose of <{where}> to default or render in the file"
     if reason.endswith(REPEATED):
@@ -197,6 +201,20 @@ def _own_file(stage: Usd.Stage, where: str) -> str:
     layers = [spec.layer for spec in prim.GetPrimStack()]
     others = [layer for layer in layers if layer not in stage.GetLayerStack()]
     return Path(others[0].realPath).name if others else ""
+
+
+def _unselected_variants(roots: Sequence[Usd.Prim]) -> str:
+    """A hint at the first variant set without a selection: its variants may hold the meshes."""
+    for prim in (p for root in roots for p in Usd.PrimRange(root)):
+        sets = prim.GetVariantSets()
+        for name in sets.GetNames():
+            one = sets.GetVariantSet(name)
+            if (variants := one.GetVariantNames()) and one.GetVariantSelection() not in variants:
+                return (
+                    f"<{prim.GetPath()}> has a variant set {name!r} without a selection: select one"
+                    f" of {', '.join(variants)} in the file"
+                )
+    return ""
 
 
 def _meshes_elsewhere(stage: Usd.Stage) -> list[str]:

@@ -63,7 +63,7 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
         for prim in walk:
             types[str(prim.GetTypeName()) or "untyped prim"] += 1
             if _is_hidden(prim, time):
-                skipped[str(prim.GetPath())] = INVISIBLE
+                skipped[str(prim.GetPath())] = _hidden_reason(prim, time)
                 walk.PruneChildren()
             elif prim.IsA(UsdGeom.PointInstancer):
                 skipped[str(prim.GetPath())] = f"PointInstancer{REPEATED}"
@@ -143,6 +143,24 @@ def _prototypes(stage: Usd.Stage) -> dict[Sdf.Path, Sdf.Path]:
 def _is_hidden(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     imageable = UsdGeom.Imageable(prim)
     return bool(imageable) and imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible
+
+
+def _hidden_reason(prim: Usd.Prim, time: Usd.TimeCode) -> str:
+    """The reason for skipping an invisible prim, with the time code from which it is visible."""
+    shown = visible_from(prim, time)
+    now = 0.0 if time.IsDefault() else time.GetValue()
+    return INVISIBLE if shown is None else f"{INVISIBLE} at {now:g}, visible from {shown:g}"
+
+
+def visible_from(prim: Usd.Prim, time: Usd.TimeCode) -> float | None:
+    """The first time code after `time` at which an invisible prim is visible; None: never."""
+    if time.IsDefault():
+        return None
+    image = UsdGeom.Imageable(prim)
+    for code in image.GetVisibilityAttr().GetTimeSamples():
+        if code > time.GetValue() and not _is_hidden(prim, Usd.TimeCode(code)):
+            return float(code)
+    return None
 
 
 def _skip_reason(prim: Usd.Prim, time: Usd.TimeCode) -> str:

@@ -130,7 +130,9 @@ def test_visibility_is_that_of_the_pose_time(read):
     }
     def Cube "Always" {}
     """
-    assert paths(read(body, time_code=1)) == ["/Always"]
+    early = read(body, time_code=1)
+    assert paths(early) == ["/Always"]
+    assert dict(early.skipped) == {"/Late": "invisible at 1, visible from 10"}
     assert paths(read(body, time_code=10)) == ["/Late", "/Always"]
 
 
@@ -217,6 +219,12 @@ def test_what_inherits_from_a_baked_prim_follows_it(read):
             "give an asset that contains a mesh",
         ),
         (
+            'def Xform "A" (prepend variantSets = "shape") {\nvariantSet "shape" = {\n'
+            '"round" {\ndef Sphere "S" {}\n}\n"square" {\n}\n}\n}',
+            "no mesh was found under </A>, which contains 1 Xform",
+            "</A> has a variant set 'shape' without a selection: select one of round, square",
+        ),
+        (
             "",
             "no mesh was found under its root, which contains nothing",
             "give an asset that contains a mesh",
@@ -256,6 +264,10 @@ def test_a_missing_reference_beside_a_mesh_is_a_note(write, capfd):
 
 
 HIDDEN = 'def Cube "A" {\n token visibility = "invisible"\n }'
+LATE = """def Cube "A"
+{
+    token visibility.timeSamples = { 1: "invisible", 10: "inherited" }
+}"""
 GUIDE = 'def Cube "A" {\n uniform token purpose = "guide"\n }'
 REPEATS = """def PointInstancer "A"
 {
@@ -272,6 +284,7 @@ REPEATS = """def PointInstancer "A"
     ("body", "hint"),
     [
         (HIDDEN, "make </A> visible in the file"),
+        (LATE, "start the bake where </A> is visible: --start 10"),
         (GUIDE, "set the purpose of </A> to default or render"),
         (REPEATS % "", "bake a file with the prototype alone;"),
         (REPEATS % "(references = @ball.usda@</Ball>)", "the prototype's own file, ball.usda;"),
