@@ -49,6 +49,21 @@ def test_a_mesh_of_one_joint_is_named_with_the_way_to_keep_it_rigid(tmp_path: Pa
     assert "single joint" not in " ".join(plain.notes)
 
 
+def test_a_mesh_of_one_joint_that_no_flesh_holds_is_rigid(tmp_path: Path) -> None:
+    """It fell, although it is bound to a joint."""
+    body = arm().rstrip().removesuffix("}") + BOOT.replace(
+        "rel skel:skeleton", "matrix4d primvars:skel:geomBindTransform = "
+        "( (1,0,0,0), (0,1,0,0), (0,0,1,0), (2,0,0,1) )\n        rel skel:skeleton"
+    )  # fmt: skip
+    plan, _ = prepare(write(tmp_path, body), **FEW, output=tmp_path / "o.usda", draw=None)
+    note = "</Arm/Boot> moves with a single joint and touches no flesh: it is kept rigid"
+    assert note in " ".join(plan.notes)
+    assert "as soft as the rest" not in " ".join(plan.notes)
+    *bones, boot = plan.pins
+    assert (boot.name, boot.meshes) == ("/Arm/Boot", {"/Arm/Boot"})
+    np.testing.assert_array_equal(boot.path, bones[1].path)
+
+
 def test_a_box_of_a_rigid_region_is_none_that_a_joint_carries(tmp_path: Path) -> None:
     plan, _ = prepare(
         booted(tmp_path), **FEW, rigid=["box:1.6,-1,-1,3,1,1"], output=tmp_path / "o.usda",

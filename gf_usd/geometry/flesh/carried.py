@@ -1,7 +1,8 @@
 """Meshes bound to a single joint, such as shoes, which can be made rigid.
 
 Grid nodes in such a mesh, and up to `WIDER` cells around it, are constrained to the joint's motion
-like those of a bone core, and the points of the mesh follow the joint exactly.
+like those of a bone core, and the points of the mesh follow the joint exactly.  Those that are
+apart from the flesh, such as a sword a little beside a hand, are always rigid.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.stage import Pin, Skeleton
-from gf_usd.geometry.flesh.cores import WIDER
+from gf_usd.geometry.flesh.cores import WIDER, Cores
 from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
@@ -41,6 +42,44 @@ def named_carried_meshes(
     """
     below = {n: [p for p in paths if p == n or p.startswith(f"{n}/")] for n in names}
     return [n for n, found in below.items() if found and all(p in carried for p in found)]
+
+
+# [cells] from the flesh, beyond which a mesh shares no grid nodes with it that could carry it.
+APART = 2.0
+
+
+def meshes_apart(
+    paths: Sequence[str], carried: Mapping[str, int], solid: Solid, cores: Cores, cell: float
+) -> list[str]:
+    """Those of some carried meshes that neither the flesh nor a core holds: they would fall.
+
+    cell : [m] edge of a cell.
+    """
+    filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
+    flesh = [(p, Shape(p, t)) for path, (p, t) in filled.items() if path not in carried]
+    return [
+        path
+        for path in paths
+        if path in filled
+        and not _held(filled[path][0], Shape(*filled[path]), flesh, cores, APART * cell)
+    ]
+
+
+def _held(
+    points: Floats,
+    shape: Shape,
+    flesh: Sequence[tuple[Floats, Shape]],
+    cores: Cores,
+    reach: float,
+) -> bool:
+    """Whether the flesh is within reach [m] of a mesh or around it, or a core is in the mesh."""
+    if any(shape.encloses(core.points[core.radius > 0.0]).any() for core in cores.cores):
+        return True
+    return any(
+        min(other.closest(points)[0].min(), shape.closest(own)[0].min()) < reach
+        or other.encloses(points).any()
+        for own, other in flesh
+    )
 
 
 def carried_pins(

@@ -152,7 +152,12 @@ def _of_character(
     it is written; 0: the animation is none.  Raises InputError as
     `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
     """
-    from gf_usd.geometry.flesh.carried import carried_meshes, carried_pins, named_carried_meshes
+    from gf_usd.geometry.flesh.carried import (
+        carried_meshes,
+        carried_pins,
+        meshes_apart,
+        named_carried_meshes,
+    )
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
     from gf_usd.geometry.flesh.limits import flesh_limits
@@ -196,7 +201,10 @@ def _of_character(
     kept = named_carried_meshes(rigid, carried, paths)
     pins += carried_pins(kept, carried, skeleton, solid, 2.0 * lattice)
     taken = {path for pin in pins for path in pin.meshes}
-    notes = (*notes, *_soft_meshes([path for path in carried if path not in taken]))
+    soft = [path for path in carried if path not in taken]
+    apart = meshes_apart(soft, carried, solid, cores, 2.0 * lattice)
+    pins += carried_pins(apart, carried, skeleton, solid, 2.0 * lattice)
+    notes = (*notes, *_apart_meshes(apart), *_soft_meshes([p for p in soft if p not in apart]))
     if not pins:
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
@@ -239,16 +247,33 @@ def _animation_times(
     return animation.first + frame * step, lead
 
 
+def _apart_meshes(paths: Sequence[str]) -> tuple[str, ...]:
+    """The note on meshes that move with a single joint and that no flesh holds."""
+    if not paths:
+        return ()
+    moves, touches, is_, it = (
+        ("moves", "touches", "is", "it") if len(paths) == 1 else ("move", "touch", "are", "they")
+    )
+    return (
+        f"{_listed(paths)} {moves} with a single joint and {touches} no flesh: {it} {is_} kept"
+        f" rigid, because {it} would fall",
+    )
+
+
+def _listed(paths: Sequence[str]) -> str:
+    """The first three of some prim paths, and how many more there are."""
+    left = len(paths) - 3
+    more = f" and {left} more mesh{'es' * (left > 1)}" if left > 0 else ""
+    return ", ".join(f"<{path}>" for path in paths[:3]) + more
+
+
 def _soft_meshes(paths: Sequence[str]) -> tuple[str, ...]:
     """The note on meshes that move with a single joint and are not kept rigid."""
     if not paths:
         return ()
-    named = ", ".join(f"<{path}>" for path in paths[:3])
-    left = len(paths) - 3
-    more = f" and {left} more mesh{'es' * (left > 1)}" if left > 0 else ""
     moves, becomes = ("moves", "becomes") if len(paths) == 1 else ("move", "become")
     return (
-        f"{named}{more} {moves} with a single joint and {becomes} as soft as the"
+        f"{_listed(paths)} {moves} with a single joint and {becomes} as soft as the"
         f" rest; --rigid keeps a mesh rigid, such as --rigid {paths[0]}",
     )
 
