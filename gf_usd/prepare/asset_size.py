@@ -32,7 +32,8 @@ def implausible_size(asset: Asset) -> str:
     likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
     # Of the units that fit, a tiny asset gets the largest and a huge one the first in the list.
     fitting = max(likely, default=None) if width < least else next(iter(likely), None)
-    measured = f"the asset is {width:.3g} m wide: {units:.4g} units of {unit:g} m"
+    count = f"{units:.4g}"
+    measured = f"the asset is {width:.3g} m wide: {count} unit{'s' * (count != '1')} of {unit:g} m"
     if fitting is None:
         return f"{measured}; check its unit ({UNIT})"
     return f"{measured}; with {UNIT} {fitting:g} it would be {units * fitting:.3g} m"

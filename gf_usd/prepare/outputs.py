@@ -158,12 +158,17 @@ def _require_names(variants: Sequence[str]) -> None:
             )
 
 
-def require_free(files: Outputs, overwrite: bool) -> None:
-    """Raise UsageError where a result exists already, or no folder can hold it."""
+def require_free(files: Outputs, overwrite: bool, *, resume: bool = False) -> None:
+    """Raise UsageError where a result exists already, or no folder can hold it.
+
+    resume : the bake was to be resumed, and there is no checkpoint of it.
+    """
     there = [p for p in files.own if p.exists() and not is_failure_report(p)]
     if there and not overwrite:
+        left = ", and there is no checkpoint from which to resume" if resume else ""
         raise UsageError(
-            f"{there[0]} exists already", "add --overwrite to replace it, or choose another -o"
+            f"{there[0]} exists already{left}",
+            "add --overwrite to replace it, or choose another -o",
         )
     parent = files.root.parent
     while not parent.exists() and parent != parent.parent:

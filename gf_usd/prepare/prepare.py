@@ -163,7 +163,7 @@ def _targets(
     seen = stamps(files)
     # what it wrote before it ended was free to be written
     overwrite = overwrite or (resume and interrupted(files))
-    require_free(files, overwrite)
+    require_free(files, overwrite, resume=resume)
     requested = sequences(
         source.stem, names, ply=request.folder("export_ply"), spz=request.folder("export_spz")
     )

@@ -36,6 +36,16 @@ def in_folder(folder: Path) -> Outputs:
     return outputs(DUCK, ["rubber"], f"{folder}/")
 
 
+def test_a_bake_without_a_checkpoint_is_not_resumed_over_its_result(tmp_path: Path) -> None:
+    files = in_folder(tmp_path)
+    files.root.write_text("done")
+    with pytest.raises(UsageError) as caught:
+        require_free(files, overwrite=False, resume=True)
+    assert caught.value.message == (
+        f"{files.root} exists already, and there is no checkpoint from which to resume"
+    )
+
+
 @pytest.fixture
 def sealed(tmp_path: Path) -> Iterator[Path]:
     """A folder that nobody may write to; for root, who may write anywhere, one of the kernel's."""
