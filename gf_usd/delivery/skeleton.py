@@ -41,6 +41,7 @@ def bind_meshes(
         skeleton = _skeleton(root, name, rig, time_codes, unit)
         for mesh in rig.body.meshes:
             prim = stage.GetPrimAtPath(names[mesh])
+            _type_parents(prim)
             if not prim.IsA(UsdGeom.Mesh):
                 _make_mesh(prim, triangles[mesh])
             _bind(prim, mesh, rig, skeleton, unit)
@@ -60,6 +61,17 @@ def _make_skel_root(root: Usd.Prim) -> None:
     for prim in Usd.PrimRange(root):
         if prim != root and prim.IsA(UsdSkel.Root):
             prim.SetTypeName("Xform")  # they do not nest
+
+
+def _type_parents(prim: Usd.Prim) -> None:
+    """Make prims above a mesh that have no type scopes, which do not transform it either.
+
+    UsdSkel looks for meshes only below imageable prims.
+    """
+    while (prim := prim.GetParent()) and not prim.IsPseudoRoot():
+        if not prim.GetTypeName():
+            layer = prim.GetStage().GetRootLayer()  # as in `_make_skel_root`
+            Sdf.CreatePrimInLayer(layer, prim.GetPath()).typeName = "Scope"
 
 
 def _skeleton(

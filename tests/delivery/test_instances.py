@@ -112,3 +112,22 @@ def test_a_prototype_in_an_instancer_is_no_mesh_of_its_own(tmp_path: Path, suffi
     if suffix != ".glb":
         stage = Usd.Stage.Open(str(done.path))
         assert UsdGeom.PointInstancer.Get(stage, "/World/many").GetPositionsAttr().Get()
+
+
+def test_a_mesh_below_a_prim_without_a_type_moves(tmp_path: Path) -> None:
+    """UsdSkel passes over what is below it, so that the file showed the first frame only."""
+    source = Source(f"""
+def Xform "World"
+{{
+    def "props"
+    {{
+        def Mesh "skin"
+        {{{CUBE}        }}
+    }}
+}}
+""")
+    root, *_ = bake(source.asset(tmp_path), tmp_path)
+    done = deliver(root.path, tmp_path / "out.usdz", error=TOLERANCE)
+    assert done.error <= TOLERANCE
+    stage = Usd.Stage.Open(str(done.path))
+    assert stage.GetPrimAtPath("/World/props").GetTypeName() == "Scope"
