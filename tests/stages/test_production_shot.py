@@ -191,7 +191,7 @@ def test_instancers_are_left_alone_and_said(baked: Baked) -> None:
         "/World/Stand/Proxy": "purpose proxy",
         "/World/Stand/Guide": "purpose guide",
         "/World/Stand/Hidden": "invisible",
-        "/World/Stand/Late": "invisible",
+        "/World/Stand/Late": "invisible at 101, visible from 103",
         "/World/Scatter": "PointInstancer: its instances are not made soft",
         "/World/Library/Stone": "prototype of </World/Scatter>: its instances are not made soft",
     }
