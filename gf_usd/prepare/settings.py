@@ -51,7 +51,7 @@ PAPER_SUBSTEPS = 10
 PAPER_DRAG = 0.5 * PAPER_T
 PAPER_CONTACT = 2000.0 * PAPER_T**2
 
-SETTLING = 8  # times as long as a shot may everything take to come to rest
+SETTLING = 10  # times as long as a shot may everything take to come to rest
 ROLLING_RESISTANCE = 0.05  # soft rubber on a hard floor; a bouncing ball has 0.01 to 0.05
 # Particle-substeps until then above which a bake ends with the shot where no length is given:
 # half an hour on one core.

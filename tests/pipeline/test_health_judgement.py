@@ -114,7 +114,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "let-go": (
         summary(Health(let_go=0)),
         summary(Health(let_go=3)),
-        "or inverted, 3 at once",
+        "released, 3 at once",
     ),
     "inside": (
         summary(Health(inside_share=0.01, inside_depth=0.02)),

@@ -241,10 +241,10 @@ def _let_go(h: HealthSummary) -> MessageAndHint:
     if not h["released_max"]:
         return None
     return (
-        f"contact points were released because they were deeper in another surface than they can"
-        f" have moved, where it was folded or inverted, {h['released_max']} at once: there the"
-        " bodies may overlap",
-        f"{_gentler(h)}, take a stiffer material, or more --particles",
+        f"contact points were released, {h['released_max']} at once, and bodies may overlap there:"
+        " they were deeper in another surface than they can have moved, where it was folded or"
+        " inverted, or an obstacle has more edges and corners than there is room for",
+        f"{_gentler(h)}, take a stiffer material, more --particles, or a smoother obstacle",
     )
 
 

@@ -124,7 +124,8 @@ ROWS: tuple[Row, ...] = (
         "released_max",
         "Released contact samples",
         "",
-        "largest number at a time; samples are released where the surface is folded or inverted",
+        "largest number at a time; samples are released where the surface is folded or inverted,"
+        " or an obstacle has too many edges",
     ),
     Row(
         "inside_at_end_share",
