@@ -200,6 +200,11 @@ class Animation:
         return int(np.ceil(seconds * fps / time_scale - ROUNDING))
 
 
+def is_placed(request: Request, facts: StageFacts) -> bool:
+    """Whether bodies begin where a stage with UsdPhysics has placed them."""
+    return facts.says_physics and request.preset != "paper" and request.drop is None
+
+
 def resolve(
     request: Request,
     facts: StageFacts,
@@ -225,7 +230,7 @@ def resolve(
     fps = request.fps or (60.0 * PAPER_T / T if paper else playback)
     requested = request.parsed
     floor, normal = floor_plane(requested["floor"], facts.up, facts.units.length)
-    placed = facts.says_physics and not paper and requested["drop"] is None
+    placed = is_placed(request, facts)
     drop = ON_FLOOR if placed else requested["drop"] or DEFAULT_DROP
     height = drop.meters(radius, facts.units.length)
     # Down to the floor and up again; what is pinned, or has no floor, stays where it is.

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -96,6 +97,13 @@ class FloorContact:
     def count(self) -> int:
         """Rows of samples and points."""
         return len(self.mass) + self.points
+
+    @cached_property
+    def pair_ratio(self) -> float:
+        """Largest ratio of the stiffness of a sample in contact with a body or an obstacle to that
+        on the floor, at least 1.
+        """
+        return float((self.pair_stiffness / self.stiffness).max(initial=1.0))
 
     @property
     def law(self) -> Floats:

@@ -104,18 +104,17 @@ class ContactSearch:
     def offer_places(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: int, rest: Floats,
         obstacle: int = -1,
-    ) -> Ints:  # fmt: skip
+    ) -> None:  # fmt: skip
         """Offer planes to samples `rows` (k,) at points of a body, rest (k, 3) [m] at rest.
 
         A call of `carry` must follow, which finds the carriers of the planes that are selected.
 
-        obstacle : that the samples belong to; -1: to bodies.  Returns which (k,) are selected.
+        obstacle : that the samples belong to; -1: to bodies.
         """
         nearer = self._take(rows, gap, normal, obstacle, sure=False)
         rows = rows[nearer]
         self.planes.point[rows] = point[nearer]
         self._owner[rows], self._rest[rows] = body, rest[nearer]
-        return nearer
 
     def keep_beside(
         self, rows: Ints, planes: ContactPlanes, offset: Floats, depth: Floats, far: float

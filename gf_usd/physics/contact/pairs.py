@@ -522,7 +522,7 @@ class BodyContact:
         point = found.point + sunk[mine, None] * found.normal
         search.offer(mine, found.gap, found.normal, point, velocity=plane.velocity, obstacle=which)
         near = mine[found.gap < ABOUT * self._spacing]
-        for body in bodies if self.contact.points else ():
+        for body in np.unique(self._of[near]).tolist() if self.contact.points else ():
             surface = partial(
                 self._skin(body).near, u=now.nodes[0], offset=now.offset, reach=search.reach
             )

@@ -68,8 +68,7 @@ class PairSprings:
         if body.settings.floor is None:
             near = near[:0]
         if body.regions:
-            ratio = float((contact.pair_stiffness / contact.stiffness).max(initial=1.0))
-            with_contact = self.crowded_step(contact, body.step, CROWD * ratio)
+            with_contact = self.crowded_step(contact, body.step, CROWD * contact.pair_ratio)
         else:
             with_contact = self.step(contact, body.mass, body.step, near)
         return body.step.substeps_with_contact(stable, with_contact)

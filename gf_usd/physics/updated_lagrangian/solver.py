@@ -88,11 +88,8 @@ class UpdatedLagrangian(Solver):
         self._setup = contact_setup
         self.losses = Losses(settings, contact_setup, body.h, body.law.unbounded)
         self.planes: FlowPlanes | None = None
-        self._stiffness_ratio = 1.0  # largest ratio of the stiffness of planes to that of the floor
-        if (contact := body.contact) is not None:
-            self._stiffness_ratio = float(
-                (contact.pair_stiffness / contact.stiffness).max(initial=1.0)
-            )
+        # largest ratio of the stiffness of planes to that of the floor
+        self._stiffness_ratio = body.contact.pair_ratio if body.contact else 1.0
         self._launcher: tuple[Any, Launcher] | None = None  # for the current arrays
         if contact_setup is not None and contact_setup.colliders and body.meets:
             passing = {c for _, c in contact_setup.through_colliders}

@@ -68,12 +68,12 @@ def _inward(points: Floats, triangles: Ints) -> bool:
 
 def _share_in(points: Floats, triangles: Ints, X: Floats) -> float:
     """Fraction of points X (n, 3) [m] that a closed mesh encloses, whichever way it faces."""
-    from gf_usd.geometry.winding import winding_numbers
+    from gf_usd.geometry.winding import winding_inside
 
     near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
     if not near.any():
         return 0.0
-    return float((np.abs(winding_numbers(points, triangles, X[near])) > 0.5).sum() / len(X))
+    return float(winding_inside(points, triangles, X[near]).sum() / len(X))
 
 
 def _behind(points: Floats, triangles: Ints, X: Floats) -> bool:

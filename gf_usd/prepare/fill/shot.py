@@ -15,7 +15,13 @@ from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.options.choices import require_resolved
 from gf_usd.prepare.options.fields import upward_note
-from gf_usd.prepare.settings import Animation, floor_plane, resolve, settled_frames
+from gf_usd.prepare.settings import (
+    Animation,
+    floor_plane,
+    is_placed,
+    resolve,
+    settled_frames,
+)
 from gf_usd.readers.usd_bake.spec import read_motion
 
 if TYPE_CHECKING:
@@ -95,8 +101,7 @@ def _deep_notes(settings: Settings, gap: float, spacing: float, inputs: Inputs) 
 def _raised_notes(settings: Settings, lowest: float, inputs: Inputs) -> tuple[str, ...]:
     """A note where what a physics stage has placed below the floor is moved up onto it."""
     raised = float(np.dot(settings.lift, settings.normal))
-    asked = inputs.request.drop is not None or inputs.request.preset == "paper"
-    if not inputs.asset.facts.says_physics or asked or raised <= 0.0:
+    if not is_placed(inputs.request, inputs.asset.facts) or raised <= 0.0:
         return ()
     return (
         f"the asset begins {raised:.3g} m below the floor and is moved up onto it: --floor"

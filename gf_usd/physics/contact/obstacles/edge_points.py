@@ -8,7 +8,7 @@ force on it.
 
 There are places for a limited number of points. Points that are nearer to each other than APART are
 thinned, those in contact come first, and then the deepest. A point for which nothing is found any
-more, as beyond the side of a body, keeps its plane while it is not beside it.
+more, as beyond the side of a body, keeps its plane while it is not to the side of it.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from gf_usd.physics.contact.obstacles.edge_search import (
     Near,
 )
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
+from gf_usd.physics.contact.obstacles.piercing import STEP
 from gf_usd.physics.contact.obstacles.sharp import SharpFeatures
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes
 from gf_usd.physics.contact.planes.continuity import EASE
 
-STEP = 1.0  # [spacings] between points of an edge
 APART = 0.5  # [spacings] edge of the cells of which one point in contact with a body is kept
-# Points that there is room for, at least, and samples of the bodies for each: every pass over the
-# contact samples passes over this room.
-LEAST_ROOM, SHARE = 64, 8
+# Least capacity, and samples of the bodies for each point: every pass over the contact samples
+# passes over all places for points.
+LEAST_CAPACITY, SHARE = 64, 8
 
 SAVED = ("key", "x", "v", "sunk")
 
 
 def capacity(colliders: Sequence[Collider], samples: int, spacing: float) -> int:
-    """Points that a simulation of a number of samples a spacing [m] apart has room for.
+    """Most points at a time in a simulation of a number of samples a spacing [m] apart.
 
     At most all of all obstacles, by the lengths of their edges, and a share of the samples: edges
     are lines, on which a body of n samples meets some sqrt(n) points each.
@@ -57,7 +57,7 @@ def capacity(colliders: Sequence[Collider], samples: int, spacing: float) -> int
             lengths(p[one.triangles[:, k]] - p[one.triangles[:, k - 1]]).sum() for k in range(3)
         )
         all_of_them += len(p) + 0.5 * length / (STEP * spacing)
-    return int(min(np.ceil(all_of_them), max(LEAST_ROOM, samples // SHARE)))
+    return int(min(np.ceil(all_of_them), max(LEAST_CAPACITY, samples // SHARE)))
 
 
 class EdgePoints:
@@ -136,8 +136,6 @@ class EdgePoints:
         samples : those of the body that are within ABOUT of the obstacle; before, gap : planes and
         gaps (n + m,) [m] of the last detection; near, frame, ahead : see `EdgeSearch.contacts`.
         """
-        if not len(samples):
-            return
         found = self._search.near(search.x[samples], which, frame)
         if not len(found[0]):
             return
@@ -167,7 +165,7 @@ class EdgePoints:
             )
 
     def _chosen(self, found: EdgeContacts) -> EdgeContacts:
-        """Those that there is room for: one of each cell and body, and one plane for each point."""
+        """Those that get places: one of each cell and body, and one plane for each point."""
         place = self._places(found.key)
         held = (place >= 0) & self._held[np.maximum(place, 0)]
         order = np.lexsort((found.key, -found.depth, ~held))
@@ -177,10 +175,10 @@ class EdgePoints:
         order = order[first]
         order = order[np.sort(np.unique(found.key[order], return_index=True)[1])]
         count = int(held[order].sum())
-        room = count + len(self.key) - int(self._held.sum())
-        deep = found.depth[order[room:]] + found.sunk[order[room:]] > EASE * self._spacing
+        most = count + len(self.key) - int(self._held.sum())
+        deep = found.depth[order[most:]] + found.sunk[order[most:]] > EASE * self._spacing
         self.left_out += int(deep.sum())
-        return found.of(order[:room])
+        return found.of(order[:most])
 
     def _placed(self, keys: Ints) -> tuple[Ints, Ints]:
         """(k,) places of points, and which of them (l,) are new there; the others are free."""

@@ -28,7 +28,7 @@ ABOUT = 1.75
 FACING = 0.2  # least cosine of the outward normal of a body and the direction into the obstacle
 ACROSS = 0.5  # least share of a normal that is not along an edge
 BACK = 0.75  # [spacings] behind a point that has come past the middle of a body
-# [spacings] by which a point may be beside the place where it entered a body to be inside of it
+# [spacings] by which a point may be to the side of the place where it entered a body
 STAY = 1.0
 OBSTACLE_KEYS = 1 << 40  # more than an obstacle has points
 

@@ -12,7 +12,7 @@ from solids import CUBE_POINTS, cube
 
 from gf_usd.core.stage import Collider
 from gf_usd.physics.contact.obstacles import edge_points
-from gf_usd.physics.contact.obstacles.edge_points import LEAST_ROOM, SHARE, capacity
+from gf_usd.physics.contact.obstacles.edge_points import LEAST_CAPACITY, SHARE, capacity
 from gf_usd.physics.contact.obstacles.edge_search import EdgeContacts
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes, nothing
 from gf_usd.physics.total_lagrangian import setup
@@ -149,7 +149,7 @@ def test_there_is_room_for_the_edges_that_a_body_can_meet() -> None:
     assert capacity([], 1000, 0.1) == 0
     assert capacity([box], 10_000, 0.1) == 8 + np.ceil(0.5 * 12 * (0.8 + np.sqrt(0.32)) / 0.1)
     assert capacity([box], 10_000, 1e-4) == 10_000 // SHARE
-    assert capacity([box], 10, 1e-3) == LEAST_ROOM
+    assert capacity([box], 10, 1e-3) == LEAST_CAPACITY
     assert capacity([replace(box, shape="plane")], 1000, 0.1) == 0
 
 
@@ -258,7 +258,7 @@ def test_an_obstacle_that_leaves_the_body_it_began_in_no_longer_overlaps_it() ->
 
 
 def test_a_finely_divided_edge_holds_as_a_whole_one_does() -> None:
-    """Each of its vertices stands out; they took all the room, and made contact stiffer."""
+    """Each of its vertices stands out; they took all places, and made contact stiffer."""
     t = np.linspace(-0.2, 0.2, 161)
     corner = [[-0.2, 0.45], [0.2, 0.45], [0.2, 0.05], [-0.2, 0.05]]  # x and y
     rows = np.array([[[x, y, z] for x, y in corner] for z in t])
