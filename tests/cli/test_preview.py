@@ -75,3 +75,67 @@ def test_wrong_options_are_refused_in_words(stage, tmp_path, monkeypatch, argume
 def test_sizes_are_read():
     assert parse_size("640x480") == (640, 480)
     assert parse_size(" 64 X 48 ") == (64, 48)
+
+
+WALLED = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Z"
+    startTimeCode = 1
+    endTimeCode = 3
+)
+def Mesh "soft" {
+    uniform token subdivisionScheme = "none"
+    int[] faceVertexCounts = [3, 3, 3, 3]
+    int[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3]
+    color3f[] primvars:displayColor = [(0.8, 0.05, 0.05)]
+    point3f[] points.timeSamples = {
+        1: [(-1,-1,1), (1,-1,1), (0,1,1), (0,0,3)],
+        3: [(-1,-1,0), (1,-1,0), (0,1,0), (0,0,2)],
+    }
+}
+def ParticleField3DGaussianSplat "Gaussians" {
+    rel gaussianFlesh:sourceMeshes = </soft>
+    token visibility = "invisible"
+}
+def Cube "wall" {
+    double size = 1
+    double3 xformOp:translate = (0, -3, 2)
+    double3 xformOp:scale = (30, 0.2, 4)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+}
+def Cube "back" {
+    double size = 1
+    double3 xformOp:translate = (0, BACK, 2)
+    double3 xformOp:scale = (30, 0.2, 9)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+}
+def Camera "front" {
+    double3 xformOp:translate = (0, -20, 1.5)
+    float3 xformOp:rotateXYZ = (90, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+}
+"""
+
+
+def test_a_body_behind_a_wall_is_drawn_from_a_side_that_shows_it(tmp_path):
+    path, out = tmp_path / "walled.usda", tmp_path / "walled.png"
+    path.write_text(WALLED.replace("BACK", "40"), encoding="utf-8")
+    done = run(path, "-o", out, "--size", "80x60")
+    assert "note: obstacles hide the body from the usual camera" in done.output
+    assert "148 degrees to the right" in done.output
+    assert len(red_rows(out)) > 10
+    done = run(path, "-o", out, "--size", "80x60", "--camera", "/front")
+    assert "in 2 of 2 frames looked at; hint: leave out --camera" in done.output
+    assert len(red_rows(out)) == 0
+
+
+def test_a_body_that_no_view_shows_is_reported(tmp_path):
+    path, out = tmp_path / "walled.usda", tmp_path / "walled.png"
+    lid = '\ndef Cube "lid" { double size = 60\ndouble3 xformOp:translate = (0, 0, 35)\n'
+    lid += 'uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+    path.write_text(WALLED.replace("BACK", "3") + lid, encoding="utf-8")
+    done = run(path, "-o", out, "--size", "80x60")
+    assert done.exit_code == 0
+    hidden = "note: the body is hidden by obstacles or outside of the picture in 2 of 2 frames"
+    assert f"{hidden} looked at; hint: choose a view with --camera PRIM" in done.output

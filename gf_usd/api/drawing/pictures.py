@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gf_usd.api.drawing.options import Options
 from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import counted
 from gf_usd.core.scene import Camera, Light, Quantity
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.view.colormap import color_by_value
@@ -21,10 +22,12 @@ from gf_usd.view.render.camera import fit_camera
 from gf_usd.view.render.lights import studio
 from gf_usd.view.render.render import render
 from gf_usd.view.ticks import round_up
+from gf_usd.view.visibility import VIEWS, Occluded, best_view, hidden_frames, mostly_hidden
 
 Pixels = NDArray[np.uint8]
 
 PALETTE_FRAMES = 6  # of a gif that its colors are taken from
+LOOKED_AT = 8  # frames at which it is decided whether obstacles hide the bodies
 
 
 class Drawing:
@@ -47,9 +50,9 @@ class Drawing:
         self._source, self._size = source, size
         self._quantity = _quantity(source, limits)
         self._legend = Legend(self._quantity, size) if self._quantity else None
+        self.notes: dict[str, None] = {}  # assumptions of all frames, without repetition
         self._fitted = fitted or self._fit()
         self._lights = self._studio()
-        self.notes: dict[str, None] = {}  # assumptions of all frames, without repetition
 
     def __call__(self, time_code: float | None, *, legend: bool = True) -> Pixels:
         """The picture (H, W, 3) sRGB at a time code; None: the first of the stage."""
@@ -70,14 +73,50 @@ class Drawing:
         return self._size[0] / self._size[1]
 
     def _fit(self) -> Camera | None:
-        """A camera that has the whole motion next to the legend; None where nothing is visible."""
+        """A camera that has the whole motion next to the legend; None where nothing is visible.
+
+        It is one of `VIEWS`: the first, unless obstacles hide the bodies of a bake from it.
+        """
         motion, (width, height) = self._source.motion, self._size
         if motion.bounds is None:
             return None
         taken = min(self._legend.reserved, width // 2) if self._legend else 0
-        camera = fit_camera(motion.bounds.corners, motion.up, (width - taken) / height)
+        corners, aspect = motion.bounds.corners, (width - taken) / height
+        cameras = [
+            fit_camera(corners, motion.up, aspect, azimuth=azimuth, elevation=elevation)
+            for azimuth, elevation in VIEWS
+        ]
+        chosen = cameras[self._unhidden(cameras, aspect)]
         # half of what is taken moves the view axis to the middle of the rest
-        return replace(camera, shift=(-taken * np.tan(np.radians(camera.fov / 2.0)) / height, 0.0))
+        return replace(chosen, shift=(-taken * np.tan(np.radians(chosen.fov / 2.0)) / height, 0.0))
+
+    def _unhidden(self, cameras: Sequence[Camera], aspect: float) -> int:
+        """Index of the camera to use, with a note where obstacles hide the bodies from the first
+        one or from that of the stage.
+        """
+        bodies, obstacles = self._source.bodies_and_obstacles()
+        if not bodies or not obstacles:
+            return 0
+        codes: Sequence[float | None] = self._source.motion.time_codes or (None,)
+        codes = [codes[i] for i in choose_frames(len(codes), LOOKED_AT)]
+        frames = [Occluded.of_scene(self._source.scene(t), bodies, obstacles) for t in codes]
+        own = [self._source.camera(t, self._aspect) for t in codes]
+        if any(own):
+            shares = [
+                frame.seen_share(camera or cameras[0], self._aspect)
+                for frame, camera in zip(frames, own)
+            ]
+            if mostly_hidden(shares):
+                self.notes[_hidden_note(shares, "leave out --camera, or choose another one")] = None
+            return 0
+        chosen, shares = best_view(frames, cameras, aspect)
+        if mostly_hidden(shares):
+            self.notes[_hidden_note(shares, "choose a view with --camera PRIM")] = None
+        elif chosen:
+            azimuth, elevation = VIEWS[chosen]
+            side = "right" if azimuth > 0.0 else "left"
+            self.notes[MOVED.format(abs(azimuth), side, elevation)] = None
+        return chosen
 
     def _studio(self) -> tuple[Light, ...]:
         """Lights that stand still where the stage's camera moves; () leaves them to the camera."""
@@ -86,6 +125,20 @@ class Drawing:
             return ()
         view = np.subtract(camera.eye, camera.target)
         return studio(view / np.linalg.norm(view), np.array(self._source.motion.up))
+
+
+MOVED = (
+    "obstacles hide the body from the usual camera: this one is {:g} degrees to the {} of the"
+    " front and {:g} degrees above the horizon; hint: --camera PRIM chooses another"
+)
+
+
+def _hidden_note(shares: Sequence[float], hint: str) -> str:
+    hidden = hidden_frames(shares)
+    return (
+        f"the body is hidden by obstacles or outside of the picture in {hidden} of"
+        f" {counted(len(shares), 'frame')} looked at; hint: {hint}"
+    )
 
 
 def _quantity(source: PictureStage, limits: tuple[float, float] | None) -> Quantity | None:

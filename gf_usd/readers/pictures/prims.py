@@ -26,6 +26,16 @@ def replaces_meshes(prim: Usd.Prim) -> bool:
     return prim.IsA(UsdGeom.Points) and named and not is_bake_particles(prim)
 
 
+def baked_bodies(stage: Usd.Stage) -> set[str]:
+    """Paths of all that a bake moves: its meshes, and the particles that show them."""
+    found: set[str] = set()
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
+        if relation := prim.GetRelationship("gaussianFlesh:sourceMeshes"):
+            found.update(str(path) for path in relation.GetForwardedTargets())
+            found.add(str(prim.GetPath()))
+    return found
+
+
 def placed_prims(stage: Usd.Stage, notes: Notes) -> Iterator[Usd.Prim]:
     """All prims of a stage including instance proxies, without descendants of PointInstancers.
 

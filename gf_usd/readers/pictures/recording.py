@@ -23,6 +23,7 @@ from gf_usd.readers.pictures.extent import (
     is_visible,
     sample_times,
 )
+from gf_usd.readers.pictures.floor import TILTED, baked_floor
 from gf_usd.readers.pictures.prims import (
     placed_prims,
     read_float_or_half,
@@ -320,16 +321,10 @@ class BakedMotion:
 
     def _ground(self) -> float | None:
         """Height [m] of the floor of the bake; None where unknown or tilted."""
-        metadata = self.about.get("looks")
-        bake = metadata.get(self.variant) if isinstance(metadata, dict) else None
-        settings = bake.get("settings") if isinstance(bake, dict) else None
-        if not isinstance(settings, dict):
-            return None
-        if settings.get("floor_normal") is not None:
-            self._notes.add("its floor is tilted and is not drawn")
-            return None
-        floor = settings.get("floor")
-        return float(floor) if isinstance(floor, int | float) else None
+        baked = baked_floor(self.about, self.variant)
+        if baked is not None and baked.tilted:
+            self._notes.add(TILTED)
+        return None if baked is None else baked.height
 
 
 def _has_varying_topology(prim: Usd.Prim) -> bool:
@@ -397,6 +392,14 @@ def select_variant(stage: Usd.Stage, path: Path, variant: str | None) -> str:
             if "mesh" in displays_in(prim, name):
                 sets.SetSelection(name, "mesh")
     return chosen
+
+
+def shown_variant(stage: Usd.Stage) -> str:
+    """Name of the variant that is selected, which may be NONE; "" for a file without a bake."""
+    prims = _prims_with_variants(stage)
+    if prims:
+        return prims[0].GetVariantSet(VARIANTS).GetVariantSelection()
+    return "".join(_flattened_variant(stage))
 
 
 def displays_in(prim: Usd.Prim, name: str) -> set[str]:

@@ -27,22 +27,25 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.camera import find_camera, read_camera
 from gf_usd.readers.pictures.extent import (
     HEALTH,
+    MotionBoxes,
     is_drawn,
     is_ever_visible,
     motion_bounds,
     motion_boxes,
     sample_times,
 )
+from gf_usd.readers.pictures.floor import TILTED, baked_floor, guessed_height, lowest_height
 from gf_usd.readers.pictures.framing import frame_motion
 from gf_usd.readers.pictures.prims import (
     as_ellipsoids,
+    baked_bodies,
     placed_prims,
     read_points,
     read_splats,
     replaces_meshes,
     to_render_mesh,
 )
-from gf_usd.readers.pictures.recording import VARIANTS, displays_in
+from gf_usd.readers.pictures.recording import VARIANTS, displays_in, shown_variant
 from gf_usd.readers.pictures.values import Values
 from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
@@ -76,9 +79,6 @@ PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
 EMPTY = "pictures of times at which nothing is visible are empty"  # a note
 FALLEN = "falls out of the picture, which is fitted to the rest; --camera chooses another view"
-FLOOR_TOLERANCE = (
-    0.05  # of the size: distance of the lowest point from height 0 of a body that rests there
-)
 
 
 class PictureStage:
@@ -151,10 +151,8 @@ class PictureStage:
         """The extent over the whole time range; cached.
 
         The box is the one to fit an image to: see `gf_usd.readers.pictures.framing`.
-        The floor is at height 0 where the body rests there, to 5 % of its size, or descends to it
-        from above; else at the lowest point of the motion.  There is none where something falls
-        past height 0 by more than the height of all prims at the start: shadows on a floor there
-        would appear in mid-air.  Times at which nothing is visible are ignored.
+        The floor is that of the bake: see `gf_usd.readers.pictures.floor`.  Times at which nothing
+        is visible are ignored.
         """
         if self._motion is None:
             prims = [prim for _, prim in self._prims]
@@ -176,12 +174,41 @@ class PictureStage:
             self._motion = Motion(
                 bounds=bounds,
                 up=(float(up[0]), float(up[1]), float(up[2])),
-                ground=_floor_height(full_bounds, first, up),
+                ground=self._floor_height(boxes, full_bounds, first),
                 time_codes=tuple(times),
                 frames_per_second=float(self._stage.GetFramesPerSecond()),
                 time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
             )
         return self._motion
+
+    def bodies_and_obstacles(self) -> tuple[frozenset[str], frozenset[str]]:
+        """Paths of the drawn prims that a bake moves, and of the meshes that may hide them.
+
+        A mesh whose own points move may be a part of a body, such as its clothes, and hides none.
+        """
+        baked = baked_bodies(self._stage)
+        drawn = {str(prim.GetPath()): (kind, prim) for kind, prim in self._prims}
+        rigid = {
+            path
+            for path, (kind, prim) in drawn.items()
+            if kind == "mesh" and not prim.GetAttribute("points").ValueMightBeTimeVarying()
+        }
+        return frozenset(baked & drawn.keys()), frozenset(rigid - baked)
+
+    def _floor_height(
+        self, boxes: MotionBoxes, whole: Bounds | None, first: Bounds | None
+    ) -> float | None:
+        """Height [m] of the floor; None: none is drawn."""
+        up = self._facts.up
+        metadata = self._stage.GetRootLayer().customLayerData.get(VARIANTS)
+        about = metadata if isinstance(metadata, dict) else {}
+        baked = baked_floor(about, shown_variant(self._stage))
+        if baked is None:
+            return guessed_height(boxes, whole, first, up)
+        if baked.tilted:
+            self._stage_notes.add(TILTED)
+            return None
+        return lowest_height(boxes, whole, up) if baked.height is None else baked.height
 
     def scene(self, time_code: float | None = None) -> Scene:
         """The visible prims at a time code; None: the first of the stage.
@@ -391,15 +418,3 @@ def _select_variant(stage: Usd.Stage, path: Path, variant: str) -> None:
     for variant_set in sets:
         if variant in variant_set.GetVariantNames():
             variant_set.SetVariantSelection(variant)
-
-
-def _floor_height(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -> float | None:
-    """Height of the floor [m]; see `PictureStage.motion`."""
-    if motion is None or first is None:
-        return None
-    lowest, start = (float(np.min(box.corners @ up)) for box in (motion, first))
-    near = FLOOR_TOLERANCE * motion.diagonal
-    rests, lands = abs(lowest) <= near, lowest <= near and start >= -near
-    if lands and not rests and -lowest > float(np.ptp(first.corners @ up)):
-        return None
-    return 0.0 if rests or lands else lowest

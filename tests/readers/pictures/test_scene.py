@@ -124,6 +124,49 @@ def test_the_floor_of_a_motion(tmp_path, heights, ground):
     assert not any("simulation" in note for note in stage.scene().notes)
 
 
+# an obstacle whose top is at height 0, under a square that falls on it; heights in meters
+PIT = """
+def Mesh "pit" {
+    int[] faceVertexCounts = [3, 3]
+    int[] faceVertexIndices = [0, 1, 2, 0, 2, 3]
+    point3f[] points = [(-1,-1,0), (1,-1,0), (1,1,0), (0,0,-0.1)]
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("floor", "ground"),
+    [
+        ("", -0.1),  # not baked: height 0, near the lowest point, would cut the pit
+        ("double floor = 0.5", 0.5),  # as it was baked
+        ("double drag = 0", -0.1),  # baked without a floor
+        ("double floor = 0\ndouble3 floor_normal = (0, 0.6, 0.8)", None),
+    ],
+)
+def test_the_floor_is_that_of_the_bake_and_cuts_nothing(tmp_path, floor, ground):
+    about = (
+        f"""customLayerData = {{ dictionary gaussianFlesh = {{ dictionary looks = {{
+        dictionary rubber = {{ dictionary settings = {{
+        {floor}
+        }} }} }} }} }}"""
+        if floor
+        else ""
+    )
+    head = f"{about}\n{Z_UP}"
+    falling = MOVING.replace("(0,0,-0.05), (1,0,0)", "(0,0,0.2), (1,0,0.2)")
+    stage = PictureStage(write(tmp_path, falling + PIT, head))
+    assert stage.motion.ground == (None if ground is None else pytest.approx(ground))
+    tilted = "its floor is tilted and is not drawn" in stage.scene().notes
+    assert tilted == ("normal" in floor)
+
+
+def test_a_bake_without_a_floor_has_none_where_something_falls(tmp_path):
+    head = f"""customLayerData = {{ dictionary gaussianFlesh = {{ dictionary looks = {{
+        dictionary rubber = {{ dictionary settings = {{ double drag = 0 }} }} }} }} }}
+        {Z_UP}"""
+    assert PictureStage(write(tmp_path, MOVING, head)).motion.ground is None
+
+
 def splats(extra: str = "", radiance: str = "", place: str = "") -> str:
     return f"""
 def ParticleField3DGaussianSplat "cloud" {{
