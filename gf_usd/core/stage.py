@@ -316,6 +316,14 @@ class ContactSetup:
             for f in range(one.frames)
         )
 
+    def pair_text(self, body: int, other: int) -> str:
+        """The prim paths of a body and of an obstacle or, with numbers after those, of a body."""
+        mine, walls = self.skins[body].path, len(self.colliders)
+        if other < walls:
+            return f"<{mine}> and the obstacle <{self.colliders[other].path}>"
+        theirs = "itself" if other - walls == body else f"<{self.skins[other - walls].path}>"
+        return f"<{mine}> and {theirs}"
+
     @property
     def any(self) -> bool:
         """Whether there can be contact."""

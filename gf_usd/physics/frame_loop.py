@@ -33,6 +33,7 @@ class FrameStats:
 
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor
     overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
+    overlap_pair: str | None = None  # text on the body and what it was in; None: not known
     let_go: int = 0  # largest number of contact samples released at the same time
     friction_capped: int = 0
     work: float = 0.0  # [J] work of pins and goals on the body
@@ -219,7 +220,9 @@ class Solver(ABC):
                 frame = self.read(index)
                 done = 0 if stats.rested else substeps
                 seen = {name: value for name, value in asdict(stats).items() if value is not None}
-                seen["overlap"] = max(stats.overlap, frame.health.pierced or 0.0)
+                if (frame.health.pierced or 0.0) > stats.overlap:
+                    seen["overlap"] = frame.health.pierced
+                    seen["overlap_pair"] = frame.health.pierced_pair
                 health = replace(
                     frame.health, **{"substeps": done, "rollbacks": attempt, **seen}
                 )  # fmt: skip

@@ -93,8 +93,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     ),
     "overlap": (
         summary(Health(overlap=0.099)),
-        summary(Health(overlap=0.101)),
-        "overlapped by 1 spacings (0.101 m)",
+        summary(
+            Health(overlap=0.101, overlap_pair="</A> and the obstacle </B>"),
+            Health(overlap=0.05, overlap_pair="</C> and </D>"),
+        ),
+        "</A> and the obstacle </B> overlapped by 1 spacings (0.101 m) at frame 1",
     ),
     "pierced": (
         summary(

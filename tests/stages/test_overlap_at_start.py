@@ -73,6 +73,11 @@ def test_a_ball_that_starts_in_another_stays_calm(tmp_path: Path, other: str, de
     assert health["energy_gain_max_share"] < 1e-3
     assert health["max_J"] < 1.2
     assert health["inverted_particle_frames"] == 0
+    both = {"</World/Ball>", "</World/Below>"}
+    if other == "obstacle":
+        both = {"</World/Ball>", "the obstacle </World/Table>"}
+    assert set(health["overlap_pair"].split(" and ")) == both
+    assert 0 < health["overlap_frame"] < FRAMES
     stage = Usd.Stage.Open(str(found.root))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Ball"))
     heights = [np.array(mesh.GetPointsAttr().Get(t))[:, 1].mean() for t in range(1, FRAMES + 1)]

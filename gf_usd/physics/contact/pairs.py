@@ -122,6 +122,7 @@ class BodyContact:
         self.injected = 0.0  # [J] since `begin`
         self.released = 0  # most samples at once, since `begin`
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
+        self._deepest_pair = -1  # its number, see `_pair_number`; -1: none
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
         self._gap = np.full(n + points, -np.inf)
 
@@ -185,7 +186,7 @@ class BodyContact:
 
     def begin(self, state: State) -> None:
         """Count from zero."""
-        self.injected, self.released, self._overlap = 0.0, 0, 0.0
+        self.injected, self.released, self._overlap, self._deepest_pair = 0.0, 0, 0.0, -1
         self.lateness.begin()
         with state.written("pair", layout.ROW) as pair:
             pair[:, layout.DEPTH] = pair[:, layout.WORK] = 0.0
@@ -250,10 +251,20 @@ class BodyContact:
     def _note_overlap(self, state: State) -> float:
         """Count how deep samples were under the present planes; returns the deepest so far [m]."""
         depth = _column(state, layout.DEPTH)
-        self._overlap = max(
-            self._overlap, float((depth - self._rest_gaps.of_planes(self.planes)).max())
-        )
+        self._deepen(depth - self._rest_gaps.of_planes(self.planes), self.planes)
         return self._overlap
+
+    def _deepen(self, depth: Floats, planes: ContactPlanes) -> None:
+        """Remember the deepest of the samples, depth [m] under their planes, and its pair."""
+        deepest = int(np.argmax(depth))
+        if depth[deepest] > self._overlap:
+            self._overlap = float(depth[deepest])
+            self._deepest_pair = int(self._pairs(planes)[deepest])
+
+    def deepest_pair(self) -> str | None:
+        """The prim paths of the body that was deepest since `begin`, and of what it was in."""
+        pair = divmod(self._deepest_pair, len(self._obstacles) + len(self.members))
+        return self.contact_setup.pair_text(*pair) if self._deepest_pair >= 0 else None
 
     def totals(self, state: State) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by detections [J] and deepest overlap [m]."""
@@ -472,7 +483,7 @@ class BodyContact:
         self.planes, self._k = new.planes, new.stiffness
         self.injected += new.energy - old.energy
         self._gap, self._detected, self._x = search.gap, time, x[: len(self._X)]
-        self._overlap = max(self._overlap, -float(search.gap.min()))
+        self._deepen(-search.gap, search.planes)
         self._note_search(outlook, np.abs(true.depth - new.depth))
         lost = (old.depth > EASE * self._spacing) & (self.planes.partner == NOBODY)
         self.released = max(self.released, search.released + self._edges.left_out, int(lost.sum()))

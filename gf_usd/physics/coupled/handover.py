@@ -279,9 +279,9 @@ class Converting(Solver):
                 **{
                     name: getattr(seen, name)
                     for name in (
-                        "substeps", "rollbacks", "penetration", "overlap", "pierced",
-                        "pierced_through", "pierced_pair", "let_go", "work", "planes", "clamped",
-                        "stress_capped", "friction_capped",
+                        "substeps", "rollbacks", "penetration", "overlap", "overlap_pair",
+                        "pierced", "pierced_through", "pierced_pair", "let_go", "work", "planes",
+                        "clamped", "stress_capped", "friction_capped",
                     )
                 },
             ),

@@ -252,6 +252,7 @@ def merged_stats(solid: FrameStats, flow: FrameStats) -> FrameStats:
         **{name: getattr(solid, name) + getattr(flow, name) for name in sums},
         penetration=max(solid.penetration, flow.penetration),
         overlap=max(solid.overlap, flow.overlap),
+        overlap_pair=solid.overlap_pair if solid.overlap >= flow.overlap else flow.overlap_pair,
         plastic_dissipation=_sum(solid.plastic_dissipation, flow.plastic_dissipation),
         conversion_dissipation=flow.conversion_dissipation,
     )

@@ -244,6 +244,7 @@ class TotalLagrangian(Solver):
             injected=injected + given,
             planes=given,
             overlap=overlap,
+            overlap_pair=pairs.deepest_pair() if pairs else None,
             let_go=pairs.released if pairs else 0,
             clamped=int((limited["clamped"] | clipped).sum()),
             stress_capped=int(limited["stress_capped"].sum()),

@@ -100,6 +100,7 @@ class HealthLog:
             **self._conversion(),
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
+            **self._overlap(),
             **self._pierced(),
             "released_max": max(f.let_go for f in h),
             "let_go_max": max(f.let_go for f in h),  # its name before; until 1.0
@@ -222,6 +223,15 @@ class HealthLog:
         return {
             "resting_penetration_m": last.penetration if rests else None,
             "resting_penetration_spacings": last.penetration / self._spacing if rests else None,
+        }
+
+    def _overlap(self) -> dict[str, Any]:
+        """What overlapped most, and when; None where nothing did."""
+        frame = max(range(len(self.frames)), key=lambda i: self.frames[i].overlap)
+        worst = self.frames[frame]
+        return {
+            "overlap_pair": worst.overlap_pair if worst.overlap > 0.0 else None,
+            "overlap_frame": frame if worst.overlap > 0.0 else None,
         }
 
     def _pierced(self) -> dict[str, Any]:
@@ -423,6 +433,7 @@ def merged_health(samples: Sequence[Health]) -> Health:
     worst = max(samples, key=_pierced_weight)
     for name in ("pierced", "pierced_through", "pierced_pair"):
         values[name] = getattr(worst if worst.pierced else samples[-1], name)
+    values["overlap_pair"] = max(samples, key=lambda sample: sample.overlap).overlap_pair
     most = max(samples, key=lambda sample: sample.expanded or 0.0)
     values |= {"expanded": most.expanded, "expanded_body": most.expanded_body}
     return replace(samples[-1], **values)

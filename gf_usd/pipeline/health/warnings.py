@@ -216,9 +216,10 @@ def _overlap(h: HealthSummary) -> MessageAndHint:
         return None
     if h["deepest_overlap_m"] <= (h.get("pierced_max_m") or 0.0):
         return None  # see `_pierced`
+    pair = h.get("overlap_pair") or "bodies or obstacles"  # some solvers do not know it
     return (
-        f"bodies or obstacles overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
-        f" ({h['deepest_overlap_m']:.3g} m)",
+        f"{pair} overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
+        f" ({h['deepest_overlap_m']:.3g} m) at frame {h['overlap_frame']}",
         f"{_gentler(h)}, or take more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
     )

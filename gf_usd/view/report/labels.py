@@ -110,6 +110,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row("deepest_overlap_m", "Deepest overlap", "m", "with a body or an obstacle"),
     Row("deepest_overlap_spacings", "Deepest overlap", "spacings", "in particle spacings"),
+    Row("overlap_pair", "Body with the deepest overlap", "", "and what it overlapped"),
+    Row("overlap_frame", "Frame of the deepest overlap", "", "from 0"),
     Row("pierced_max_m", "Deepest edge or corner of an obstacle", "m", "in or through a body"),
     Row(
         "pierced_max_spacings",
@@ -275,7 +277,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "injected": ("injected_J",),
     "planes": ("planes_J", "planes_gain_share"),
     "penetration": ("deepest_penetration_m", "deepest_penetration_spacings"),
-    "overlap": ("deepest_overlap_m", "deepest_overlap_spacings"),
+    "overlap": ("deepest_overlap_m", "deepest_overlap_spacings", "overlap_pair"),
     "pierced": ("pierced_max_m", "pierced_max_spacings", "pierced_pair"),
     "let-go": ("released_max",),
     "fallen": ("fallen_bodies", "first_fallen_frame"),
