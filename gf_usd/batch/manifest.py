@@ -21,7 +21,7 @@ from gf_usd.core.materials.laws import check_law
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.prepare.advice import AUTO
 from gf_usd.prepare.advice.advise import parse_auto
-from gf_usd.prepare.options.option import Option
+from gf_usd.prepare.options.option import DEFAULT, Option
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.table import OPTIONS, nearest
 from gf_usd.prepare.outputs import USD
@@ -32,7 +32,7 @@ SUFFIXES = (".toml", ".json")
 OUT = "baked"
 RETRIES = 1
 SHORTEST = 0.1  # [s] of a time limit
-UNSET = "default"  # as a value: that of the asset or of bake, whatever else is set
+UNSET = DEFAULT  # as a value: that of the asset or of bake, whatever else is set
 TOP = ("out", "name", "timeout", "retries", "settings", "matrix", "assets")
 GROUP = ("files", "name", "settings", "matrix")
 

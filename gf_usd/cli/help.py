@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperCommand
 
 from gf_usd.cli.renamed import present
+from gf_usd.cli.take_back import without_taken_back
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.table import OPTIONS
@@ -106,9 +107,13 @@ class HelpfulCommand(TyperCommand):
                 param.metavar = PLACEHOLDERS.get(param.type.name.split()[0])
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Insert the default value of an option that may be given without one."""
+        """Take back what has the value `default`, and insert the value of an option that may be
+        given without one.
+        """
         known = {flag for param in self.get_params(ctx) for flag in param.opts}
-        args = present(self.name or "", args)
+        args, taken_back = without_taken_back(self.name or "", present(self.name or "", args))
+        of_folder = ctx.default_map or {}
+        ctx.default_map = {k: v for k, v in of_folder.items() if k not in taken_back}
         left = super().parse_args(ctx, with_bare_values(args, known))
         self._refuse_nan(ctx)
         return left

@@ -69,9 +69,10 @@ gf-usd bake and gf-usd inspect read the nearest gf-usd.toml in the current folde
     particles = 4000
     drop = 2.5
 
-Names are those of the options, with underscores. The command line takes precedence, a note lists
-the options that were read, and an unknown name is an error. Batch jobs and bakes with --events do
-not read this file."""),
+Names are those of the options, with underscores. The command line takes precedence; the value
+default takes an option back: --drop default, --combine default. A note lists the options that
+were read, and an unknown name is an error. Batch jobs and bakes with --events do not read this
+file."""),
 }  # fmt: skip
 
 

@@ -239,3 +239,10 @@ def test_a_refusal_that_is_part_of_the_result_names_keywords(tmp_path: Path) -> 
     assert refusal is not None
     assert refusal.message.startswith("material_boxes metal:90,90,90,91,91,91 contains none")
     assert "--" not in str(refusal)
+
+
+def test_the_word_default_is_the_same_as_leaving_an_option_out() -> None:
+    assert taken({name: "default" for name in OPTIONS if name != "output"}, "gf_usd.bake") == {
+        name: row.default for name, row in OPTIONS.items() if name != "output"
+    }
+    assert taken({"output": "default"}, "gf_usd.bake") == {"output": "default"}

@@ -70,6 +70,41 @@ def test_the_options_of_a_folder_hold_below_it(
     assert report["outputs"][0] == "block.jelly.usda"
 
 
+def test_the_command_line_takes_back_an_option_of_a_folder(gf_usd, here: Path, block: Path) -> None:
+    (here / "gf-usd.toml").write_text(
+        '[bake]\nmaterial = "jelly"\nfloor = "none"\nfriction = 0.9\ncombine = true\n'
+        'pins = ["box:0,0,0,1,1,1"]\nframes = 3\n'
+    )
+    taken_back = (
+        "-m", "default", "--floor", "default", "--friction=default", "--combine", "default",
+        "--pin", "default",
+    )  # fmt: skip
+    for command in ("bake", "inspect"):
+        given = ("--dry-run",) if command == "bake" else ()
+        plain = gf_usd(command, block, "--particles", "100", "--json", *given, *taken_back)
+        assert plain.status == 0, plain.err
+        (here / "gf-usd.toml").rename(here / "other.toml")
+        wanted = gf_usd(command, block, "--particles", "100", "--frames", "3", "--json", *given)
+        (here / "other.toml").rename(here / "gf-usd.toml")
+        assert json.loads(plain.out) == json.loads(wanted.out)
+
+
+def test_what_follows_the_default_counts_and_what_was_before_does_not(gf_usd, block: Path) -> None:
+    def frames(*arguments: str) -> int:
+        done = gf_usd("bake", block, "--particles", "100", "--dry-run", "--json", *arguments)
+        assert done.status == 0, done.err
+        return json.loads(done.out)["frames"]
+
+    given = frames()
+    assert frames("--frames", "4", "--frames", "default") == given != 4
+    assert frames("--frames", "default", "--frames", "4") == 4
+    # an output may have this name
+    done = gf_usd("bake", block, "--dry-run", "--json", "-o", "default.usda", "--frames", "4")
+    assert json.loads(done.out)["outputs"][0] == "default.usda"
+    done = gf_usd("bake", block, "--dry-run", "--json", "-o", "default", "--frames", "4")
+    assert "default" in done.out + done.err
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -21,6 +21,7 @@ from gf_usd.prepare.options import values
 BAKE = ("bake",)
 BATCH = ("bake", "batch")  # a manifest may give it, too
 PLAN = ("bake", "batch", "inspect")  # what decides the plan, which an inspection shows
+DEFAULT = "default"  # as a value: the default, whatever else is set
 PLAIN: tuple[type, ...] = (int, float, bool, str)  # what an argument becomes
 
 T = TypeVar("T")
@@ -58,6 +59,11 @@ class Option:
         return self.kind is bool and self.default is None
 
     @property
+    def takes_default(self) -> bool:
+        """Whether the text DEFAULT is no value of its own: an output may have that name."""
+        return self.name != "output"
+
+    @property
     def flag(self) -> str:
         """The option's name on the command line; for a list, it is given once per item."""
         name = self.name
@@ -70,11 +76,11 @@ class Option:
         return None if text is None or self.parse is None else self.parse(text)
 
     def take(self, value: Any) -> Any:
-        """The command-line value of a Python value; None: the default.
+        """The command-line value of a Python value; None and DEFAULT: the default.
 
         Raises UsageError for an invalid value.
         """
-        if value is None:
+        if value is None or (isinstance(value, str) and value == DEFAULT and self.takes_default):
             return self.default
         if self.write is not None:
             return self.write(self.name, value)
