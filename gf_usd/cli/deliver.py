@@ -12,7 +12,7 @@ import typer
 from gf_usd.core.errors import counted
 
 if TYPE_CHECKING:
-    from gf_usd.delivery.deliver import Delivered, DeliveredSplats
+    from gf_usd.delivery.deliver import Delivered, DeliveredBody, DeliveredSplats
 
 
 def deliver(
@@ -93,7 +93,7 @@ def deliver(
         name = f"{body.variant}: " if body.variant else ""
         parts = [*body.meshes, *body.splats]
         named = ", ".join(parts[:3]) + (", ..." if len(parts) > 3 else "")
-        typer.echo(f"{name}{named}: {described(body.joints, body.shapes)}")
+        typer.echo(f"{name}{named}: {described(body)}")
     for cloud in done.splats:
         name = f"{cloud.variant}: " if cloud.variant else ""
         typer.echo(f"{name}<{cloud.path}>: {error_text(cloud)}")
@@ -103,11 +103,13 @@ def deliver(
     )
 
 
-def described(joints: int, shapes: int) -> str:
+def described(body: DeliveredBody) -> str:
     """Text on how a body is moved."""
-    if joints:
-        return f"{joints + 1} joints"
-    return f"{counted(shapes, 'blend shape')} on 1 joint" if shapes else "1 joint"
+    if body.joints:
+        return f"{body.joints + 1} joints"
+    if body.shapes:
+        return f"{counted(body.shapes, 'blend shape')} on 1 joint"
+    return "1 joint" if body.moves else "does not move"
 
 
 def error_text(cloud: DeliveredSplats) -> str:

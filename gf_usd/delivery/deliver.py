@@ -55,6 +55,7 @@ class DeliveredBody:
     joints: int  # without the root joint
     shapes: int  # blend shapes
     radius: float  # [m] to which the error is relative
+    moves: bool = True  # False: an obstacle that stands still, in glTF
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,6 +207,7 @@ def _smallest(
                 joints=rig.joints,
                 shapes=rig.blend_shapes,
                 radius=rig.body.radius,
+                moves=rig.body.moves,
             )
             for variant in chosen
             for rig in variant.rigs

@@ -14,7 +14,9 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.mesh import signed_volume
 from gf_usd.core.scene import MotionFrame, Recording
+from gf_usd.delivery.joints import kabsch
 
+RIGID = 1e-4  # of the size of a mesh: it moves as a rigid body within this
 FLAT = 1e-3  # of the box around a mesh: less volume than this is none
 
 
@@ -57,18 +59,21 @@ def bodies_of(
     """Meshes of a recording as bodies: those under one root prim whose boxes overlap in the first
     frame.
 
-    The meshes of one body are visible in the same frames. frames : including the shapes of hidden
+    The meshes of one body are visible in the same frames.  What the bake does not move and is
+    rigid, such as an obstacle, is a body of its own. frames : including the shapes of hidden
     meshes. meshes : a subset of the meshes.
     """
     shown = {i: tuple(i not in frame.hidden for frame in frames) for i in meshes}
     motions = {i: np.array([frame.meshes[i] for frame in frames]) for i in meshes}
-    groups: list[list[int]] = []
-    for mesh in meshes:
+    alone = {i for i in meshes if not recording.baked[i] and _is_rigid(motions[i])}
+    groups: list[list[int]] = [[i] for i in alone]
+    for mesh in (i for i in meshes if i not in alone):
         near = [
             group
             for group in groups
             if any(
-                _root(recording, mesh) == _root(recording, other)
+                other not in alone
+                and _root(recording, mesh) == _root(recording, other)
                 and shown[mesh] == shown[other]
                 and _meet(motions[mesh][0], motions[other][0])
                 for other in group
@@ -89,6 +94,15 @@ def bodies_of(
             )
         )
     return tuple(found)
+
+
+def _is_rigid(frames: Floats) -> bool:
+    """Whether points (T, V, 3) keep their distances."""
+    if (frames == frames[:1]).all():
+        return True
+    R, d = kabsch(frames[0], frames, np.ones(len(frames[0])))
+    off = frames[0] @ R.transpose(0, 2, 1) + d[:, None] - frames
+    return float(np.abs(off).max()) <= RIGID * float(np.ptp(frames[0], axis=0).max())
 
 
 def _root(recording: Recording, mesh: int) -> str:

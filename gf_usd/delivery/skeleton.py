@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from functools import reduce
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
@@ -15,6 +16,7 @@ from gf_usd.delivery.transforms import hierarchy
 
 NAME = "Skeleton"
 ROOT = "Root"
+PURPOSES = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
 FIT = 1e-6  # of the size: source points map to the first frame within single precision
 
 
@@ -25,16 +27,16 @@ def bind_meshes(
     triangles: Sequence[Ints],
     time_codes: Sequence[float],
     unit: float,
+    root: Usd.Prim,
 ) -> None:
     """Author rigs at the stage's edit target, over meshes that hold no motion any more.
 
-    rigs : of bodies below one root prim.
+    rigs : of bodies below one root prim.   root : the prim to become the SkelRoot: `skel_root`.
     names, triangles : prim paths of the meshes, by the numbers that bodies have, and (T, 3) into
     their points, for prims that are implicit shapes.  unit : [m] per stage unit.
 
     Raises InputError where no prim above a mesh can be a SkelRoot.
     """
-    root = stage.GetPrimAtPath(Sdf.Path(names[rigs[0].body.meshes[0]]).GetPrefixes()[0])
     _make_skel_root(root)
     for number, rig in enumerate(rigs):
         name = NAME if number == 0 else f"{NAME}{number}"
@@ -45,7 +47,24 @@ def bind_meshes(
             if not prim.IsA(UsdGeom.Mesh):
                 _make_mesh(prim, triangles[mesh])
             _bind(prim, mesh, rig, skeleton, unit)
-    _author_extent(root, rigs, time_codes, unit)
+    _author_extent(root, rigs, names, time_codes, unit)
+
+
+def skel_root(stage: Usd.Stage, meshes: Collection[str]) -> Usd.Prim:
+    """The prim that becomes the SkelRoot of meshes below one root prim.
+
+    It is the lowest prim above all of them that places what is below it, so that other prims of a
+    stage, such as obstacles, stay outside: engines import a SkelRoot as one skinned object.  If a
+    prim above it is a SkelRoot already, it is that one, because they do not nest.
+    """
+    paths = [Sdf.Path(mesh) for mesh in meshes]
+    common = paths[0] if len(paths) == 1 else reduce(Sdf.Path.GetCommonPrefix, paths)
+    above = [stage.GetPrimAtPath(path) for path in common.GetPrefixes()]
+    for prim in above:
+        if prim.IsA(UsdSkel.Root):
+            return prim
+    fit = [prim for prim in above if prim.IsA(UsdGeom.Xform)]
+    return fit[-1] if fit else above[0]
 
 
 def _make_skel_root(root: Usd.Prim) -> None:
@@ -216,14 +235,34 @@ def _shape_prims(
 
 
 def _author_extent(
-    root: Usd.Prim, rigs: Sequence[Rig], time_codes: Sequence[float], unit: float
+    root: Usd.Prim,
+    rigs: Sequence[Rig],
+    names: Sequence[str],
+    time_codes: Sequence[float],
+    unit: float,
 ) -> None:
-    """The box of the moving meshes in each frame, in the space of the root prim."""
+    """The box of the moving meshes and of what is beside them in each frame, in the space of the
+    root prim.
+
+    The bounds of a SkelRoot stand for those of all that is below it.
+    """
+    moving = {names[mesh] for rig in rigs for mesh in rig.body.meshes}
+    beside = [
+        prim
+        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+        if (prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer))
+        and str(prim.GetPath()) not in moving
+    ]
+    boxes = UsdGeom.BBoxCache(Usd.TimeCode(time_codes[0]), PURPOSES)
     extent = UsdGeom.Boundable(root).CreateExtentAttr()
     for frame, code in enumerate(time_codes):
+        boxes.SetTime(Usd.TimeCode(code))
+        others = [boxes.ComputeWorldBound(prim).ComputeAlignedRange() for prim in beside]
+        corners = [box.GetCorner(k) for box in others if not box.IsEmpty() for k in range(8)]
         world = UsdGeom.Imageable(root).ComputeLocalToWorldTransform(code)
         back = np.array(world.GetInverse())
         points = np.concatenate([rig.body.frames[frame] for rig in rigs]) / unit
+        points = np.concatenate([points, np.reshape(np.array(corners, float), (-1, 3))])
         local = points @ back[:3, :3] + back[3, :3]
         extent.Set(_vectors(np.array([local.min(axis=0), local.max(axis=0)])), code)
 

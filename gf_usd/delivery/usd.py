@@ -16,7 +16,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.errors import UsageError
-from gf_usd.delivery.skeleton import bind_meshes
+from gf_usd.delivery.skeleton import bind_meshes, skel_root
 from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
 from gf_usd.delivery.variants import BakedVariant
 from gf_usd.layers.flatten import Package, export, write_placed
@@ -51,7 +51,7 @@ def write_usd(
         layer = _without_motion(bake, variants)
         stage = Usd.Stage.Open(layer, Usd.Stage.LoadAll)
         for variant in variants:
-            _author(stage, variant)
+            _author(stage, variant, variants)
             _hide_left_out(stage, bake, variant)
             _author_splats(stage, bake, variant, error)
         return write_placed(layer, target, package=LayerPackage)
@@ -184,7 +184,9 @@ def _drop_samples(layer: Sdf.Layer, variant: BakedVariant) -> None:
                 layer.GetPrimAtPath(mesh).RemoveProperty(attribute)
 
 
-def _author(stage: Usd.Stage, variant: BakedVariant) -> None:
+def _author(stage: Usd.Stage, variant: BakedVariant, variants: Sequence[BakedVariant]) -> None:
+    """Author the rigs of one of the variants, which have their SkelRoots in common."""
+    every = {one.meshes[m] for one in variants for r in one.rigs for m in r.body.meshes}
     roots = {
         str(Sdf.Path(variant.meshes[m]).GetPrefixes()[0])
         for r in variant.rigs
@@ -196,9 +198,11 @@ def _author(stage: Usd.Stage, variant: BakedVariant) -> None:
         with _variant_of(stage.GetPrimAtPath(path), variant.name):
             for mesh in (m for rig in rigs for m in rig.body.meshes):
                 _end_instances(stage, variant.meshes[mesh])
+            below = [mesh for mesh in every if mesh == path or mesh.startswith(f"{path}/")]
             bind_meshes(
-                stage, rigs, variant.meshes, variant.triangles, variant.time_codes, variant.unit
-            )
+                stage, rigs, variant.meshes, variant.triangles, variant.time_codes, variant.unit,
+                skel_root(stage, below),
+            )  # fmt: skip
 
 
 def _hide_left_out(stage: Usd.Stage, bake: Path, variant: BakedVariant) -> None:

@@ -91,7 +91,13 @@ class _Writer:
         self.notes: dict[str, None] = {}
 
     def add(self, rig: Rig) -> None:
-        """A body with its joints or shapes."""
+        """A body with its joints or shapes; what stands still has none."""
+        if not (rig.body.moves or rig.body.shown or rig.body.splats):
+            for number in rig.body.meshes:
+                mesh = self._mesh(rig, number)
+                self._nodes[0]["children"].append(len(self._nodes))
+                self._nodes.append({"mesh": mesh, **self._named(mesh)})
+            return
         joints = hierarchy(rig)
         root = len(self._nodes)
         names = ["Root", *(f"Joint{j}" for j in range(len(joints) - 1))]

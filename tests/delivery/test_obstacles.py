@@ -1,0 +1,149 @@
+"""A delivered body beside obstacles: these stay themselves."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from delivered import world_points
+from pxr import Usd, UsdGeom, UsdSkel
+
+import gf_usd
+from gf_usd.delivery.deliver import deliver
+
+TOLERANCE = 0.02
+
+# A soft box between a crate that stands still and a plate that moves, so close that the bounds of
+# all meet, on a ground that is larger than all of them; under one prim.
+PROPS = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+    timeCodesPerSecond = 24
+)
+def Xform "World" (kind = "assembly")
+{
+    def Xform "props"
+    {
+        def Xform "soft"
+        {
+            double3 xformOp:translate = (0, 0.6, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+            def Cube "body"
+            {
+                double size = 1
+            }
+        }
+        def Cube "crate" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {
+            double size = 1
+            double3 xformOp:translate = (1.01, 0.5, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }
+        def Cube "plate" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {
+            double size = 1
+            double3 xformOp:translate.timeSamples = { 1: (-1.01, 0.5, 0), 6: (-1.01, 2.5, 0) }
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }
+        def Cube "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {
+            double size = 8
+            double3 xformOp:translate = (0, -4, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }
+    }
+}
+"""
+PLACES = {"crate": (1.01, 0.5, 0.0), "plate": (-1.01, 0.5, 0.0), "ground": (0.0, -4.0, 0.0)}
+
+
+@pytest.fixture(scope="module")
+def props(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The baked stage."""
+    asset = tmp_path_factory.mktemp("props") / "props.usda"
+    asset.write_text(PROPS, encoding="utf-8")
+    return bake(asset, 200)
+
+
+def bake(asset: Path, particles: int) -> Path:
+    done = gf_usd.bake(
+        asset, particles=particles, frames=6, material="jelly", output=asset.with_name("baked.usda")
+    )
+    return Path(done.root)
+
+
+def tree_of(path: Path) -> dict[str, Any]:
+    data = path.read_bytes()
+    return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+
+
+@pytest.mark.parametrize("kind", ["joints", "shapes"])
+def test_gltf_has_obstacles_as_nodes_of_their_own(props: Path, tmp_path: Path, kind: str) -> None:
+    done = deliver(props, tmp_path / "out.glb", error=TOLERANCE, kind=kind)
+    bodies = {tuple(path.rpartition("/")[2] for path in one.meshes): one for one in done.bodies}
+    assert set(bodies) == {("body",), ("crate",), ("plate",), ("ground",)}
+    assert {name for (name,), one in bodies.items() if one.joints or one.shapes} == {"body"}
+    assert {name for (name,), one in bodies.items() if one.moves} == {"body", "plate"}
+    tree = tree_of(done.path)
+    nodes = {node["name"]: node for node in tree["nodes"] if "mesh" in node}
+    moved = {channel["target"]["node"] for channel in tree["animations"][0]["channels"]}
+    for name in ("crate", "ground"):
+        assert "skin" not in nodes[name]
+        number = tree["nodes"].index(nodes[name])
+        assert number in tree["nodes"][0]["children"], "no joint is above it"
+        assert number not in moved
+        (primitive,) = tree["meshes"][nodes[name]["mesh"]]["primitives"]
+        assert "targets" not in primitive
+        where = tree["accessors"][primitive["attributes"]["POSITION"]]
+        middle = [0.5 * (low + high) for low, high in zip(where["min"], where["max"])]
+        assert middle == pytest.approx(PLACES[name], abs=1e-6)
+    assert "skin" not in nodes["plate"]
+
+
+def test_usd_changes_the_prim_of_the_soft_body_alone(props: Path, tmp_path: Path) -> None:
+    done = deliver(props, tmp_path / "out.usda", error=TOLERANCE)
+    (body,) = done.bodies
+    assert body.meshes == ("/World/props/soft/body",)
+    stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(props))
+    types = {str(prim.GetPath()): prim.GetTypeName() for prim in stage.Traverse()}
+    assert types["/World"] == types["/World/props"] == "Xform"
+    assert types["/World/props/soft"] == "SkelRoot"
+    assert types["/World/props/soft/Skeleton"] == "Skeleton"
+    for name in PLACES:
+        prim = stage.GetPrimAtPath(f"/World/props/{name}")
+        assert prim.GetTypeName() == "Cube"
+        assert not prim.HasAPI(UsdSkel.BindingAPI)
+        assert prim.GetPropertyNames() == source.GetPrimAtPath(prim.GetPath()).GetPropertyNames()
+    assert set(world_points(done.path)) == {"/World/props/soft/body"}
+
+
+def bound(stage: Usd.Stage, path: str, code: float) -> list[float]:
+    cache = UsdGeom.BBoxCache(Usd.TimeCode(code), [UsdGeom.Tokens.default_])
+    box = cache.ComputeWorldBound(stage.GetPrimAtPath(path)).ComputeAlignedRange()
+    return [*box.GetMin(), *box.GetMax()]
+
+
+def test_the_bounds_above_a_body_contain_what_is_beside_it(props: Path, tmp_path: Path) -> None:
+    done = deliver(props, tmp_path / "out.usda", error=TOLERANCE)
+    stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(props))
+    for code in (1.0, 4.0, 6.0):
+        assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
+
+
+def test_the_box_of_bodies_on_both_sides_of_an_obstacle_contains_it(tmp_path: Path) -> None:
+    asset = tmp_path / "two.usda"
+    start, end = PROPS.index('        def Xform "soft"'), PROPS.index('        def Cube "crate"')
+    second = PROPS[start:end]
+    second = second.replace('"soft"', '"other"').replace("(0, 0.6, 0)", "(2.2, 0.6, 0)")
+    asset.write_text(PROPS[:start] + second + PROPS[start:])
+    root = bake(asset, 400)
+    done = deliver(root, tmp_path / "out.usda", error=TOLERANCE)
+    stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(root))
+    assert stage.GetPrimAtPath("/World/props").GetTypeName() == "SkelRoot"
+    for code in (1.0, 6.0):
+        assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
