@@ -86,3 +86,72 @@ def test_a_rigid_boot_moves_with_its_joint(tmp_path: Path) -> None:
             posed = (CORNERS - [1.0, 0.0, 0.0]) @ R.T + [1.0, 0.0, 0.0]
             away = np.abs(drawn(stage, code, "/Arm/Boot") - posed).max()
             assert (away < 1e-5) if rigid else (away > 1e-3)
+
+
+def cape(height: float) -> str:
+    """A box over the middle of the arm that both joints carry, as far above it as given [m]."""
+    points = [(x, 0.2 + height + y, z) for x, y, z in (CORNERS - (0.9, -0.3, 0.0)).tolist()]
+    return f"""
+    def Mesh "Cape" ( prepend apiSchemas = ["SkelBindingAPI"] )
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points = {points}
+        int[] faceVertexCounts = {[4] * 6}
+        int[] faceVertexIndices = {FACES}
+        rel skel:skeleton = </Arm/Skel>
+        int[] primvars:skel:jointIndices = {[0, 1] * len(points)} (
+            elementSize = 2
+            interpolation = "vertex"
+        )
+        float[] primvars:skel:jointWeights = {[0.25, 0.75] * len(points)} (
+            elementSize = 2
+            interpolation = "vertex"
+        )
+    }}
+}}
+"""
+
+
+HELD = (
+    "</Arm/Cape> follows several joints and touches no flesh: springs hold it in its skinned pose"
+)
+
+
+@pytest.mark.parametrize(
+    ("height", "options", "held"),
+    [
+        (1.5, {}, True),
+        (0.02, {}, False),  # the flesh carries it
+        (1.5, {"goal_frequency": 6.0}, False),  # the springs that were asked for do
+        (1.5, {"squish": 0.5}, True),
+    ],
+)
+def test_a_mesh_of_several_joints_that_no_flesh_holds_has_springs(
+    tmp_path: Path, height: float, options: dict[str, float], held: bool
+) -> None:
+    body = arm().rstrip().removesuffix("}") + cape(height)
+    plan, _ = prepare(
+        write(tmp_path, body), **FEW, **options, output=tmp_path / "o.usda", draw=None
+    )
+    assert (HELD in " ".join(plan.notes)) == held
+    if held:
+        assert plan.goals is not None
+        over, skin = plan.goals.rate(np.array([[1.0, 0.2 + height + 0.3, 0.0], [1.0, 0.0, 0.0]]))
+        assert over > 100.0
+        assert skin == 0.0
+
+
+def test_a_cape_that_no_flesh_holds_moves_with_its_skin(tmp_path: Path) -> None:
+    """It fell, although it is bound to joints."""
+    path = write(tmp_path, arm().rstrip().removesuffix("}") + cape(1.5))
+    done = gf_usd.bake(path, **FEW, output=tmp_path / "out.usda")
+    moved = drawn(Usd.Stage.Open(str(done.root)), LAST, "/Arm/Cape")
+    # B turns by 60 degrees about (1, 0, 0)
+    a = np.deg2rad(60.0)
+    rest = drawn(Usd.Stage.Open(str(path)), FIRST, "/Arm/Cape")
+    turn = np.array([[np.cos(a), np.sin(a), 0.0], [-np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
+    turned = (rest - (1.0, 0.0, 0.0)) @ turn + (1.0, 0.0, 0.0)
+    wanted = 0.25 * rest + 0.75 * turned
+    # within the way of a quarter of a frame: it follows with the lag of its springs
+    way = np.linalg.norm(wanted - rest, axis=1).max()
+    assert np.linalg.norm(moved - wanted, axis=1).max() < 0.25 * way / (LAST - FIRST) + 0.02

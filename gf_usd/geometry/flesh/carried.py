@@ -82,6 +82,50 @@ def _held(
     )
 
 
+# [cells] from flesh that is held, beyond which flesh of several joints is not held by it.
+REACH = 1.0
+
+
+def loose_meshes(
+    skeleton: Skeleton, carried: Mapping[str, int], solid: Solid, cores: Cores, cell: float
+) -> tuple[list[str], dict[str, float]]:
+    """Meshes bound to several joints that neither a core nor flesh with a core holds, and the share
+    of the points of each other one without a core that is near the flesh that holds it.
+
+    cell : [m] edge of a cell.
+    """
+    shapes = {
+        s.path: (s.points, Shape(s.points, t))
+        for s, t in zip(solid.surfaces, solid.triangles, strict=True)
+        if s.path in skeleton.weights and s.path not in carried
+    }
+    inner = np.concatenate([core.points[core.radius > 0.0] for core in cores.cores])
+    held = [path for path, (_, shape) in shapes.items() if shape.encloses(inner).any()]
+    if not held:
+        return [], {}
+    left = [path for path in shapes if path not in held]
+    near: dict[str, float] = {}
+    for path in held:  # which grows
+        for one in left:
+            near[one] = _near_share(shapes[one], shapes[path], REACH * cell)
+        held += [one for one in left if near[one] > 0.0]
+        left = [one for one in left if near[one] == 0.0]
+    return left, {path: share for path, share in near.items() if share > 0.0}
+
+
+def _near_share(mesh: tuple[Floats, Shape], other: tuple[Floats, Shape], reach: float) -> float:
+    """The share of the points of a mesh that are in another one or within reach [m] of it.
+
+    It is not 0 where points of the other one alone are near.
+    """
+    (a, mine), (b, theirs) = mesh, other
+    if (a.min(0) - reach > b.max(0)).any() or (b.min(0) - reach > a.max(0)).any():
+        return 0.0
+    near = (theirs.closest(a)[0] < reach) | theirs.encloses(a)
+    any_near = near.any() or (mine.closest(b)[0] < reach).any() or mine.encloses(b).any()
+    return max(float(near.mean()), 1.0 / len(a)) if any_near else 0.0
+
+
 def carried_pins(
     names: Sequence[str], carried: Mapping[str, int], skeleton: Skeleton, solid: Solid, cell: float
 ) -> tuple[Pin, ...]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Asset, first_time_code
+from gf_usd.core.asset import Asset, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
 from gf_usd.core.stage import Goals, Pin, Skeleton
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 BONE_RADIUS = 0.5  # of the distance to the skin
 GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 6
 GOAL_DAMPING = 0.5
+HANGING = 0.25  # share of the points of a mesh at the flesh that holds it, below which it hangs
 SAME_POSE = 1e-3  # of the skeleton: poses that differ by less are one
 JUMP = 2.0  # times the longest way between two frames: a cycle whose end is farther is none
 
@@ -155,6 +156,7 @@ def _of_character(
     from gf_usd.geometry.flesh.carried import (
         carried_meshes,
         carried_pins,
+        loose_meshes,
         meshes_apart,
         named_carried_meshes,
     )
@@ -215,6 +217,12 @@ def _of_character(
     if squish is not None or stretch is not None:
         limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=2.0 * lattice)
     painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
+    if frequency is None and not painted:
+        loose_ones, near = loose_meshes(skeleton, carried, solid, cores, 2.0 * lattice)
+        notes = (*notes, *_loose_meshes(loose_ones), *_hanging_meshes(near))
+        if loose_ones:
+            painted = _held(asset.surfaces, loose_ones)
+            frequency = GOAL_FREQUENCY
     if frequency is None and limits is None and not painted:
         return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
     if frequency is None:
@@ -232,6 +240,42 @@ def _of_character(
         limits=limits,
     )  # fmt: skip
     return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept))
+
+
+def _held(surfaces: Sequence[Surface], paths: Sequence[str]) -> dict[str, Floats]:
+    """Goal weights at the face corners of surfaces, by prim path: 1 of those named, else 0."""
+    return {
+        one.path: np.full(int(np.sum(one.face_counts)), 1.0 if one.path in paths else 0.0)
+        for one in surfaces
+    }
+
+
+def _loose_meshes(paths: Sequence[str]) -> tuple[str, ...]:
+    """The note on meshes of several joints that no flesh holds."""
+    if not paths:
+        return ()
+    follows, touches, it, its, pose = (
+        ("follows", "touches", "it", "its", "pose")
+        if len(paths) == 1
+        else ("follow", "touch", "they", "their", "poses")
+    )
+    them = "it" if len(paths) == 1 else "them"
+    return (
+        f"{_listed(paths)} {follows} several joints and {touches} no flesh: springs hold {them} in"
+        f" {its} skinned {pose}, because {it} would fall; --goal-frequency gives all flesh springs"
+        f" instead",
+    )
+
+
+def _hanging_meshes(near: Mapping[str, float]) -> tuple[str, ...]:
+    """Notes on meshes of several joints that the flesh holds at few of their points."""
+    return tuple(
+        f"<{path}> follows several joints, and only {100.0 * share:.2g} % of its points are near"
+        f" the flesh that holds it: the rest hangs from there; --goal-frequency pulls it to its"
+        f" skinned pose"
+        for path, share in near.items()
+        if share < HANGING
+    )
 
 
 def _animation_times(
