@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image
+from pxr import Gf, Usd, UsdGeom
 
 from tools.samples.crumple import DOWN, HOLD, UP, WAIT, write_can, write_star
 from tools.samples.side_by_side import repeat_cycle, side_by_side
@@ -40,6 +41,7 @@ DUCK = ROOT / "samples" / "duck.usda"
 CREATURE = ROOT / "samples" / "creature.usda"
 TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
 PILE = 75  # time code
+BACK = Gf.Vec3d(-8.0, 0.0, -13.0)  # [m] away from the camera, of the ground below the pile
 STAR, CLAY = (1, 5, 7, 24), (1, 4, 25)  # time codes
 FPS_CAN = 12
 STRIDE = 20  # time code of the creature's walk
@@ -87,7 +89,13 @@ def walk(path: Path, folder: Path) -> None:
 def pile(path: Path, folder: Path) -> None:
     """The ten ducks in their bowl, cut out of a frame that fits the whole motion."""
     gf_usd("bake", TEN_DUCKS, "--frames", PILE, "-o", f"{folder}/", "--quiet")
-    picture = draw(folder / "ten_ducks.authored.usda", PILE, (1400, 1000))
+    baked = folder / "ten_ducks.authored.usda"
+    stage = Usd.Stage.Open(str(baked))
+    # the plate under the bake is moved back, so that none of its corners is in the picture
+    place = UsdGeom.Xformable(stage.GetPrimAtPath("/TenDucks/Ground")).GetOrderedXformOps()[0]
+    place.Set(place.Get() + BACK)
+    stage.GetRootLayer().Save()
+    picture = draw(baked, PILE, (1400, 1000))
     strip([picture.crop((413, 430, 1013, 830))], path)
 
 

@@ -53,6 +53,15 @@ def test_a_broken_link_is_found(tmp_path: Path) -> None:
     assert list(broken(page)) == ["a.md: #d", "a.md: no.md"]
 
 
+def test_every_picture_is_shown_on_a_page() -> None:
+    images = ROOT / "docs" / "images"
+    shown = "".join(page.read_text("utf-8") for page in PAGES)
+    files = [path for path in images.rglob("*") if path.is_file()]
+    # the site has a picture in the place of each diagram in text
+    kept = [path for path in files if not path.name.startswith("diagram-")]
+    assert [path.name for path in kept if path.name not in shown] == []
+
+
 def test_no_page_has_two_headings_of_one_anchor() -> None:
     for page in TOPICS:
         assert len(set(anchors(page))) == len(anchors(page)), page.name
