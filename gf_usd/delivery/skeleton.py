@@ -31,7 +31,7 @@ def bind_meshes(
 ) -> None:
     """Author rigs at the stage's edit target, over meshes that hold no motion any more.
 
-    rigs : of bodies below one root prim.   root : the prim to become the SkelRoot: `skel_root`.
+    rigs : of bodies below `root`, the prim to become their SkelRoot: see `skel_roots`.
     names, triangles : prim paths of the meshes, by the numbers that bodies have, and (T, 3) into
     their points, for prims that are implicit shapes.  unit : [m] per stage unit.
 
@@ -50,21 +50,33 @@ def bind_meshes(
     _author_extent(root, rigs, names, time_codes, unit)
 
 
-def skel_root(stage: Usd.Stage, meshes: Collection[str]) -> Usd.Prim:
-    """The prim that becomes the SkelRoot of meshes below one root prim.
+def skel_roots(stage: Usd.Stage, bodies: Sequence[Sequence[str]]) -> dict[str, Sdf.Path]:
+    """The prim that becomes the SkelRoot of each mesh of bodies below one root prim.
 
-    It is the lowest prim above all of them that places what is below it, so that other prims of a
-    stage, such as obstacles, stay outside: engines import a SkelRoot as one skinned object.  If a
-    prim above it is a SkelRoot already, it is that one, because they do not nest.
+    It is the lowest prim above all meshes of a body that places what is below it, so that other
+    prims of a stage, such as obstacles, stay outside: engines import a SkelRoot as one skinned
+    object.  SkelRoots do not nest: one below that of another body, or below one of the source, is
+    replaced by that one.
     """
+    own = {meshes: _lowest_above(stage, meshes) for meshes in map(tuple, bodies)}
+    homes = sorted(set(own.values()))
+    return {
+        mesh: next(home for home in homes if path.HasPrefix(home))  # those above come first
+        for meshes, path in own.items()
+        for mesh in meshes
+    }
+
+
+def _lowest_above(stage: Usd.Stage, meshes: Collection[str]) -> Sdf.Path:
+    """The SkelRoot of the meshes of one body alone."""
     paths = [Sdf.Path(mesh) for mesh in meshes]
     common = paths[0] if len(paths) == 1 else reduce(Sdf.Path.GetCommonPrefix, paths)
     above = [stage.GetPrimAtPath(path) for path in common.GetPrefixes()]
     for prim in above:
         if prim.IsA(UsdSkel.Root):
-            return prim
+            return prim.GetPath()
     fit = [prim for prim in above if prim.IsA(UsdGeom.Xform)]
-    return fit[-1] if fit else above[0]
+    return (fit[-1] if fit else above[0]).GetPath()
 
 
 def _make_skel_root(root: Usd.Prim) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.errors import UsageError
-from gf_usd.delivery.skeleton import bind_meshes, skel_root
+from gf_usd.delivery.skeleton import bind_meshes, skel_roots
 from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
 from gf_usd.delivery.variants import BakedVariant
 from gf_usd.layers.flatten import Package, export, write_placed
@@ -186,7 +186,7 @@ def _drop_samples(layer: Sdf.Layer, variant: BakedVariant) -> None:
 
 def _author(stage: Usd.Stage, variant: BakedVariant, variants: Sequence[BakedVariant]) -> None:
     """Author the rigs of one of the variants, which have their SkelRoots in common."""
-    every = {one.meshes[m] for one in variants for r in one.rigs for m in r.body.meshes}
+    every = [tuple(one.meshes[m] for m in r.body.meshes) for one in variants for r in one.rigs]
     roots = {
         str(Sdf.Path(variant.meshes[m]).GetPrefixes()[0])
         for r in variant.rigs
@@ -198,11 +198,15 @@ def _author(stage: Usd.Stage, variant: BakedVariant, variants: Sequence[BakedVar
         with _variant_of(stage.GetPrimAtPath(path), variant.name):
             for mesh in (m for rig in rigs for m in rig.body.meshes):
                 _end_instances(stage, variant.meshes[mesh])
-            below = [mesh for mesh in every if mesh == path or mesh.startswith(f"{path}/")]
-            bind_meshes(
-                stage, rigs, variant.meshes, variant.triangles, variant.time_codes, variant.unit,
-                skel_root(stage, below),
-            )  # fmt: skip
+            below = [body for body in every if Sdf.Path(body[0]).HasPrefix(path)]
+            homes = skel_roots(stage, below)
+            for home in dict.fromkeys(homes.values()):
+                mine = [r for r in rigs if homes[variant.meshes[r.body.meshes[0]]] == home]
+                if mine:
+                    bind_meshes(
+                        stage, mine, variant.meshes, variant.triangles, variant.time_codes,
+                        variant.unit, stage.GetPrimAtPath(home),
+                    )  # fmt: skip
 
 
 def _hide_left_out(stage: Usd.Stage, bake: Path, variant: BakedVariant) -> None:

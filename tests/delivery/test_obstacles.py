@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -135,15 +136,21 @@ def test_the_bounds_above_a_body_contain_what_is_beside_it(props: Path, tmp_path
         assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
 
 
-def test_the_box_of_bodies_on_both_sides_of_an_obstacle_contains_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("apart", [True, False])
+def test_bodies_have_skel_roots_of_their_own_that_do_not_nest(tmp_path: Path, apart: bool) -> None:
     asset = tmp_path / "two.usda"
     start, end = PROPS.index('        def Xform "soft"'), PROPS.index('        def Cube "crate"')
     second = PROPS[start:end]
     second = second.replace('"soft"', '"other"').replace("(0, 0.6, 0)", "(2.2, 0.6, 0)")
+    if not apart:  # directly below the prim of all
+        second = second.replace('def Xform "other"', 'def Cube "other"')
+        second = re.sub(r"def Cube .body.\s*{[^}]*}", "", second)
     asset.write_text(PROPS[:start] + second + PROPS[start:])
     root = bake(asset, 400)
     done = deliver(root, tmp_path / "out.usda", error=TOLERANCE)
     stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(root))
-    assert stage.GetPrimAtPath("/World/props").GetTypeName() == "SkelRoot"
+    roots = [str(prim.GetPath()) for prim in stage.Traverse() if prim.IsA(UsdSkel.Root)]
+    both = ["/World/props/other", "/World/props/soft"]
+    assert roots == (both if apart else ["/World/props"])
     for code in (1.0, 6.0):
         assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
