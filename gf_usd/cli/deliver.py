@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -89,11 +90,11 @@ def deliver(
     if as_json:
         typer.echo(json.dumps(_as_json(done), indent=1))
         return
-    for body in done.bodies:
+    for body in (body for body in done.bodies if body.moves):
         name = f"{body.variant}: " if body.variant else ""
-        parts = [*body.meshes, *body.splats]
-        named = ", ".join(parts[:3]) + (", ..." if len(parts) > 3 else "")
-        typer.echo(f"{name}{named}: {described(body)}")
+        typer.echo(f"{name}{_listed([*body.meshes, *body.splats])}: {described(body)}")
+    if still := [mesh for body in done.bodies if not body.moves for mesh in body.meshes]:
+        typer.echo(f"{_listed(still)}: {'do' if still[1:] else 'does'} not move")
     for cloud in done.splats:
         name = f"{cloud.variant}: " if cloud.variant else ""
         typer.echo(f"{name}<{cloud.path}>: {error_text(cloud)}")
@@ -103,13 +104,17 @@ def deliver(
     )
 
 
+def _listed(paths: Sequence[str]) -> str:
+    return ", ".join(paths[:3]) + (", ..." if len(paths) > 3 else "")
+
+
 def described(body: DeliveredBody) -> str:
     """Text on how a body is moved."""
     if body.joints:
         return f"{body.joints + 1} joints"
     if body.shapes:
         return f"{counted(body.shapes, 'blend shape')} on 1 joint"
-    return "1 joint" if body.moves else "does not move"
+    return "1 joint"
 
 
 def error_text(cloud: DeliveredSplats) -> str:

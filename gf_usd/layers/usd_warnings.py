@@ -11,7 +11,9 @@ from pxr import UsdUtils
 
 SHOWN = 2  # kinds of warnings that a note quotes
 # parts of a warning that differ between stages with the same fault
-PLACE = re.compile(r"\s*\((re)?(composing|instantiating)[^()]*( stage on stage [^()]*)?\)\s*$")
+PLACE = re.compile(
+    r"\s*\((re)?(composing|instantiating|getting)[^()]*( stage on stage [^()]*)?\)\s*$"
+)
 
 # Files that USD cannot find, and what its validator of missing files makes of their paths.
 MISSING = re.compile(

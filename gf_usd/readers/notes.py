@@ -22,7 +22,7 @@ class Notes:
             places.append(where)
 
     def lines(self, without: Collection[str] = ()) -> tuple[str, ...]:
-        """One line per note: ``<PATH>: text`` or ``<PATH> and 3 more: text``.
+        """One line per note: ``<PATH>: text`` or ``each of <PATH> and 3 more: text``.
 
         without : texts that are omitted.
         """
@@ -76,4 +76,7 @@ def unit_and_axis(
 
 def _some(places: list[str]) -> str:
     named = [f"<{place}>" if place.startswith("/") else place for place in places[:2]]
-    return " and ".join(named) if len(places) <= 2 else f"{named[0]} and {len(places) - 1} more"
+    if len(places) == 1:
+        return named[0]
+    others = named[1] if len(places) == 2 else f"{len(places) - 1} more"
+    return f"each of {named[0]} and {others}"  # texts are in the singular: "is an instance"

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from moving_splats import moving_splats
 
+from gf_usd import bake as gf_usd_bake
+
 
 def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     source = moving_splats(tmp_path / "ball.usdc", mesh=False)
@@ -21,3 +23,35 @@ def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     done = gf_usd("deliver", source, "-o", tmp_path / "out.usdz", "--splats", "only")
     assert done.status == 2
     assert "--splats only is only for .glb" in done.err
+
+
+def test_obstacles_that_stand_still_are_named_in_one_line(gf_usd, tmp_path: Path) -> None:
+    text = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Xform "World"
+{
+    def Cube "body"
+    {
+        double size = 1
+        double3 xformOp:translate = (0, 1, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+"""
+    for number in range(4):
+        text += (
+            f'    def Cube "step{number}" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n    {{\n'
+            f"        double size = 0.8\n        double3 xformOp:translate = ({number}, 0, 0)\n"
+            '        uniform token[] xformOpOrder = ["xformOp:translate"]\n    }\n'
+        )
+    asset = tmp_path / "steps.usda"
+    asset.write_text(text + "}\n", encoding="utf-8")
+    baked = gf_usd_bake(asset, particles=200, frames=4, output=tmp_path / "baked.usda")
+    done = gf_usd("deliver", baked.root, "-o", tmp_path / "steps.glb", "--error", "5%")
+    assert done.status == 0, done.err
+    lines = done.out.splitlines()
+    assert lines[1] == "/World/step0, /World/step1, /World/step2, ...: do not move"
+    assert len(lines) == 3

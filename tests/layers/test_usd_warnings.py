@@ -37,6 +37,23 @@ def test_warnings_are_counted_by_kind(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert "gone0.usda" in capfd.readouterr().err
 
 
+def test_a_warning_of_two_stages_is_one_kind(tmp_path: Path) -> None:
+    """It named the stage by its address in memory: a bake told the same twice."""
+    write(
+        tmp_path / "leaf.usda",
+        'def Xform "Leaf" ( prepend apiSchemas = ["MaterialBindingAPI"] )\n'
+        '{ rel material:binding = </Outside>\n}\ndef Material "Outside" {}\n',
+    )
+    path = write(tmp_path / "tree.usda", 'def "It" ( payload = @./leaf.usda@</Leaf> ) {}\n')
+    with gathered() as warned:
+        for stage in [Usd.Stage.Open(str(path)), Usd.Stage.Open(str(path))]:
+            stage.GetPrimAtPath("/It").GetRelationship("material:binding").GetTargets()
+    assert list(warned.counts.values()) == [2]
+    (line,) = warned.lines()
+    assert "outside the scope of the payload" in line
+    assert "0x" not in line
+
+
 @pytest.mark.parametrize(
     ("stated", "left"),
     [

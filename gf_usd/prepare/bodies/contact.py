@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross, row_dots
 from gf_usd.core.asset import StageFacts
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.mesh import shells, signed_volume, weld, with_short_edges
 from gf_usd.core.stage import Collider, ContactSetup, Skin, StagePhysics
@@ -52,7 +52,8 @@ def separate_limbs(
         for k, skin in enumerate(setup.skins)
     )
     notes = [
-        f"parts that are close at rest can move apart: {limbs.nodes} grid nodes are duplicated"
+        "parts that are close at rest can move apart:"
+        f" {counted(limbs.nodes, 'grid node is', 'grid nodes are')} duplicated"
     ]
     if limbs.crowded:
         notes.append(

@@ -92,8 +92,8 @@ ANIMATED = "its transform is animated: the simulation starts from its pose at th
 
 def test_a_note_says_that_animated_transforms_are_not_followed(plan) -> None:
     three = mesh("One"), mesh("Two", at(3.0)), mesh("Three", at(6.0))
-    assert alone(plan(carried(*three[:2]))) == ["</Up/One> and </Up/Two>"]
-    assert alone(plan(carried(*three))) == ["</Up/One> and 2 more"]
+    assert alone(plan(carried(*three[:2]))) == ["each of </Up/One> and </Up/Two>"]
+    assert alone(plan(carried(*three))) == ["each of </Up/One> and 2 more"]
     assert alone(plan(mesh("One"))) == []
 
 

@@ -160,7 +160,7 @@ def test_instances_are_read_in_place(read):
     assert paths(asset) == ["/One/Box", "/Two/Box"]
     assert asset.surfaces[0].points[:, 0].mean() == pytest.approx(5.0)
     assert asset.facts.notes == (
-        "</One> and </Two>: is an instance: it becomes an ordinary prim in the bake "
+        "each of </One> and </Two>: is an instance: it becomes an ordinary prim in the bake "
         "because its content moves",
     )
 

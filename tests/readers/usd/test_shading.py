@@ -221,5 +221,5 @@ def test_the_same_note_at_many_places_is_one(read):
         stage(MDL).replace("Looks", f"L{i}").replace('"Q"', f'"Q{i}"') for i in range(4)
     )
     assert read(body).facts.notes == (
-        "</L0/M> and 3 more: a mdl shader is not supported: displayColor or gray is used",
+        "each of </L0/M> and 3 more: a mdl shader is not supported: displayColor or gray is used",
     )
