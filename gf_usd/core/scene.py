@@ -140,6 +140,7 @@ class Scene:
     splats: tuple[RenderSplats, ...] = ()
     ellipsoids: tuple[RenderEllipsoids, ...] = ()
     ground: float | None = None  # height of the floor along up [m]; None: no floor
+    focus: Bounds | None = None  # what the picture is of: shadows are sharp there; None: all
     lights: tuple[Light, ...] = ()  # two at most; none: a key and a rim that suit the camera
     notes: tuple[str, ...] = ()  # assumptions and omissions
 

@@ -60,7 +60,9 @@ class Drawing:
         self.notes.update(dict.fromkeys(scene.notes))
         if self._quantity is not None:
             scene = color_by_value(scene, self._quantity.low, self._quantity.high)
-        camera = self._source.camera(time_code, self._aspect) or self._fitted
+        camera = self._source.camera(time_code, self._aspect)
+        if camera is None:  # the fitted one, whose picture is that of the motion
+            camera, scene = self._fitted, replace(scene, focus=self._source.motion.bounds)
         pixels = render(replace(scene, lights=self._lights), camera, self._size)
         return self._legend.overlay(pixels) if self._legend and legend else pixels
 

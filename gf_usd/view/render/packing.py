@@ -16,6 +16,9 @@ from gf_usd.view.render.textures import Atlas, make_atlas
 Floats32 = NDArray[np.float32]
 Ints32 = NDArray[np.int32]
 
+# times the radius of the focus: what is farther away, such as the ends of a large ground, has no
+# shadows, so that their maps are fine enough
+AROUND = 3.0
 SHADOW_SIGMAS = 1.5  # a Gaussian casts the shadow of an ellipse of this many standard deviations
 SHADOW_OPACITY = 0.3  # those of lower opacity cast none
 
@@ -28,8 +31,8 @@ class SurfaceArrays:
     or no ellipsoids there is one of zeros, which the counts exclude.
     """
 
-    origin: NDArray[np.float64]  # (3,) [m] center of the bounding box
-    radius: float  # [m] of a sphere about the origin that contains the scene
+    origin: NDArray[np.float64]  # (3,) [m] center of what is shown
+    radius: float  # [m] of a sphere about the origin that contains it: it has shadows
     n_triangles: int
     n_ellipsoids: int
     points: Floats32  # (V, 3) [m]
@@ -75,7 +78,10 @@ def pack_surfaces(scene: Scene) -> SurfaceArrays:
     extent = extent_points(scene)
     low, high = (extent.min(axis=0), extent.max(axis=0)) if len(extent) else (np.zeros(3),) * 2
     origin = 0.5 * (low + high)
-    offsets = np.linalg.norm(extent - origin, axis=1)
+    radius = 1.02 * float(np.linalg.norm(extent - origin, axis=1).max(initial=0.0)) or 1.0
+    if scene.focus is not None and AROUND * 0.5 * scene.focus.diagonal < radius:
+        origin = scene.focus.corners.mean(axis=0)
+        radius = AROUND * 0.5 * scene.focus.diagonal or radius
     meshes = [mesh for mesh in scene.meshes if len(mesh.triangles)]
     vertex_base = np.cumsum([0] + [len(mesh.points) for mesh in meshes])
     texture_base = np.cumsum([0] + [len(mesh.textures) for mesh in meshes])
@@ -88,7 +94,7 @@ def pack_surfaces(scene: Scene) -> SurfaceArrays:
     centers = _join([c.positions - origin for c in clouds], (3,))
     return SurfaceArrays(
         origin=origin,
-        radius=1.02 * float(offsets.max(initial=0.0)) or 1.0,
+        radius=radius,
         n_triangles=sum(len(mesh.triangles) for mesh in meshes),
         n_ellipsoids=sum(len(cloud.positions) for cloud in clouds),
         points=_join([mesh.points - origin for mesh in meshes], (3,)),

@@ -7,7 +7,7 @@ import pytest
 
 from gf_usd.core.asset import Texture
 from gf_usd.core.errors import UsageError
-from gf_usd.core.scene import Camera, RenderEllipsoids, RenderMesh, Scene
+from gf_usd.core.scene import Bounds, Camera, RenderEllipsoids, RenderMesh, Scene
 from gf_usd.system.taichi_runtime import ensure_taichi, init_taichi
 from gf_usd.view.render import raster
 from gf_usd.view.render.camera import pinhole_camera
@@ -163,6 +163,27 @@ def test_the_floor_is_dark_where_the_body_stands_and_untouched_far_away():
     assert np.array_equal(body[-1], bare[-1])
     floating = render_linear(Scene(up=UP, ellipsoids=(ball(),)), camera, (160, 120))
     assert np.array_equal(floating[85:], bare[85:])
+
+
+def test_shadows_on_a_ground_a_thousand_times_larger_are_there():
+    """The maps of the shadows covered all of it, with texels larger than the body."""
+    camera = Camera(eye=(0.0, 4.0, 12.0), target=(0.0, 0.0, 0.0), up=UP, fov=40.0)
+    far = 1000.0
+    corners = [(-far, -1.2, far), (far, -1.2, far), (far, -1.2, -far), (-far, -1.2, -far)]
+    ground = mesh(corners, [(0, 1, 2), (0, 2, 3)], np.array((0.5, 0.5, 0.5)))
+    focus = Bounds(low=(-1.0, -1.0, -1.0), high=(1.0, 1.0, 1.0))
+    shadow = {}
+    for name, about in (("all", None), ("body", focus)):
+        bare, body = (
+            render_linear(
+                Scene(up=UP, meshes=(ground,), ellipsoids=balls, focus=about), camera, (160, 120)
+            )
+            for balls in ((), (ball(),))
+        )
+        # right below the ball, where its shadow is
+        shadow[name] = float((body / bare).mean(axis=2)[71:74, 90:98].mean())
+    assert shadow["all"] > 0.95
+    assert shadow["body"] < 0.6
 
 
 @pytest.mark.slow
