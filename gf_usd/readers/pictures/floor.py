@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Bounds
 from gf_usd.readers.pictures.extent import MotionBoxes, near_boxes
 
+COLLIDER = "PhysicsCollisionAPI"
+LEVEL = 0.9999  # cosine of the angle between the up axis and the normal of a level plane
 TILTED = "its floor is tilted and is not drawn"
 # of the diagonal of the motion: how far from height 0 a body may be to stand on a floor there
 FLOOR_TOLERANCE = 0.05
@@ -52,6 +55,26 @@ def lowest_height(boxes: MotionBoxes, bounds: Bounds | None, up: Floats) -> floa
         return None
     start, lowest = _lowest(boxes, up)
     return lowest if start - lowest <= FLOOR_TOLERANCE * bounds.diagonal else None
+
+
+def plane_height(stage: Usd.Stage, time: Usd.TimeCode, up: Floats, unit: float) -> float | None:
+    """Height [m] of the highest level `Plane` collider, which is not drawn; None: there is none.
+
+    unit : [m] per stage unit.
+    """
+    xforms = UsdGeom.XformCache(time)
+    heights = []
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        if not prim.IsA(UsdGeom.Plane) or COLLIDER not in prim.GetAppliedSchemas():
+            continue
+        world = np.array(xforms.GetLocalToWorldTransform(prim))
+        first, second = np.delete(
+            world[:3, :3], "XYZ".index(UsdGeom.Plane(prim).GetAxisAttr().Get()), 0
+        )
+        normal = np.cross(first, second)
+        if abs(normal @ up) >= LEVEL * np.linalg.norm(normal) > 0.0:
+            heights.append(float(world[3, :3] @ up) * unit)
+    return max(heights, default=None)
 
 
 def guessed_height(

@@ -34,7 +34,13 @@ from gf_usd.readers.pictures.extent import (
     motion_boxes,
     sample_times,
 )
-from gf_usd.readers.pictures.floor import TILTED, baked_floor, guessed_height, lowest_height
+from gf_usd.readers.pictures.floor import (
+    TILTED,
+    baked_floor,
+    guessed_height,
+    lowest_height,
+    plane_height,
+)
 from gf_usd.readers.pictures.framing import frame_motion
 from gf_usd.readers.pictures.prims import (
     as_ellipsoids,
@@ -203,6 +209,10 @@ class PictureStage:
         metadata = self._stage.GetRootLayer().customLayerData.get(VARIANTS)
         about = metadata if isinstance(metadata, dict) else {}
         baked = baked_floor(about, shown_variant(self._stage))
+        if baked is None or (baked.height is None and not baked.tilted):
+            plane = plane_height(self._stage, self._time(None), up, self._facts.units.length)
+            if plane is not None:
+                return plane
         if baked is None:
             return guessed_height(boxes, whole, first, up)
         if baked.tilted:

@@ -167,6 +167,26 @@ def test_a_bake_without_a_floor_has_none_where_something_falls(tmp_path):
     assert PictureStage(write(tmp_path, MOVING, head)).motion.ground is None
 
 
+@pytest.mark.parametrize(
+    ("axis", "turn", "ground"),
+    [("Z", "(0, 0, 0)", -0.5), ("Y", "(90, 0, 0)", -0.5), ("Z", "(20, 0, 0)", None)],
+)
+def test_the_floor_is_a_level_plane_that_bodies_collide_with(tmp_path, axis, turn, ground):
+    head = f"""customLayerData = {{ dictionary gaussianFlesh = {{ dictionary looks = {{
+        dictionary rubber = {{ dictionary settings = {{ double drag = 0 }} }} }} }} }}
+        {Z_UP}"""
+    plane = f"""
+def Plane "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{
+    uniform token axis = "{axis}"
+    double3 xformOp:translate = (3, 0, -0.5)
+    float3 xformOp:rotateXYZ = {turn}
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+}}
+"""
+    stage = PictureStage(write(tmp_path, MOVING + plane, head))
+    assert stage.motion.ground == (None if ground is None else pytest.approx(ground))
+
+
 def splats(extra: str = "", radiance: str = "", place: str = "") -> str:
     return f"""
 def ParticleField3DGaussianSplat "cloud" {{
