@@ -144,13 +144,21 @@ def zeros(like):
 @unrolled
 def add_viscous(P, k, F, D):
     """P += k F (e + e^T) with e = F^T D."""
-    for a in range(3):
-        for c in range(3):
-            e = let(k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c]))
-            # e_ac enters the symmetric part twice
-            for r in range(0, 9, 3):
-                put(P[r + c], P[r + c] + F[r + a] * e)
-                put(P[r + a], P[r + a] + F[r + c] * e)
+    k = let(k)
+    e = [
+        let(k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c]))
+        for a in range(3)
+        for c in range(3)
+    ]
+    S = let([e[3 * a + c] + e[3 * c + a] if a < c else 2.0 * e[4 * a] for a, c in UPPER])
+    for r in range(0, 9, 3):
+        for c, (x, y, z) in enumerate(SYMMETRIC):
+            put(P[r + c], P[r + c] + F[r] * S[x] + F[r + 1] * S[y] + F[r + 2] * S[z])
+
+
+# The entries of a symmetric matrix that are stored, and where those of each of its columns are.
+UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+SYMMETRIC = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 
 
 @unrolled
