@@ -7,22 +7,24 @@ substeps of a small body.
 `Launcher` launches a kernel repeatedly with the same pack of arrays. Taichi iterates twice over all
 arrays of a pack at each launch, to check their types and to pass their addresses: half a
 millisecond, several times the duration of the substeps of a small body. Types and addresses are
-constant, so that `Launcher` determines them once.
+constant, so that `Launcher` determines them once. `on_arrays` does the same for the types of a
+kernel of NumPy arrays, of which Taichi's own launch takes some 20 us each.
 """
 
 from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from functools import wraps
 from typing import Any, Protocol
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import GfUsdError
-from gf_usd.system.taichi_runtime import compiling, cuda_driver
+from gf_usd.system.taichi_runtime import compiling, cuda_driver, epoch
 
 SEEN = "_gf_usd_memory"  # attribute of an array that caches its memory view
 
@@ -345,24 +347,87 @@ class Launcher:
         program.launch_kernel(compiled, context)
 
     def _prepare(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
-        from taichi.lang import impl
-
-        primal, pack = self._kernel._primal, self._pack
-        made = primal.compiled_kernels[primal.ensure_compiled(pack, *values)]
+        pack = self._pack
+        made, compiled, setters = _prepared(self._kernel, (pack, *values), 1)
         arrays = [((k,), array.arr) for k, array in enumerate(pack._members, 1 + len(values))]
-        program: Any = impl.get_runtime().prog
-        compiled = program.compile_kernel(program.config(), program.get_device_caps(), made)
-        setters = [_setter(argument.annotation) for argument in primal.arguments[1:]]
         return made, compiled, pack._ArgPack__argpack, arrays, setters
 
 
-def _setter(kind: Any) -> Any:
-    """The function that passes a number or a vector of a type to a launch."""
-    from taichi.lang.matrix import MatrixType
-    from taichi.types import primitive_types
+def on_arrays(kernel: Any) -> Callable[..., None]:
+    """The kernel, whose arguments are NumPy arrays and numbers, with faster launches.
 
+    Raises TypeError for an array of another type, number of dimensions or order in memory.
+    """
+    ready: tuple[Any, ...] = ()
+    started = -1  # the start of Taichi for which it is ready
+
+    @wraps(kernel)
+    def launch(*values: Any) -> None:
+        nonlocal ready, started
+        from taichi.lang import impl
+
+        if started != epoch():
+            kernel(*values)
+            ready, started = _prepared(kernel, values, 0), epoch()
+            return
+        made, compiled, setters = ready
+        context = made.make_launch_context()  # valid for one launch
+        for index, (put, value) in enumerate(zip(setters, values, strict=True)):
+            put(context, index, value)
+        program: Any = impl.get_runtime().prog
+        program.launch_kernel(compiled, context)
+
+    return launch
+
+
+def _prepared(kernel: Any, values: tuple[Any, ...], first: int) -> tuple[Any, ...]:
+    """A kernel that was launched with these values: as Taichi's object, compiled, and the functions
+    that pass the values from `first` on.
+    """
+    from taichi.lang import impl
+
+    primal = kernel._primal
+    made = primal.compiled_kernels[primal.ensure_compiled(*values)]
+    program: Any = impl.get_runtime().prog
+    compiled = program.compile_kernel(program.config(), program.get_device_caps(), made)
+    return made, compiled, [_setter(one.annotation) for one in primal.arguments[first:]]
+
+
+def _setter(kind: Any) -> Any:
+    """The function that passes a number, a vector or a NumPy array of a type to a launch."""
+    from taichi.lang.matrix import MatrixType
+    from taichi.types import ndarray_type, primitive_types
+
+    if isinstance(kind, ndarray_type.NdarrayType):
+        return _array_setter(kind)
     if isinstance(kind, MatrixType):
         return lambda context, index, value: kind.set_kernel_struct_args(value, context, (index,))
     if id(kind) in primitive_types.real_type_ids:
         return lambda context, index, value: context.set_arg_float((index,), float(value))
     return lambda context, index, value: context.set_arg_int((index,), int(value))
+
+
+def _array_setter(kind: Any) -> Any:
+    from taichi.lang.matrix import MatrixType
+    from taichi.lang.util import to_numpy_type
+
+    inner = kind.dtype.get_shape() if isinstance(kind.dtype, MatrixType) else ()
+    of = np.dtype(to_numpy_type(kind.dtype.dtype if inner else kind.dtype))
+    outer = kind.ndim
+
+    def put(context: Any, index: int, value: Any) -> None:
+        shape = value.shape
+        if (
+            value.dtype != of
+            or len(shape) != outer + len(inner)
+            or shape[outer:] != inner
+            or not value.flags.c_contiguous
+        ):
+            raise TypeError(
+                f"argument {index}: {value.dtype} array {shape}, strides {value.strides}; it must"
+                f" be contiguous {of} with {outer} dimensions of elements {inner}"
+            )
+        address = value.__array_interface__["data"][0]
+        context.set_arg_external_array_with_shape((index,), address, value.nbytes, shape[:outer], 0)
+
+    return put

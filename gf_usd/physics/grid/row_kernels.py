@@ -11,6 +11,7 @@ in SciPy's order.
 The components are a vector padded to four, the width of SIMD vectors.
 """
 
+from gf_usd.physics.taichi_arrays import on_arrays
 from gf_usd.system.taichi_runtime import import_taichi
 
 ti = import_taichi()
@@ -80,6 +81,7 @@ def weighted(around: ti.template(), c, fx: ti.template(), p, v: ti.template()):
     return value
 
 
+@on_arrays
 @ti.kernel
 def embed(
     cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, X: Rows, offset: Numbers, u: Lanes,
@@ -99,6 +101,7 @@ def embed(
                 F[p, 3 * a + b] = ih * column[a] + ti.static(1.0 if a == b else 0.0)
 
 
+@on_arrays
 @ti.kernel
 def stretch(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, u: Lanes, D: Rows):
     """D = sum_i u_i (x) grad w_ip, (n, 9) row by row."""
@@ -109,6 +112,7 @@ def stretch(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, u: Lanes, D: Rows)
                 D[p, 3 * a + b] = ih * column[a]
 
 
+@on_arrays
 @ti.kernel
 def gather(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, P: Rows, f: Lanes):
     """f_i += sum_p P_p grad w_ip of P (n, 9), on one thread, for a fixed order of summation."""
@@ -129,6 +133,7 @@ def gather(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, P: Rows, f: Lanes):
                     f[node] = f[node] + wz[k] * across + dz[k] * along
 
 
+@on_arrays
 @ti.kernel
 def iterate(
     start: Whole,
