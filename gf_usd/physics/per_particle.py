@@ -21,11 +21,13 @@ from gf_usd.physics.laws.simd3x3 import (
     put,
     unrolled,
 )
+from gf_usd.physics.taichi_arrays import on_arrays
 from gf_usd.system.taichi_runtime import ensure_running, ensure_taichi, import_taichi
 
 ti = import_taichi()
 
 NEWTON = 12  # iterations for the polar decomposition, enough for stretches of 1/100 to 100
+LANES = 4  # particles at once, the width of SIMD vectors
 SETTLED = 1e-9  # change below which an iterate is converged to rounding
 
 Many = ti.types.ndarray(dtype=ti.f64, ndim=1)
@@ -51,7 +53,8 @@ def strains(F: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Singular values (N, 3), ascending, and determinants (N,) of F (N, 3, 3).
 
     Square roots of the eigenvalues of F^T F by the closed form for symmetric 3x3 matrices (Smith
-    1961), with an error of about 1e-8 of the largest.
+    1961), with an error of about 1e-8 of the largest; without its arc cosine, which has no SIMD
+    instruction.
     """
     ensure_running()
     s, J = np.empty((len(F), 3)), np.empty(len(F))
@@ -81,6 +84,7 @@ def transposed(A):
     return [A[3 * b + a] for a in range(3) for b in range(3)]
 
 
+@on_arrays
 @ti.kernel
 def _rotations(F: Many, R: Many, done: Flags):
     """R of the polar decomposition of each F where `done`: see `nearest_rotation`."""
@@ -101,36 +105,66 @@ def _rotations(F: Many, R: Many, done: Flags):
 @unrolled
 def newton(Q, C, J):
     """Q <- (Q + C / J) / 2; the largest change of an entry."""
-    J, largest = let(J), None
+    half, largest = let(0.5 / J), None
     for a in range(9):
-        new = let(0.5 * (Q[a] + C[a] / J))
+        new = let(0.5 * Q[a] + half * C[a])
         change = ti.abs(new - Q[a])
         largest = let(change if largest is None else ti.max(largest, change))
         put(Q[a], new)
     return largest
 
 
+@on_arrays
 @ti.kernel
 def _stretches(F: Many, s: Many, J: Many):
-    """Singular values, ascending, and det F: see `strains`."""
-    for p in range(J.shape[0]):
-        A = matrix(F, p)
-        J[p] = determinant(A, cofactor(A))
+    """Singular values, ascending, and det F, of LANES particles at once: see `strains`."""
+    count = J.shape[0]
+    for g in range((count + LANES - 1) // LANES):
+        A = lanes_of(F, g, count)
+        size = determinant(A, cofactor(A))
         D = product(transposed(A), A)
         q = (D[0] + D[4] + D[8]) / 3.0
         r = scaled_deviator(D, q)
-        # within [-1, 1]; NaN stays NaN
         cosine = determinant(D, cofactor(D)) / 2.0
-        cosine = ti.select(cosine > 1.0, cosine / cosine, cosine)
-        cosine = ti.select(cosine < -1.0, 0.0 - cosine / cosine, cosine)
-        angle = ti.acos(cosine) / 3.0
-        # cos(angle + 2 pi / 3), of which a literal would have single precision only
-        along, across = ti.cos(angle), ti.sqrt(0.0 * angle + 3.0) * ti.sin(angle)
-        high = q + 2.0 * r * along
-        low = q - r * (along + across)
-        s[3 * p] = root(low)
-        s[3 * p + 1] = root(3.0 * q - high - low)
-        s[3 * p + 2] = root(high)
+        # D and -D have opposite eigenvalues: the angle for |cosine| is at most 30 degrees
+        along = cosine_of_third(ti.select(cosine < 0.0, 0.0 - cosine, cosine))
+        # 2 cos(angle - 2 pi / 3), with sqrt(3), of which a literal would have single precision only
+        across = along + ti.sqrt(3.0 * ti.max((1.0 - along) * (1.0 + along), 0.0))
+        up = ti.select(cosine < 0.0, across, 2.0 * along)
+        down = ti.select(cosine < 0.0, 2.0 * along, across)
+        low, high = q - r * down, q + r * up
+        first, middle, last = root(low), root(3.0 * q - high - low), root(high)
+        for lane in ti.static(range(LANES)):
+            p = g * LANES + lane
+            if p < count:
+                J[p] = size[lane]
+                s[3 * p] = first[lane]
+                s[3 * p + 1] = middle[lane]
+                s[3 * p + 2] = last[lane]
+
+
+@ti.func
+def lanes_of(values: ti.template(), g, count):
+    """Matrices of group g of an array of `count`, nine lane vectors; the last is repeated."""
+    i, j = 9 * (LANES * g), 9 * ti.min(LANES * g + 1, count - 1)
+    k, m = 9 * ti.min(LANES * g + 2, count - 1), 9 * ti.min(LANES * g + 3, count - 1)
+    return [
+        ti.Vector([values[i + a], values[j + a], values[k + a], values[m + a]])
+        for a in ti.static(range(9))
+    ]
+
+
+@ti.func
+def cosine_of_third(y):
+    """x = cos(arccos(y) / 3) of y from 0 to 1, at most 1; NaN stays NaN.
+
+    Newton's iteration for 4 x^3 - 3 x = y, whose slope is 6 to 9, from a cubic within 3e-4.
+    """
+    y = ti.select(y > 1.0, y / y, y)
+    x = 0.8660254 + y * (0.1666667 - y * (0.0425206 - y * 0.0098285))
+    for _ in ti.static(range(3)):
+        x = x - ((4.0 * x * x - 3.0) * x - y) / (12.0 * x * x - 3.0)
+    return ti.select(x > 1.0, x / x, x)
 
 
 @unrolled
@@ -139,9 +173,9 @@ def scaled_deviator(D, q):
     for a in (0, 4, 8):
         put(D[a], D[a] - q)
     r = let(ti.sqrt(double_dot(D, D) / 6.0))
-    divisor = let(ti.select(r > 0.0, r, 0.0 * r + 1.0))
+    inverse = let(1.0 / ti.select(r > 0.0, r, 0.0 * r + 1.0))
     for a in range(9):
-        put(D[a], D[a] / divisor)
+        put(D[a], D[a] * inverse)
     return r
 
 

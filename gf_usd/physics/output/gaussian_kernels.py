@@ -24,7 +24,7 @@ from gf_usd.physics.laws.simd3x3 import (
     unrolled,
 )
 from gf_usd.physics.per_particle import NEWTON, SETTLED, root
-from gf_usd.physics.taichi_arrays import aligned
+from gf_usd.physics.taichi_arrays import aligned, on_arrays
 from gf_usd.system.taichi_runtime import ensure_running, import_taichi
 
 ti = import_taichi()
@@ -103,6 +103,7 @@ def keep(array, g, groups, values):
         put(at(array, a * groups + g), value)
 
 
+@on_arrays
 @ti.kernel
 def _carry(
     F: Lanes, rest: Lanes, turn: Lanes, axes: Lanes, last: Lanes, R: Lanes, new_axes: Lanes,
@@ -153,9 +154,9 @@ def polar(Q: ti.template()):
 @unrolled
 def newton(Q, C, J, active):
     """Q <- (Q + C / J) / 2 in active lanes; the largest change of an entry."""
-    J, active, largest = let(J), let(active > 0.0), None
+    half, active, largest = let(0.5 / J), let(active > 0.0), None
     for a in range(9):
-        new = let(0.5 * (Q[a] + C[a] / J))
+        new = let(0.5 * Q[a] + half * C[a])
         change = magnitude(new - Q[a])
         largest = let(change if largest is None else ti.max(largest, change))
         put(Q[a], ti.select(active, new, Q[a]))
