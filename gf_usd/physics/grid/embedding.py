@@ -50,6 +50,7 @@ class SplineRows:
     fx: Floats  # (n, 3) distance from the first of them in cells
     h: float  # [m]
     spread: sparse.csr_matrix  # S, from the stacked vector of `Rows` to the nodes
+    particles: int  # of the body
 
     def nodes(self, u: Floats) -> Floats:
         """U = S u of a stacked u (or v)."""
@@ -84,8 +85,8 @@ class SplineRows:
 
     @property
     def many(self) -> bool:
-        """Whether there are enough points for kernels, which take time to load."""
-        return len(self.X) >= FEW and not resident_blocks()
+        """Whether there are enough points, or particles, for kernels, which take time to load."""
+        return max(len(self.X), self.particles) >= FEW and not resident_blocks()
 
     @property
     def cells(self) -> tuple[Any, ...]:
@@ -105,7 +106,8 @@ def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
 
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
-    u, v = rows.nodes(u), rows.nodes(v)
+    both = rows.nodes(np.concatenate([u, v], 1))
+    u, v = both[:, :3], both[:, 3:]
     if isinstance(rows, SplineRows) and rows.many:
         return _pose_by_kernel(rows, u, v, offset)
     x, v = placed(rows, u, v)
@@ -200,7 +202,7 @@ def particle_rows(stencil: Stencil, X: Floats) -> SplineRows:
     )
     return SplineRows(
         X=X, cell=cell, around=stencil.cell_nodes.astype(np.int32), fx=fx, h=stencil.h,
-        spread=stencil.extension(np.zeros((0, 3), int)),
+        spread=stencil.extension(np.zeros((0, 3), int)), particles=len(X),
     )  # fmt: skip
 
 
@@ -234,7 +236,7 @@ def embedded_rows(
         first += len(keys)
     return SplineRows(
         X=X, cell=np.arange(count, dtype=np.int32), around=at, fx=inside, h=stencil.h,
-        spread=stencil.extension(beyond),
+        spread=stencil.extension(beyond), particles=len(stencil.order),
     )  # fmt: skip
 
 
