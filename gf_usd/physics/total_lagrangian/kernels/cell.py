@@ -152,9 +152,7 @@ def stress_cell(
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     u = gather_cell(body, body.u, group, lane)
     each_difference(u)
-    rate = gather_cell(body, body.v, group, lane) if ti.static(damped) else u
-    if ti.static(damped):
-        each_difference(rate)
+    rate = rates_of_cell(body, group, lane, u, damped)
     out = zeros(u)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle_cell(body, b, lane)
@@ -178,6 +176,16 @@ def stress_cell(
         spread(scaled(k, P), s, h, out)
     each_transposed(out)
     put_lane_rows(body.block, 81 * group, lane, out)
+
+
+@ti.func
+def rates_of_cell(body: ti.template(), group, lane, u: ti.template(), damped: ti.template()):
+    """See `simd.rates`."""
+    if ti.static(damped):
+        rate = gather_cell(body, body.v, group, lane)
+        each_difference(rate)
+        return rate
+    return u
 
 
 @ti.func

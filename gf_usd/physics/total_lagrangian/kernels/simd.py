@@ -106,7 +106,7 @@ def stress_group(
 ):  # fmt: skip
     """Nodal forces -V0 P G of the particles of eight cells, to their block."""
     u = moments(body, body.u, group)
-    rate = moments(body, body.v, group) if ti.static(damped) else u
+    rate = rates(body, group, u, damped)
     out = zeros(u)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
@@ -332,6 +332,17 @@ def moments(body: ti.template(), field: ti.template(), group):
     q = block(body.block, group)
     each_difference(q)
     return q
+
+
+@ti.func
+def rates(body: ti.template(), group, u: ti.template(), damped: ti.template()):
+    """`moments` of v; u, without a use, where there is no viscosity.
+
+    Not a conditional expression: Taichi builds both of its sides, and then the chosen one again.
+    """
+    if ti.static(damped):
+        return moments(body, body.v, group)
+    return u
 
 
 @unrolled
