@@ -34,7 +34,7 @@ GROUP_GRAIN = 4
 # Parts that share one implementation: with another drift time, or with the filter's momenta instead
 # of forces.
 SAME = {
-    "open followers": "follow", "filtered followers": "follow", "loss": "share",
+    "filtered followers": "follow", "loss": "share",
     "filter lumped": "move lumped", "filter": "move",
 }  # fmt: skip
 

@@ -108,4 +108,5 @@ def test_points_that_move_take_the_body_along() -> None:
     ).frames()
     away = last.particles.x - BODY.X - [0.5, 0.0, 0.0]
     # (1 + w t) e^(-w t) of the speed over w is left after t = 1.5 s
-    assert np.abs(away).max() < 0.5 / W * (1.0 + 1.5 * W) * np.exp(-1.5 * W) + 1e-6
+    # and 1e-6 m of rounding: some 20 times that of 0.5 m in single precision
+    assert np.abs(away).max() < 0.5 / W * (1.0 + 1.5 * W) * np.exp(-1.5 * W) + 2e-6

@@ -160,10 +160,15 @@ def sum_of_followers(body: ti.template(), node, options: ti.template()):
 
 
 @ti.func
-def follow(body: ti.template(), follower, free, drift, options: ti.template()):
+def follow(
+    body: ti.template(), follower, free, drift, whole: ti.template(), options: ti.template()
+):  # fmt: skip
     """u_l = sum_j e_lj u_j + c_l, and v likewise; c advances by drift at its rate.
 
     Where pins slide, the sum has a factor per axis.
+
+    whole : u is summed; otherwise the free nodes have drifted since then, and u_l += drift v_l is
+    the same. The nodes of rigid regions turn as they drift: there it is summed always.
     """
     a = ANCHOR * follower
     rate = ti.Vector([body.anchor[a + 3], body.anchor[a + 4], body.anchor[a + 5]])
@@ -181,13 +186,17 @@ def follow(body: ti.template(), follower, free, drift, options: ti.template()):
             for m in ti.static(range(AHEAD)):
                 e, on = entry(first + turn * AHEAD + m, behind)
                 j, w = 3 * body.follow_node[e], on * body.follow_weight[e]
-                u += scaled_row(w, k, body.u, j, options)
                 v += scaled_row(w, k, body.v, j, options)
+                if ti.static(whole or options.rigid > 0):
+                    u += scaled_row(w, k, body.u, j, options)
     else:
         for e in range(first, behind):
             j, w = 3 * body.follow_node[e], body.follow_weight[e]
-            u += scaled_row(w, k, body.u, j, options)
             v += scaled_row(w, k, body.v, j, options)
+            if ti.static(whole or options.rigid > 0):
+                u += scaled_row(w, k, body.u, j, options)
+    if ti.static(not (whole or options.rigid > 0)):
+        u = row(body.u, o) + drift * v
     for d in ti.static(range(3)):
         body.u[o + d] = u[d]
         body.v[o + d] = v[d]

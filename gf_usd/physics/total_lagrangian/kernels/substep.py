@@ -228,8 +228,10 @@ def _item(laws, damped: bool, options: Options):
             drift_node(body, n, 0.5 * dt)
             if ti.static(options.goals > NO_GOALS):
                 drift_goal(body, n, 0.5 * dt, options.goals)
+        elif ti.static(part.name == "open followers"):
+            follow(body, n, free, way, True, options)
         elif ti.static(part.work == "follow"):
-            follow(body, n, free, way, options)
+            follow(body, n, free, way, False, options)
         elif ti.static(part.name == "momentum" and options.plain):
             particle_velocity(body, n, nodes)
         elif ti.static(part.name == "momentum" and options.cells):
