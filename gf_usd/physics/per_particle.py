@@ -146,11 +146,9 @@ def _stretches(F: Many, s: Many, J: Many):
 @ti.func
 def lanes_of(values: ti.template(), g, count):
     """Matrices of group g of an array of `count`, nine lane vectors; the last is repeated."""
-    i, j = 9 * (LANES * g), 9 * ti.min(LANES * g + 1, count - 1)
-    k, m = 9 * ti.min(LANES * g + 2, count - 1), 9 * ti.min(LANES * g + 3, count - 1)
+    o = [9 * ti.min(LANES * g + lane, count - 1) for lane in ti.static(range(LANES))]
     return [
-        ti.Vector([values[i + a], values[j + a], values[k + a], values[m + a]])
-        for a in ti.static(range(9))
+        ti.Vector([values[o[k] + a] for k in ti.static(range(LANES))]) for a in ti.static(range(9))
     ]
 
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from gf_usd.core.frames import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.physics.output.gaussian_kernels import (
+    LANES,
     Lanes,
     diagonalize,
     from_lanes,
@@ -231,11 +232,11 @@ def test_the_nearest_rotation_is_proper_even_for_inverted_maps():
 
 
 def test_lanes_hold_what_they_are_given_and_begin_where_vectors_do():
-    for count in (1, 4, 7):
+    for count in (1, LANES, 2 * LANES - 1):
         given = np.random.default_rng(count).normal(size=(count, 3, 3))
         lanes = to_lanes(given)
-        assert lanes.shape == (9 * -(-count // 4), 4)
-        assert lanes.ctypes.data % 32 == 0
+        assert lanes.shape == (9 * -(-count // LANES), LANES)
+        assert lanes.ctypes.data % (8 * LANES) == 0
         np.testing.assert_array_equal(from_lanes(lanes, count, 3, 3), given)
 
 
