@@ -9,6 +9,7 @@ for every F [Bonet and Wood 2008, eq. 6.28].
 import numpy as np
 import taichi as ti
 
+from gf_usd.core.arrays import row_dots
 from gf_usd.physics.laws.simd3x3 import cofactor, combination, determinant, double_dot, log
 
 J_EXTENSION = 0.1  # J0
@@ -56,7 +57,7 @@ def stored(s, J, q):
     """psi of stretches: |F|^2 = sum s_i^2."""
     t = (np.minimum(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
     g = np.log(np.maximum(J, J_EXTENSION)) + t - 0.5 * t * t
-    return 0.5 * q[0] * ((s * s).sum(1) - 3.0) - q[0] * g + 0.5 * q[1] * g * g
+    return 0.5 * q[0] * (row_dots(s, s) - 3.0) - q[0] * g + 0.5 * q[1] * g * g
 
 
 def moduli(s, J, q):

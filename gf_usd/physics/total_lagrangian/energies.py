@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, cross, triple
+from gf_usd.core.arrays import Floats, cross, row_dots, triple
 from gf_usd.core.frames import Health
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.laws.registry import ParticleLaws
@@ -48,7 +48,7 @@ def von_mises(body: Body, state: State) -> Floats:
 def kinetic_energies(body: Body, now: StateView, bodies: int) -> Floats:
     """sum_i m_i v_i^2 / 2 [J] over the nodes of each body, (bodies,): no less than v . M~ v / 2."""
     m, v = body.stencil.mass, now.v
-    return np.bincount(body.stencil.node_body[: len(m)], 0.5 * m * (v * v).sum(1), bodies)
+    return np.bincount(body.stencil.node_body[: len(m)], 0.5 * m * row_dots(v, v), bodies)
 
 
 def stored_energy(
