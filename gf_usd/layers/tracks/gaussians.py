@@ -110,16 +110,22 @@ class SplatTrack:
         }
 
     def write(
-        self, pose: GaussianPose, positions: Floats, velocities: Vt.Vec3fArray, time_code: float
+        self,
+        pose: GaussianPose,
+        positions: Floats,
+        points: Vt.Vec3fArray,
+        velocities: Vt.Vec3fArray,
+        time_code: float,
     ) -> None:
-        """Author a pose; positions (N, 3) and velocities are its own in stage units.
+        """Author a pose; positions (N, 3), in single precision too, and velocities are its own in
+        stage units.
 
         Raises BakeError where an array has another length than the particles or is not finite.
         """
         for name, width in (("orientations", 4), ("scales", 3)):
             check(getattr(pose, name), (self._count, width), self._named(name), time_code)
         scales = np.asarray(pose.scales, np.float64) / self._units.length
-        self._positions.Set(Vt.Vec3fArray.FromNumpy(f32(positions)), time_code)
+        self._positions.Set(points, time_code)
         true = xyzw(pose.orientations), scales
         turns = self._orientations.write(true[0], time_code)
         rounded = self._scales.write(scales, time_code)

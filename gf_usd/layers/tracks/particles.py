@@ -143,20 +143,23 @@ class ParticleTrack:
             what = f"{name} of <{self.path}>"
             check(getattr(pose, name), (self._count, 3), what, time_code)
         positions = np.asarray(pose.positions, np.float64) / self._unit - self._origin
+        points = Vt.Vec3fArray.FromNumpy(f32(positions))
         velocities = Vt.Vec3fArray.FromNumpy(f32(np.asarray(pose.velocities) / self._unit))
         if not self._rates:
             single = np.asarray(velocities)
             self._saved.count(single, single.nbytes)
         if self._splats:
-            self._splats.write(pose, positions, velocities, time_code)
+            self._splats.write(pose, positions, points, velocities, time_code)
         if self._twin:
-            self._twin.write(positions, velocities, time_code)
+            self._twin.write(points, velocities, time_code)
         if self._flow:
             waiting = list(self._waiting.difference(converted))
             shown = np.flatnonzero(~np.isin(self._body[self._grains], waiting))
             rows = self._grains[shown]
-            rates = Vt.Vec3fArray.FromNumpy(np.asarray(velocities)[rows])
-            self._flow.write(positions[rows], rates, time_code, shown)
+            some, rates = (
+                Vt.Vec3fArray.FromNumpy(np.asarray(one)[rows]) for one in (points, velocities)
+            )
+            self._flow.write(some, rates, time_code, shown)
             self._show(self._flow.prim, not self._flow.empty, time_code)
         for key, track in self._tets.items():
             track.write((tets or {})[key], time_code)

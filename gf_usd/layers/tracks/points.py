@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.arrays import Ints, corners
 from gf_usd.core.frames import Particles
 from gf_usd.layers.stage import box, f32
 
@@ -56,18 +56,18 @@ class PointsTrack:
 
     def write(
         self,
-        positions: Floats,
+        points: Vt.Vec3fArray,
         velocities: Vt.Vec3fArray,
         time_code: float,
         rows: Ints | None = None,
     ) -> None:
-        """Author positions (N, 3) and velocities in stage units.
+        """Author positions and velocities in stage units.
 
         rows : (n,) the particles of the positions; None: all.
         """
         # in single precision, so that it is bit for bit what USD computes from points and widths
-        single = f32(positions)
-        self._points.Set(Vt.Vec3fArray.FromNumpy(single), time_code)
+        single = np.asarray(points)
+        self._points.Set(points, time_code)
         if self._velocities is not None:
             self._velocities.Set(velocities, time_code)
         widths = self._widths
