@@ -37,10 +37,10 @@ from gf_usd.physics.total_lagrangian.kernels.simd import (
 
 
 @unrolled
-def each_filtered(q, f, m, out):
+def each_filtered(q, s, h, m, out):
     """`filter_batch` of each of three components."""
     for d in range(3):
-        filter_batch(q[d::3], f, m, out[d::3])
+        filter_batch(q[d::3], s, h, m, out[d::3])
 
 
 @unrolled
@@ -195,10 +195,12 @@ def filter_cell(body: ti.template(), z):
     """
     group, lane = z >> LANE_BITS, z & (LANES - 1)
     q = gather_cell(body, body.v, group, lane)
+    each_difference(q)
     out = zeros(q)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
-        f = lane_rows(body.fx, 3 * b, lane, 3)
-        each_filtered(q, f, ti.Vector([body.m[b][lane]]), out)
+        s, h = middle_cell(body, b, lane)
+        each_filtered(q, s, h, ti.Vector([body.m[b][lane]]), out)
+    each_transposed(out)
     put_lane_rows(body.block, 81 * group, lane, out)
 
 

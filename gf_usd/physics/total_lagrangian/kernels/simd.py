@@ -178,49 +178,63 @@ def filter_group(body: ti.template(), group):
     gather(body, body.v, group)
     for d in range(3):
         q = component(body.block, group, d)
+        differences(q)
         out = zeros(q)
         for b in range(body.group_batch[group], body.group_batch[group + 1]):
-            f = [body.fx[3 * b], body.fx[3 * b + 1], body.fx[3 * b + 2]]
-            filter_batch(q, f, body.m[b], out)
+            s, h = middle(body, b)
+            filter_batch(q, s, h, body.m[b], out)
+        differences_transposed(out)
         put_component(body.block, group, d, out)
 
 
 @unrolled
-def filter_batch(q, f, m, out):
-    """Add a component of m (v_p + C_p dX) to out (27); f : positions of the particles in cells, m :
-    their
-    masses, q : that component of the nodal velocities.
+def filter_batch(q, s, h, m, out):
+    """Add the moments of a component of m (v_p + C_p dX) to out (27).
+
+    q : `differences` of that component of the nodal velocities; s, h : of `middle`; m : masses of
+    the particles. The sums with dX are an eighth of the e of `affine`, on both sides.
     """
-    w = let([spline(f[a]) for a in range(3)])
-    g = let([[w[a][i] * (float(i) - f[a]) for i in range(3)] for a in range(3)])  # w dX
-    t, t1, t2 = [], [], []
+    x, y, z = let([(s[a], h[a], (3.0 - 4.0 * s[a] * s[a]) * s[a]) for a in range(3)])
+    value, along_y, along_z = [], [], []
+    for i in range(0, 27, 9):
+        rows = [affine(q[j : j + 3], *z) for j in range(i, i + 9, 3)]
+        v, e = affine([v for v, _ in rows], *y)
+        value.append(v)
+        along_y.append(e)
+        along_z.append(affine([e for _, e in rows], *y)[0])
+    v, e = affine(value, *x)
+    k = let(4.0 / 64.0 * m)
+    value = affine_transposed(m * v, k * e, *x)
+    along_y = affine_transposed(k * affine(along_y, *x)[0], None, *x)
+    along_z = affine_transposed(k * affine(along_z, *x)[0], None, *x)
     for i in range(3):
-        rows = [[q[9 * i + 3 * j + k] for k in range(3)] for j in range(3)]
-        s = let([dot(w[2], row) for row in rows])
-        s2 = [dot(g[2], row) for row in rows]
-        t.append(let(dot(w[1], s)))
-        t1.append(dot(g[1], s))
-        t2.append(dot(w[1], s2))
-    v = let(m * dot(w[0], t))
-    c0 = let(4.0 * m * dot(g[0], t))
-    c1 = let(4.0 * m * dot(w[0], t1))
-    c2 = let(4.0 * m * dot(w[0], t2))
-    for i in range(3):
-        a = let(w[0][i] * v + g[0][i] * c0)
-        b1 = let(w[0][i] * c1)
-        b2 = let(w[0][i] * c2)
+        values = affine_transposed(value[i], along_y[i], *y)
+        slopes = affine_transposed(along_z[i], None, *y)
         for j in range(3):
-            p = let(w[1][j] * a + g[1][j] * b1)
-            r = let(w[1][j] * b2)
-            for k in range(3):
-                n = 9 * i + 3 * j + k
-                put(out[n], out[n] + w[2][k] * p + g[2][k] * r)
+            line = affine_transposed(values[j], slopes[j], *z)
+            for n, one in enumerate(line, 9 * i + 3 * j):
+                put(out[n], out[n] + one)
 
 
 @unrolled
-def dot(a, b):
-    """a_0 b_0 + a_1 b_1 + a_2 b_2."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def affine(line, s, h, t):
+    """Of the a, b, c of three nodes on a line: sum w q, which is q(s), and e = 8 sum w q dX.
+
+    e = b + c t with t = 3 s - 4 s^3, by the moments of the B-spline's weights.
+    """
+    a, b, c = line
+    return let(a + h * (b + c * s)), let(b + c * t)
+
+
+@unrolled
+def affine_transposed(v, e, s, h, t):
+    """The contributions of v on q(s), and of e where there is one, to a, b and c."""
+    v = let(v)
+    b = let(h * v)
+    if e is None:
+        return [v, b, let(s * b)]
+    e = let(e)
+    return [v, let(b + e), let(s * b + t * e)]
 
 
 @ti.func
@@ -281,15 +295,6 @@ LINES = tuple(
 @ti.func
 def lane_sum(x):
     return ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]))
-
-
-@unrolled
-def spline(f):
-    """The splines of the three nodes along one axis; f in [0.5, 1.5)."""
-    a = let(1.5 - f)
-    b = let(f - 1.0)
-    c = let(f - 0.5)
-    return [0.5 * a * a, 0.75 - b * b, 0.5 * c * c]
 
 
 @ti.func
