@@ -50,6 +50,8 @@ from gf_usd.physics.total_lagrangian.limits import NO_GOALS, SPRINGS
 # latencies overlap.
 AHEAD = 8
 
+INDEX = (1 << 30) - 1  # all bits of the index of a component
+
 
 @ti.func
 def block_sum(body: ti.template(), node, options: ti.template()):
@@ -78,6 +80,17 @@ def slot(body: ti.template(), e):
     o = body.node_slot[e] >> LANE_BITS
     lane = body.node_slot[e] & (LANES - 1)
     return ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
+
+
+@ti.func
+def first_of(node):
+    """Index of the first component of a node that is read from an array.
+
+    With its bits given, the compiler knows that it is not negative: the offsets of the other
+    components are then parts of their addresses, and not two instructions each. The sums over nodes
+    take 0.8 of the time.
+    """
+    return (3 * node) & INDEX
 
 
 @ti.func
@@ -152,10 +165,12 @@ def sum_of_followers(body: ti.template(), node, options: ti.template()):
         for turn in range(turns(first, behind)):
             for k in ti.static(range(AHEAD)):
                 e, on = entry(first + turn * AHEAD + k, behind)
-                f += (on * body.leader_weight[e]) * row(body.share, 3 * body.leader_follower[e])
+                f += (on * body.leader_weight[e]) * row(
+                    body.share, first_of(body.leader_follower[e])
+                )
     else:
         for e in range(first, behind):
-            f += body.leader_weight[e] * row(body.share, 3 * body.leader_follower[e])
+            f += body.leader_weight[e] * row(body.share, first_of(body.leader_follower[e]))
     return f
 
 
@@ -185,13 +200,13 @@ def follow(
         for turn in range(turns(first, behind)):
             for m in ti.static(range(AHEAD)):
                 e, on = entry(first + turn * AHEAD + m, behind)
-                j, w = 3 * body.follow_node[e], on * body.follow_weight[e]
+                j, w = first_of(body.follow_node[e]), on * body.follow_weight[e]
                 v += scaled_row(w, k, body.v, j, options)
                 if ti.static(whole or options.rigid > 0):
                     u += scaled_row(w, k, body.u, j, options)
     else:
         for e in range(first, behind):
-            j, w = 3 * body.follow_node[e], body.follow_weight[e]
+            j, w = first_of(body.follow_node[e]), body.follow_weight[e]
             v += scaled_row(w, k, body.v, j, options)
             if ti.static(whole or options.rigid > 0):
                 u += scaled_row(w, k, body.u, j, options)
@@ -362,7 +377,7 @@ def inverse(body: ti.template(), node, share, options: ti.template()):
 @ti.func
 def spring(body: ti.template(), r, e, options: ti.template()):
     """k_ij (r_i - r_j) of one entry."""
-    way = r - row(body.share, 3 * body.follow_node[e])
+    way = r - row(body.share, first_of(body.follow_node[e]))
     out = body.follow_weight[e] * way
     if ti.static(options.slides):
         out = row(body.springs, 3 * e) * way
