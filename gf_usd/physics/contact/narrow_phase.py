@@ -7,7 +7,7 @@ which it is deepest, or to which it is nearest.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -102,19 +102,21 @@ class ContactSearch:
         f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, self.x[who])
 
     def offer_places(
-        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: int, rest: Floats,
-        obstacle: int = -1,
+        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: Ints | int,
+        rest: Floats, obstacle: int = -1,
     ) -> None:  # fmt: skip
-        """Offer planes to samples `rows` (k,) at points of a body, rest (k, 3) [m] at rest.
+        """Offer planes to samples `rows` (k,) at points of bodies (k,), rest (k, 3) [m] at rest.
 
         A call of `carry` must follow, which finds the carriers of the planes that are selected.
 
+        rows : a sample may be there several times, and gets the nearest plane, the first of equals;
         obstacle : that the samples belong to; -1: to bodies.
         """
+        body = np.broadcast_to(body, len(rows))
         nearer = self._take(rows, gap, normal, obstacle, sure=False)
         rows = rows[nearer]
         self.planes.point[rows] = point[nearer]
-        self._owner[rows], self._rest[rows] = body, rest[nearer]
+        self._owner[rows], self._rest[rows] = body[nearer], rest[nearer]
 
     def keep_beside(
         self, rows: Ints, planes: ContactPlanes, offset: Floats, depth: Floats, far: float
@@ -142,13 +144,14 @@ class ContactSearch:
         likely = np.full(len(rows), True) if sure else gap >= self._least[rows]
         self._gone[rows[~likely]] = True
         nearer = likely & (gap < self.gap[rows])
+        nearer[nearer] = _least_of_each(rows[nearer], gap[nearer])
         rows, f = rows[nearer], self.planes
         self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
         f.obstacle[rows], f.velocity[rows] = obstacle, 0.0
         self._owner[rows] = -1
         return nearer
 
-    def carry(self, skins: Mapping[int, BodySkin], X: Floats) -> None:
+    def carry(self, skins: BodySkins, X: Floats) -> None:
         """Find the samples that carry points of the skins; X : (n, 3) [m] of all at rest."""
         rows = np.flatnonzero(self._owner >= 0)
         if not len(rows):
@@ -162,6 +165,14 @@ class ContactSearch:
         f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
         f.point[rows] -= np.einsum("nk,nka->na", w, self.x[who])
         self._owner[rows] = -1
+
+
+def _least_of_each(rows: Ints, gap: Floats) -> Ints:
+    """(k,) which is the least gap of its row, the first of equals."""
+    order = np.lexsort((gap, rows))
+    least = np.ones(len(rows), bool)
+    least[order[1:]] = rows[order[1:]] != rows[order[:-1]]
+    return least
 
 
 def pair_values(
@@ -244,7 +255,7 @@ class BodySkin:
         of = np.full(len(skin.points), body)
         self._W = stencil.rows(skin.points, of, skin.cell_copy, gradients=False).W
         self._triples = Triples(X)
-        self._tree = SurfaceTree(skin.points, skin.triangles)
+        self.tree = SurfaceTree(skin.points, skin.triangles)
         self._shell = shell(skin.points, skin.triangles)
 
     def near(
@@ -256,20 +267,32 @@ class BodySkin:
         surface is tested by its winding number.
         u : (nodes, 3) [m] as stacked by `Rows`, without offset (3,) [m].
         """
-        skin, now = self.skin, self.posed(offset, u)
+        now = self.posed(offset, u)
         seen = now.closest(X, reach)
         doubtful = np.flatnonzero(seen.gap < known[seen.rows])
         if len(doubtful):
             seen = now.corrected(seen, doubtful, X)
-        rest = skin.points[skin.triangles[seen.triangle]]
-        return seen, np.einsum("nk,nka->na", seen.weights, rest)
+        return seen, self.rest(seen.triangle, seen.weights)
 
     def posed(self, offset: Floats, u: Floats | None = None) -> PosedSkin:
         """The surface with displacements u, and an offset (3,) [m]; None: at rest."""
-        points = self.skin.points + offset
+        points = np.empty_like(self.skin.points)
+        self.pose(points, offset, u)
+        return self.at(points)
+
+    def pose(self, out: Floats, offset: Floats, u: Floats | None) -> None:
+        """Set `out` (V, 3) [m] to the points of `posed`."""
+        np.add(self.skin.points, offset, out=out)
         if u is not None:
-            points = points + self._W @ u
-        return PosedSkin(points, self.skin.triangles, self._tree, self._shell)
+            out += self._W @ u
+
+    def at(self, points: Floats) -> PosedSkin:
+        """The surface with points (V, 3) [m]."""
+        return PosedSkin(points, self.skin.triangles, self.tree, self._shell)
+
+    def rest(self, triangle: Ints, weights: Floats) -> Floats:
+        """(k, 3) [m] points at rest of triangles (k,), with barycentric weights (k, 3)."""
+        return np.einsum("nk,nka->na", weights, self.skin.points[self.skin.triangles[triangle]])
 
     def carriers(self, places: Floats) -> tuple[Ints, Floats]:
         """Contact samples (k, 3) and weights (k, 3) that carry points (k, 3) [m] at rest.
@@ -285,3 +308,59 @@ class BodySkin:
         """(k, NEAR) contact samples nearest to points (k, 3) [m] at rest; -1: no more."""
         near = self._triples.near(places)
         return np.where(near >= 0, self.samples[near], -1)
+
+
+class BodySkins:
+    """The surfaces of some bodies, each made once something comes near it.
+
+    make : the surface of a body.
+    """
+
+    def __init__(self, make: Callable[[int], BodySkin]) -> None:
+        self._make = make
+        self._skins: dict[int, BodySkin] = {}
+        # All that are made: their tree, which of them each body is, and where its points begin.
+        self._tree: SurfaceTree | None = None
+        self._place: dict[int, int] = {}
+        self._first = np.zeros(1, np.int64)
+        self._points = np.zeros((0, 3))
+
+    def __getitem__(self, body: int) -> BodySkin:
+        if body not in self._skins:
+            self._skins[body] = self._make(body)
+        return self._skins[body]
+
+    def near(
+        self, X: Floats, known: Floats, bodies: Ints, u: Floats, offset: Floats, reach: float
+    ) -> tuple[Closest, Floats]:
+        """The same as `BodySkin.near` for X (m, 3) [m], each of the surface of one of bodies (m,),
+        by one query of all.
+        """
+        asked = np.unique(bodies).tolist()
+        skins = [self[k] for k in asked]
+        tree = self._joined()
+        places = np.array([self._place[k] for k in asked])
+        for place, skin in zip(places, skins):
+            skin.pose(self._points[self._first[place] : self._first[place + 1]], offset, u)
+        at = places[np.searchsorted(asked, bodies)]
+        seen = tree.closest(X, self._points, reach, of=at)
+        doubtful = seen.gap < known[seen.rows]
+        rest = np.empty((len(seen.rows), 3))
+        of = bodies[seen.rows]
+        for body, place, skin in zip(asked, places, skins):
+            mine = np.flatnonzero(of == body)
+            if doubtful[mine].any():
+                points = self._points[self._first[place] : self._first[place + 1]]
+                seen = skin.at(points).corrected(seen, mine[doubtful[mine]], X)
+            rest[mine] = skin.rest(seen.triangle[mine], seen.weights[mine])
+        return seen, rest
+
+    def _joined(self) -> SurfaceTree:
+        """The tree of all surfaces that are made."""
+        if self._tree is None or len(self._place) < len(self._skins):
+            self._place = {body: k for k, body in enumerate(self._skins)}
+            skins = self._skins.values()
+            self._first = np.append(0, np.cumsum([len(one.skin.points) for one in skins]))
+            self._points = np.zeros((self._first[-1], 3))
+            self._tree = SurfaceTree.joined([one.tree for one in skins])
+        return self._tree

@@ -27,6 +27,7 @@ from gf_usd.physics.contact.narrow_phase import (
     FACING,
     TRAVEL,
     BodySkin,
+    BodySkins,
     ContactSearch,
     pair_values,
 )
@@ -84,7 +85,7 @@ class BodyContact:
             members=self.members, obstacles=self._obstacles, contact_setup=self.contact_setup,
             reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
-        self._skins: dict[int, BodySkin] = {}  # see `_skin`, of bodies that others came near
+        self._skins = BodySkins(self._make_skin)
         self._budget = self._make_budget(body, len(skins))
         own = {k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)}
         self._own = OwnContacts(
@@ -93,12 +94,12 @@ class BodyContact:
         lift = np.asarray(body.settings.lift, float)
         self._piercing = Piercing(
             self.contact_setup, self._obstacles, self.members, self._spacing,
-            lambda k: self._skin(k).posed(lift), body.settings.frames - 1,
+            lambda k: self._skins[k].posed(lift), body.settings.frames - 1,
         )  # fmt: skip
         n, points = len(samples.X), body.contact.points
         self._edges = EdgePoints(
             n, points, self._obstacles, self._piercing.sharp,
-            lambda k: self._skin(k).posed(lift), self._spacing,
+            lambda k: self._skins[k].posed(lift), self._spacing,
         )  # fmt: skip
         self._rest_gaps = RestGaps(
             self._X, self._of, self.contact_setup, self._obstacles, own, spacing=self._spacing,
@@ -130,12 +131,9 @@ class BodyContact:
         """Whether a body may be in contact with itself: it has samples, and not all are pinned."""
         return body in self.contact_setup.self_contact and len(self.members[body]) > 0
 
-    def _skin(self, body: int) -> BodySkin:
-        """The surface of a body, built once something comes near it."""
-        if body not in self._skins:
-            skin, m = self.contact_setup.skins[body], self.members[body]
-            self._skins[body] = BodySkin(skin, body, self._body.stencil, m, self._X[m])
-        return self._skins[body]
+    def _make_skin(self, body: int) -> BodySkin:
+        skin, m = self.contact_setup.skins[body], self.members[body]
+        return BodySkin(skin, body, self._body.stencil, m, self._X[m])
 
     def _make_budget(self, body: Body, count: int) -> EnergyBudget:
         """For `count` bodies."""
@@ -274,7 +272,7 @@ class BodyContact:
     def pierced(self, now: StateView, frame: int) -> dict[str, Any]:
         """The fields `pierced...` of `Health`, of a state at a frame."""
         return self._piercing.measured(
-            self.motion(now)[0], frame, lambda k: self._skin(k).posed(now.offset, now.nodes[0])
+            self.motion(now)[0], frame, lambda k: self._skins[k].posed(now.offset, now.nodes[0])
         )
 
     def surface(
@@ -288,7 +286,7 @@ class BodyContact:
     ) -> tuple[Closest, Ints, Floats]:
         """What points see of a body: `BodySkin.near`, and the contact samples (k, 3) that carry the
         places seen, with weights (k, 3)."""
-        skin = self._skin(body)
+        skin = self._skins[body]
         seen, rest = skin.near(X, known, u, offset, reach)
         return seen, *skin.carriers(rest)
 
@@ -409,11 +407,10 @@ class BodyContact:
         for body, other in pairs:
             if not kept[body]:
                 searched.setdefault(other, []).append(body)
-        for other, bodies in sorted(searched.items()):
-            if other < 0:
-                self._search_obstacle(search, bodies, -1 - other, now, frame, min(hold, span))
-            else:
-                self._search_body(search, bodies, other, now.nodes[0], now.offset)
+        for other in sorted(k for k in searched if k < 0):
+            bodies = searched.pop(other)
+            self._search_obstacle(search, bodies, -1 - other, now, frame, min(hold, span))
+        self._search_bodies(search, searched, now.nodes[0], now.offset)
         if self.contact.points:
             self._edges.offer(search)
             outlook.v[len(self._X) :] = self._edges.v
@@ -495,31 +492,33 @@ class BodyContact:
         s = self._body.settings
         return float(np.linalg.norm(s.gravity)) + s.pushes
 
-    def _search_body(
-        self,
-        search: ContactSearch,
-        bodies: Sequence[int],
-        other: int,
-        nodes: Floats,
+    def _search_bodies(
+        self, search: ContactSearch, searched: Mapping[int, Sequence[int]], nodes: Floats,
         offset: Floats,
-    ) -> None:
-        """Offer planes of one body's surface to samples of `bodies`.
+    ) -> None:  # fmt: skip
+        """Offer planes of the surfaces of bodies to samples of those that are near each of them.
 
-        All at once: the surface is posed and its tree is refitted only once.
+        All at once: every surface is posed and its tree is refitted only once.
         """
-        mine = np.concatenate([self.members[k] for k in bodies])
-        rows = search.candidates(mine, search.x[self.members[other]])
-        if len(rows) == 0:
+        asked = [
+            search.candidates(
+                np.concatenate([self.members[k] for k in searched[other]]),
+                search.x[self.members[other]],
+            )
+            for other in sorted(searched)
+        ]
+        if not sum(map(len, asked)):
             return
+        rows, others = np.concatenate(asked), np.repeat(sorted(searched), list(map(len, asked)))
         # A sample that was inside this body at the last detection still is.  One that newly seems
         # to be inside may be behind a fold, and the winding number decides.
         gap, faced = self._gap[rows], self.planes.partner[rows]
-        was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == other)
+        was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == others)
         known = np.where(was, gap - EASE * self._spacing, 0.0)
-        found, rest = self._skin(other).near(search.x[rows], known, nodes, offset, search.reach)
-        mine = rows[found.rows]
-        point = found.point + self._rest_gaps.from_body(mine, other)[:, None] * found.normal
-        search.offer_places(mine, found.gap, found.normal, point, other, rest)
+        found, rest = self._skins.near(search.x[rows], known, others, nodes, offset, search.reach)
+        mine, theirs = rows[found.rows], others[found.rows]
+        point = found.point + self._rest_gaps.from_bodies(mine, theirs)[:, None] * found.normal
+        search.offer_places(mine, found.gap, found.normal, point, theirs, rest)
 
     def _search_obstacle(
         self, search: ContactSearch, bodies: Sequence[int], which: int, now: StateView,
@@ -535,7 +534,7 @@ class BodyContact:
         near = mine[found.gap < ABOUT * self._spacing]
         for body in np.unique(self._of[near]).tolist() if self.contact.points else ():
             surface = partial(
-                self._skin(body).near, u=now.nodes[0], offset=now.offset, reach=search.reach
+                self._skins[body].near, u=now.nodes[0], offset=now.offset, reach=search.reach
             )
             self._edges.search(
                 search, body, which, near[self._of[near] == body], surface, self.planes, self._gap,

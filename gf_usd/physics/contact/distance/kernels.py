@@ -1,11 +1,22 @@
 """The closest point of a surface by a bounding volume tree, per point.
 
-The tree is complete and stored as a heap: node i has the children 2 i and 2 i + 1, and the leaves
-are the last level. A query descends to the nearest leaf and then traverses the tree in order,
-skipping boxes that are farther than the closest point found.
+The tree of a surface is complete and stored as a heap, from the first of its boxes on: node i has
+the children 2 i and 2 i + 1, and the leaves are the last level. A query descends to the nearest
+leaf and then traverses the tree in order, skipping boxes that are farther than the closest point
+found.
 """
 
 import taichi as ti
+
+from gf_usd.physics.contact.distance.tree import (
+    AROUND,
+    BOXES,
+    FACES,
+    FIRST_LEAF,
+    LEAVES,
+    MOVED,
+    TRIANGLES,
+)
 
 ON_EDGE = 1e-9  # a barycentric weight below it counts as 0
 
@@ -90,35 +101,37 @@ def angle_of(points: ti.template(), corners: ti.template(), t, k):
 
 
 @ti.func
-def pseudo_normal(points: ti.template(), corners: ti.template(), around: ti.template(), t, w):
+def pseudo_normal(
+    points: ti.template(), corners: ti.template(), around: ti.template(), t, w, faces, first, list0
+):
     """The angle-weighted normal of the face, edge or vertex that contains the point with weights w.
 
-    around : of `SurfaceTree`.
+    around : of `SurfaceTree`, whose list of the surface begins at `list0`; faces : its number of
+    triangles, the first of which is `first`.
     """
-    faces = corners.shape[0]
     zeros = 0
-    first = 0  # a corner whose weight is 0
+    corner = 0  # whose weight is 0
     most = 0  # the corner with the largest
     for k in ti.static(range(3)):
         if w[k] <= ti.static(ON_EDGE):
             zeros += 1
-            first = k
+            corner = k
         if w[k] > w[most]:
             most = k
     n = normal_of(points, corners, t)
+    own = t - first
     if zeros == 1:
         n = 0.0 * n
-        edge = around[3 * t + (first + 1) % 3]
-        start = 6 * faces + edge
-        for e in range(around[start], around[start + 1]):
-            n += normal_of(points, corners, around[e])
+        edge = around[list0 + 3 * own + (corner + 1) % 3]
+        start = list0 + 6 * faces + edge
+        for e in range(list0 + around[start], list0 + around[start + 1]):
+            n += normal_of(points, corners, first + around[e])
     if zeros == 2:
         n = 0.0 * n
-        start = around[3 * faces + 3 * t + most]
-        for e in range(around[start], around[start + 1]):
-            n += angle_of(points, corners, around[e] // 3, around[e] % 3) * normal_of(
-                points, corners, around[e] // 3
-            )
+        start = list0 + around[list0 + 3 * faces + 3 * own + most]
+        for e in range(list0 + around[start], list0 + around[start + 1]):
+            other = first + around[e] // 3
+            n += angle_of(points, corners, other, around[e] % 3) * normal_of(points, corners, other)
     return n
 
 
@@ -148,77 +161,89 @@ def keep_box(boxes: ti.template(), i, low, high):
 
 @ti.func
 def enclose_leaf(
-    points: ti.template(), corners: ti.template(), starts: ti.template(), boxes: ti.template(), leaf
+    points: ti.template(), corners: ti.template(), boxes: ti.template(), first, behind, box
 ):
-    """Bounding box of a leaf's triangles."""
-    first = starts[leaf]
+    """Bounding box of triangles `first` to `behind` (exclusive), a leaf."""
     low = vector(points, corners[first, 0])
     high = low
-    for t in range(first, starts[leaf + 1]):
+    for t in range(first, behind):
         for k in ti.static(range(3)):
             p = vector(points, corners[t, k])
             low, high = ti.min(low, p), ti.max(high, p)
-    keep_box(boxes, starts.shape[0] - 1 + leaf, low, high)
+    keep_box(boxes, box, low, high)
 
 
 @ti.func
-def enclose_children(boxes: ti.template(), node):
-    """Bounding box of a node, from those of its children."""
+def enclose_children(boxes: ti.template(), root, node):
+    """Bounding box of a node, from those of its children; root : where its tree begins."""
+    left, right = root + 2 * node, root + 2 * node + 1
     for a in ti.static(range(3)):
-        boxes[node, a] = ti.min(boxes[2 * node, a], boxes[2 * node + 1, a])
-        boxes[node, a + 3] = ti.max(boxes[2 * node, a + 3], boxes[2 * node + 1, a + 3])
+        boxes[root + node, a] = ti.min(boxes[left, a], boxes[right, a])
+        boxes[root + node, a + 3] = ti.max(boxes[left, a + 3], boxes[right, a + 3])
 
 
 @ti.kernel
 def closest_points(
     X: ti.types.ndarray(dtype=ti.f64, ndim=2),
+    of: ti.types.ndarray(dtype=ti.i32, ndim=1),
     points: ti.types.ndarray(dtype=ti.f64, ndim=2),
     corners: ti.types.ndarray(dtype=ti.i32, ndim=2),
     around: ti.types.ndarray(dtype=ti.i32, ndim=1),
     boxes: ti.types.ndarray(dtype=ti.f64, ndim=2),
     starts: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    of_leaf: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    table: ti.types.ndarray(dtype=ti.i32, ndim=2),
     reach: ti.f64,
     moved: ti.i32,
     found: ti.types.ndarray(dtype=ti.f64, ndim=2),
     which: ti.types.ndarray(dtype=ti.i32, ndim=1),
 ):
-    """The nearest triangle to each X (n, 3) [m] within a reach [m], -1 where there is none.
+    """The nearest triangle of its surface to each X (n, 3) [m] within a reach [m], -1 where there
+    is none.
 
-    moved : 1: the boxes are first refitted, from the leaves to the root; found : (n, 6) weights and
-    pseudo-normal, not normalized; the others as in `SurfaceTree`.
+    of : (n,) the surfaces; moved : 1: the boxes of some are first refitted, from the leaves to the
+    root; found : (n, 6) weights and pseudo-normal, not normalized; the others as in `SurfaceTree`.
     """
-    for leaf in range((starts.shape[0] - 1) * moved):
-        enclose_leaf(points, corners, starts, boxes, leaf)
-    for _ in range(moved):
-        node = starts.shape[0] - 2
-        while node > 0:
-            enclose_children(boxes, node)
-            node -= 1
+    for number in range(of_leaf.shape[0] * moved):
+        k = of_leaf[number]
+        if table[k, MOVED] == 1:
+            # The list of starts has one more of each surface than there are leaves.
+            leaf = table[k, FIRST_LEAF] + number - table[k, BOXES] // 2
+            box = table[k, LEAVES] + number + table[k, BOXES] // 2
+            enclose_leaf(points, corners, boxes, starts[leaf], starts[leaf + 1], box)
+    for k in range(table.shape[0] * moved):
+        if table[k, MOVED] == 1:
+            node = table[k, LEAVES] - 1
+            while node > 0:
+                enclose_children(boxes, table[k, BOXES], node)
+                node -= 1
     for i in range(X.shape[0]):
         p = vector(X, i)
-        leaves = starts.shape[0] - 1
+        k = of[i]
+        leaves, root = table[k, LEAVES], table[k, BOXES]
+        first = table[k, FIRST_LEAF] - leaves  # of leaf i is the start at i
         best, at = reach * reach, -1
         w = 0.0 * p
         node = 1
-        near = box_distance(boxes, 1, p) < best
+        near = box_distance(boxes, root + 1, p) < best
         while near and node < leaves:
             node *= 2
-            if box_distance(boxes, node + 1, p) < box_distance(boxes, node, p):
+            if box_distance(boxes, root + node + 1, p) < box_distance(boxes, root + node, p):
                 node += 1
         nearest = node
         if near:
-            leaf = node - leaves
+            leaf = first + node
             best, at, w = nearest_in_leaf(
                 points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
             )
         node = 1
         while node > 0:
             down = 0
-            if box_distance(boxes, node, p) < best:
+            if box_distance(boxes, root + node, p) < best:
                 if node < leaves:
                     down = 1
                 elif node != nearest:
-                    leaf = node - leaves
+                    leaf = first + node
                     best, at, w = nearest_in_leaf(
                         points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
                     )
@@ -231,7 +256,10 @@ def closest_points(
                     node += 1
         which[i] = at
         if at >= 0:
-            n = pseudo_normal(points, corners, around, at, w)
+            n = pseudo_normal(
+                points, corners, around, at, w, table[k, FACES], table[k, TRIANGLES],
+                table[k, AROUND],
+            )  # fmt: skip
             for a in ti.static(range(3)):
                 found[i, a] = w[a]
                 found[i, a + 3] = n[a]

@@ -7,6 +7,8 @@ boxes of the current positions (van den Bergen 1997).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
@@ -14,9 +16,17 @@ from gf_usd.physics.contact.distance.closest import ON_SURFACE, Closest, no_poin
 
 LEAF = 8  # largest number of triangles in a leaf
 
+# Columns of the table of surfaces: where the leaves, boxes, triangles and neighbors of each begin,
+# how many leaves and triangles it has, and whether its boxes are to be refitted.
+FIRST_LEAF, LEAVES, BOXES, TRIANGLES, FACES, AROUND, MOVED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
+
 
 class SurfaceTree:
-    """The triangles (T, 3) of a surface with points (V, 3) [m] at rest."""
+    """The triangles (T, 3) of a surface with points (V, 3) [m] at rest.
+
+    Several are `joined` for a query of all of them at once: a kernel launch takes as long as some
+    hundred queries.
+    """
 
     def __init__(self, points: Floats, triangles: Ints) -> None:
         levels = max(0, int(np.ceil(np.log2(max(1, len(triangles)) / LEAF))))
@@ -25,26 +35,71 @@ class SurfaceTree:
         self._corners = np.ascontiguousarray(triangles[self._order], np.int32)
         self._starts = bounds
         self._around = _around(self._corners, len(points))
-        self._boxes = np.zeros((2 ** (levels + 1), 6))
-        self._fitted = False
+        self._points = len(points)
+        self._table = np.zeros((1, COLUMNS), np.int32)
+        self._table[0, [LEAVES, FACES]] = len(bounds) - 1, len(triangles)
+        self._of_leaf = np.zeros(len(bounds) - 1, np.int32)
+        self._make_boxes()
 
-    def closest(self, X: Floats, points: Floats, reach: float, *, moved: bool = True) -> Closest:
+    def _make_boxes(self) -> None:
+        self._boxes = np.zeros((2 * int(self._table[:, LEAVES].sum()), 6))
+        self._fitted = np.zeros(len(self._table), bool)
+
+    @classmethod
+    def joined(cls, trees: Sequence[SurfaceTree]) -> SurfaceTree:
+        """One of several single surfaces, whose points and triangles follow each other."""
+        out = cls.__new__(cls)
+        tables = np.concatenate([tree._table for tree in trees])
+        leaves, faces, points, around = (
+            np.cumsum(sizes) - sizes
+            for sizes in (
+                tables[:, LEAVES], tables[:, FACES], np.array([tree._points for tree in trees]),
+                np.array([len(tree._around) for tree in trees]),
+            )
+        )  # fmt: skip
+        out._order = np.concatenate([t._order for t in trees])
+        out._corners = np.concatenate(
+            [t._corners + n for t, n in zip(trees, points)], dtype=np.int32
+        )
+        # one more than it has leaves for each
+        out._starts = np.concatenate([t._starts + n for t, n in zip(trees, faces)], dtype=np.int32)
+        out._around = np.concatenate([t._around for t in trees])
+        out._points = sum(t._points for t in trees)
+        out._table = tables
+        out._table[:, FIRST_LEAF], out._table[:, BOXES] = leaves + np.arange(len(trees)), 2 * leaves
+        out._table[:, TRIANGLES], out._table[:, AROUND] = faces, around
+        out._of_leaf = np.repeat(np.arange(len(trees), dtype=np.int32), tables[:, LEAVES])
+        out._make_boxes()
+        return out
+
+    def closest(
+        self, X: Floats, points: Floats, reach: float, *, moved: bool | Ints = True,
+        of: Ints | None = None,
+    ) -> Closest:  # fmt: skip
         """The result of `closest` for X (n, 3) [m] within reach [m] of the surface with points (V,
         3) [m].
 
-        moved : whether the points have changed since the last call.
+        moved : whether the points have changed since the last call, (K,) of joined surfaces;
+        of : (n,) the surface of each X, whose triangles are numbered by themselves; None: the only
+        one.
         """
         from gf_usd.physics.contact.distance import kernels
 
         if len(X) == 0 or len(self._order) == 0:
             return no_points()
         X, points = (np.ascontiguousarray(a, np.float64) for a in (X, points))
+        of = np.zeros(len(X), np.int32) if of is None else np.ascontiguousarray(of, np.int32)
         found, which = np.zeros((len(X), 6)), np.empty(len(X), np.int32)
+        asked = np.zeros(len(self._table), bool)
+        asked[of] = True
+        refitted = asked & (np.asarray(moved) | ~self._fitted) & (self._table[:, FACES] > 0)
+        self._table[:, MOVED] = refitted
         kernels.closest_points(
-            X, points, self._corners, self._around, self._boxes, self._starts, reach,
-            int(moved or not self._fitted), found, which,
+            X, of, points, self._corners, self._around, self._boxes, self._starts, self._of_leaf,
+            self._table, reach, int(refitted.any()), found, which,
         )  # fmt: skip
-        self._fitted = True
+        # Boxes of others are those of points which they no longer have.
+        self._fitted = np.where(moved, refitted, self._fitted | refitted)
         rows = np.flatnonzero(which >= 0)
         at, w, pseudo = which[rows], found[rows, :3], found[rows, 3:]
         point = np.einsum("nk,nka->na", w, points[self._corners[at]])

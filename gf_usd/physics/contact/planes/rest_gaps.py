@@ -66,11 +66,8 @@ class RestGaps:
         n = len(self._body)
         out[n:] = np.where(partner[n:] >= 0, self._edges.sunk, 0.0)
         carried = planes.carried
-        carried = carried[carried < len(self._body)]
-        theirs = self._body[partner[carried]]
-        for other in np.unique(theirs):
-            rows = carried[theirs == other]
-            out[rows] = self.from_body(rows, int(other))
+        carried = carried[carried < n]
+        out[carried] = self.from_bodies(carried, self._body[partner[carried]])
         for which in np.unique(obstacle[obstacle >= 0]):
             rows = np.flatnonzero(obstacle == which)
             out[rows] = self.from_obstacle(int(which))[rows]
@@ -81,12 +78,15 @@ class RestGaps:
         """Planes were changed in place: what they face is to be read again."""
         self._last = None
 
-    def from_body(self, rows: Ints, other: int) -> Floats:
-        """(k,) [m] offset of samples `rows` (k,) from a body, which may be their own."""
+    def from_bodies(self, rows: Ints, others: Ints) -> Floats:
+        """(k,) [m] offset of samples `rows` (k,) from bodies (k,), which may be their own."""
         out = np.zeros(len(rows))
-        for k in map(int, np.unique(self._body[rows])):
-            mine = self._body[rows] == k
-            out[mine] = self._pair(k, other)[np.searchsorted(self._members[k], rows[mine])]
+        count = len(self._members)
+        pair = self._body[rows] * count + others
+        for one in np.unique(pair).tolist():
+            mine = np.flatnonzero(pair == one)
+            body, other = divmod(one, count)
+            out[mine] = self._pair(body, other)[np.searchsorted(self._members[body], rows[mine])]
         return out
 
     def _pair(self, body: int, other: int) -> Floats:

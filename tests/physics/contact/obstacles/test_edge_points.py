@@ -60,7 +60,7 @@ def test_a_point_that_came_past_the_middle_of_a_thin_body_is_pushed_back() -> No
     )  # fmt: skip
     assert solver.pairs is not None
     now, spacing = solver.state.view(), solver.particles.spacing
-    skin, search = solver.pairs._skin(0), solver.pairs._edges._search
+    skin, search = solver.pairs._skins[0], solver.pairs._edges._search
     x = np.array([[0.2, height, 0.2] for height in (0.49, 0.51, 0.54)])
     inward = np.tile([-1.0, -1.0, -1.0], (3, 1)) / np.sqrt(3.0)
 
