@@ -313,11 +313,13 @@ class BodySkin:
 class BodySkins:
     """The surfaces of some bodies, each made once something comes near it.
 
-    make : the surface of a body.
+    make : the surface of a body; count : n of all samples.
     """
 
-    def __init__(self, make: Callable[[int], BodySkin]) -> None:
+    def __init__(self, make: Callable[[int], BodySkin], count: int) -> None:
         self._make = make
+        # (n,) the body and the triangle that each sample was found to be near at last
+        self._last_body, self._last_triangle = np.full(count, -1), np.zeros(count, np.int64)
         self._skins: dict[int, BodySkin] = {}
         # All that are made: their tree, which of them each body is, and where its points begin.
         self._tree: SurfaceTree | None = None
@@ -331,10 +333,11 @@ class BodySkins:
         return self._skins[body]
 
     def near(
-        self, X: Floats, known: Floats, bodies: Ints, u: Floats, offset: Floats, reach: float
-    ) -> tuple[Closest, Floats]:
-        """The same as `BodySkin.near` for X (m, 3) [m], each of the surface of one of bodies (m,),
-        by one query of all.
+        self, rows: Ints, X: Floats, known: Floats, bodies: Ints, u: Floats, offset: Floats,
+        reach: float,
+    ) -> tuple[Closest, Floats]:  # fmt: skip
+        """The same as `BodySkin.near` for samples `rows` (m,) at X (m, 3) [m], each of the surface
+        of one of bodies (m,), by one query of all.
         """
         asked = np.unique(bodies).tolist()
         skins = [self[k] for k in asked]
@@ -343,7 +346,10 @@ class BodySkins:
         for place, skin in zip(places, skins):
             skin.pose(self._points[self._first[place] : self._first[place + 1]], offset, u)
         at = places[np.searchsorted(asked, bodies)]
-        seen = tree.closest(X, self._points, reach, of=at)
+        likely = np.where(self._last_body[rows] == bodies, self._last_triangle[rows], -1)
+        seen = tree.closest(X, self._points, reach, of=at, likely=likely)
+        self._last_body[rows[seen.rows]] = bodies[seen.rows]
+        self._last_triangle[rows[seen.rows]] = seen.triangle
         doubtful = seen.gap < known[seen.rows]
         rest = np.empty((len(seen.rows), 3))
         of = bodies[seen.rows]

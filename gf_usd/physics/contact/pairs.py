@@ -85,7 +85,7 @@ class BodyContact:
             members=self.members, obstacles=self._obstacles, contact_setup=self.contact_setup,
             reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
-        self._skins = BodySkins(self._make_skin)
+        self._skins = BodySkins(self._make_skin, len(samples.X))
         self._budget = self._make_budget(body, len(skins))
         own = {k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)}
         self._own = OwnContacts(
@@ -515,7 +515,9 @@ class BodyContact:
         gap, faced = self._gap[rows], self.planes.partner[rows]
         was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == others)
         known = np.where(was, gap - EASE * self._spacing, 0.0)
-        found, rest = self._skins.near(search.x[rows], known, others, nodes, offset, search.reach)
+        found, rest = self._skins.near(
+            rows, search.x[rows], known, others, nodes, offset, search.reach
+        )
         mine, theirs = rows[found.rows], others[found.rows]
         point = found.point + self._rest_gaps.from_bodies(mine, theirs)[:, None] * found.normal
         search.offer_places(mine, found.gap, found.normal, point, theirs, rest)

@@ -19,6 +19,7 @@ from gf_usd.physics.contact.distance.tree import (
 )
 
 ON_EDGE = 1e-9  # a barycentric weight below it counts as 0
+NOT_NEARER = 1.0 + 2.0**-20  # of the squared distance of a triangle that the query finds again; f32
 
 
 @ti.func
@@ -202,7 +203,8 @@ def closest_points(
     is none.
 
     of : (n,) the surfaces; moved : 1: the boxes of some are first refitted, from the leaves to the
-    root; found : (n, 6) weights and pseudo-normal, not normalized; the others as in `SurfaceTree`.
+    root; found : (n, 6) weights and pseudo-normal, not normalized; which : (n,) before, a triangle
+    that may be near, or -1; the others as in `SurfaceTree`.
     """
     for number in range(of_leaf.shape[0] * moved):
         k = of_leaf[number]
@@ -224,13 +226,20 @@ def closest_points(
         first = table[k, FIRST_LEAF] - leaves  # of leaf i is the start at i
         best, at = reach * reach, -1
         w = 0.0 * p
+        if which[i] >= 0:
+            # Only boxes that are farther are skipped: what is found does not depend on it.
+            a, b = vector(points, corners[which[i], 0]), vector(points, corners[which[i], 1])
+            c = vector(points, corners[which[i], 2])
+            nearest = closest_on_triangle(p, a, b, c)
+            square = (p - nearest[0] * a - nearest[1] * b - nearest[2] * c).norm_sqr()
+            best = ti.min(best, NOT_NEARER * square)
         node = 1
         near = box_distance(boxes, root + 1, p) < best
         while near and node < leaves:
             node *= 2
             if box_distance(boxes, root + node + 1, p) < box_distance(boxes, root + node, p):
                 node += 1
-        nearest = node
+        first_leaf = node
         if near:
             leaf = first + node
             best, at, w = nearest_in_leaf(
@@ -242,7 +251,7 @@ def closest_points(
             if box_distance(boxes, root + node, p) < best:
                 if node < leaves:
                     down = 1
-                elif node != nearest:
+                elif node != first_leaf:
                     leaf = first + node
                     best, at, w = nearest_in_leaf(
                         points, corners, starts[leaf], starts[leaf + 1], p, best, at, w

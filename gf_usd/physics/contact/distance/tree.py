@@ -33,6 +33,7 @@ class SurfaceTree:
         bounds = np.round(np.linspace(0, len(triangles), 2**levels + 1)).astype(np.int32)
         self._order = _sorted(points[triangles].mean(1), bounds, levels)
         self._corners = np.ascontiguousarray(triangles[self._order], np.int32)
+        self._position = np.argsort(self._order)  # of each triangle in that order
         self._starts = bounds
         self._around = _around(self._corners, len(points))
         self._points = len(points)
@@ -58,6 +59,7 @@ class SurfaceTree:
             )
         )  # fmt: skip
         out._order = np.concatenate([t._order for t in trees])
+        out._position = np.concatenate([t._position for t in trees])
         out._corners = np.concatenate(
             [t._corners + n for t, n in zip(trees, points)], dtype=np.int32
         )
@@ -74,14 +76,15 @@ class SurfaceTree:
 
     def closest(
         self, X: Floats, points: Floats, reach: float, *, moved: bool | Ints = True,
-        of: Ints | None = None,
+        of: Ints | None = None, likely: Ints | None = None,
     ) -> Closest:  # fmt: skip
         """The result of `closest` for X (n, 3) [m] within reach [m] of the surface with points (V,
         3) [m].
 
         moved : whether the points have changed since the last call, (K,) of joined surfaces;
         of : (n,) the surface of each X, whose triangles are numbered by themselves; None: the only
-        one.
+        one; likely : (n,) a triangle that is near each X, -1: unknown; None: of all.  A query that
+        knows one is faster, with the same result.
         """
         from gf_usd.physics.contact.distance import kernels
 
@@ -89,7 +92,11 @@ class SurfaceTree:
             return no_points()
         X, points = (np.ascontiguousarray(a, np.float64) for a in (X, points))
         of = np.zeros(len(X), np.int32) if of is None else np.ascontiguousarray(of, np.int32)
-        found, which = np.zeros((len(X), 6)), np.empty(len(X), np.int32)
+        found, which = np.zeros((len(X), 6)), np.full(len(X), -1, np.int32)
+        if likely is not None:
+            first = self._table[of, TRIANGLES]
+            at = self._position[np.maximum(first + likely, 0)]
+            which[:] = np.where(likely >= 0, first + at, -1)
         asked = np.zeros(len(self._table), bool)
         asked[of] = True
         refitted = asked & (np.asarray(moved) | ~self._fitted) & (self._table[:, FACES] > 0)

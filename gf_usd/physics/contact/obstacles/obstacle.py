@@ -32,6 +32,7 @@ class Obstacle:
         self.frame_time = frame_time
         self.endless = collider.shape == "plane"
         frames = [collider.positions(f) for f in range(collider.frames)]
+        self._start = frames[0]
         self._low = np.min([p.min(0) for p in frames], axis=0)
         self._high = np.max([p.max(0) for p in frames], axis=0)
         self._tree: SurfaceTree | None = None  # built on first use
@@ -44,6 +45,8 @@ class Obstacle:
     def positions(self, frame: float) -> Floats:
         """Points (V, 3) [m] at a frame, linearly interpolated."""
         last = self.collider.frames - 1
+        if last == 0:
+            return self._start
         frame = float(np.clip(frame, 0.0, last))
         low = min(int(frame), max(last - 1, 0))
         start = self.collider.positions(low)
