@@ -17,6 +17,7 @@ from gf_usd.physics.contact.distance.closest import (
     WEIGHTS,
 )
 from gf_usd.physics.contact.distance.kernels import closest_on_triangle, vector
+from gf_usd.physics.taichi_arrays import on_arrays
 
 LOOKED = 8  # candidates from which SEEDS are chosen
 SEEDS = 3  # opposite samples whose triangles are searched
@@ -143,6 +144,7 @@ def any_listed(lists: ti.template(), i, triangles: ti.template(), t):
     return there
 
 
+@on_arrays
 @ti.kernel
 def find_faced(
     x: ti.types.ndarray(dtype=ti.f64, ndim=2),

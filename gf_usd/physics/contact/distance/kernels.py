@@ -17,6 +17,7 @@ from gf_usd.physics.contact.distance.tree import (
     MOVED,
     TRIANGLES,
 )
+from gf_usd.physics.taichi_arrays import on_arrays
 
 ON_EDGE = 1e-9  # a barycentric weight below it counts as 0
 NOT_NEARER = 1.0 + 2.0**-20  # of the squared distance of a triangle that the query finds again; f32
@@ -183,6 +184,7 @@ def enclose_children(boxes: ti.template(), root, node):
         boxes[root + node, a + 3] = ti.max(boxes[left, a + 3], boxes[right, a + 3])
 
 
+@on_arrays
 @ti.kernel
 def closest_points(
     X: ti.types.ndarray(dtype=ti.f64, ndim=2),

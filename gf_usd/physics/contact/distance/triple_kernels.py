@@ -3,6 +3,7 @@
 import taichi as ti
 
 from gf_usd.physics.contact.distance.kernels import vector
+from gf_usd.physics.taichi_arrays import on_arrays
 
 
 @ti.func
@@ -27,6 +28,7 @@ def weigh(a, b, c):
     return ti.Vector([1.0 - s - t, s, t]), height, fatness
 
 
+@on_arrays
 @ti.kernel
 def choose_triples(
     X: ti.types.ndarray(dtype=ti.f64, ndim=2),
