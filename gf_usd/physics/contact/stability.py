@@ -129,10 +129,10 @@ class PairSprings:
     def _coming(self) -> Floats:
         """(f,) [m] bound of the depth of samples with a plane until then; negative: a gap."""
         faces, x, v = self.planes.facing, self.x, self.v
-        f = self.planes.of(faces)
-        away = f.interpolated(x) + f.point - x[faces]
-        speed = f.interpolated(v) + f.velocity - v[faces]
-        depth, closing = row_dots(away, f.normal), row_dots(speed, f.normal)
+        f, normal = self.planes, self.planes.normal[faces]
+        away = f.interpolated_to(faces, x) + f.point[faces] - x[faces]
+        speed = f.interpolated_to(faces, v) + f.velocity[faces] - v[faces]
+        depth, closing = row_dots(away, normal), row_dots(speed, normal)
         fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed)))
         coming = largest_depth(
             depth, fastest, np.where(self.calm, 0.0, self.fall)[faces], self.span, self.k[faces],

@@ -12,6 +12,8 @@ from gf_usd.core.stage import Collider
 from gf_usd.physics.contact.distance.closest import Closest, above_plane
 from gf_usd.physics.contact.distance.tree import SurfaceTree
 
+KEPT = 4  # frames: a detection asks for the positions at a few, each some ten times
+
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
@@ -32,10 +34,11 @@ class Obstacle:
         self.frame_time = frame_time
         self.endless = collider.shape == "plane"
         frames = [collider.positions(f) for f in range(collider.frames)]
-        self._start = frames[0]
+        self._positions: dict[float, Floats] = {}  # of the frames asked for at last
         self._low = np.min([p.min(0) for p in frames], axis=0)
         self._high = np.max([p.max(0) for p in frames], axis=0)
         self._tree: SurfaceTree | None = None  # built on first use
+        self._fitted: Floats | None = None  # the positions that it was last fitted to
 
     @property
     def box(self) -> tuple[Floats, Floats]:
@@ -45,9 +48,16 @@ class Obstacle:
     def positions(self, frame: float) -> Floats:
         """Points (V, 3) [m] at a frame, linearly interpolated."""
         last = self.collider.frames - 1
-        if last == 0:
-            return self._start
         frame = float(np.clip(frame, 0.0, last))
+        if frame not in self._positions:
+            if len(self._positions) >= KEPT:
+                self._positions.clear()
+            now = self._positions[frame] = self._at(frame)
+            now.flags.writeable = False
+        return self._positions[frame]
+
+    def _at(self, frame: float) -> Floats:
+        last = self.collider.frames - 1
         low = min(int(frame), max(last - 1, 0))
         start = self.collider.positions(low)
         t = frame - low
@@ -74,7 +84,8 @@ class Obstacle:
         else:
             if self._tree is None:
                 self._tree = SurfaceTree(self.positions(0.0), triangles)
-            seen = self._tree.closest(X, now, reach, moved=self.collider.moves)
+            seen = self._tree.closest(X, now, reach, moved=now is not self._fitted)
+            self._fitted = now
         if not self.collider.moves or span <= 0.0:
             return Plane(seen=seen, velocity=np.zeros_like(seen.point))
         way = self.positions(frame + span / self.frame_time) - now

@@ -153,8 +153,10 @@ class Piercing:
         low, high = skin.box
         points = self.sharp(which).within(vertices, low - most, high + most)
         start = points.among(vertices)
-        end = self._ends(which, points, start, frame)
         own = _gaps(skin.closest(start, most), len(start), most)
+        near = np.flatnonzero(own < most)  # no line from the others reaches the body
+        points, start, own = points.of(near), start[near], own[near]
+        end = self._ends(which, points, start, frame)
         way, place = np.full(len(start), FIRST * self._spacing), start.copy()
         left, ends = np.zeros(len(start)), np.zeros(len(start), bool)
         on = np.flatnonzero((way < end) & (own < end) & points.inward.any(1))

@@ -100,8 +100,13 @@ class ContactPlanes:
         obstacles.
         """
         out, who = np.zeros((len(self.partner), 3)), self.carried
-        out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
+        out[who] = self.interpolated_to(who, values)
         return out
+
+    def interpolated_to(self, rows: Ints, values: Floats) -> Floats:
+        """The same for samples `rows` (k,) that have a plane."""
+        # The carriers of an obstacle's plane are any sample, with weights of 0.
+        return np.einsum("nk,nka->na", self.weights[rows], values[self.carriers[rows]])
 
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
@@ -109,10 +114,9 @@ class ContactPlanes:
 
     def below(self, x: Floats, elapsed: float = 0.0) -> Floats:
         """(n,) [m] the same, negative above; 0 where there is no plane."""
-        active = self.facing
-        f, out = self.of(active), np.zeros(len(x))
-        q = f.point + f.interpolated(x) + elapsed * f.velocity
-        out[active] = row_dots(q - x[active], f.normal)
+        rows, out = self.facing, np.zeros(len(x))
+        q = self.point[rows] + self.interpolated_to(rows, x) + elapsed * self.velocity[rows]
+        out[rows] = row_dots(q - x[rows], self.normal[rows])
         return out
 
     def turned(self, rows: Ints, before: Floats, after: Floats) -> tuple[Floats, Floats]:

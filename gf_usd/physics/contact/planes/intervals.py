@@ -21,8 +21,8 @@ def until_contact(planes: ContactPlanes, gap: Floats, v: Floats, growth: float) 
     left = gap[rows]
     if (left <= 0.0).any():
         return 0.0
-    f = planes.of(rows)
-    closing = -row_dots(v[rows] - f.interpolated(v) - f.velocity, f.normal)
+    speed = v[rows] - planes.interpolated_to(rows, v) - planes.velocity[rows]
+    closing = -row_dots(speed, planes.normal[rows])
     nears = closing > 0.0
     return float((left[nears] / (growth * closing[nears])).min(initial=np.inf))
 
@@ -45,8 +45,7 @@ def until_stopped(height: Floats, closing: Floats, pull: float, distance: float)
 def until_slid(planes: ContactPlanes, distance: Floats, v: Floats) -> float:
     """[s] until a sample has moved by `distance` (n,) [m] against its plane; v : (n, 3) [m/s]."""
     rows = planes.facing
-    f = planes.of(rows)
-    speed = lengths(v[rows] - f.interpolated(v) - f.velocity)
+    speed = lengths(v[rows] - planes.interpolated_to(rows, v) - planes.velocity[rows])
     return float((distance[rows] / np.maximum(speed, 1e-30)).min(initial=np.inf))
 
 

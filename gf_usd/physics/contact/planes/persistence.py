@@ -190,15 +190,15 @@ class Persistence:
         since the search.
         """
         out, rows = np.zeros(len(x)), planes.facing
-        place = planes.point[rows] + planes.of(rows).interpolated(x)
+        place = planes.point[rows] + planes.interpolated_to(rows, x)
         out[rows] = lengths((x[rows] - self.x[rows]) - (place - self.place[rows]))
         return out
 
     def _slid(self, planes: ContactPlanes, now: Outlook) -> Ints:
         """(B,) bodies of which a sample moves too far along its plane."""
         rows = planes.facing
-        f = planes.of(rows)
-        speed = lengths(now.v[rows] - f.interpolated(now.v) - f.velocity)
+        rate = planes.interpolated_to(rows, now.v)
+        speed = lengths(now.v[rows] - rate - planes.velocity[rows])
         far = self.slid(planes, now.x)[rows] + now.span * speed > self.stay[rows]
         of = planes.bodies(self._of)
         return np.bincount(of[rows[far]], minlength=len(self._members)) > 0
