@@ -84,3 +84,23 @@ def test_places_are_carried_only_where_they_are_faced_in_the_end() -> None:
     seen.carry(skins, X)
     assert seen.planes.partner.tolist()[3:] == [OBSTACLE, int(seen.planes.carriers[4, 0])]
     assert seen.planes.carriers[3].tolist() == [NOBODY] * 3
+
+
+def test_of_several_places_for_a_sample_the_nearest_that_is_possible_is_taken() -> None:
+    """The same as if they were offered one after the other."""
+    least = np.array([-0.5, -np.inf, -0.5])
+    rows = np.array([0, 1, 0, 2, 1, 0, 2])
+    gap = np.array([0.3, 0.2, -0.2, 3.0, 0.2, -0.9, -0.8])
+    point = np.arange(21.0).reshape(7, 3)
+    body, rest, up = np.array([3, 4, 5, 3, 6, 7, 8]), 2.0 * point, np.repeat(UP, 7, 0)
+    x = np.zeros((3, 3))
+    seen, alone = ContactSearch(x, 2.0, least), ContactSearch(x, 2.0, least)
+    seen.offer_places(rows, gap, up, point, body, rest)
+    for k in range(7):
+        one = slice(k, k + 1)
+        alone.offer_places(rows[one], gap[one], up[one], point[one], int(body[k]), rest[one])
+    assert seen.gap.tolist() == alone.gap.tolist() == [-0.2, 0.2, 2.0]
+    assert seen.released == alone.released == 2  # -0.9 and -0.8
+    assert seen._owner.tolist() == alone._owner.tolist() == [5, 4, -1]
+    np.testing.assert_array_equal(seen.planes.point, alone.planes.point)
+    np.testing.assert_array_equal(seen._rest, alone._rest)

@@ -101,3 +101,60 @@ def test_triangles_without_an_area_are_seen_as_edges() -> None:
     X = np.array([[0.5, -0.2, 0.0], [0.7, 0.1, 0.1]])
     seen = SurfaceTree(points, triangles).closest(X, points, REACH)
     assert np.abs(seen.gap) == pytest.approx([0.2, 0.1])
+
+
+def scattered() -> tuple[list[Floats], list[Ints], Floats, Ints]:
+    """Points and triangles of three surfaces, the second without triangles, and places X (n, 3)
+    with the surface that each asks for."""
+    ball, octahedron = blob(3), blob(0)
+    points = [ball[0], ball[0], octahedron[0] + [0.4, 0.1, -0.2]]
+    X = np.random.default_rng(2).uniform(-1.4, 1.4, (900, 3))
+    return points, [ball[1], ball[1][:0], octahedron[1]], X, np.arange(900, dtype=np.int32) % 3
+
+
+def test_joined_surfaces_are_seen_as_each_by_itself() -> None:
+    points, triangles, X, of = scattered()
+    joined = SurfaceTree.joined([SurfaceTree(p, t) for p, t in zip(points, triangles)])
+    for by in (0.0, 0.6):
+        moved = [bent(p, by) for p in points]
+        got = joined.closest(X, np.concatenate(moved), REACH, of=of)
+        for k in (0, 2):
+            rows = np.flatnonzero(of == k)
+            alone = SurfaceTree(points[k], triangles[k]).closest(X[rows], moved[k], REACH)
+            mine = np.flatnonzero(of[got.rows] == k)
+            assert len(mine) > 20
+            assert np.array_equal(got.rows[mine], rows[alone.rows])
+            for name in ("gap", "triangle", "weights", "point", "normal"):
+                assert np.array_equal(getattr(got, name)[mine], getattr(alone, name)), name
+        assert not (of[got.rows] == 1).any()
+
+
+def test_only_what_moved_of_joined_surfaces_is_fitted_again() -> None:
+    points, triangles, X, of = scattered()
+    joined = SurfaceTree.joined([SurfaceTree(p, t) for p, t in zip(points, triangles)])
+    rest, now = np.concatenate(points), np.concatenate([points[0], points[1], 0.7 * points[2]])
+    first = of == 0
+    joined.closest(X[first], rest, REACH, of=of[first])
+    # The last was not asked for before, the first did not move.
+    moved = np.array([False, False, True])
+    got = joined.closest(X, now, REACH, of=of, moved=moved)
+    fresh = SurfaceTree.joined([SurfaceTree(p, t) for p, t in zip(points, triangles)])
+    expected = fresh.closest(X, now, REACH, of=of)
+    assert np.array_equal(got.rows, expected.rows)
+    assert np.array_equal(got.gap, expected.gap)
+
+
+@pytest.mark.parametrize("by", [0.0, 0.5])
+def test_a_triangle_that_may_be_near_changes_nothing(by: float) -> None:
+    points, triangles, X, of = scattered()
+    joined = SurfaceTree.joined([SurfaceTree(p, t) for p, t in zip(points, triangles)])
+    before = joined.closest(X, np.concatenate(points), REACH, of=of)
+    now = np.concatenate([bent(p, by) for p in points])
+    alone = joined.closest(X, now, REACH, of=of)
+    likely = np.full(len(X), -1)
+    likely[before.rows] = before.triangle
+    far = np.where(likely >= 0, 0, -1)  # a triangle anywhere
+    for given in (likely, far):
+        got = joined.closest(X, now, REACH, of=of, likely=given)
+        for name in ("rows", "gap", "triangle", "weights", "point", "normal"):
+            assert np.array_equal(getattr(got, name), getattr(alone, name)), name
