@@ -35,13 +35,13 @@ def never(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_stack_at_rest_is_searched_seldom_and_stays_where_it_is(monkeypatch) -> None:
-    search, searches = BodyContact._search_body, []
+    search, searches = BodyContact._search_bodies, []
 
-    def counted(self, *args: Any) -> None:
-        searches.append(args[1])
-        search(self, *args)
+    def counted(self, offered: Any, searched: dict[int, list[int]], *more: Any) -> None:
+        searches.extend(searched)
+        search(self, offered, searched, *more)
 
-    monkeypatch.setattr(BodyContact, "_search_body", counted)
+    monkeypatch.setattr(BodyContact, "_search_bodies", counted)
 
     def run() -> tuple[Floats, int, float]:
         solver, x, energy = stack(), np.zeros(0), 0.0

@@ -21,6 +21,10 @@ NORMAL, WEIGHTS, PSEUDO, LEAST, FOUND = 0, 3, 6, 9, 10
 SEED, TRIANGLE, TIES, WHICH = 0, 1, 2, 3
 LOOKS, WANTED = 0, 1  # and columns of its flags
 
+# Columns of the table of a `SurfaceTree`: where the leaves, boxes, triangles and neighbors of each
+# surface begin, how many leaves and triangles it has, and whether its boxes are to be refitted.
+FIRST_LEAF, LEAVES, BOXES, TRIANGLES, FACES, AROUND, MOVED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
+
 
 @dataclass(frozen=True, kw_only=True)
 class Closest:

@@ -8,7 +8,7 @@ found.
 
 import taichi as ti
 
-from gf_usd.physics.contact.distance.tree import (
+from gf_usd.physics.contact.distance.closest import (
     AROUND,
     BOXES,
     FACES,

@@ -12,13 +12,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.distance.closest import ON_SURFACE, Closest, no_points
+from gf_usd.physics.contact.distance.closest import (
+    AROUND,
+    BOXES,
+    COLUMNS,
+    FACES,
+    FIRST_LEAF,
+    LEAVES,
+    MOVED,
+    ON_SURFACE,
+    TRIANGLES,
+    Closest,
+    no_points,
+)
 
 LEAF = 8  # largest number of triangles in a leaf
-
-# Columns of the table of surfaces: where the leaves, boxes, triangles and neighbors of each begin,
-# how many leaves and triangles it has, and whether its boxes are to be refitted.
-FIRST_LEAF, LEAVES, BOXES, TRIANGLES, FACES, AROUND, MOVED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 class SurfaceTree:
