@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdVol
 
-from gf_usd.core.arrays import columns, corners
+from gf_usd.core.arrays import columns
 from gf_usd.core.errors import counted
 from gf_usd.layers.check.base import Finding, Verdict, about, first_problem, rule
 from gf_usd.layers.check.read import (
@@ -57,6 +57,7 @@ from gf_usd.layers.check.read import (
     prims,
     times,
     vectors,
+    vectors_of,
 )
 
 # v4 is trusted where v2 is within 5 % of it.
@@ -100,6 +101,7 @@ class Sample(NamedTuple):
 
     code: float
     x: Vectors  # (3 n,) float64, by columns
+    finite: bool
     rounding: float  # of the numbers as they were read, relative
 
 
@@ -118,17 +120,25 @@ class Tally:
     travel: float = 0.0  # of a point in a sample at its velocity: the largest mean of a window
     leaps: list[bool] = field(default_factory=list)  # whether it leaves the range of each window so
 
-    def reach(self, x: Vectors, v: Vectors, step: float) -> None:
-        """Record the range of the points in a window, (WINDOW, 3, n), and how far v would move
-        them.
+    def reach(self, low: Vectors, high: Vectors, rated: Vectors, step: float) -> None:
+        """Record the range of the points in a window, (3, n), and how far their velocities, of
+        lengths `rated` (n,), would move them.
         """
-        low, high = x.min(0), x.max(0)
         self.low = low if self.low is None else np.minimum(self.low, low)
         self.high = high if self.high is None else np.maximum(self.high, high)
-        self.travel = max(self.travel, step * float(np.sqrt((v * v).sum(0)).mean()))
+        self.travel = max(self.travel, step * float(rated.mean()))
 
-    def add(self, v: Vectors, motion: Vectors, floor: float, noise: float, range_: Vectors) -> None:
-        """Count the points of one window; v is (3, n), motion (3, 3, n) is v2, v4 and k.
+    def add(
+        self,
+        v: Vectors,
+        rated: Vectors,
+        motion: Vectors,
+        floor: float,
+        noise: float,
+        range_: Vectors,
+    ) -> None:
+        """Count the points of one window; v is (3, n) of lengths `rated`, motion (3, 3, n) is v2,
+        v4 and k.
 
         range_ : (n,) of each point in the window, over the time of a sample.  Nothing counts as
         moving below the speed ``floor``; positions whose range is less than ``noise``, their
@@ -136,23 +146,25 @@ class Tally:
         """
         v2, v4, k = motion
         squares = (v4 * v4).sum(0)
-        speed, rated = np.sqrt(squares), np.sqrt((v * v).sum(0))
+        speed, error = np.sqrt(squares), v2 - v4
         moving = np.maximum(speed, rated) > floor
-        off = np.sqrt(((v2 - v4) ** 2).sum(0))
-        smooth = moving & (off <= SMOOTH * np.maximum(speed, floor))
-        self.moving += int(moving.sum())
-        if smooth.sum() < MAJORITY * moving.sum():
+        off = np.sqrt((error * error).sum(0))
+        smooth = np.flatnonzero(moving & (off <= SMOOTH * np.maximum(speed, floor)))
+        count = np.count_nonzero(moving)
+        self.moving += count
+        if len(smooth) < MAJORITY * count:
             return
-        self.smooth += int(smooth.sum())
+        self.smooth += len(smooth)
+        range_ = range_[smooth]
         # What swings between two places from sample to sample has no speed by them, but moves.
-        self.frozen += int((smooth & (range_ <= noise)).sum())
+        self.frozen += np.count_nonzero(range_ <= noise)
         square = float(squares[smooth].sum())
         if square > 0.0:
             self.factors.append(float((v * v4).sum(0)[smooth].sum()) / square)
-            odd, even = (abs(float((part * v4).sum(0)[smooth].sum())) for part in (v2 - v4, k))
+            odd, even = (abs(float((part * v4).sum(0)[smooth].sum())) for part in (error, k))
             self.bounds.append(2.0 * (odd + even) / square)
-            self.weights.append(int(smooth.sum()))
-            self.leaps.append(bool(rated[smooth].mean() > range_[smooth].mean()))
+            self.weights.append(len(smooth))
+            self.leaps.append(bool(rated[smooth].mean() > range_.mean()))
 
     @property
     def decided(self) -> bool:
@@ -284,10 +296,10 @@ def _is_twin(one: Sequence[Usd.Attribute], other: Sequence[Usd.Attribute]) -> bo
     codes = one[0].GetTimeSamples()
     if any(a.GetTimeSamples() != codes for a in (one[1], *other)):
         return False
+    values = [(Usd.AttributeQuery(a).Get, Usd.AttributeQuery(b).Get) for a, b in zip(one, other)]
     for code in codes:
-        time = Usd.TimeCode(code)
-        for a, b in zip(one, other):
-            x, y = vectors(a, time), vectors(b, time)
+        for first_at, second_at in values:
+            x, y = vectors_of(first_at(code)), vectors_of(second_at(code))
             if x is None or y is None or x.dtype != y.dtype or not np.array_equal(x, y):
                 return False
         here, there = (_to_world(a.GetPrim(), code) for a in (one[0], other[0]))
@@ -303,13 +315,16 @@ def tally_of(position: Usd.Attribute, velocity: Usd.Attribute, rate: float) -> T
     codes = position.GetTimeSamples()
     windows = len(codes) - WINDOW + 1
     judged = set(np.linspace(0, windows - 1, max(min(windows, MOST), 0)).astype(int) + WINDOW - 1)
+    x_at = Usd.AttributeQuery(position).Get
     for number, code in enumerate(codes):
-        x = vectors(position, Usd.TimeCode(code))
+        x = vectors_of(x_at(code))
         if x is None or (window and len(window[-1].x) != x.size):
             window.clear()
         if x is None or not len(x):
             continue
-        window.append(Sample(code, columns(x).astype(np.float64).ravel(), np.finfo(x.dtype).eps))
+        finite = bool(np.isfinite(x).all())
+        own = columns(x).astype(np.float64).ravel()
+        window.append(Sample(code, own, finite, np.finfo(x.dtype).eps))
         if len(window) == WINDOW and number in judged:
             middle = window[MIDDLE].code
             to_world = _to_world(position.GetPrim(), middle)
@@ -322,21 +337,26 @@ def _judge(
 ) -> None:
     """Count the points of a window; to_world (3, 3) is for columns."""
     codes = [sample.code for sample in window]
-    local = np.array([sample.x for sample in window]).reshape(WINDOW, 3, -1)
-    if v is None or len(v) != local.shape[2]:
+    if v is None or 3 * len(v) != len(window[MIDDLE].x):
         return
-    if not np.isfinite(local).all() or not np.isfinite(v).all():
+    if not (all(sample.finite for sample in window) and np.isfinite(v).all()):
         return
-    reach = float(np.abs(local[MIDDLE]).max() * np.linalg.norm(to_world, 2))
-    x, v = to_world @ local, to_world @ columns(v).astype(np.float64)
-    size = float(np.linalg.norm(x[MIDDLE].max(1) - x[MIDDLE].min(1)))
+    x, v = np.array([sample.x for sample in window]), columns(v).astype(np.float64)
+    local = x[MIDDLE].reshape(3, -1)
+    reach = float(max(local.max(), -local.min()) * np.linalg.norm(to_world, 2))
+    if (to_world != np.eye(3)).any():
+        x, v = (to_world @ x.reshape(WINDOW, 3, -1)).reshape(WINDOW, -1), to_world @ v
+    middle = x[MIDDLE].reshape(3, -1)
+    size = float(np.linalg.norm(middle.max(1) - middle.min(1)))
     step = (codes[-1] - codes[0]) / (rate * (WINDOW - 1))
     noise = 100.0 * window[MIDDLE].rounding * reach / step
     weights = rate * _derivatives(tuple(code - codes[MIDDLE] for code in codes))
-    motion = (weights @ x.reshape(WINDOW, -1)).reshape(3, 3, -1)
-    tally.reach(x, v, step)
-    range_ = np.sqrt((np.ptp(x, axis=0) ** 2).sum(0)) / step
-    tally.add(v, motion, max(STILL * size / step, noise), noise, range_)
+    motion = (weights @ x).reshape(3, 3, -1)
+    low, high = x.min(0).reshape(3, -1), x.max(0).reshape(3, -1)
+    rated = np.sqrt((v * v).sum(0))
+    tally.reach(low, high, rated, step)
+    range_ = np.sqrt(((high - low) ** 2).sum(0)) / step
+    tally.add(v, rated, motion, max(STILL * size / step, noise), noise, range_)
 
 
 def _to_world(prim: Usd.Prim, code: float) -> Vectors:
@@ -407,15 +427,18 @@ def extent(stage: Usd.Stage) -> Iterator[Finding]:
 def _outside(
     prim: Usd.Prim, position: Usd.Attribute, box: Usd.Attribute
 ) -> Iterator[tuple[Usd.TimeCode, str]]:
+    points_at, ends_at = Usd.AttributeQuery(position).Get, Usd.AttributeQuery(box).Get
+    widths = authored(prim, "primvars:widths", "widths") if prim.IsA(UsdGeom.Points) else None
     for time in times(position, box):
-        points, ends = vectors(position, time), vectors(box, time)
+        points, ends = vectors_of(points_at(time)), vectors_of(ends_at(time))
         if points is None or ends is None or not len(points):
             continue
         if len(ends) != 2:
             yield time, f"has {len(ends)} corners instead of 2"
             continue
-        radius = _radius(prim, time, len(points))
-        low, high = corners(points - radius)[0], corners(points + radius)[1]
+        radius = _radius(widths, time, len(points))
+        of = columns(points)
+        low, high = (of - radius).min(1), (of + radius).max(1)
         # NaN is named by the rule ``finite``
         slack = ROUNDING * max(np.abs(low).max(), np.abs(high).max())
         box_low, box_high = ends.astype(np.float64)
@@ -424,11 +447,9 @@ def _outside(
             yield time, f"leaves points up to {out:.3g} outside"
 
 
-def _radius(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> Array | float:
-    """Radius of the ball around each point: (N, 1), or one number."""
-    if not prim.IsA(UsdGeom.Points):
+def _radius(widths: Usd.Attribute | None, time: Usd.TimeCode, count: int) -> Array | float:
+    """Radius of the ball around each of `count` points: (N,), (1,), or one number."""
+    values = numbers(widths, time)
+    if values is None or values.ndim != 1 or len(values) not in (1, count):
         return 0.0
-    widths = numbers(authored(prim, "primvars:widths", "widths"), time)
-    if widths is None or widths.ndim != 1 or len(widths) not in (1, count):
-        return 0.0
-    return widths[:, None] * 0.5
+    return values * 0.5

@@ -107,7 +107,12 @@ def array_of(value: Any) -> Array | None:
 
 def vectors(attribute: Usd.Attribute | None, time: Usd.TimeCode) -> Array | None:
     """The value as (N, 3) numbers; None where it has another shape."""
-    array = numbers(attribute, time)
+    return None if attribute is None else vectors_of(attribute.Get(time))
+
+
+def vectors_of(value: Any) -> Array | None:
+    """What an attribute returned as (N, 3) numbers, as `vectors` does."""
+    array = array_of(value)
     if array is None or array.ndim != 2 or array.shape[1] != 3:
         return None
     return array

@@ -9,6 +9,7 @@ from math import isfinite
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics, UsdVol
 
+from gf_usd.core.arrays import columns
 from gf_usd.core.materials.laws import law_internals, law_parameters
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.check.base import Finding, about, first_problem, rule
@@ -135,6 +136,10 @@ def unit_quaternions(stage: Usd.Stage) -> Iterator[Finding]:
 def _not_unit(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
     for time, array in samples(attribute):
         if array.ndim != 2 or array.shape[1] != 4:
+            continue
+        of = columns(array)
+        squares = (of * of).sum(0)
+        if (np.abs(squares - 1.0) <= UNIT_TOLERANCE).all():  # the length is nearer to 1
             continue
         length = np.linalg.norm(array, axis=1)
         bad = np.flatnonzero(np.abs(length - 1.0) > UNIT_TOLERANCE)
