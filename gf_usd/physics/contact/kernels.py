@@ -66,6 +66,19 @@ from gf_usd.physics.contact.planes.layout import (
 )
 from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL, SLACK
 
+INDEX = (1 << 30) - 1  # all bits of the index of a component
+
+
+@ti.func
+def first_of(item):
+    """Index of the first component of a node or sample that is read from an array.
+
+    With its bits given, the compiler knows that it is not negative: the offsets of the other
+    components are then parts of their addresses, and not two instructions each. The sums over nodes
+    take 0.8 of the time.
+    """
+    return (3 * item) & INDEX
+
 
 @ti.func
 def row(A: ti.template(), o):
@@ -93,7 +106,7 @@ def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
     if left <= 0.0:
         rise = lift * 0.0
         for e in range(body.sample_start[s], body.sample_start[s + 1]):
-            n = body.sample_node[e] * 3
+            n = first_of(body.sample_node[e])
             x = up[0] * body.u[n] + up[1] * body.u[n + 1] + up[2] * body.u[n + 2]
             rise += body.sample_weight[e] * x
         d = 0.0 - (body.sample_given[o + HEIGHT] + lift + rise)
@@ -106,7 +119,7 @@ def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
     # Most active samples are above the floor and need no velocity.
     if d > 0.0:
         for e in range(body.sample_start[s], body.sample_start[s + 1]):
-            n = body.sample_node[e] * 3
+            n = first_of(body.sample_node[e])
             v += body.sample_weight[e] * ti.Vector([body.v[n], body.v[n + 1], body.v[n + 2]])
     floor_force(body, s, d, v, up, dt)
     if ti.static(driven):
@@ -172,8 +185,8 @@ def contact_force(body: ti.template(), node, dt):
         left = ti.math.inf
         for e in range(first, behind):
             s = body.node_sample[e]
-            left = ti.min(left, body.numbers[SLACK + 2 * s])
-            f += body.node_sample_weight[e] * row(body.sample_force, 3 * s)
+            left = ti.min(left, body.numbers[SLACK + ((2 * s) & INDEX)])
+            f += body.node_sample_weight[e] * row(body.sample_force, first_of(s))
     body.numbers[SLACK + 2 * node + 1] = left
     return f
 
@@ -187,8 +200,9 @@ def sample_motion(body: ti.template(), s, dt):
     keep(body.pair, o + REST, x + dt * v)  # advance the prescribed position
     for e in range(body.sample_start[s], body.sample_start[s + 1]):
         w = body.sample_weight[e]
-        x += w * row(body.u, 3 * body.sample_node[e])
-        v += w * row(body.v, 3 * body.sample_node[e])
+        n = first_of(body.sample_node[e])
+        x += w * row(body.u, n)
+        v += w * row(body.v, n)
     keep(body.pair, o + PLACE, x)
     keep(body.pair, o + RATE, v)
 
