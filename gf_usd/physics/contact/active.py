@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from weakref import ref
 
 import numpy as np
@@ -25,6 +26,7 @@ class ActiveSamples:
         self._seen: tuple[ref[StateView], Floats, float] | None = None  # `_above_floor` of a view
         self._drift = 0.0  # [m/s] largest velocity toward the floor prescribed by pins
         self._fall = 0.0  # [m/s] bound of the falling speed
+        self._held: tuple[Ints, Any] = np.zeros(0, np.int64), None  # samples, rows of W: by springs
         self.pushed = 0.0  # [m/s] bound of the speed gained from a flow
 
     def near_floor(self, state: State, *, everywhere: bool = False) -> Ints:
@@ -67,9 +69,8 @@ class ActiveSamples:
         """Heights (n,) [m] of the samples, and the largest vertical speed [m/s] of the nodes."""
         body, now = self._body, state.view()
         if self._seen is None or self._seen[0]() is not now:
-            assert body.contact is not None
             normal = body.settings.normal
-            height = float(state.offset @ normal) + body.contact.rows.W @ (now.u @ normal)
+            height = float(state.offset @ normal) + now.rise
             self._seen = ref(now), self._height + height, float(np.abs(now.v @ normal).max())
         return self._seen[1:]
 
@@ -81,7 +82,9 @@ class ActiveSamples:
 
         def velocity(samples: Ints) -> Floats:
             now = state.view()
-            v = contact.rows.W[samples] @ now.v
+            if not np.array_equal(self._held[0], samples):
+                self._held = samples, contact.rows.W[samples]
+            v = self._held[1] @ now.v
             return (
                 v
                 if contact.constants is None
@@ -112,7 +115,7 @@ class ActiveSamples:
         if self._active is None or not _same(self._active, (samples, paired)):
             self._active = samples, paired
             of_nodes = self._body.contact.nodes[samples].T.tocsr()  # sorted by counting
-            others = np.setdiff1d(samples, paired, assume_unique=True)
+            others = np.setdiff1d(samples, paired, assume_unique=True) if len(paired) else samples
             state.put_head("sample_active", np.concatenate([[len(paired)], paired, others]))
             state.put_head("node_sample", samples[of_nodes.indices])
             state.put_head("node_sample_weight", of_nodes.data)

@@ -408,6 +408,13 @@ class StateView:
         return x if contact.constants is None else x + contact.constants @ self.constants[0]
 
     @cached_property
+    def rise(self) -> Floats:
+        """(n,) [m] heights of the contact samples of a body that has some, by u alone."""
+        contact = self._body.contact
+        assert contact is not None
+        return contact.rows.W @ (self.u @ self._body.settings.normal)
+
+    @cached_property
     def contact(self) -> float:
         """[J] energy of the floor's contact springs, with k_t xi^2 / 2 of friction: see
         `contact.floor`.
@@ -416,7 +423,7 @@ class StateView:
         if contact is None or s.floor is None:
             return 0.0
         rows, normal = contact.rows, s.normal
-        height = rows.X @ normal + self.offset @ normal + rows.W @ (self.u @ normal)
+        height = rows.X @ normal + self.offset @ normal + self.rise
         if contact.constants is not None:
             height = height + contact.constants @ (self.constants[0] @ normal)
         depth = np.maximum(0.0, s.floor - height)
