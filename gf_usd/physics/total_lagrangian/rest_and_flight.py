@@ -133,7 +133,7 @@ class Shortcuts:
     def _rigid(self, now: StateView, flying: Ints) -> bool:
         nodes = self._body.stencil.node_body[: len(now.v)]
         for body in np.flatnonzero(flying):
-            mine = now.v[nodes == body]
+            mine = now.v if len(flying) == 1 else now.v[nodes == body]
             if np.abs(mine - mine.mean(0)).max() > FLIGHT * self._wave:
                 return False
         of = self._body.particles.body

@@ -165,9 +165,9 @@ class TotalLagrangian(Solver):
         self._push(index)
         state.clear("touched")
         near = self.active.near_floor(state, everywhere=partner is not None)
-        state.drop_view()  # free its memory for the substeps of a large body
         if (stats := self.shortcuts.take(state, pairs, near, substeps)) is not None:
             return stats
+        state.drop_view()  # free its memory for the substeps of a large body
         if pairs:
             pairs.begin(state)
         whole, left = self.frame_time / substeps, substeps
