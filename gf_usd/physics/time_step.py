@@ -163,18 +163,18 @@ def stiffness(law: ParticleLaws, stretch: Floats, J: Floats) -> Floats:
 
 def wave_speed(k: Floats, density: Floats, order: np.ndarray, cell_start: np.ndarray) -> float:
     """Largest over cells of sqrt(mean k / mean density) [m/s]; order, cell_start : see Stencil."""
-    return float(np.sqrt(_largest_ratio(k, density, order, cell_start)))
+    k, density = (_cell_sums(v, order, cell_start) for v in (k, density))
+    return float(np.sqrt((k / density).max()))
 
 
 def largest_mean(values: Floats, order: np.ndarray, cell_start: np.ndarray) -> float:
     """Largest over cells of the mean of particle values (N,); order, cell_start : see Stencil."""
-    return _largest_ratio(values, np.ones_like(values), order, cell_start)
+    return float((_cell_sums(values, order, cell_start) / np.diff(cell_start)).max())
 
 
-def _largest_ratio(a: Floats, b: Floats, order: np.ndarray, cell_start: np.ndarray) -> float:
-    """Largest over cells of the sum of a (N,) over that of b (N,)."""
-    a, b = (np.add.reduceat(v[order], cell_start[:-1]) for v in (a, b))
-    return float((a / b).max())
+def _cell_sums(values: Floats, order: np.ndarray, cell_start: np.ndarray) -> Floats:
+    """(cells,) sums of particle values (N,)."""
+    return np.add.reduceat(values[order], cell_start[:-1])
 
 
 def substeps_of(frame_time: float, dt: float) -> int:

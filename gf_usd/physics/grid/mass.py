@@ -113,7 +113,7 @@ class NodalMass:
         most = self.lightest * (1.0 + ACCURACY)
         middle, half = 0.5 * (most + 1.0), max(0.5 * (most - 1.0), np.finfo(float).eps)
         r = root * v
-        least = (SOLVED**2) * (r * r).sum(0)
+        least = (SOLVED**2) * squares(r)
         d = r / middle
         z, rho = d.copy(), half / middle
         fall = rho / (1.0 + np.sqrt(1.0 - rho * rho))
@@ -126,7 +126,7 @@ class NodalMass:
                 shrink[k], grow[k] = after * rho, 2.0 * after / half
                 rho = after
             r, d, z = _iterated(S, shrink, grow, r, d, z)
-            left = ((r - S @ d) ** 2).sum(0)
+            left = squares(r - S @ d)
             # converged to rounding where the residual stagnates
             if (left <= least).all() or not left.sum() < last:
                 return root * z
@@ -170,6 +170,11 @@ def _iterated_by_kernel(
     wide = [widened(a, LANES) for a in fields]
     iterate(S.indptr, S.indices, S.data, shrink, grow, *wide)
     return tuple(a[:, :3] for a in wide)
+
+
+def squares(a: Floats) -> Floats:
+    """Sum of a^2 over the rows of a (n, ...)."""
+    return np.einsum("i...,i...->...", a, a)
 
 
 def per_row(values: Floats, like: Floats) -> Floats:

@@ -43,12 +43,13 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, cross
+from gf_usd.core.arrays import Floats, Ints, cross, nonzero_rows
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.matrices import across
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import OBSTACLE
 from gf_usd.physics.grid.bodies import bodies_of, node_sums
+from gf_usd.physics.taichi_arrays import look
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.rest_and_flight import presses
 from gf_usd.physics.total_lagrangian.setup import Body
@@ -199,9 +200,10 @@ class Settling:
         """(B,) whether a contact force acts on a sample of each body now."""
         assert self._body.contact is not None
         of = self._body.contact.samples.body
-        pushed = state.rows("sample_force")[: len(self._body.contact.samples.X)].any(1)
+        forces = look(state.arrays["sample_force"]).reshape(-1, 3)
+        pushed = nonzero_rows(forces[: len(self._body.contact.samples.X)])
         out = np.zeros(len(self._mass), bool)
-        out[0 if of is None else of[pushed]] = pushed.any()
+        out[0 if of is None else of[pushed]] = len(pushed) > 0
         return out
 
     def _nearly_at_rest(self, kinetic: Floats, centers: Floats) -> Ints:
