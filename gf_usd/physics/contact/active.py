@@ -22,6 +22,7 @@ class ActiveSamples:
     def __init__(self, body: Body) -> None:
         self._body = body
         self._active: tuple[Ints, Ints] | None = None  # the set on the device
+        self._movers: Any = None  # W^T of all samples
         self._height = np.zeros(0)  # [m] of the samples above the floor, without u and the offset
         self._seen: tuple[ref[StateView], Floats, float] | None = None  # `_above_floor` of a view
         self._drift = 0.0  # [m/s] largest velocity toward the floor prescribed by pins
@@ -114,13 +115,25 @@ class ActiveSamples:
             return len(self._active[0])
         if self._active is None or not _same(self._active, (samples, paired)):
             self._active = samples, paired
-            of_nodes = self._body.contact.nodes[samples].T.tocsr()  # sorted by counting
+            held, weight, start = self._of_nodes(samples)
             others = np.setdiff1d(samples, paired, assume_unique=True) if len(paired) else samples
             state.put_head("sample_active", np.concatenate([[len(paired)], paired, others]))
-            state.put_head("node_sample", samples[of_nodes.indices])
-            state.put_head("node_sample_weight", of_nodes.data)
-            state.put("node_sample_start", of_nodes.indptr)
+            state.put_head("node_sample", held)
+            state.put_head("node_sample_weight", weight)
+            state.put("node_sample_start", start)
         return len(samples)
+
+    def _of_nodes(self, samples: Ints) -> tuple[Ints, Floats, Ints]:
+        """Those of the samples that each node moves, ascending, their weights, and the ranges of
+        the nodes.
+        """
+        assert self._body.contact is not None
+        if self._movers is None:
+            self._movers = self._body.contact.nodes.T.tocsr()  # sorted by counting
+        of, chosen = self._movers, np.zeros(self._movers.shape[1], bool)
+        chosen[samples] = True
+        kept = np.flatnonzero(chosen[of.indices])
+        return of.indices[kept], of.data[kept], np.searchsorted(kept, of.indptr)
 
     def _serves(self, samples: Ints, paired: Ints) -> bool:
         """Whether the set on the device contains these samples, and few others, which have no

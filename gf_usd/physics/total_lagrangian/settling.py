@@ -43,7 +43,7 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, cross, nonzero_rows
+from gf_usd.core.arrays import Floats, Ints, cross, nonzero_rows, row_dots
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.matrices import across
 from gf_usd.physics.contact.planes import layout
@@ -302,7 +302,7 @@ def _rotation(
     spin = node_sums(m[:, None] * cross(arm, v), body, count) @ flat
     # I = sum m (|a|^2 1 - a a^T), in the plane of the floor
     along = arm @ flat
-    square = np.bincount(body, m * (arm**2).sum(1), count)
+    square = np.bincount(body, m * row_dots(arm, arm), count)
     products = (along[:, :, None] * along[:, None, :]).reshape(-1, 4)
     inertia = square[:, None, None] * np.eye(2)
     inertia = inertia - node_sums(m[:, None] * products, body, count).reshape(-1, 2, 2)
