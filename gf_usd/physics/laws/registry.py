@@ -206,6 +206,9 @@ class ParticleLaws:
 
     def moduli(self, s: Floats, J: Floats) -> tuple[Floats, Floats]:
         """(N,) shear and bulk stiffness [Pa] at elastic stretches s (N, 3) and J (N,)."""
+        if not self.set.several:
+            shear, bulk = self.set.first.moduli(s, J, self.q)
+            return shear, bulk
         shear, bulk = self._each(
             lambda law, mine: np.stack(law.moduli(s[mine], J[mine], self.q[:, mine]))
         )
