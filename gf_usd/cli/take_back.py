@@ -31,6 +31,9 @@ def without_taken_back(command: str, arguments: Sequence[str]) -> tuple[list[str
             kept.append(("", [argument, *left]))
             break
         flag, sign, value = argument.partition("=")
+        row = named.get(argument[:2])
+        if row is not None and row.short == argument[:2] and not (row.kind is bool or row.bare):
+            flag, sign, value = argument[:2], argument[2:], argument[2:]  # as in -mrubber
         row = named.get(flag)
         if row is None:
             kept.append(("", [argument]))

@@ -269,6 +269,7 @@ def _author_extent(
     extent = UsdGeom.Boundable(root).CreateExtentAttr()
     for frame, code in enumerate(time_codes):
         boxes.SetTime(Usd.TimeCode(code))
+        boxes.Clear()  # it keeps the boxes of points that change where no extent is authored
         others = [boxes.ComputeWorldBound(prim).ComputeAlignedRange() for prim in beside]
         corners = [box.GetCorner(k) for box in others if not box.IsEmpty() for k in range(8)]
         world = UsdGeom.Imageable(root).ComputeLocalToWorldTransform(code)

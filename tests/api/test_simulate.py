@@ -161,6 +161,27 @@ def test_a_saved_state_goes_on_to_the_bit() -> None:
     assert np.array_equal(again.F, once.F)
 
 
+def test_a_state_of_contact_is_loaded_where_there_is_none_yet() -> None:
+    """How many samples may touch is no property of the scene."""
+
+    def started() -> gf_usd.Simulation:
+        scene = gf_usd.Scene()
+        scene.add_body(UNIT, FACES, material="jelly")
+        scene.add_body(UNIT + [0.1, 1.2, 0.0], FACES, material="jelly", velocity=(0.0, -4.0, 0.0))
+        return gf_usd.simulate(scene, frames=8, particles=200)
+
+    one, other = started(), started()
+    next(other)
+    frames = [next(one) for _ in range(5)]
+    saved = one.save()
+    expected = next(one)
+    assert saved["contact_is_watched"].any()
+    other.load(saved)
+    again = next(other)
+    assert again.index == expected.index == frames[-1].index + 1
+    assert np.array_equal(again.positions, expected.positions)
+
+
 def test_states_from_before_and_after_a_conversion_are_loaded() -> None:
     """The solver, and with it the arrays of the state, change where bodies begin to flow."""
     scene = gf_usd.Scene()

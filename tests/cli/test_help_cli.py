@@ -76,7 +76,7 @@ def test_the_command_line_takes_back_an_option_of_a_folder(gf_usd, here: Path, b
         'pins = ["box:0,0,0,1,1,1"]\nframes = 3\n'
     )
     taken_back = (
-        "-m", "default", "--floor", "default", "--friction=default", "--combine", "default",
+        "-mdefault", "--floor", "default", "--friction=default", "--combine", "default",
         "--pin", "default",
     )  # fmt: skip
     for command in ("bake", "inspect"):
@@ -97,6 +97,7 @@ def test_what_follows_the_default_counts_and_what_was_before_does_not(gf_usd, bl
 
     given = frames()
     assert frames("--frames", "4", "--frames", "default") == given != 4
+    assert frames("-m", "default") == frames("-m", "clay", "-mdefault") == given
     assert frames("--frames", "default", "--frames", "4") == 4
     # an output may have this name
     done = gf_usd("bake", block, "--dry-run", "--json", "-o", "default.usda", "--frames", "4")

@@ -60,6 +60,16 @@ def Xform "World" (kind = "assembly")
     }
 }
 """
+# Beside the soft box below the same prim, without an authored extent.
+FLAG = """def Mesh "flag" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {
+            int[] faceVertexCounts = [3]
+            int[] faceVertexIndices = [0, 1, 2]
+            point3f[] points.timeSamples = {
+                1: [(1, 0, 5), (2, 0, 5), (1, 1, 5)], 6: [(1, 0, 5), (1, 4, 5), (1, 1, 5)],
+            }
+        }
+            def Cube "body" """
 PLACES = {"crate": (1.01, 0.5, 0.0), "plate": (-1.01, 0.5, 0.0), "ground": (0.0, -4.0, 0.0)}
 
 
@@ -129,9 +139,12 @@ def bound(stage: Usd.Stage, path: str, code: float) -> list[float]:
     return [*box.GetMin(), *box.GetMax()]
 
 
-def test_the_bounds_above_a_body_contain_what_is_beside_it(props: Path, tmp_path: Path) -> None:
-    done = deliver(props, tmp_path / "out.usda", error=TOLERANCE)
-    stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(props))
+def test_the_bounds_above_a_body_contain_what_is_beside_it(tmp_path: Path) -> None:
+    asset = tmp_path / "flag.usda"
+    asset.write_text(PROPS.replace('def Cube "body"', FLAG), encoding="utf-8")
+    baked = bake(asset, 200)
+    done = deliver(baked, tmp_path / "out.usda", error=TOLERANCE)
+    stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(baked))
     for code in (1.0, 4.0, 6.0):
         assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
 

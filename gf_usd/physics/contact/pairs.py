@@ -161,7 +161,7 @@ class BodyContact:
             "contact_gap": self._gap,
             "contact_own_gap": self._own.gap,
             "contact_x": self._x,
-            "contact_watched": self.watched,
+            "contact_is_watched": np.isin(np.arange(len(self._gap)), self.watched),
             "contact_stiffness": self._k,
             "contact_given": self._budget.given.copy(),
             **self._persistence.save(),
@@ -176,7 +176,7 @@ class BodyContact:
         self._gap = np.asarray(saved["contact_gap"])
         self._own.gap = np.array(saved["contact_own_gap"])
         self._x = np.asarray(saved["contact_x"])
-        self.watched = np.asarray(saved["contact_watched"])
+        self.watched = np.flatnonzero(saved["contact_is_watched"])
         self._k = np.asarray(saved["contact_stiffness"])
         self._budget.given = np.array(saved["contact_given"])
         self._persistence.load(saved)

@@ -57,23 +57,30 @@ def lowest_height(boxes: MotionBoxes, bounds: Bounds | None, up: Floats) -> floa
     return lowest if start - lowest <= FLOOR_TOLERANCE * bounds.diagonal else None
 
 
-def plane_height(stage: Usd.Stage, time: Usd.TimeCode, up: Floats, unit: float) -> float | None:
-    """Height [m] of the highest level `Plane` collider, which is not drawn; None: there is none.
+def plane_height(
+    stage: Usd.Stage, time: Usd.TimeCode, up: Floats, unit: float, bounds: Bounds | None
+) -> float | None:
+    """Height [m] of the highest `Plane` collider that faces up below the middle of what is drawn at
+    the start; it is not drawn itself.  None: there is none.
 
-    unit : [m] per stage unit.
+    unit : [m] per stage unit; bounds : of the start; None: nothing is visible.
     """
+    if bounds is None:
+        return None
+    middle = float((bounds.corners @ up).mean())
     xforms = UsdGeom.XformCache(time)
     heights = []
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if not prim.IsA(UsdGeom.Plane) or COLLIDER not in prim.GetAppliedSchemas():
             continue
+        if prim.GetAttribute("physics:collisionEnabled").Get(time) is False:
+            continue
         world = np.array(xforms.GetLocalToWorldTransform(prim))
-        first, second = np.delete(
-            world[:3, :3], "XYZ".index(UsdGeom.Plane(prim).GetAxisAttr().Get()), 0
-        )
-        normal = np.cross(first, second)
-        if abs(normal @ up) >= LEVEL * np.linalg.norm(normal) > 0.0:
-            heights.append(float(world[3, :3] @ up) * unit)
+        k = "XYZ".index(UsdGeom.Plane(prim).GetAxisAttr().Get())
+        normal = np.cross(world[(k + 1) % 3, :3], world[(k + 2) % 3, :3])
+        height = float(world[3, :3] @ up) * unit
+        if normal @ up >= LEVEL * np.linalg.norm(normal) > 0.0 and height <= middle:
+            heights.append(height)
     return max(heights, default=None)
 
 

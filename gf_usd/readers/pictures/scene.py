@@ -210,7 +210,8 @@ class PictureStage:
         about = metadata if isinstance(metadata, dict) else {}
         baked = baked_floor(about, shown_variant(self._stage))
         if baked is None or (baked.height is None and not baked.tilted):
-            plane = plane_height(self._stage, self._time(None), up, self._facts.units.length)
+            unit = self._facts.units.length
+            plane = plane_height(self._stage, self._time(None), up, unit, first)
             if plane is not None:
                 return plane
         if baked is None:

@@ -168,17 +168,27 @@ def test_a_bake_without_a_floor_has_none_where_something_falls(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("axis", "turn", "ground"),
-    [("Z", "(0, 0, 0)", -0.5), ("Y", "(90, 0, 0)", -0.5), ("Z", "(20, 0, 0)", None)],
+    ("axis", "turn", "height", "extra", "ground"),
+    [
+        ("Z", "(0, 0, 0)", -0.5, "", -0.5),
+        ("Y", "(90, 0, 0)", -0.5, "", -0.5),
+        ("Z", "(20, 0, 0)", -0.5, "", None),
+        ("Z", "(180, 0, 0)", -0.5, "", None),  # a ceiling
+        ("Z", "(0, 0, 0)", 90.0, "", None),  # above all bodies
+        ("Z", "(0, 0, 0)", -0.5, "bool physics:collisionEnabled = false", None),
+    ],
 )
-def test_the_floor_is_a_level_plane_that_bodies_collide_with(tmp_path, axis, turn, ground):
+def test_the_floor_is_a_level_plane_that_bodies_collide_with(
+    tmp_path, axis, turn, height, extra, ground
+):
     head = f"""customLayerData = {{ dictionary gaussianFlesh = {{ dictionary looks = {{
         dictionary rubber = {{ dictionary settings = {{ double drag = 0 }} }} }} }} }}
         {Z_UP}"""
     plane = f"""
 def Plane "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{
     uniform token axis = "{axis}"
-    double3 xformOp:translate = (3, 0, -0.5)
+    {extra}
+    double3 xformOp:translate = (3, 0, {height})
     float3 xformOp:rotateXYZ = {turn}
     uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
 }}

@@ -20,7 +20,9 @@ from gf_usd.physics.contact.distance.closest import (
 from gf_usd.physics.taichi_arrays import on_arrays
 
 ON_EDGE = 1e-9  # a barycentric weight below it counts as 0
-NOT_NEARER = 1.0 + 2.0**-20  # of the squared distance of a triangle that the query finds again; f32
+# What the distance of a triangle that is known beforehand is enlarged by, so that the query finds
+# it again: a factor, and a share of the coordinates, which are rounded.
+NOT_NEARER, ROUNDING = 1.0 + 2.0**-20, 1e-12
 
 
 @ti.func
@@ -234,7 +236,9 @@ def closest_points(
             c = vector(points, corners[which[i], 2])
             nearest = closest_on_triangle(p, a, b, c)
             square = (p - nearest[0] * a - nearest[1] * b - nearest[2] * c).norm_sqr()
-            best = ti.min(best, NOT_NEARER * square)
+            size = ti.max(ti.abs(p[0]), ti.max(ti.abs(p[1]), ti.abs(p[2])))
+            bound = NOT_NEARER * ti.sqrt(square) + ROUNDING * size
+            best = ti.min(best, bound * bound)
         node = 1
         near = box_distance(boxes, root + 1, p) < best
         while near and node < leaves:

@@ -158,3 +158,20 @@ def test_a_triangle_that_may_be_near_changes_nothing(by: float) -> None:
         got = joined.closest(X, now, REACH, of=of, likely=given)
         for name in ("rows", "gap", "triangle", "weights", "point", "normal"):
             assert np.array_equal(getattr(got, name), getattr(alone, name)), name
+
+
+@pytest.mark.parametrize("away", [0.0, 4096.0, 1e5])
+@pytest.mark.parametrize("gap", [0.0, 1e-12, 1e-8])
+def test_a_place_on_a_triangle_that_is_known_is_found(away: float, gap: float) -> None:
+    """Distances of zero, and those that are less than the rounding of coordinates."""
+    rest, triangles = blob(2)
+    points = rest + away
+    X = (1.0 + gap) * rest[triangles].mean(1) + away
+    tree = SurfaceTree(points, triangles)
+    first = tree.closest(X, points, REACH)
+    assert len(first.rows) > 0.9 * len(X)
+    likely = np.full(len(X), -1)
+    likely[first.rows] = first.triangle
+    again = tree.closest(X, points, REACH, moved=False, likely=likely)
+    for name in ("rows", "gap", "triangle", "weights"):
+        assert np.array_equal(getattr(again, name), getattr(first, name)), name
