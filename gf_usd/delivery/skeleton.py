@@ -17,6 +17,7 @@ from gf_usd.delivery.transforms import hierarchy
 NAME = "Skeleton"
 ROOT = "Root"
 PURPOSES = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
+ALIKE = 1e-4  # relative difference of squared scales that is none
 FIT = 1e-6  # of the size: source points map to the first frame within single precision
 
 
@@ -53,10 +54,10 @@ def bind_meshes(
 def skel_roots(stage: Usd.Stage, bodies: Sequence[Sequence[str]]) -> dict[str, Sdf.Path]:
     """The prim that becomes the SkelRoot of each mesh of bodies below one root prim.
 
-    It is the lowest prim above all meshes of a body that places what is below it, so that other
-    prims of a stage, such as obstacles, stay outside: engines import a SkelRoot as one skinned
-    object.  SkelRoots do not nest: one below that of another body, or below one of the source, is
-    replaced by that one.
+    It is the lowest prim above all meshes of a body that places what is below it, by a transform
+    without unequal scales, so that other prims of a stage, such as obstacles, stay outside:
+    engines import a SkelRoot as one skinned object.  SkelRoots do not nest: one below that of
+    another body, or below one of the source, is replaced by that one.
     """
     own = {meshes: _lowest_above(stage, meshes) for meshes in map(tuple, bodies)}
     homes = sorted(set(own.values()))
@@ -76,7 +77,21 @@ def _lowest_above(stage: Usd.Stage, meshes: Collection[str]) -> Sdf.Path:
         if prim.IsA(UsdSkel.Root):
             return prim.GetPath()
     fit = [prim for prim in above if prim.IsA(UsdGeom.Xform)]
+    fit = [prim for prim in fit if _is_similarity(prim)] or fit[:1]
     return (fit[-1] if fit else above[0]).GetPath()
+
+
+def _is_similarity(prim: Usd.Prim) -> bool:
+    """Whether a prim is moved, turned and scaled alike along all axes.
+
+    A skeleton below it undoes that (`_cancel`).  The inverse of another transform has a shear,
+    which programs with a position, a rotation and scales for each object, such as Blender, drop.
+    """
+    world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.EarliestTime())
+    A = np.array(world)[:3, :3]
+    gram = A @ A.T
+    scale = np.trace(gram) / 3.0
+    return bool(np.abs(gram - scale * np.eye(3)).max() <= ALIKE * scale)
 
 
 def _make_skel_root(root: Usd.Prim) -> None:

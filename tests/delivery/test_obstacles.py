@@ -167,3 +167,25 @@ def test_bodies_have_skel_roots_of_their_own_that_do_not_nest(tmp_path: Path, ap
     assert roots == (both if apart else ["/World/props"])
     for code in (1.0, 6.0):
         assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("scale", "home"), [("(2, 2, -2)", "/World/props/soft"), ("(2, 2, 1)", "/World/props")]
+)
+def test_a_skeleton_never_has_to_undo_unequal_scales(tmp_path: Path, scale: str, home: str) -> None:
+    """The inverse of turned unequal scales has a shear, which Blender drops."""
+    asset = tmp_path / "scaled.usda"
+    scaled = f"""double3 xformOp:translate = (0, 3, 0)
+            float3 xformOp:rotateXYZ = (0, 40, 20)
+            float3 xformOp:scale = {scale}
+            uniform token[] xformOpOrder = [
+                "xformOp:translate", "xformOp:rotateXYZ", "xformOp:scale",
+            ]
+            def Cube "body\""""
+    own = re.compile(r'double3 xformOp:translate = \(0, 0.6, 0\)\s*uniform[^\n]*\s*def Cube "body"')
+    text, count = own.subn(scaled, PROPS)
+    assert count == 1
+    asset.write_text(text, encoding="utf-8")
+    done = deliver(bake(asset, 200), tmp_path / "out.usda", error=TOLERANCE)
+    stage = Usd.Stage.Open(str(done.path))
+    assert [str(p.GetPath()) for p in stage.Traverse() if p.IsA(UsdSkel.Root)] == [home]

@@ -318,7 +318,8 @@ class BodySkins:
 
     def __init__(self, make: Callable[[int], BodySkin], count: int) -> None:
         self._make = make
-        # (n,) the body and the triangle that each sample was found to be near at last
+        # (n,) the body and the triangle that each sample was found to be near at last: queries are
+        # faster, with the same results, so that no checkpoint needs them
         self._last_body, self._last_triangle = np.full(count, -1), np.zeros(count, np.int64)
         self._skins: dict[int, BodySkin] = {}
         # All that are made: their tree, which of them each body is, and where its points begin.
