@@ -120,7 +120,7 @@ def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
     if d > 0.0:
         for e in range(body.sample_start[s], body.sample_start[s + 1]):
             n = first_of(body.sample_node[e])
-            v += body.sample_weight[e] * ti.Vector([body.v[n], body.v[n + 1], body.v[n + 2]])
+            v += body.sample_weight[e] * row(body.v, n)
     floor_force(body, s, d, v, up, dt)
     if ti.static(driven):
         f = row(body.sample_force, 3 * s)

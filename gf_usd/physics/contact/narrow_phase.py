@@ -344,8 +344,9 @@ class BodySkins:
         skins = [self[k] for k in asked]
         tree = self._joined()
         places = np.array([self._place[k] for k in asked])
-        for place, skin in zip(places, skins):
-            skin.pose(self._points[self._first[place] : self._first[place + 1]], offset, u)
+        points = [self._points[self._first[k] : self._first[k + 1]] for k in places]
+        for skin, own in zip(skins, points):
+            skin.pose(own, offset, u)
         at = places[np.searchsorted(asked, bodies)]
         likely = np.where(self._last_body[rows] == bodies, self._last_triangle[rows], -1)
         seen = tree.closest(X, self._points, reach, of=at, likely=likely)
@@ -354,11 +355,10 @@ class BodySkins:
         doubtful = seen.gap < known[seen.rows]
         rest = np.empty((len(seen.rows), 3))
         of = bodies[seen.rows]
-        for body, place, skin in zip(asked, places, skins):
+        for body, skin, own in zip(asked, skins, points):
             mine = np.flatnonzero(of == body)
             if doubtful[mine].any():
-                points = self._points[self._first[place] : self._first[place + 1]]
-                seen = skin.at(points).corrected(seen, mine[doubtful[mine]], X)
+                seen = skin.at(own).corrected(seen, mine[doubtful[mine]], X)
             rest[mine] = skin.rest(seen.triangle[mine], seen.weights[mine])
         return seen, rest
 

@@ -12,8 +12,8 @@ from pxr import Usd, UsdGeom
 from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Bounds
 from gf_usd.readers.pictures.extent import MotionBoxes, near_boxes
+from gf_usd.readers.usd_physics.attributes import is_collider
 
-COLLIDER = "PhysicsCollisionAPI"
 LEVEL = 0.9999  # cosine of the angle between the up axis and the normal of a level plane
 TILTED = "its floor is tilted and is not drawn"
 # of the diagonal of the motion: how far from height 0 a body may be to stand on a floor there
@@ -71,9 +71,7 @@ def plane_height(
     xforms = UsdGeom.XformCache(time)
     heights = []
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if not prim.IsA(UsdGeom.Plane) or COLLIDER not in prim.GetAppliedSchemas():
-            continue
-        if prim.GetAttribute("physics:collisionEnabled").Get(time) is False:
+        if not (prim.IsA(UsdGeom.Plane) and is_collider(prim, time)):
             continue
         world = np.array(xforms.GetLocalToWorldTransform(prim))
         k = "XYZ".index(UsdGeom.Plane(prim).GetAxisAttr().Get())
