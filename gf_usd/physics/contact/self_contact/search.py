@@ -181,8 +181,9 @@ class SelfContact:
         found, which = self._closest(x, searching, known, reach + s)
         rows = np.flatnonzero(which[:, SEED] >= 0)
         seeds = which[rows, SEED]
-        distance = lengths(x[rows] - x[seeds])
-        until = (distance - CLEAR * s) / np.maximum(AHEAD * lengths(v[rows] - v[seeds]), 1e-30)
+        away, relative = differences(x, rows, seeds), differences(v, rows, seeds)
+        distance = np.sqrt(dot(away, away))
+        until = (distance - CLEAR * s) / np.maximum(closing(away, distance, relative), 1e-30)
         hold = float(until[distance >= reach + s].min(initial=np.inf))
         rows = rows[which[rows, TRIANGLE] >= 0]
         rows = rows[found[rows, LEAST] < reach]
