@@ -1,10 +1,12 @@
-"""Arrays of rows of three numbers: their types, and sums over each row, computed by columns.
+"""Arrays of rows of three numbers: their types, sums over each row, and over segments of rows.
 
-NumPy reduces an axis of length three with a loop per row, which takes several times as long.
+NumPy reduces an axis of length three with a loop per row, which takes several times as long as by
+columns.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -51,6 +53,53 @@ def corners(rows: Floats) -> tuple[np.ndarray, np.ndarray]:
 def triple(values: Any) -> tuple[float, float, float]:
     """The first three of some numbers as Python's."""
     return float(values[0]), float(values[1]), float(values[2])
+
+
+class Segments:
+    """Segmented reductions: of the rows of each of B sets, which have no row in common.
+
+    members : the rows of each set, ascending; a set may be empty.
+    """
+
+    def __init__(self, members: Sequence[Ints]) -> None:
+        count = np.array([len(m) for m in members], np.int64)
+        self.of = np.repeat(np.arange(len(count)), count)  # (n,) the set of each row, in order
+        self._order = np.concatenate([*members, np.zeros(0, np.int64)])
+        self._in_order = np.array_equal(self._order, np.arange(len(self._order)))
+        self._filled = np.flatnonzero(count)
+        self._start = (np.cumsum(count) - count)[self._filled]
+        self._count = np.maximum(count, 1).astype(float)
+
+    def ordered(self, rows: Floats) -> np.ndarray:
+        """(n, ...) rows in the order of the sets; further rows are in none of them."""
+        return rows[: len(self._order)] if self._in_order else rows[self._order]
+
+    def means(self, rows: Floats) -> np.ndarray:
+        """(B, k) of rows (n, k); 0 of an empty set."""
+        return self._reduced(np.add, rows, 0.0) / self._count[:, None]
+
+    def least(self, rows: Floats, empty: float) -> np.ndarray:
+        """(B, k) of rows (n, k)."""
+        return self._reduced(np.minimum, rows, empty)
+
+    def largest(self, rows: Floats, empty: float) -> np.ndarray:
+        """(B, k) of rows (n, k)."""
+        return self._reduced(np.maximum, rows, empty)
+
+    def largest_deviation(self, rows: Floats, means: Floats) -> np.ndarray:
+        """(B,) largest distance of rows (n, 3) from `means` (B, 3) of their sets."""
+        away = lengths(self.ordered(rows) - means[self.of])
+        out = np.zeros(len(self._count))
+        if len(self._filled):
+            out[self._filled] = np.maximum.reduceat(away, self._start)
+        return out
+
+    def _reduced(self, reduction: np.ufunc, rows: Floats, empty: float) -> np.ndarray:
+        out = np.full((rows.shape[1], len(self._count)), empty)
+        if len(self._filled):
+            found = reduction.reduceat(columns(self.ordered(rows)), self._start, axis=1)
+            out[:, self._filled] = found
+        return np.ascontiguousarray(out.T)
 
 
 Floats = NDArray[Any]  # of any width: files hold float32, the solver's bookkeeping float64

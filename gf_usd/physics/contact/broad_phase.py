@@ -14,37 +14,35 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.arrays import Floats, Ints, Segments, lengths
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 
 FAR = 1e30  # [m]
+BLOCK = 100_000  # pairs of bodies that are compared at once
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box:
-    """Bounding box and velocity range of a body."""
+class Boxes:
+    """Bounding boxes and velocity ranges of B bodies."""
 
-    low: Floats  # (3,) [m]
-    high: Floats  # (3,) [m]
-    mean: Floats  # (3,) [m/s] of its samples
-    spread: float  # [m/s] largest deviation from the mean
+    low: Floats  # (B, 3) [m]
+    high: Floats  # (B, 3) [m]
+    mean: Floats  # (B, 3) [m/s] of their samples
+    spread: Floats  # (B,) [m/s] largest deviation from the mean
 
     @classmethod
-    def around(cls, x: Floats, v: Floats) -> Box:
-        """The box of samples at x (n, 3) [m] with v (n, 3) [m/s]; without any, far from all."""
-        if not len(x):
-            far = np.full(3, FAR)
-            return cls(low=far, high=-far, mean=np.zeros(3), spread=0.0)
-        mean = v.mean(0)
-        off = v - mean
-        fastest = float(np.sqrt(np.einsum("na,na->n", off, off).max()))
-        low, high = corners(x)
-        return cls(low=low, high=high, mean=mean, spread=fastest)
+    def around(cls, samples: Segments, x: Floats, v: Floats) -> Boxes:
+        """Those of samples at x (n, 3) [m] with v (n, 3) [m/s]; without any, far from all."""
+        mean = samples.means(v)
+        return cls(
+            low=samples.least(x, FAR), high=samples.largest(x, -FAR),
+            mean=mean, spread=samples.largest_deviation(v, mean),
+        )  # fmt: skip
 
 
 def schedule(
-    boxes: Sequence[Box],
+    boxes: Boxes,
     obstacles: Sequence[Obstacle],
     contact_setup: ContactSetup,
     *,
@@ -70,34 +68,33 @@ def schedule(
         fastest = speed + np.sqrt(speed * speed + 2.0 * pull * left)
         return float((2.0 * left / np.maximum(fastest, 1e-30)).min(initial=np.inf))
 
-    low, high = np.array([box.low for box in boxes]), np.array([box.high for box in boxes])
-    mean, spread = np.array([box.mean for box in boxes]), np.array([box.spread for box in boxes])
-    speeds = [obstacle.speed(frame) for obstacle in obstacles]
-    rests = np.zeros(len(boxes), bool) if still is None else np.asarray(still, bool)
-    through: dict[int, list[int]] = {}
-    for one, other in contact_setup.through:
-        through.setdefault(max(one, other), []).append(min(one, other))
-
-    early = frame < contact_setup.meet_from
-    for a, mine in enumerate(boxes):
-        met = ~rests[:a] if rests[a] else np.ones(a, bool)
-        met &= not early
-        met[through.get(a, [])] = False
-        others = np.flatnonzero(met)
-        apart = np.maximum(np.maximum(low[others] - mine.high, mine.low - high[others]), 0.0)
-        gap = np.sqrt((apart * apart).sum(1))
-        drift = mean[others] - mine.mean
-        hold = min(hold, until(gap, np.sqrt((drift * drift).sum(1)) + mine.spread + spread[others]))
-        for b in others[gap < reach].tolist():
-            near += [(a, b), (b, a)]
-        for k, obstacle in enumerate(obstacles):
-            if (a, k) in contact_setup.through_colliders or (rests[a] and speeds[k] == 0.0):
-                continue
-            speed = float(np.linalg.norm(mine.mean)) + mine.spread + speeds[k]
-            away = obstacle.gap(mine.low, mine.high)
-            hold = min(hold, until(np.array([away]), np.array([speed])))
-            if away < reach:
-                near.append((a, -1 - k))
+    low, high, mean, spread = boxes.low, boxes.high, boxes.mean, boxes.spread
+    count = len(spread)
+    rests = np.zeros(count, bool) if still is None else np.asarray(still, bool)
+    through = np.array([(max(p), min(p)) for p in contact_setup.through], np.int64).reshape(-1, 2)
+    if frame >= contact_setup.meet_from:
+        rows = max(1, BLOCK // max(1, count))
+        for first in range(0, count, rows):
+            some = np.arange(first, min(first + rows, count))
+            met = (np.arange(count) < some[:, None]) & ~(rests & rests[some, None])
+            apart = through[(through[:, 0] >= first) & (through[:, 0] <= some[-1])]
+            met[apart[:, 0] - first, apart[:, 1]] = False
+            a, b = np.nonzero(met)
+            a += first
+            gap = lengths(np.maximum(np.maximum(low[b] - high[a], low[a] - high[b]), 0.0))
+            hold = min(hold, until(gap, lengths(mean[b] - mean[a]) + spread[a] + spread[b]))
+            close = gap < reach
+            for one, other in zip(a[close].tolist(), b[close].tolist()):
+                near += [(one, other), (other, one)]
+    own_speed = lengths(mean) + spread
+    for k, obstacle in enumerate(obstacles):
+        speed = obstacle.speed(frame)
+        met = np.ones(count, bool) if speed > 0.0 else ~rests
+        met[[body for body, other in contact_setup.through_colliders if other == k]] = False
+        bodies = np.flatnonzero(met)
+        gap = obstacle.gaps(low[bodies], high[bodies])
+        hold = min(hold, until(gap, own_speed[bodies] + speed))
+        near += [(body, -1 - k) for body in bodies[gap < reach].tolist()]
     return near, hold
 
 
@@ -105,21 +102,21 @@ def schedule(
 class BroadPhase:
     """The broad phase between all bodies of a scene, and with its obstacles."""
 
-    members: Sequence[Ints]  # samples of each body
+    samples: Segments  # of each body
     obstacles: Sequence[Obstacle]
     contact_setup: ContactSetup
     reach: float  # [m] distance within which contact is considered
     spacing: float  # [m]
 
-    def boxes(self, x: Floats, v: Floats) -> list[Box]:
+    def boxes(self, x: Floats, v: Floats) -> Boxes:
         """Those of each body with samples at x (n, 3) [m] with v (n, 3) [m/s]."""
-        return [Box.around(x[m], v[m]) for m in self.members]
+        return Boxes.around(self.samples, x, v)
 
     def pairs(
-        self, boxes: Sequence[Box], frame: float, pull: float, still: Ints | None = None
+        self, boxes: Boxes, frame: float, pull: float, still: Ints | None = None
     ) -> tuple[list[tuple[int, int]], float]:
         """See `schedule`."""
-        if len(self.members) == 1 and not self.obstacles:
+        if len(boxes.spread) == 1 and not self.obstacles:
             return [], float("inf")
         return schedule(
             boxes, self.obstacles, self.contact_setup, frame=frame, pull=pull, reach=self.reach,

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, Segments
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.contact.broad_phase import BroadPhase
 from gf_usd.physics.contact.distance.closest import Closest
@@ -82,8 +82,8 @@ class BodyContact:
         self._reach = (FACING + TRAVEL) * self._spacing  # [m] from where something is faced
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._broad_phase = BroadPhase(
-            members=self.members, obstacles=self._obstacles, contact_setup=self.contact_setup,
-            reach=self._reach, spacing=self._spacing,
+            samples=Segments(self.members), obstacles=self._obstacles,
+            contact_setup=self.contact_setup, reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
         self._skins = BodySkins(self._make_skin, len(samples.X))
         self._budget = self._make_budget(body, len(skins))
@@ -529,7 +529,7 @@ class BodyContact:
         """Offer planes of one obstacle to samples of `bodies`, and theirs to its edges."""
         rows = np.concatenate([self.members[k] for k in bodies])
         sunk = self._rest_gaps.from_obstacle(which)
-        plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span)
+        plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span, rows)
         found, mine = plane.seen, rows[plane.seen.rows]
         point = found.point + sunk[mine, None] * found.normal
         search.offer(mine, found.gap, found.normal, point, velocity=plane.velocity, obstacle=which)

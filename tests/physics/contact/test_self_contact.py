@@ -12,6 +12,9 @@ from two_legs import SPACING, legs, sampled
 
 from gf_usd.core.stage import Skin
 from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.physics.contact.narrow_phase import ContactSearch
+from gf_usd.physics.contact.planes.persistence import Outlook
+from gf_usd.physics.contact.self_contact.bodies import OwnContacts
 from gf_usd.physics.contact.self_contact.search import FACE, OFFSET, SelfContact
 
 GAP = 0.5  # [m] at rest
@@ -43,6 +46,50 @@ def test_nothing_is_near_a_body_at_rest():
     # The legs meet after 0.5 s at 1 m/s; it is looked again before that.
     hold = min(own.broad_phase(x, v)[1], own.find(x, v, REACH, x, nothing).hold)
     assert 0.05 < hold < GAP
+
+
+@pytest.mark.parametrize("left", [1.6, 1.8, 2.0, 2.2, 2.6, 3.2, 4.0])
+def test_what_is_not_faced_yet_is_searched_for_before_it_touches(left):
+    """A leg that comes from 1.6 spacings was searched for 0.3 of them too late."""
+    own, samples = made()
+    X, left = samples.X, left * SPACING
+    bent = np.where(X[:, 0] > 0.4 + 0.5 * GAP, np.clip((X[:, 1] - 0.2) / 0.2, 0.0, 1.0), 0.0)
+    v = np.stack([-bent, 0.0 * bent, 0.0 * bent], 1)  # at 1 m/s
+    x = X + (GAP - left) * v
+    patch_pairs, hold = own.broad_phase(x, v)
+    found = own.find(x, v, REACH, x, np.full(len(X), REACH), patch_pairs)
+    assert len(found.rows) or min(hold, found.hold) <= left - OFFSET * SPACING
+
+
+def test_a_body_that_faces_nothing_of_its_own_is_not_looked_at_again_in_a_frame(monkeypatch):
+    own, samples = made()
+    X, n = samples.X, len(samples.X)
+    searches, broad_phase = [], own.broad_phase
+    monkeypatch.setattr(own, "broad_phase", lambda *a: searches.append(a) or broad_phase(*a))
+    contacts = OwnContacts({0: own}, [np.arange(n)], n, reach=REACH, spacing=SPACING)
+    right = X[:, :1] > 0.4 + 0.5 * GAP
+    v = np.where(right, [[-1.0, 0.0, 0.0]], 0.0)
+
+    def search(time: float, span: float, *, frame_begins: bool) -> float:
+        outlook = Outlook(
+            x=X, v=v, mean=np.zeros((1, 3)), spread=np.ones(1), near=np.zeros((1, 1), bool),
+            moving=np.zeros(0, bool), pull=0.0, time=time, span=span,
+        )  # fmt: skip
+        return contacts.search(
+            ContactSearch(X, REACH, np.full(n, -np.inf)), outlook, np.zeros(1, bool), X, span,
+            every_sample=frame_begins,
+        )  # fmt: skip
+
+    until = search(1.0, 0.04, frame_begins=True)
+    assert 0.08 < until < GAP
+    assert search(1.01, 0.03, frame_begins=False) > 0.03
+    assert len(searches) == 1
+    assert contacts.until[0] == 1.0 + until
+    # a new frame, or one that the time does not cover with a margin
+    search(1.04, 0.04, frame_begins=True)
+    assert len(searches) == 2
+    search(1.05, until, frame_begins=False)
+    assert len(searches) == 3
 
 
 def test_a_sample_is_pushed_before_it_touches_but_not_where_it_is_at_rest():

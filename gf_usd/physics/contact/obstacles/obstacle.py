@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.stage import Collider
 from gf_usd.physics.contact.distance.closest import Closest, above_plane
 from gf_usd.physics.contact.distance.tree import SurfaceTree
@@ -39,6 +39,7 @@ class Obstacle:
         self._high = np.max([p.max(0) for p in frames], axis=0)
         self._tree: SurfaceTree | None = None  # built on first use
         self._fitted: Floats | None = None  # the positions that it was last fitted to
+        self._near = np.zeros(0, np.int64)  # triangles that numbered points were near, see `planes`
 
     @property
     def box(self) -> tuple[Floats, Floats]:
@@ -63,6 +64,13 @@ class Obstacle:
         t = frame - low
         return start if t == 0.0 else (1.0 - t) * start + t * self.collider.positions(low + 1)
 
+    def _triangles_of(self, points: Ints) -> Ints:
+        """(n,) the triangle that each of points (n,) was near at last; -1: none."""
+        more = int(points.max(initial=-1)) + 1 - len(self._near)
+        if more > 0:
+            self._near = np.append(self._near, np.full(more, -1))
+        return self._near[points]
+
     def speed(self, frame: float) -> float:
         """[m/s] of its fastest point between a frame and the next."""
         if not self.collider.moves:
@@ -70,13 +78,22 @@ class Obstacle:
         way = self.positions(np.floor(frame) + 1.0) - self.positions(np.floor(frame))
         return float(np.linalg.norm(way, axis=1).max()) / self.frame_time
 
-    def gap(self, low: Floats, high: Floats) -> float:
-        """[m] distance of a box to the bounding box over all frames."""
-        return 0.0 if self.endless else box_gap(low, high, self._low, self._high)
+    def gaps(self, low: Floats, high: Floats) -> Floats:
+        """(n,) [m] distances of boxes with corners (n, 3) [m] to the bounding box over all frames;
+        0 where they overlap.
+        """
+        if self.endless:
+            return np.zeros(len(low))
+        return lengths(np.maximum(np.maximum(self._low - high, low - self._high), 0.0))
 
-    def planes(self, X: Floats, reach: float, frame: float, span: float) -> Plane:
+    def planes(
+        self, X: Floats, reach: float, frame: float, span: float, of: Ints | None = None
+    ) -> Plane:
         """Tangent planes for points X (n, 3) [m] at a frame; the velocity is that of the next span
         [s].
+
+        of : (n,) numbers >= 0 of the points, under which their triangles are kept; the next query
+        of the same numbers is faster, with the same result.
         """
         now, triangles = self.positions(frame), self.collider.triangles
         if self.endless:
@@ -84,8 +101,13 @@ class Obstacle:
         else:
             if self._tree is None:
                 self._tree = SurfaceTree(self.positions(0.0), triangles)
-            seen = self._tree.closest(X, now, reach, moved=now is not self._fitted)
+            likely = None if of is None else self._triangles_of(of)
+            seen = self._tree.closest(
+                X, now, reach, moved=now is not self._fitted, likely=likely
+            )  # fmt: skip
             self._fitted = now
+            if of is not None:
+                self._near[of[seen.rows]] = seen.triangle
         if not self.collider.moves or span <= 0.0:
             return Plane(seen=seen, velocity=np.zeros_like(seen.point))
         way = self.positions(frame + span / self.frame_time) - now

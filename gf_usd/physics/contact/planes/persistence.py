@@ -26,8 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, lengths
-from gf_usd.physics.contact.broad_phase import Box
+from gf_usd.core.arrays import Floats, Ints, Segments, lengths
+from gf_usd.physics.contact.broad_phase import Boxes
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 
 CREEP = 0.02  # [spacings] largest motion of a sample along a kept plane that it touches
@@ -67,17 +67,16 @@ class Outlook:
 
     @classmethod
     def of(
-        cls, x: Floats, v: Floats, boxes: Sequence[Box], pairs: Sequence[tuple[int, int]],
+        cls, x: Floats, v: Floats, boxes: Boxes, pairs: Sequence[tuple[int, int]],
         moving: Sequence[bool], *, pull: float, time: float, span: float,
     ) -> Outlook:  # fmt: skip
         """From the boxes of all bodies and the pairs of `broad_phase.schedule`."""
-        obstacles = len(moving)
-        near = np.zeros((len(boxes), obstacles + len(boxes)), bool)
+        obstacles, bodies = len(moving), len(boxes.spread)
+        near = np.zeros((bodies, obstacles + bodies), bool)
         for body, other in pairs:
             near[body, obstacles + other if other >= 0 else -1 - other] = True
         return cls(
-            x=x, v=v, mean=np.array([box.mean for box in boxes]),
-            spread=np.array([box.spread for box in boxes]), near=near,
+            x=x, v=v, mean=boxes.mean, spread=boxes.spread, near=near,
             moving=np.array(moving, bool), pull=pull, time=time, span=span,
         )  # fmt: skip
 
@@ -93,7 +92,7 @@ class Persistence:
         self, members: Sequence[Ints], obstacles: int, X: Floats, *, reach: float, spacing: float
     ) -> None:
         n, count = len(X), len(members)
-        self._members, self._reach, self._spacing = members, reach, spacing
+        self._samples, self._reach, self._spacing = Segments(members), reach, spacing
         self._of = np.zeros(sum(map(len, members)), np.int64)
         for k, m in enumerate(members):
             self._of[m] = k
@@ -128,9 +127,7 @@ class Persistence:
         """Count how the bodies were deformed since the last detection; x : (n, 3) [m] now."""
         x = x[: len(self._of)]
         step = x - self.last
-        for k, m in enumerate(self._members):
-            if len(m):
-                self.way[k] += lengths(step[m] - step[m].mean(0)).max()
+        self.way = self.way + self._samples.largest_deviation(step, self._samples.means(step))
         self.last = x
 
     def kept(self, planes: ContactPlanes, now: Outlook) -> Ints:
@@ -145,17 +142,13 @@ class Persistence:
             kept &= ~self._slid(planes, now)
         return kept
 
-    def _means(self, x: Floats) -> Floats:
-        """(B, 3) [m] mean positions."""
-        return np.array([x[m].mean(0) if len(m) else np.zeros(3) for m in self._members])
-
     def approaches(self, x: Floats) -> Floats:
         """(B,) [m] by which bodies and what was near them may have approached since the search
         from each, at most; 0 where nothing was.
 
         x : (n, 3) [m] of the samples now.
         """
-        out = np.zeros(len(self._members))
+        out = np.zeros(len(self.way))
         a, _, far = self._approached(x)
         np.maximum.at(out, a, far)
         return out
@@ -164,7 +157,7 @@ class Persistence:
         """Pairs (k,) of a body and what was near it, -1: an obstacle, which does not move, and
         (k,) [m] by which they may have approached.
         """
-        means, bodies = self._means(x), np.arange(len(self._members))
+        means, bodies = self._samples.means(x), np.arange(len(self.way))
         obstacles = self.near.shape[1] - len(bodies)
         a, b = np.nonzero(self.near)
         b = np.where(b < obstacles, -1, b - obstacles)
@@ -183,7 +176,7 @@ class Persistence:
         speed = lengths(v - now.mean[a]) + now.spread[a] + np.where(b >= 0, now.spread[b], 0.0)
         ahead = now.span * speed + 0.5 * now.pull * now.span**2
         too_far = (far > APPROACH * self._spacing) | (far + ahead > self._reach)
-        return np.bincount(a[too_far], minlength=len(self._members)) > 0
+        return np.bincount(a[too_far], minlength=len(self.way)) > 0
 
     def slid(self, planes: ContactPlanes, x: Floats) -> Floats:
         """(n + m,) [m] by which samples, and points of obstacles, have moved along their planes
@@ -201,7 +194,7 @@ class Persistence:
         speed = lengths(now.v[rows] - rate - planes.velocity[rows])
         far = self.slid(planes, now.x)[rows] + now.span * speed > self.stay[rows]
         of = planes.bodies(self._of)
-        return np.bincount(of[rows[far]], minlength=len(self._members)) > 0
+        return np.bincount(of[rows[far]], minlength=len(self.way)) > 0
 
     def gaps(self, planes: ContactPlanes, x: Floats) -> Floats:
         """(n + m,) [m] gaps of samples, and of points of obstacles, at x (n + m, 3) [m], by the
@@ -235,7 +228,7 @@ class Persistence:
         ):  # fmt: skip
             array[mine] = new[mine]
         self.near[bodies] = now.near[bodies]
-        self.mean[bodies], self.path[bodies] = self._means(now.x), self.way
+        self.mean[bodies], self.path[bodies] = self._samples.means(now.x), self.way
         self.own_until[bodies] = own_until[bodies]
         shifted = np.bincount(of[shift > SHIFTED * self._spacing], minlength=len(self.way))
         self.valid[bodies] = ((shifted == 0) & ~now.beside_moving)[bodies]

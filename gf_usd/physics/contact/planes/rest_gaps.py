@@ -48,6 +48,9 @@ class RestGaps:
         self._edges = edges
         self._X, self._body, self._contact_setup, self._own = X, body, contact_setup, own
         self._members = [np.flatnonzero(body == k) for k in range(len(contact_setup.skins))]
+        self._index = np.zeros(len(body), np.int64)  # of each sample within its body
+        for m in self._members:
+            self._index[m] = np.arange(len(m))
         self._obstacles, self._reach, self._lift = obstacles, reach, lift
         self._most = APART * spacing
         self._between: dict[tuple[int, int], Floats] = {}
@@ -83,10 +86,10 @@ class RestGaps:
         out = np.zeros(len(rows))
         count = len(self._members)
         pair = self._body[rows] * count + others
-        for one in np.unique(pair).tolist():
-            mine = np.flatnonzero(pair == one)
-            body, other = divmod(one, count)
-            out[mine] = self._pair(body, other)[np.searchsorted(self._members[body], rows[mine])]
+        order = np.argsort(pair, kind="stable")
+        found, first = np.unique(pair[order], return_index=True)
+        for one, mine in zip(found.tolist(), np.split(order, first[1:])):
+            out[mine] = self._pair(*divmod(one, count))[self._index[rows[mine]]]
         return out
 
     def _pair(self, body: int, other: int) -> Floats:

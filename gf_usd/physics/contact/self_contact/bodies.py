@@ -13,6 +13,9 @@ from gf_usd.physics.contact.planes.persistence import Outlook
 from gf_usd.physics.contact.self_contact.search import FACE, SelfContact
 
 STAY = 1.0  # [spacings]
+# Multiple of the time that is left in a frame for which nothing of a body may come near: it is not
+# looked at again in this frame.  A push may make it faster than `closing` allows for.
+AGAIN = 2.0
 
 
 class OwnContacts:
@@ -32,6 +35,8 @@ class OwnContacts:
         self.gap = np.full(count, reach)
         # (B,) [s] time until which a body cannot come near itself
         self.until = np.full(len(members), np.inf)
+        # (B,) [s] the same of bodies that faced nothing of their own in this frame; -inf: others
+        self._apart = np.full(len(members), -np.inf)
 
     def forget(self, rows: Ints) -> None:
         """Nothing is near samples `rows` (k,)."""
@@ -66,14 +71,19 @@ class OwnContacts:
         known = self.gap
         self.gap = np.full(len(known), self._reach)
         self.until = np.full(len(self._members), np.inf)
+        if every_sample:
+            self._apart[:] = -np.inf
         for k, own in self._bodies.items():
             m = self._members[k]
             if kept[k]:
                 self.gap[m] = known[m]
                 continue
+            if self._apart[k] >= outlook.time + AGAIN * span:
+                self.until[k] = self._apart[k]
+                continue
             patch_pairs, until = own.broad_phase(search.x[m], v[m], min(span, hold))
             hold = min(hold, until)
-            self.until[k] = outlook.time + until
+            self._apart[k] = self.until[k] = outlook.time + until
             if patch_pairs is None:
                 continue
             found = own.find(
@@ -83,6 +93,7 @@ class OwnContacts:
             self.gap[m[found.rows]] = found.gap
             hold = min(hold, found.hold)
             self.until[k] = outlook.time + min(until, found.hold)
+            self._apart[k] = -np.inf if len(found.rows) else self.until[k]
             order = np.argsort(-found.weights, axis=1, kind="stable")
             search.offer(
                 m[found.rows], found.gap, found.normal,

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, cross, lengths
+from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.stage import Skin
 from gf_usd.physics.contact.distance.closest import (
     FOUND,
@@ -53,7 +53,7 @@ CELLS = 8  # of the grid in which samples are found, for each of them at most
 AHEAD = 1.5  # factor by which speeds may grow until the next detection
 FEW = 8_000  # pairs of samples that are compared
 CLEAR = 0.75  # [spacings] gap at which what was farther off is searched for again
-FACE = 1.5  # [spacings] gap below which a sample faces a place
+FACE = 2.0  # [spacings] gap below which a sample faces a place
 SAME = 0.25  # [spacings] tolerance of the depth by which a place is the one of the last detection
 NEARLY = 0.25  # [spacings] gap below which a sample is about to touch
 OFFSET = 0.3  # [spacings] offset in front of a body's own surface at which its springs begin
@@ -180,13 +180,15 @@ class SelfContact:
         s = self._spacing
         found, which = self._closest(x, searching, known, reach + s)
         rows = np.flatnonzero(which[:, SEED] >= 0)
-        seeds = which[rows, SEED]
+        seeds, placed = which[rows, SEED], which[rows, TRIANGLE] >= 0
         away, relative = differences(x, rows, seeds), differences(v, rows, seeds)
         distance = np.sqrt(dot(away, away))
-        until = (distance - CLEAR * s) / np.maximum(closing(away, distance, relative), 1e-30)
-        hold = float(until[distance >= reach + s].min(initial=np.inf))
-        rows = rows[which[rows, TRIANGLE] >= 0]
-        rows = rows[found[rows, LEAST] < reach]
+        rate = np.maximum(closing(away, distance, relative), 1e-30)
+        least = np.where(placed, found[rows, LEAST], distance)
+        faced = placed & (least < reach)
+        later = ~faced & (placed | (distance >= reach + s))
+        hold = float(((least - CLEAR * s) / rate)[later].min(initial=np.inf))
+        rows = rows[faced]
         if not len(rows):
             return replace(_nothing(), hold=hold)
         return replace(self._sided(rows, found[rows], which[rows], x, before, gap), hold=hold)
