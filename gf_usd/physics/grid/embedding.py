@@ -28,7 +28,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.frames import Pose
 from gf_usd.core.matrices import cofactors, entries
-from gf_usd.physics.grid.reference import CHUNK, OFFSETS, Rows, weights
+from gf_usd.physics.grid.reference import CHUNK, OFFSETS, Rows, renumbered, weights
 from gf_usd.physics.taichi_arrays import aligned, widened
 from gf_usd.system.taichi_runtime import ensure_running, resident_blocks, threads
 
@@ -234,9 +234,11 @@ def embedded_rows(
         own = place.ravel()[first : first + len(keys)]
         at[some][missing] = stencil.node_count + own[inverse]
         first += len(keys)
+    nodes, around = renumbered(at, stencil.node_count + len(beyond))
+    spread = stencil.extension(beyond, nodes[nodes < stencil.node_count])
     return SplineRows(
-        X=X, cell=np.arange(count, dtype=np.int32), around=at, fx=inside, h=stencil.h,
-        spread=stencil.extension(beyond), particles=len(stencil.order),
+        X=X, cell=np.arange(count, dtype=np.int32), around=around, fx=inside, h=stencil.h,
+        spread=spread, particles=len(stencil.order),
     )  # fmt: skip
 
 

@@ -186,25 +186,34 @@ class Stencil:
                 one.indices, one.indptr = W.indices, W.indptr
         return Rows(X=X, W=W, G=tuple(G))
 
-    def extension(self, beyond: Ints) -> sparse.csr_matrix:
-        """Rows from the stacked vector of `Rows` to all nodes, and to nodes (n, 3 or 4) without
+    def extension(self, beyond: Ints, nodes: Ints | None = None) -> sparse.csr_matrix:
+        """Rows from the stacked vector of `Rows` to nodes (k,), and to nodes (n, 3 or 4) without
         particles.
 
-        beyond : ijk, and with `copies` the cell copy of each, or -1.
+        beyond : ijk, and with `copies` the cell copy of each, or -1; nodes : None: all.
         """
-        free = sparse.identity(self.free_count, format="csr")
+        fitted = self._fits.affine(beyond[:, :3], self._moving, beyond[:, 3:].ravel())
+        within = self._extend if nodes is None else self._extend[nodes]
+        if not len(beyond):
+            return sparse.csr_matrix(within)
+        fitted = fitted @ self._extend[np.flatnonzero(self._moving)]
+        return sparse.csr_matrix(sparse.vstack([within, fitted], format="csr"))
+
+    @cached_property
+    def _moving(self) -> Ints:
+        """(M,) nodes to which fields are fitted: free ones, and those of rigid regions."""
         moving = np.arange(self.node_count) < self.free_count
-        if self.region is not None:
-            moving |= self.region >= 0
-        fitted = self._fits.affine(beyond[:, :3], moving, beyond[:, 3:].ravel())
+        return moving if self.region is None else moving | (self.region >= 0)
+
+    @cached_property
+    def _extend(self) -> sparse.csr_matrix:
+        """`extension` to all nodes with particles."""
+        free = sparse.identity(self.free_count, format="csr")
         extend = sparse.csr_matrix(sparse.vstack([free, self.follow], format="csr"))
-        if self.held.any:
-            constants = sparse.eye(
-                self.node_count, self.node_count - self.free_count, -self.free_count
-            )
-            extend = sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
-        fitted = fitted @ extend[np.flatnonzero(moving)]
-        return sparse.csr_matrix(sparse.vstack([extend, fitted], format="csr"))
+        if not self.held.any:
+            return extend
+        constants = sparse.eye(self.node_count, self.node_count - self.free_count, -self.free_count)
+        return sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
 
     @cached_property
     def _fits(self) -> Fits:
@@ -242,7 +251,8 @@ class Stencil:
         missing = at < 0
         keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
         at[missing] = self.node_count + inverse.ravel()
-        extend = self.extension(keys)
+        nodes, at = renumbered(at, self.node_count + len(keys))
+        extend = self.extension(keys, nodes[nodes < self.node_count])
         shape = (len(X), extend.shape[0])
         index = (np.repeat(np.arange(len(X)), 27), at.ravel())
         w, g = weights(fx, self.h)
@@ -263,6 +273,17 @@ def base_node(cells: Floats) -> tuple[Ints, Floats]:
     """Base node and remainder of positions measured in cells."""
     base = np.floor(cells - 0.5).astype(np.int64)
     return base, cells - base
+
+
+def renumbered(at: Ints, count: int) -> tuple[Ints, Ints]:
+    """The numbers (m,) below `count` that occur in `at`, ascending, and `at` by their places.
+
+    Arrays of a few points then need no room, and no time, for the nodes of all bodies.
+    """
+    occurs = np.zeros(count, bool)
+    occurs[at] = True
+    place = np.cumsum(occurs) - 1
+    return np.flatnonzero(occurs), place[at].astype(at.dtype)
 
 
 def stacked(parts: list[sparse.csr_matrix]) -> sparse.csr_matrix:
