@@ -106,8 +106,13 @@ def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
 
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
-    both = rows.nodes(np.concatenate([u, v], 1))
-    u, v = both[:, :3], both[:, 3:]
+    return pose_by_motion(rows, np.concatenate([u, v], 1), offset)
+
+
+def pose_by_motion(rows: Rows | SplineRows, motion: Floats, offset: Floats) -> Pose:
+    """`pose` by u and v side by side, (M, 6), which many sets of points may share."""
+    motion = rows.nodes(motion)
+    u, v = motion[:, :3], motion[:, 3:]
     if isinstance(rows, SplineRows) and rows.many:
         return _pose_by_kernel(rows, u, v, offset)
     x, v = placed(rows, u, v)

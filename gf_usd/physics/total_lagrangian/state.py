@@ -17,7 +17,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
 from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.bodies import node_sums
-from gf_usd.physics.grid.embedding import gradient, pose
+from gf_usd.physics.grid.embedding import gradient, pose_by_motion
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
@@ -353,6 +353,11 @@ class StateView:
         return np.concatenate([self.u, c]), np.concatenate([self.v, rate])
 
     @cached_property
+    def node_motion(self) -> Floats:
+        """The two side by side, (M, 6)."""
+        return np.concatenate(self.nodes, 1)
+
+    @cached_property
     def x(self) -> Floats:
         """(free, 3) [m] positions of the free nodes."""
         return self._body.stencil.free_X + self.offset + self.u
@@ -365,7 +370,7 @@ class StateView:
     @cached_property
     def particles(self) -> Pose:
         """Pose of the particles by interpolation alone, without F0 and without pins."""
-        found = pose(self._body.rows, *self.nodes, self.offset)
+        found = pose_by_motion(self._body.rows, self.node_motion, self.offset)
         self.__dict__.setdefault("F", found.F)
         return found
 
