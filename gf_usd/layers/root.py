@@ -239,11 +239,17 @@ def reference_roots(layer: Sdf.Layer, source: Usd.Stage, asset: Asset, reference
 
 
 def _inherited(source: Usd.Stage, asset: Asset) -> set[str]:
-    """Names of the root prims that a surface in another root prim inherits from."""
+    """Names of the root prims that a surface in another root prim inherits from.
+
+    The index of a prim in an instance lacks the arcs of what is above the instance, so that those
+    of all ancestors are read.
+    """
     found = set()
-    for surface in asset.surfaces:
-        own = Sdf.Path(surface.path).GetPrefixes()[0].name
-        query = Usd.PrimCompositionQuery(source.GetPrimAtPath(surface.path))
+    for path in {
+        prefix for surface in asset.surfaces for prefix in Sdf.Path(surface.path).GetPrefixes()
+    }:
+        own = path.GetPrefixes()[0].name
+        query = Usd.PrimCompositionQuery(source.GetPrimAtPath(path))
         for arc in query.GetCompositionArcs():
             name = arc.GetTargetNode().path.GetPrefixes()[0].name
             if arc.GetArcType() in CLASSES and name != own:

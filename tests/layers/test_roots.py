@@ -69,6 +69,47 @@ def test_a_bake_wins_over_an_inherited_shape(tmp_path: Path, kind: str) -> None:
     }
 
 
+NESTED = f"""
+class "_part"
+{{
+    def Mesh "m"
+    {{ {CUBE}
+    }}
+}}
+class "_pair"
+{{
+    def Xform "inner" (
+        instanceable = true
+        references = </_part>
+    )
+    {{
+    }}
+}}
+def Xform "duck"
+{{
+    def Xform "outer" (
+        instanceable = true
+        inherits = </_pair>
+    )
+    {{
+    }}
+}}
+"""
+
+
+def test_an_instance_in_an_inherited_instance_moves(tmp_path: Path) -> None:
+    asset = Source(NESTED, 'upAxis = "Y"\n metersPerUnit = 1\n defaultPrim = "duck"').asset(
+        tmp_path
+    )
+    assert [s.path for s in asset.surfaces] == ["/duck/outer/inner/m"]
+    root, _, _ = bake(asset, tmp_path)
+    stage = open_with(root.path, "rubber")
+    assert not stage.GetPrimAtPath("/duck/outer/inner").IsInstance()
+    assert stage.GetAttributeAtPath("/duck/outer/inner/m.points").GetNumTimeSamples() == 5
+    stage = open_with(root.path, "none")
+    assert stage.GetPrimAtPath("/duck/outer").IsInstance()
+
+
 def test_a_shot_can_still_say_something_of_the_class(tmp_path: Path) -> None:
     body = INHERITED.format(kind="class", cube=CUBE)
     root, _, _ = bake(Source(body).asset(tmp_path), tmp_path)
