@@ -9,12 +9,14 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import IO
 
 from gf_usd.cli import exit
 from gf_usd.core.errors import BakeError, GfUsdError, Unfinished, UsageError
 
 STDOUT = "-"
+FIRST = b'{"event": '  # begins each line
 
 Emit = Callable[..., None]  # (name of the event, **its values)
 
@@ -66,12 +68,24 @@ def _emit_end(emit: Emit, end: GfUsdError | SystemExit) -> None:
         emit("error", status=end.code, message=f"ended by {name}", hint=exit.message())
 
 
+def _require_events(target: Path) -> None:
+    """Raise UsageError for a file with other contents than events, such as the asset itself."""
+    if target.is_file() and target.stat().st_size:
+        with target.open("rb") as file:
+            if file.read(len(FIRST)) != FIRST:
+                raise UsageError(
+                    f"--events {target} exists already and does not hold events",
+                    "give a new file, - for stdout, or an open file descriptor",
+                )
+
+
 def _opened(target: str) -> contextlib.AbstractContextManager[IO[str]]:
     if target == STDOUT:
         return contextlib.nullcontext(sys.stdout)
     try:
         if target.isdigit():
             return os.fdopen(int(target), "w", encoding="utf-8")
+        _require_events(Path(target))
         return open(target, "w", encoding="utf-8")
     except OSError as error:
         raise UsageError(

@@ -185,6 +185,16 @@ def require_free(files: Outputs, overwrite: bool, *, resume: bool = False) -> No
         ) from error
 
 
+def require_no_input(files: Outputs, inputs: Sequence[Path]) -> None:
+    """Raise UsageError where a result would replace a file that the bake reads."""
+    for path in files.all:
+        if any(same_place(path, read) for read in inputs):
+            raise UsageError(
+                f"{path} is a file that the bake reads, which is never modified",
+                "choose another -o",
+            )
+
+
 def require_source_free(files: Outputs, is_current: bool, overwrite: bool) -> None:
     """Raise UsageError where the layer of a mesh file would replace a different one.
 

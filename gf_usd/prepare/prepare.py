@@ -35,6 +35,7 @@ from gf_usd.prepare.outputs import (
     outputs,
     require_free,
     require_free_sequences,
+    require_no_input,
     require_source_free,
     sequences,
     stamp,
@@ -42,6 +43,7 @@ from gf_usd.prepare.outputs import (
 )
 from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.prepare.settings import DEFAULT_PARTICLES
+from gf_usd.readers.inputs import layer_files
 from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_stage_spec
 from gf_usd.system.atomic_files import require_utf8
@@ -105,6 +107,8 @@ def prepare(
         once_read()
     targets = targets or _targets(source, found.presets, target, request, **again)
     files, seen_source = _with_layer(targets, found.converted)
+    if any(file.exists() for file in files.all):
+        require_no_input(files, _files_read(source, material, request))
     asset = found.asset
     plan, solid = fill(
         asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
@@ -169,6 +173,19 @@ def _targets(
     )
     require_free_sequences(requested, overwrite)
     return Targets(files=files, sequences=requested, seen=seen, overwrite=overwrite)
+
+
+def _files_read(
+    source: Path, material: str | tuple[str | Material, ...] | None, request: Request
+) -> list[Path]:
+    """The files that a bake reads, with the layers of those of USD."""
+    from gf_usd.readers.usd_bake.material_file import is_material_file
+
+    named = material.split(",") if isinstance(material, str) else material or ()
+    given = [source, *map(Path, request.listed("colliders"))]
+    given += [Path(one) for one in named if isinstance(one, str) and is_material_file(one)]
+    usd = [path for path in given if path.suffix.lower() in USD]
+    return given + [file for path in usd for file in layer_files(path)]
 
 
 def _with_layer(targets: Targets, converted: MeshSource | None) -> tuple[Outputs, Stamp]:

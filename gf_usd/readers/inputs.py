@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pxr import Ar, UsdUtils
+from pxr import Ar, Sdf, Tf, UsdUtils
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers.formats import MESH, USD, format_of
@@ -93,3 +93,24 @@ def usd_inputs(path: Path) -> tuple[list[Path], list[str]]:
         names = [layer.realPath or layer.identifier for layer in layers] + list(assets)
     files = {Path(Ar.SplitPackageRelativePathOuter(name)[0]) for name in names}
     return sorted(file for file in files if file.is_file()), list(missing)
+
+
+def layer_files(path: Path) -> list[Path]:
+    """The layer of a file and all that it names, in any variant, also through other layers.
+
+    Unlike `usd_inputs` it lists a damaged layer, which an asset may name in a variant that it does
+    not show, and reads neither value clips nor textures.
+    """
+    found = {path.absolute()}
+    todo = list(found)
+    while todo:
+        try:
+            layer = Sdf.Layer.FindOrOpen(str(todo.pop()))
+        except Tf.ErrorException:
+            continue
+        names = layer.GetCompositionAssetDependencies() if layer else ()
+        named = (Sdf.ComputeAssetPathRelativeToLayer(layer, name) for name in names)
+        fresh = {Path(Ar.SplitPackageRelativePathOuter(name)[0]) for name in named} - found
+        found |= fresh
+        todo += fresh
+    return sorted(found)

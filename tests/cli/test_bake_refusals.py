@@ -26,6 +26,46 @@ def refused(done, status: int, message: str, hint: str) -> None:
     assert len(done.err) < 1000
 
 
+SHOT = """#usda 1.0
+(
+    defaultPrim = "Shot"
+    metersPerUnit = 0.01
+    upAxis = "Z"
+)
+def Xform "Shot" (
+    references = @./part.usda@
+    variants = {
+        string side = "left"
+    }
+    prepend variantSets = "side"
+)
+{
+    variantSet "side" = {
+        "left" {
+        }
+        "right" (
+            references = @./variant.usda@
+        ) {
+        }
+    }
+}
+"""
+SOFT = """#usda 1.0
+(
+    defaultPrim = "soft"
+    metersPerUnit = 1
+)
+def Material "soft" (
+    prepend apiSchemas = ["PhysicsDeformableBodyMaterialAPI"]
+)
+{
+    float physics:youngsModulus = 20000
+    float physics:poissonsRatio = 0.3
+    float physics:density = 1000
+}
+"""
+
+
 def test_an_unknown_material(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, "-m", "rubber,ruber")
     refused(done, 2, "there is no material 'ruber'", "did you mean rubber? choose one of ")
@@ -38,6 +78,37 @@ def test_the_asset_is_not_written_even_when_asked(gf_usd, here: Path, block: Pat
     refused(done, 2, f"{block} is the asset itself, which is never modified", "another -o")
     assert (block.read_bytes(), names(block.parent)) == before
     assert names(here) == []
+
+
+@pytest.mark.parametrize("options", [(), ("--flatten",)])
+def test_no_file_that_the_asset_is_composed_of_is_written(
+    gf_usd, here: Path, block, options
+) -> None:
+    """A damaged layer of a variant that is not shown does not hinder that."""
+    part, variant = here / "part.usda", here / "variant.usda"
+    part.write_bytes(block.read_bytes())
+    variant.write_text("damaged")
+    shot = here / "shot.usda"
+    shot.write_text(SHOT)
+    before = part.read_bytes(), names(here)
+    for written in (part, variant):
+        done = gf_usd("bake", shot, *SMALL, *options, "-o", written, "--overwrite")
+        refused(done, 2, f"{written} is a file that the bake reads", "another -o")
+    assert (part.read_bytes(), names(here)) == before
+    assert gf_usd("bake", shot, *SMALL, *options, "-o", "new.usda").status == 0
+    assert gf_usd("bake", shot, *SMALL, *options, "-o", "new.usda", "--overwrite").status == 0
+
+
+def test_no_collider_and_no_file_of_a_material_is_written(gf_usd, here: Path, block: Path) -> None:
+    box, soft = here / "box.usda", here / "soft.usda"
+    box.write_bytes(block.read_bytes())
+    soft.write_text(SOFT)
+    before = box.read_bytes(), soft.read_bytes()
+    for written in (box, soft):
+        options = ("-m", soft, "--collider", box, "-o", written, "--overwrite")
+        done = gf_usd("bake", block, *SMALL, *options)
+        refused(done, 2, f"{written} is a file that the bake reads", "another -o")
+    assert (box.read_bytes(), soft.read_bytes()) == before
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,20 @@ def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, blo
     assert last["bakes"][0]["health"] == report["bakes"][0]["health"]
 
 
+def test_a_file_with_other_contents_is_not_replaced(gf_usd, here: Path, block: Path) -> None:
+    before = block.read_bytes()
+    done = gf_usd("bake", block, *SMALL, "--events", block)
+    assert done.status == 2
+    assert f"{block} exists already and does not hold events" in done.err
+    assert (block.read_bytes(), names(here)) == (before, [])
+    for _ in range(2):  # earlier events are replaced
+        done = gf_usd("bake", block, *SMALL, "--dry-run", "--events", "events.ndjson")
+        assert (done.status, kinds(events((here / "events.ndjson").read_text()))[0]) == (
+            0,
+            "started",
+        )
+
+
 def test_the_words_of_a_bake_stay_as_they_are(gf_usd, here: Path, block: Path) -> None:
     plain = gf_usd("bake", block, *SMALL)
     done = gf_usd("bake", block, *SMALL, "--events", "events.ndjson", "--overwrite")
