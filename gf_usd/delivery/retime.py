@@ -142,6 +142,12 @@ def _caches(root: Sdf.Layer, bake: Path) -> dict[str, Path]:
             f"{bake}: it has no caches to retime",
             "give the root layer of a bake that was not flattened, and flatten the result",
         )
+    for cache in found.values():
+        if not cache.is_file():
+            raise InputError(
+                f"{bake}: its cache {cache} does not exist",
+                "move the root layer, the cache and the asset of a bake together",
+            )
     return found
 
 
@@ -158,7 +164,8 @@ def _retimed(
     keys: tuple[tuple[float, float], ...] | None,
 ) -> list[float]:
     """Write a cache under its partial name; returns its time codes."""
-    stage = open_stage(cache)
+    with reading(cache):
+        stage = open_stage(cache)
     times = np.array(_times(stage, cache))
     first, last = float(times[0]), float(times[-1])
     if keys is None:

@@ -90,7 +90,7 @@ def inputs_of(bake: Path) -> list[Path]:
 def require_no_input(bake: Path, *targets: Path) -> None:
     """Raise UsageError where a file that is to be written is one that a bake is composed of."""
     there = [target for target in targets if target.exists()]
-    inputs = [path for path in inputs_of(bake) if path.exists()] if there else []
+    inputs = [path for path in inputs_of(bake) if path.exists()] if there and bake.is_file() else []
     for target in there:
         if any(path.samefile(target) for path in inputs):
             raise UsageError(f"{target} is an input of the bake.", "choose another -o")

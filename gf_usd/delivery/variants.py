@@ -86,6 +86,7 @@ def read_variants(
                 _instead(bake, source.variant),
             )
         if not baked and not clouds:
+            source.require_composed()
             raise InputError(
                 f"{bake}: neither a mesh nor captured Gaussians of the bake are visible.",
                 "bake again with mesh among --only"

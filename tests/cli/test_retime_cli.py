@@ -56,6 +56,35 @@ def test_misuse_ends_in_words(gf_usd, here: Path, root: Path, arguments, message
     assert not list(here.iterdir())
 
 
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_cache_that_cannot_be_read_is_named(gf_usd, here: Path, root: Path, damaged) -> None:
+    cache = root.with_name("duck.rubber.cache.usdc")
+    content = cache.read_bytes()
+    cache.unlink()
+    if damaged:
+        cache.write_bytes(content[: len(content) // 2])
+    for command in (("retime", "--speed", "0.5", "-o", "slow.usda"), ("report",),
+                    ("deliver", "-o", "duck.glb")):  # fmt: skip
+        done = gf_usd(command[0], root, *command[1:])
+        assert (done.status, done.out) == (3, "")
+        assert str(cache) in done.err
+        assert "Traceback" not in done.err
+        assert "bake the asset" not in done.err
+    assert not list(here.iterdir())
+
+
+def test_an_asset_that_is_not_there_is_named(gf_usd, here: Path, root: Path) -> None:
+    asset = root.with_name("duck.usda")
+    asset.rename(asset.with_suffix(".moved"))
+    for command in (("preview", "-o", "duck.png"), ("deliver", "-o", "duck.glb")):
+        done = gf_usd(command[0], root, *command[1:])
+        assert (done.status, done.out) == (3, "")
+        assert str(asset) in done.err
+        assert "choose with --show" not in done.err
+        assert "bake again" not in done.err
+    assert not list(here.iterdir())
+
+
 def test_from_python(root: Path, tmp_path: Path) -> None:
     done = package.retime(root, tmp_path / "slow.usda", speed=0.5)
     assert (done.frames, done.path) == (7, tmp_path / "slow.usda")

@@ -289,6 +289,13 @@ def test_what_stands_still_is_refused(tmp_path: Path) -> None:
     assert Sdf.Layer.FindOrOpen(str(still)) is not None
 
 
+def test_a_file_that_is_not_there_leaves_the_target(tmp_path: Path) -> None:
+    (tmp_path / "there.glb").write_text("earlier")
+    with pytest.raises(InputError, match="does not exist"):
+        deliver(tmp_path / "none.usda", tmp_path / "there.glb")
+    assert (tmp_path / "there.glb").read_text() == "earlier"
+
+
 def test_delivered_joints_are_a_skeleton_that_is_read(ball: Path, tmp_path: Path) -> None:
     """UsdSkel of the file poses its points where glTF does: joints of 16 bits are exact in both."""
     target = tmp_path / "ball.glb"

@@ -44,6 +44,7 @@ from gf_usd.readers.usd.stage import (
     is_bake_particles,
     open_stage,
     reading,
+    require_composed,
     stage_facts,
 )
 
@@ -86,6 +87,10 @@ class BakedMotion:
         """The metadata of the bake in the root layer; empty for other files."""
         data = self._stage.GetRootLayer().customLayerData.get(VARIANTS)
         return data if isinstance(data, dict) else {}
+
+    def require_composed(self) -> None:
+        """Raise InputError where a layer of the file does not exist or is damaged."""
+        require_composed(self._stage, self._path)
 
     def recording(self) -> Recording:
         """The data of the variant that is constant in time."""
@@ -236,6 +241,7 @@ class BakedMotion:
         bake_particles = clouds[:1] if clouds and is_bake_particles(clouds[0]) else []
         self._times = sample_times(bake_particles or [*candidates, *clouds])
         if len(self._times) < 2:
+            require_composed(self._stage, self._path)
             raise InputError(
                 f"{self._path}: nothing in this file moves.",
                 "bake the asset with gf-usd bake and give the root layer that it writes",

@@ -64,6 +64,7 @@ from gf_usd.readers.usd.stage import (
     is_bake_particles,
     open_stage,
     reading,
+    require_composed,
     stage_facts,
 )
 
@@ -142,6 +143,7 @@ class PictureStage:
         if not self._prims and self._kinds_with_prims(kinds):
             raise self._all_invisible_error()
         if not self._prims:
+            require_composed(self._stage, path)
             kinds_present = (
                 ", ".join(sorted({kind for kind, _ in self._drawable_prims()})) or "nothing to draw"
             )

@@ -142,6 +142,16 @@ def _require_rates(path: Path, layer: Sdf.Layer) -> None:
                 )
 
 
+def require_composed(stage: Usd.Stage, path: Path) -> None:
+    """Raise InputError for a stage with a layer that does not exist or is damaged."""
+    for error in stage.GetCompositionErrors():
+        raise InputError(
+            f"{path} does not compose: {_first_line(_text(error))}",
+            "move the root layer, the cache and the asset of a bake together; a damaged file has to"
+            " be written again",
+        )
+
+
 def stage_facts(
     stage: Usd.Stage,
     path: Path,
