@@ -48,6 +48,19 @@ def sample_times(prims: Sequence[Usd.Prim]) -> list[float]:
     return sorted(times)
 
 
+def frame_times(prims: Sequence[Usd.Prim]) -> list[float]:
+    """Time codes of the frames of a bake; for other files those of `sample_times`.
+
+    What the bodies are below may be animated at other times, and for longer.
+    """
+    ancestors = {path for prim in prims for path in prim.GetPath().GetPrefixes()}
+    frames: set[float] = set()
+    for path in ancestors:
+        if health := prims[0].GetStage().GetPrimAtPath(path).GetAttribute(HEALTH):
+            frames.update(health.GetTimeSamples())
+    return sorted(frames) or sample_times(prims)
+
+
 def _skeleton_times(root: Usd.Prim) -> set[float]:
     """Time codes of the animations and transforms of all skeletons bound below a SkelRoot."""
     times: set[float] = set()

@@ -18,10 +18,10 @@ from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import (
+    frame_times,
     has_animated_visibility,
     is_ever_visible,
     is_visible,
-    sample_times,
 )
 from gf_usd.readers.pictures.floor import TILTED, baked_floor
 from gf_usd.readers.pictures.prims import (
@@ -239,7 +239,7 @@ class BakedMotion:
         self._gaussian_prim = clouds[0] if clouds else Usd.Prim()
         candidates = [p for p in prims if has_surface(p)]
         bake_particles = clouds[:1] if clouds and is_bake_particles(clouds[0]) else []
-        self._times = sample_times(bake_particles or [*candidates, *clouds])
+        self._times = frame_times(bake_particles or [*candidates, *clouds])
         if len(self._times) < 2:
             require_composed(self._stage, self._path)
             raise InputError(

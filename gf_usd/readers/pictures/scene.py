@@ -166,7 +166,7 @@ class PictureStage:
             prims = [prim for _, prim in self._prims]
             moving = [*prims, *([self._camera.GetPrim()] if self._camera else [])]
             with reading(self._path):
-                times = sample_times(moving)
+                times = self._played(sample_times(moving))
                 boxes = motion_boxes(prims, times, self._facts.units.length)
                 full_bounds = boxes.bounds
                 visible_times = (
@@ -188,6 +188,13 @@ class PictureStage:
                 time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
             )
         return self._motion
+
+    def _played(self, times: list[float]) -> list[float]:
+        """Of a bake, the times in the range of its stage: the asset may be animated for longer."""
+        root = self._stage.GetRootLayer()
+        if VARIANTS not in root.customLayerData:
+            return times
+        return [t for t in times if root.startTimeCode <= t <= root.endTimeCode] or times
 
     def bodies_and_obstacles(self) -> tuple[frozenset[str], frozenset[str]]:
         """Paths of the drawn prims that a bake moves, and of the meshes that may hide them.

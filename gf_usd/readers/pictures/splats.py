@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 from gf_usd.core.errors import InputError
 from gf_usd.core.scene import RenderSplats
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.extent import is_visible, sample_times
+from gf_usd.readers.pictures.extent import frame_times, is_visible
 from gf_usd.readers.pictures.prims import placed_prims, read_splats
 from gf_usd.readers.pictures.recording import PURPOSES, select_variant, variants_of
 from gf_usd.readers.usd.stage import (
@@ -69,7 +69,7 @@ class SplatMotion:
                 for prim in prims
                 if (particles if is_bake_particles(prim) else captured and _is_rendered(prim))
             ]
-            self.time_codes = tuple(sample_times(self._prims))
+            self.time_codes = tuple(frame_times(self._prims))
 
     def __bool__(self) -> bool:
         """True if there are any Gaussians."""

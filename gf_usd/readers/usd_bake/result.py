@@ -18,7 +18,7 @@ from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.extent import sample_times
+from gf_usd.readers.pictures.extent import frame_times
 from gf_usd.readers.pictures.recording import VARIANTS, select_variant, variants_of, world_points
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.solids.tets import boundary
@@ -106,7 +106,7 @@ class BakedArrays:
             named = {str(target) for target in relation.GetForwardedTargets()}
             self._meshes = {p: prim for p, prim in self._meshes.items() if not named or p in named}
         moving = [self._cloud] if self._cloud else list(self._meshes.values())
-        self.time_codes: tuple[float, ...] = tuple(sample_times(moving))
+        self.time_codes: tuple[float, ...] = tuple(frame_times(moving))
 
     @property
     def about(self) -> Mapping[str, Any]:

@@ -5,10 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pxr import Usd
-from small_sources import SKINNED
+from small_sources import SKINNED, Source
+from small_stages import CUBE, bake
 
+import gf_usd
 from gf_usd.core.scene import Bounds
-from gf_usd.readers.pictures.extent import STATIC_MARGIN, motion_bounds, sample_times
+from gf_usd.readers.pictures.extent import (
+    STATIC_MARGIN,
+    frame_times,
+    motion_bounds,
+    sample_times,
+)
+from gf_usd.readers.pictures.recording import BakedMotion
+from gf_usd.readers.pictures.scene import PictureStage
 
 
 @pytest.mark.parametrize("odd", ["double radius = -1", 'uniform token axis = "up"'])
@@ -58,3 +67,25 @@ def test_what_stays_is_in_the_box_as_far_as_it_is_near_what_moves(write) -> None
 def test_an_animation_outside_of_the_skel_root_moves_what_it_poses(tmp_path):
     stage = Usd.Stage.Open(str(SKINNED.asset(tmp_path).facts.path))
     assert sample_times([stage.GetPrimAtPath("/root/figure/skin")]) == [1.0, 5.0]
+
+
+def test_frames_of_a_bake_are_those_that_were_simulated(tmp_path) -> None:
+    """What its bodies are below is animated at other times, and for longer."""
+    source = Source(
+        f"""
+def Xform "duck" {{
+    double3 xformOp:translate.timeSamples = {{ -3: (0, 0, 0), 2.5: (1, 0, 0), 90: (9, 0, 0) }}
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Mesh "m" {{ {CUBE}
+    }}
+}}
+"""
+    )
+    asset = source.asset(tmp_path)
+    root = bake(asset, tmp_path, frames=4)[0].path
+    expected = (1.0, 2.0, 3.0, 4.0)
+    assert tuple(gf_usd.read(root).time_codes) == expected
+    assert BakedMotion(root).recording().time_codes == expected
+    assert PictureStage(root).motion.time_codes == (1.0, 2.0, 2.5, 3.0, 4.0)
+    plain = Usd.Stage.Open(str(asset.facts.path))
+    assert frame_times([plain.GetPrimAtPath("/duck/m")]) == [-3.0, 2.5, 90.0]

@@ -124,6 +124,14 @@ def test_the_floor_of_a_motion(tmp_path, heights, ground):
     assert not any("simulation" in note for note in stage.scene().notes)
 
 
+def test_the_motion_of_a_bake_ends_with_its_stage(tmp_path):
+    """Its asset may be animated for longer than was simulated."""
+    head = Z_UP.replace("endTimeCode = 9", "endTimeCode = 5")
+    baked = head + "\n customLayerData = { dictionary gaussianFlesh = {} }"
+    assert PictureStage(write(tmp_path, MOVING, head)).motion.time_codes == (1.0, 5.0, 9.0)
+    assert PictureStage(write(tmp_path, MOVING, baked)).motion.time_codes == (1.0, 5.0)
+
+
 # an obstacle whose top is at height 0, under a square that falls on it; heights in meters
 PIT = """
 def Mesh "pit" {
