@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from gf_usd.core.errors import BakeError, UsageError, counted
 from gf_usd.core.scene import Recording
 from gf_usd.delivery.gltf.read import read_error, read_splat_errors
@@ -359,7 +361,17 @@ def _within(
         if off <= error:
             return rigged, off, notes
         aim *= AGAIN
+    step, far = max(_rounding(body) for variant in variants for body in variant.bodies)
     raise BakeError(
         f"the file differs by {100 * off:.2g} % of the radius when it is read back.",
-        "allow a larger --error",
+        "allow a larger --error"
+        if step < error / 4.0
+        else f"numbers in single precision have steps of {100 * step:.2g} % of the radius at the"
+        f" {far:.3g} m that the body is from the origin: move the asset closer to it",
     )
+
+
+def _rounding(body: BodyMotion) -> tuple[float, float]:
+    """Step of single precision at the largest coordinate of a body, in radii, and it [m]."""
+    far = float(np.abs(body.frames).max())
+    return float(np.spacing(np.float32(far))) / body.radius, far

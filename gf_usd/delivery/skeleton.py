@@ -112,12 +112,21 @@ def _make_skel_root(root: Usd.Prim) -> None:
 def _type_parents(prim: Usd.Prim) -> None:
     """Make prims above a mesh that have no type scopes, which do not transform it either.
 
-    UsdSkel looks for meshes only below imageable prims.
+    UsdSkel looks for meshes only below imageable prims, and not below other meshes and shapes.
+
+    Raises InputError for a mesh below one of these.
     """
-    while (prim := prim.GetParent()) and not prim.IsPseudoRoot():
-        if not prim.GetTypeName():
-            layer = prim.GetStage().GetRootLayer()  # as in `_make_skel_root`
-            Sdf.CreatePrimInLayer(layer, prim.GetPath()).typeName = "Scope"
+    above = prim
+    while (above := above.GetParent()) and not above.IsPseudoRoot():
+        if above.IsA(UsdGeom.Gprim):
+            raise InputError(
+                f"<{prim.GetPath()}> is below <{above.GetPath()}>, a {above.GetTypeName()}, where"
+                " UsdSkel poses nothing",
+                "deliver to .glb, or put the two next to each other in the asset and bake that",
+            )
+        if not above.GetTypeName():
+            layer = above.GetStage().GetRootLayer()  # as in `_make_skel_root`
+            Sdf.CreatePrimInLayer(layer, above.GetPath()).typeName = "Scope"
 
 
 def _skeleton(

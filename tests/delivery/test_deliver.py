@@ -289,6 +289,29 @@ def test_what_stands_still_is_refused(tmp_path: Path) -> None:
     assert Sdf.Layer.FindOrOpen(str(still)) is not None
 
 
+@pytest.mark.parametrize("kind", ["joints", "shapes"])
+def test_a_mesh_below_a_mesh_is_refused_where_it_would_not_move(tmp_path: Path, kind) -> None:
+    """UsdSkel finds no mesh below another one."""
+    bake_file = moving_ball(tmp_path / "ball.usda")
+    stage = Usd.Stage.Open(str(bake_file))
+    Sdf.CopySpec(stage.GetRootLayer(), "/Ball/Skin", stage.GetRootLayer(), "/Ball/Skin/Hat")
+    stage.Save()
+    with pytest.raises(InputError, match="</Ball/Skin/Hat> is below </Ball/Skin>, a Mesh"):
+        deliver(bake_file, tmp_path / "out.usda", kind=kind)
+    assert not (tmp_path / "out.usda").exists()
+    assert deliver(bake_file, tmp_path / "out.glb", kind=kind).error <= 0.005
+
+
+def test_a_body_far_from_the_origin_has_a_hint_at_it(tmp_path: Path) -> None:
+    bake_file = moving_ball(tmp_path / "ball.usda")
+    stage = Usd.Stage.Open(str(bake_file))
+    stage.GetPrimAtPath("/Ball").GetAttribute("xformOp:translate").Set(Gf.Vec3d(1e6, 0.0, 0.0))
+    stage.Save()
+    with pytest.raises(BakeError, match="differs by") as caught:
+        deliver(bake_file, tmp_path / "out.usda", kind="joints")
+    assert "1e+04 m that the body is from the origin" in caught.value.hint
+
+
 def test_a_file_that_is_not_there_leaves_the_target(tmp_path: Path) -> None:
     (tmp_path / "there.glb").write_text("earlier")
     with pytest.raises(InputError, match="does not exist"):
