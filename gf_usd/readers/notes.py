@@ -21,6 +21,14 @@ class Notes:
         if where and where not in places:
             places.append(where)
 
+    def drop(self, text: str, where: str) -> None:
+        """Take back a note on the prim path `where`."""
+        places = self._places.get(text, [])
+        if where in places:
+            places.remove(where)
+            if not places:
+                del self._places[text]
+
     def lines(self, without: Collection[str] = ()) -> tuple[str, ...]:
         """One line per note: ``<PATH>: text`` or ``each of <PATH> and 3 more: text``.
 

@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError, counted
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.usd.mesh import Reading, read_surface, with_limit
 from gf_usd.readers.usd.select import (
     INVISIBLE,
@@ -32,7 +32,7 @@ from gf_usd.readers.usd.stage import (
     require_saved,
     stage_facts,
 )
-from gf_usd.readers.usd_physics.attributes import body_of, is_collider
+from gf_usd.readers.usd_physics.attributes import body_of, is_collider, role
 
 MOST_NAMED = 3  # prims that a note lists
 INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
@@ -65,7 +65,7 @@ def read_usd(
         facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
         time = Usd.TimeCode(first_time_code(facts, time_code))
         found = select(stage, path, prims, time)
-        surfaces, splats, skipped = _surfaces(path, found, facts, time, notes, bind_pose)
+        surfaces, splats, skipped = _surfaces(path, found, facts, time, notes, bind_pose, prims)
         if not surfaces and not splats:
             raise _no_geometry(stage, path, found, skipped, notes, by_name=bool(prims))
         _note_passed_through(stage, found, time, notes)
@@ -84,6 +84,7 @@ def _surfaces(
     time: Usd.TimeCode,
     notes: Notes,
     bind_pose: bool,
+    named: Sequence[str],
 ) -> tuple[list[Surface], list[Splats], dict[str, str]]:
     """The surfaces and Gaussians of the selection, and the reasons for skipped prims by path."""
     xforms = UsdGeom.XformCache(time)
@@ -110,9 +111,20 @@ def _surfaces(
         except SkippedPrim as reason:
             skipped[str(prim.GetPath())] = str(reason)
         else:
+            if _stands(prim, time, named):
+                notes.drop(ANIMATED, str(prim.GetPath()))
+                continue
             for instance in instances_above(prim):
                 notes.add(INSTANCE, str(instance.GetPath()))
     return surfaces, splats, skipped
+
+
+def _stands(prim: Usd.Prim, time: Usd.TimeCode, named: Sequence[str]) -> bool:
+    """Whether a prim is an obstacle, which follows its animation, and stays an instance."""
+    if role(prim, time) not in ("static", "kinematic") or str(prim.GetPath()) in named:
+        return False
+    above = (prim.GetStage().GetPrimAtPath(path) for path in prim.GetPath().GetPrefixes())
+    return not any(one.GetAttribute("gaussianFlesh:enabled").Get(time) for one in above)
 
 
 def _note_passed_through(

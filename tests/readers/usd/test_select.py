@@ -165,6 +165,34 @@ def test_instances_are_read_in_place(read):
     )
 
 
+def test_notes_on_motion_and_instances_are_not_on_obstacles(read):
+    """They follow their animation and stay instances; what is made soft by name is no obstacle."""
+    stage = """
+    class Xform "Proto" {
+        def Mesh "Box" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {
+            int[] faceVertexCounts = [3, 3, 3, 3]
+            int[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3]
+            point3f[] points.timeSamples = {
+                1: [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
+                5: [(0, 0, 0), (2, 0, 0), (0, 1, 0), (0, 0, 1)],
+            }
+        }
+    }
+    def Xform "One" (instanceable = true
+        inherits = </Proto>) {}
+    def Sphere "Ball" {}
+    """
+    instance = "</One>: is an instance: it becomes an ordinary prim in the bake because its"
+    animated = "is animated: the simulation starts from its pose at the first frame"
+    assert read(stage).facts.notes == ()
+    assert read(stage, prims=["/Ball"]).facts.notes == ()
+    soft = read(stage, prims=["/One/Box"]).facts.notes
+    enabled = "inherits = </Proto>) {\n bool gaussianFlesh:enabled = 1\n }"
+    for notes in (soft, read(stage.replace("inherits = </Proto>) {}", enabled)).facts.notes):
+        assert any(note.startswith(instance) for note in notes)
+        assert any(note.endswith(animated) for note in notes)
+
+
 def test_what_an_instancer_repeats_is_left_alone_wherever_it_stands(read):
     asset = read("""
     def Xform "Grass"
