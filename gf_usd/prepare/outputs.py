@@ -195,19 +195,27 @@ def require_no_input(files: Outputs, inputs: Sequence[Path]) -> None:
             )
 
 
-def require_source_free(files: Outputs, is_current: bool, overwrite: bool) -> None:
+def require_source_free(files: Outputs, is_current: bool, overwrite: bool, other: str = "") -> None:
     """Raise UsageError where the layer of a mesh file would replace a different one.
 
     is_current : the existing layer was made from the same file with the same options, and is
         reused.
+    other : the file of another name of which it was made.  Its bakes are not what is to be
+        overwritten, and would show this one.
     """
+    if other:
+        raise UsageError(
+            f"{files.source} was made of {other}, and bakes of it lie over it",
+            f"choose another folder with -o, or delete {files.source} and these bakes",
+        )
     if overwrite or is_current or files.source is None:
         return
     there = [p for p in (files.source, *files.textures) if p.exists()]
     if there:
         raise UsageError(
             f"{there[0]} exists already, and was not made of this file in this way",
-            "add --overwrite to replace it (other bakes may lie over it), or choose another -o",
+            "add --overwrite to replace it (other bakes may lie over it), or choose another folder"
+            " with -o",
         )
 
 

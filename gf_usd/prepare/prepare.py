@@ -106,7 +106,8 @@ def prepare(
     if once_read:
         once_read()
     targets = targets or _targets(source, found.presets, target, request, **again)
-    files, seen_source = _with_layer(targets, found.converted)
+    shared = request.max_edge_length is None  # else the layer is that of this bake alone
+    files, seen_source = _with_layer(targets, found.converted, shared=shared)
     if any(file.exists() for file in files.all):
         require_no_input(files, _files_read(source, material, request))
     asset = found.asset
@@ -188,8 +189,12 @@ def _files_read(
     return given + [file for path in usd for file in layer_files(path)]
 
 
-def _with_layer(targets: Targets, converted: MeshSource | None) -> tuple[Outputs, Stamp]:
+def _with_layer(
+    targets: Targets, converted: MeshSource | None, *, shared: bool
+) -> tuple[Outputs, Stamp]:
     """The outputs with the pictures of a mesh file, and the existing source layer.
+
+    shared : by bakes of the mesh file.
 
     Raises UsageError where existing files prevent writing it.
     """
@@ -199,7 +204,8 @@ def _with_layer(targets: Targets, converted: MeshSource | None) -> tuple[Outputs
     if (layer := files.source) is not None:
         files = replace(files, textures=converted.textures(layer))
         seen = stamp(layer)
-        require_source_free(files, converted.is_at(layer), targets.overwrite)
+        other = converted.other_file(layer) if shared else ""
+        require_source_free(files, converted.is_at(layer), targets.overwrite, other)
         return files, seen
     if files.root.suffix != ".usdz":
         files = replace(files, textures=converted.textures(files.root))

@@ -89,6 +89,24 @@ def test_bakes_of_one_file_share_its_layer(gf_usd, tmp_path):
     assert Sdf.Layer.OpenAsAnonymous(str(source)).pseudoRoot.GetInfo("upAxis") == "Z"
 
 
+def test_no_layer_of_another_mesh_file_is_replaced(gf_usd, tmp_path):
+    """Bakes of `box.obj` lie over `box.source.usdc`: they would show `box.ply`."""
+    box = trimesh.creation.box((0.2, 0.4, 0.6))
+    for suffix in ("obj", "ply"):
+        box.export(tmp_path / f"box.{suffix}")
+    assert gf_usd("bake", tmp_path / "box.obj", *SIZES).status == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    other = gf_usd("bake", tmp_path / "box.ply", *SIZES, "-o", "other.usda", "--overwrite")
+    assert other.status == 2
+    assert "box.source.usdc was made of box.obj, and bakes of it lie over it" in other.err
+    assert "another folder with -o" in other.err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    # a layer over the divided faces is that of one bake
+    divided = ("--max-edge-length", "auto", "-o", "fine.usda")
+    assert gf_usd("bake", tmp_path / "box.obj", *SIZES, *divided).status == 0
+    assert gf_usd("bake", tmp_path / "box.ply", *SIZES, *divided, "--overwrite").status == 0
+
+
 def test_a_refused_file_leaves_nothing(gf_usd, tmp_path):
     path = tmp_path / "broken.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n")

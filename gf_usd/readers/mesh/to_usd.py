@@ -114,15 +114,14 @@ class MeshSource:
 
     def is_at(self, target: Path) -> bool:
         """Whether `target` is a complete conversion of the same bytes with the same options."""
-        if not target.is_file():
-            return False
-        try:
-            there = Sdf.Layer.OpenAsAnonymous(str(target))
-        except Tf.ErrorException:
-            return False
-        if there is None or dict(there.customLayerData.get(RECORD, {})) != self.record:
+        if _record_at(target) != self.record:
             return False
         return all(picture.is_file() for picture in self.textures(target))
+
+    def other_file(self, target: Path) -> str:
+        """The name of the file of which `target` was made; "" where it has the name of this one."""
+        name = _record_at(target).get("file", "")
+        return "" if name == self.record["file"] else name
 
     def textures(self, target: Path) -> tuple[Path, ...]:
         """The image files that `write` saves next to a layer of that name."""
@@ -174,6 +173,17 @@ class MeshSource:
         """The images extracted from the file, as paths relative to their folder."""
         files = (p for p in self.folder.pictures.rglob("*") if p.is_file())
         return sorted(p.relative_to(self.folder.pictures).as_posix() for p in files)
+
+
+def _record_at(target: Path) -> dict[str, str]:
+    """The record of an existing conversion; empty where there is none."""
+    if not target.is_file():
+        return {}
+    try:
+        layer = Sdf.Layer.OpenAsAnonymous(str(target))
+    except Tf.ErrorException:
+        return {}
+    return {} if layer is None else dict(layer.customLayerData.get(RECORD, {}))
 
 
 def record_of(
