@@ -93,6 +93,7 @@ def _cone(prim: Usd.Prim, time: Usd.TimeCode) -> Polygons:
     return _stack(_disc(radius, -half) + _flip(side), _axis(prim, time))
 
 
+SIZES = ("size", "radius", "radiusTop", "radiusBottom", "height")  # attributes of these shapes
 IMPLICIT: dict[str, Callable[[Usd.Prim, Usd.TimeCode], Polygons]] = {
     "Sphere": _sphere,
     "Cube": _cube,

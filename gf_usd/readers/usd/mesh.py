@@ -18,7 +18,7 @@ from gf_usd.core.mesh import triangulate
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.readers.mesh.divide.cages import cage_of, limit_surface
 from gf_usd.readers.notes import ANIMATED, Notes
-from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
+from gf_usd.readers.usd.implicit import IMPLICIT, SIZES, tessellate
 from gf_usd.readers.usd.primvars import Corners
 from gf_usd.readers.usd.shading import ShadingReader, colors
 from gf_usd.readers.usd.skeleton import Skins
@@ -159,6 +159,9 @@ def _broken(prim: Usd.Prim, reading: Reading, what: str) -> InputError:
 def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
     if str(prim.GetTypeName()) in IMPLICIT:
         points, counts, indices = tessellate(prim, reading.time)
+        sizes = (attribute for name in SIZES if (attribute := prim.GetAttribute(name)))
+        if any(attribute.ValueMightBeTimeVarying() for attribute in sizes):
+            reading.notes.add(ANIMATED, str(prim.GetPath()))
         none = np.zeros(0, dtype=np.int64)
         return Polygons(
             points=points, counts=counts, indices=indices, holes=none, left_handed=False

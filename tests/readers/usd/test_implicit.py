@@ -71,6 +71,15 @@ def test_animated_radius_is_read_at_the_pose_time(read):
         assert read(body, time_code=time).surfaces[0].points.max() == pytest.approx(radius)
 
 
+@pytest.mark.parametrize(("kind", "size"), [("Cube", "size"), ("Capsule", "height")])
+def test_a_shape_that_grows_starts_from_its_first_size_and_this_is_said(read, kind, size):
+    still = f'def {kind} "S" {{\n double {size} = 2\n}}'
+    assert "is animated" not in str(read(still).facts.notes)
+    grows = still.replace(" = 2", ".timeSamples = { 1: 2, 9: 4 }")
+    note = "</S>: is animated: the simulation starts from its pose at the first frame"
+    assert note in read(grows).facts.notes
+
+
 def test_negative_radius_is_left_alone(read):
     asset = read('def Cube "A" {}\ndef Sphere "S" {\ndouble radius = -1\n}')
     assert asset.skipped == (("/S", "its radius is -1"),)
