@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from small_sources import Source
 from small_stages import CUBE, bake, world
 
@@ -131,3 +131,31 @@ def Xform "World"
     assert done.error <= TOLERANCE
     stage = Usd.Stage.Open(str(done.path))
     assert stage.GetPrimAtPath("/World/props").GetTypeName() == "Scope"
+
+
+MESHES = {"/Shot/one/m", "/Shot/two/m"}
+
+
+def test_a_shot_delivers_all_its_bakes_over_all_their_frames(tmp_path: Path) -> None:
+    source = Source(f'def Xform "duck"\n{{\n def Mesh "m" {{{CUBE} }}\n}}\n')
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        bake(source.asset(tmp_path / name), tmp_path / name, frames=4)
+    shot = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    UsdGeom.SetStageMetersPerUnit(shot, 1.0)
+    for name, offset in (("one", 0.0), ("two", 3.0)):
+        duck = shot.DefinePrim(f"/Shot/{name}", "Xform")
+        offset = Sdf.LayerOffset(offset)
+        duck.GetReferences().AddReference(f"./{name}/duck.rubber.usda", "/duck", offset)
+    UsdGeom.Xform.Define(shot, "/Shot")
+    shot.SetDefaultPrim(shot.GetPrimAtPath("/Shot"))
+    shot.Save()
+    for suffix in ("usda", "glb"):
+        done = deliver(tmp_path / "shot.usda", tmp_path / f"all.{suffix}", error=TOLERANCE)
+        assert {mesh for body in done.bodies for mesh in body.meshes} == MESHES
+        assert done.frames == 7
+    delivered = Usd.Stage.Open(str(tmp_path / "all.usda"))
+    for path in MESHES:
+        mesh = delivered.GetPrimAtPath(path)
+        assert mesh.HasAPI(UsdSkel.BindingAPI)
+        assert mesh.GetAttribute("points").GetNumTimeSamples() == 0

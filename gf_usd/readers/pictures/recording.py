@@ -238,8 +238,8 @@ class BakedMotion:
             self._notes.add(ONE_SET, str(clouds[0].GetPath()))
         self._gaussian_prim = clouds[0] if clouds else Usd.Prim()
         candidates = [p for p in prims if has_surface(p)]
-        bake_particles = clouds[:1] if clouds and is_bake_particles(clouds[0]) else []
-        self._times = frame_times(bake_particles or [*candidates, *clouds])
+        self._bakes = [cloud for cloud in clouds if is_bake_particles(cloud)]
+        self._times = frame_times(self._bakes or [*candidates, *clouds])
         if len(self._times) < 2:
             require_composed(self._stage, self._path)
             raise InputError(
@@ -317,12 +317,12 @@ class BakedMotion:
         return any(layer.GetPrimAtPath(prim.GetPath()) for layer in layers for prim in appearing)
 
     def _body_paths(self) -> set[str]:
-        """Paths of the baked meshes: the source meshes of its Gaussians, else all meshes."""
-        targets = None
-        if self._gaussian_prim and (
-            rel := self._gaussian_prim.GetRelationship("gaussianFlesh:sourceMeshes")
-        ):
-            targets = {str(path) for path in rel.GetForwardedTargets()}
+        """Paths of the baked meshes: the source meshes of Gaussians of all bakes, else all meshes.
+
+        A shot may reference several bakes.
+        """
+        named = (prim.GetRelationship("gaussianFlesh:sourceMeshes") for prim in self._bakes)
+        targets = {str(path) for rel in named if rel for path in rel.GetForwardedTargets()}
         return targets or {str(prim.GetPath()) for prim in self._meshes}
 
     def _ground(self) -> float | None:
