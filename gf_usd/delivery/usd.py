@@ -20,6 +20,7 @@ from gf_usd.delivery.skeleton import bind_meshes, skel_roots
 from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
 from gf_usd.delivery.variants import BakedVariant
 from gf_usd.layers.flatten import Package, export, write_placed
+from gf_usd.readers.inputs import digest, layer_files
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import is_ever_visible, sample_times
 from gf_usd.readers.pictures.recording import select_variant, world_points
@@ -80,20 +81,26 @@ def error_of(target: Path, variant: BakedVariant) -> float:
     return largest
 
 
-def inputs_of(bake: Path) -> list[Path]:
-    """The files that a bake is composed of."""
-    with reading(bake):
-        stage = open_stage(bake)
-        return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
-
-
 def require_no_input(bake: Path, *targets: Path) -> None:
-    """Raise UsageError where a file that is to be written is one that a bake is composed of."""
+    """Raise UsageError where a file that is to be written is one that a bake is composed of.
+
+    Or where it has the contents of the asset that was baked, which need not be a layer: the bake of
+    `duck.glb` lies over `duck.source.usdc`.
+    """
     there = [target for target in targets if target.exists()]
-    inputs = [path for path in inputs_of(bake) if path.exists()] if there and bake.is_file() else []
+    if not there or not bake.is_file():
+        return
+    with reading(bake):
+        stage = open_stage(bake)  # holds its layers
+        layers = stage.GetUsedLayers()
+        read = [*(Path(layer.realPath) for layer in layers if layer.realPath), *layer_files(bake)]
+        about = (layer.customLayerData.get(VARIANTS) for layer in layers)
+        hashes = {data.get("inputHash") for data in about if isinstance(data, dict)}
     for target in there:
-        if any(path.samefile(target) for path in inputs):
+        if any(path.exists() and path.samefile(target) for path in read):
             raise UsageError(f"{target} is an input of the bake.", "choose another -o")
+        if target.is_file() and digest(target) in hashes:
+            raise UsageError(f"{target} is the asset that was baked.", "choose another -o")
 
 
 def _without_motion(bake: Path, variants: Sequence[BakedVariant]) -> Sdf.Layer:

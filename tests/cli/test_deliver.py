@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+import trimesh
 from moving_splats import moving_splats
+from small_bakes import SMALL
 
 from gf_usd import bake as gf_usd_bake
 
@@ -23,6 +26,21 @@ def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     done = gf_usd("deliver", source, "-o", tmp_path / "out.usdz", "--splats", "only")
     assert done.status == 2
     assert "--splats only is only for .glb" in done.err
+
+
+@pytest.mark.parametrize("flat", [(), ("--flatten",)])
+def test_the_mesh_file_that_was_baked_is_not_replaced(gf_usd, tmp_path: Path, flat) -> None:
+    """It is no layer of the bake, and has the name that one would give to the delivered file."""
+    asset, root = tmp_path / "box.glb", tmp_path / f"box.rubber.{'usdc' if flat else 'usda'}"
+    trimesh.creation.box((0.2, 0.4, 0.6)).export(asset)
+    before = asset.read_bytes()
+    assert gf_usd("bake", asset, *SMALL, *flat, "-o", root).status == 0
+    done = gf_usd("deliver", root, "-o", asset, "--error", "2%")
+    assert done.status == 2
+    assert f"{asset} is the asset that was baked" in done.err
+    assert asset.read_bytes() == before
+    for _ in range(2):  # a delivered file is replaced
+        assert gf_usd("deliver", root, "-o", tmp_path / "out.glb", "--error", "2%").status == 0
 
 
 def test_obstacles_that_stand_still_are_named_in_one_line(gf_usd, tmp_path: Path) -> None:
