@@ -258,7 +258,8 @@ def _pairing_notes(
         yield f"<{a.meshes[i].name}> is compared with <{b.meshes[j].name}>{more}"
     if missing := [i for i in baked_a if i not in pairs]:
         yield f"not in {b.path.name}: {_list_names(a, missing)}"
-    if extra := [j for j in unpaired_b if b.baked[j]]:
+    there = {mesh.name for mesh in a.meshes}  # also its obstacles, which a delivery of it poses
+    if extra := [j for j in unpaired_b if b.baked[j] and b.meshes[j].name not in there]:
         yield f"not in {a.path.name}: {_list_names(b, extra)}"
     if a.up != b.up:
         yield f"{b.path.name} has another up axis and is rotated to that of {a.path.name}"

@@ -193,6 +193,13 @@ def test_files_are_named_as_given() -> None:
     assert "not in a.usda: </More>" in compare_motions(a, b).notes
 
 
+def test_an_obstacle_of_the_first_is_not_missing_from_it() -> None:
+    """A delivered file does not tell obstacles from bodies."""
+    box, ground = Changed(names=("/Box", "/Ground")).recording().meshes
+    a, b = Changed(meshes=(box, ground), baked=(True, False)), Changed(names=("/Box", "/Ground"))
+    assert not any("not in" in note for note in compare_motions(a, b).notes)
+
+
 def test_surfaces_whose_faces_change_are_refused_in_words() -> None:
     with pytest.raises(
         InputError, match=r"</Box/Surface> has different points in every frame"
