@@ -340,7 +340,7 @@ def _next(solver: Any, index: int, last: Health) -> Frame:
         raise SolverError(
             error.message,
             "slow down what moves or meets the bodies, use a stiffer material or one of the law"
-            " neoHookean, or take more frames per second",
+            " neoHookean, or use more frames per second",
             frame=error.frame,
             particle=error.particle,
         ) from error

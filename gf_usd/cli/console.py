@@ -84,7 +84,7 @@ def announce(prepared: Prepared) -> None:
         typer.echo(_note_line(plan, note), err=True)
     forecast = {"frames": plan.settings.frames, **cost}
     first = plan.settings.first
-    lead = f" (the first {first} lead in and are not written)" if first > 0 else ""
+    lead = f" (the first {first} are pre-roll and are not written)" if first > 0 else ""
     typer.echo(
         f"{len(plan.particles)} particles, {frames_of(forecast)}{lead}, {each} substeps per frame:"
         f" {time_of(forecast)}, {disk_of(forecast)}",

@@ -189,7 +189,7 @@ def _parts(console: Console, seen: Inspection) -> None:
     console.print(table)
     if len(seen.parts) > MOST_PARTS:
         console.print(f"and {len(seen.parts) - MOST_PARTS} more (--json lists all)")
-    console.print("few particles, or none, carry such parts: they may be too stiff", end="")
+    console.print("such parts contain few particles or none, and may be too stiff", end="")
     needed = suggestion(seen.parts)
     which = "all but the thinnest" if any(p.suggested is None for p in seen.parts) else "them"
     console.print(f"; --particles {needed} would fill {which}" if needed else "")

@@ -109,7 +109,7 @@ class TetAttachment:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceSamples:
-    """Points that feel contact, spread over the surfaces about one spacing apart."""
+    """Points at which contact acts, spread over the surfaces about one spacing apart."""
 
     X: Floats  # (n, 3) [m] rest positions, world
     area: Floats  # (n,) [m^2] of surface that each stands for
@@ -298,7 +298,7 @@ class Health:
     fallen: int | None = None  # bodies below every obstacle; None: not looked at
     # [J] of the motion of these bodies, or of flowing particles there; None: not looked at
     fallen_kinetic: float | None = None
-    # Flowing particles below the floor or every obstacle; None: nothing flows without end
+    # Flowing particles below the floor or every obstacle; None: nothing flows without limit
     lost: int | None = None
     flow_volume: float | None = None  # of the other flowing particles over that at rest
     flow_per_cell: float | None = None  # of them in a cell of the grid that has any

@@ -25,7 +25,7 @@ from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
 from gf_usd.readers.pictures.splats import SplatMotion
 
 TORN = (  # a note
-    "the material flows without end: meshes tear where particles separate; a bake without --only"
+    "the material flows without limit: meshes tear where particles separate; a bake without --only"
     " also has Gaussians, which --splats only delivers to a .glb"
 )
 
@@ -41,7 +41,7 @@ class BakedVariant:
     triangles: tuple[Ints, ...]  # (T, 3) into the points of each
     time_codes: tuple[float, ...]
     unit: float  # [m] per stage unit
-    left_out: tuple[str, ...] = ()  # of the meshes, those that particles or a surface stand for
+    left_out: tuple[str, ...] = ()  # of the meshes, those that particles or a surface replace
     clouds: tuple[Cloud, ...] = ()  # Gaussians to deliver
     radii: tuple[float, ...] = ()  # [m] of the body that each belongs to
 
@@ -68,8 +68,8 @@ def read_variants(
             baked, gone = [], []
         if gone and not baked and not clouds:
             raise InputError(
-                f"{bake}: <{recording.meshes[gone[0]].name}> is converted: particles stand for it"
-                f" from some frame on, which joints and blend shapes cannot represent.",
+                f"{bake}: <{recording.meshes[gone[0]].name}> is converted: particles replace it"
+                " from some frame on, which joints and blend shapes cannot represent.",
                 _instead(bake, source.variant),
             )
         if recording.flows and not baked and not clouds:
@@ -81,7 +81,7 @@ def read_variants(
         flows = _flows_without_end(source)
         if not baked and not clouds and flows:
             raise InputError(
-                f"{bake}: its material flows without end: particles stand for its meshes, which "
+                f"{bake}: its material flows without limit: particles replace its meshes, which "
                 f"joints and blend shapes cannot represent.",
                 _instead(bake, source.variant),
             )
@@ -99,7 +99,7 @@ def read_variants(
         if flows and bodies:
             notes[TORN] = None
         for i in gone:
-            notes[f"<{recording.meshes[i].name}>: left out because particles stand for it"] = None
+            notes[f"<{recording.meshes[i].name}>: left out because particles replace it"] = None
         names = tuple(mesh.name for mesh in recording.meshes)
         joined = with_splats(bodies, names, clouds)
         variants.append(

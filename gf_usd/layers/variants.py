@@ -61,7 +61,7 @@ def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices
             )
         if name == NONE or names.count(name) > 1:
             raise UsageError(
-                f"The variant name {name!r} is taken.", "give each look a different name"
+                f"The variant name {name!r} is taken.", "give each variant a different name"
             )
 
 

@@ -76,8 +76,8 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
         except OSError as error:
             raise BakeError(
                 f"{partial} could not be written: {error.strerror}.",
-                f"check that {path.absolute().parent} is writable and has space left; the bake"
-                " then goes on with --resume",
+                f"check that {path.absolute().parent} is writable and has space left; --resume"
+                " then continues the bake",
             ) from error
         publish(path)
 
@@ -117,7 +117,7 @@ def _part(arrays: Mapping[str, Any], part: str) -> dict[str, Any]:
 
 def _unreadable(path: Path, why: str) -> UsageError:
     return UsageError(
-        f"{path} is no checkpoint that this program can read: {why}",
+        f"{path} is not a checkpoint that this program can read: {why}",
         "bake without --resume, which starts over",
     )
 
@@ -230,7 +230,7 @@ def find_resume(
             return Resume(notes=(f"{error.message}; with --overwrite the bake starts over",))
         found.append(checkpoint)
         frame = checkpoint.index // variant.settings.samples_per_frame
-        notes.append(f"{variant.name} goes on after frame {frame}, from {variant.checkpoint}")
+        notes.append(f"{variant.name} continues after frame {frame}, from {variant.checkpoint}")
     if not any(found):
         none = "" if clips else ", and there will be none without --clip-frames"
         notes.append(f"--resume: there is no {variants[0].checkpoint}{none}; the bake starts over")
@@ -251,7 +251,7 @@ def _checked_checkpoint(now: Mapping[str, str], cache_path: Path, path: Path) ->
     missing = [clip for clip in clips if not clip.is_file()]
     if missing:
         raise UsageError(
-            f"{missing[0]} is gone, which {path} goes on from",
+            f"{missing[0]} is missing, and {path} needs it to continue",
             "restore it, or bake without --resume, which starts over",
         )
     return checkpoint

@@ -213,9 +213,9 @@ def require_source_free(files: Outputs, is_current: bool, overwrite: bool, other
     there = [p for p in (files.source, *files.textures) if p.exists()]
     if there:
         raise UsageError(
-            f"{there[0]} exists already, and was not made of this file in this way",
-            "add --overwrite to replace it (other bakes may lie over it), or choose another folder"
-            " with -o",
+            f"{there[0]} exists already, and was made from another file or with other options",
+            "add --overwrite to replace it (other bakes may be layered over it), or choose another"
+            " folder with -o",
         )
 
 

@@ -57,19 +57,22 @@ def notes(settings: Settings, material: str = "") -> tuple[str, ...]:
     lines = []
     if settings.wls:
         lines.append(
-            "F is computed anew once a frame from the places of the particles (WLS, GaussianFlesh"
-            " 3.2): this gives energy to the body, which the report counts"
+            "F is recomputed once per frame from the positions of the particles (WLS,"
+            " GaussianFlesh 3.2): this adds energy to the body, which the report counts"
         )
     if settings.procrustes:
         lines.append(
             f"once a frame the body is moved {100.0 * settings.procrustes:g} % of the way to its"
-            " rest shape as it lies (Procrustes, GaussianFlesh 4.3): it cannot turn freely"
+            " rest shape in its current orientation (Procrustes, GaussianFlesh 4.3): it cannot"
+            " turn freely"
         )
     if settings.clamp:
         low, high = settings.clamp
-        lines.append(f"stress is taken of F with its stretches clipped to {low:g} .. {high:g}")
+        lines.append(f"stress is evaluated at F with its stretches clamped to {low:g} .. {high:g}")
     if settings.stress_cap:
-        lines.append(f"stress is cut to |P| = {settings.stress_cap:.4g} Pa")
+        lines.append(f"stress is capped at |P| = {settings.stress_cap:.4g} Pa")
     if settings.clamp or settings.stress_cap:
-        lines.append("frames in which stretch or stress was cut are not judged by their energy")
+        lines.append(
+            "the energy check skips frames in which stretch was clamped or stress was capped"
+        )
     return tuple(f"{material}: {line}" if material else line for line in lines)

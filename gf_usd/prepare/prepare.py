@@ -325,7 +325,7 @@ def parse_request(
     auto = parse_auto(material_names(material), request.preset)
     if auto is not None and request.material_sweep:
         raise UsageError(
-            "--material-sweep does not go with --material auto", "name the material to vary"
+            "--material-sweep cannot be combined with --material auto", "name the material to vary"
         )
     if auto is not None:
         return request, [auto]

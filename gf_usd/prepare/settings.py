@@ -110,7 +110,7 @@ def _require_inside(
         raise UsageError(
             f"{option} ends after the last of --frames {frames}, at time code"
             f" {start + (frames - 1) * step:g}",
-            "leave --frames out: the range says how long is simulated",
+            "leave --frames out: the range sets the length of the simulation",
         )
 
 
@@ -370,7 +370,9 @@ def stated_spacing(spec: StageSpec, volumes: Mapping[str, float]) -> tuple[float
     path, finest = min(requested.items(), key=lambda item: item[1])
     several = max(requested.values()) > (1.0 + SAME) * finest
     note = (
-        f"a bake has one spacing: the {finest:.4g} m of <{path}> holds for all" if several else ""
+        f"a bake has one spacing: the {finest:.4g} m of <{path}> is used for all bodies"
+        if several
+        else ""
     )
     return finest, note
 

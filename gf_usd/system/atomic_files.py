@@ -80,7 +80,7 @@ def publish(path: Path) -> Path:
     except OSError as error:
         raise BakeError(
             f"{partial} could not be published as {path.name}: {error.strerror}.",
-            f"check that {path.parent} is writable and that no other program holds {path.name}",
+            f"check that {path.parent} is writable and that no other program has {path.name} open",
         ) from error
     return path
 

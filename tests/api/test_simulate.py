@@ -510,5 +510,5 @@ def test_a_body_is_converted_and_another_is_not() -> None:
     for k, frame in enumerate(frames):
         fallen = 0.5 * G * (k / FPS) ** 2
         assert frame.health.center[1] == pytest.approx(1.5 - fallen, abs=ROUNDING)
-    with pytest.raises(gf_usd.UsageError, match="does not flow without end"):
+    with pytest.raises(gf_usd.UsageError, match="does not flow without limit"):
         gf_usd.simulate(scene, conversions="rubber@time:3")

@@ -130,7 +130,7 @@ def test_notes_and_warnings_of_a_bake_name_keywords(tmp_path: Path) -> None:
     ((_, untouched),) = short.warnings
     assert untouched.about == "untouched"
     assert untouched.hint == (
-        "take more frames, a lower drop, or check the unit of the asset (meters_per_unit)"
+        "use more frames, a lower drop, or check the unit of the asset (meters_per_unit)"
     )
 
 

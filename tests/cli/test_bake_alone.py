@@ -102,5 +102,5 @@ def test_two_mesh_files_of_one_name_do_not_share_a_layer(
     run(same)
     assert layer.read_bytes() == before
     # a second process is refused before anything is prepared
-    with pytest.raises(UsageError, match="was not made of this file in this way"):
+    with pytest.raises(UsageError, match="was made from another file or with other options"):
         prepare(cubes[1], output="other.usda", **options)

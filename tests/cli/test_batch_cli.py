@@ -151,7 +151,7 @@ def test_an_interrupted_job_with_clips_goes_on(gf_usd: Call, here: Path, block: 
                   "--no-report", "-q")  # fmt: skip
     assert done.status == 0
     report = json.loads((here / "out" / "block.rubber.report.json").read_text("utf-8"))
-    assert any("rubber goes on after frame 2, from " in note for note in report["notes"])
+    assert any("rubber continues after frame 2, from " in note for note in report["notes"])
     assert not list((here / "out").glob("*.checkpoint.*"))
 
 

@@ -88,7 +88,7 @@ def test_the_layer_is_used_again_for_the_same_and_refused_for_another(cube: Path
     for path in Path().glob("cube.jelly.*"):
         if path != layer:
             path.unlink()
-    with pytest.raises(UsageError, match="exists already, and was not made of this file"):
+    with pytest.raises(UsageError, match="exists already, and was made from another file"):
         bake(cube, **options, max_edge_length=0.7)
     bake(cube, **options, max_edge_length=0.7, overwrite=True)
     assert layer.read_bytes() != made

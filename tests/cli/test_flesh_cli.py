@@ -96,8 +96,8 @@ def test_a_baked_gltf_file_is_a_layer_over_its_skeleton(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"flesh": True, "pins": ["box:0,0,0,1,1,1"]}, "flesh=True does not go with pins"),
-        ({"flesh": True, "drop": "1"}, "flesh=True does not go with drop"),
+        ({"flesh": True, "pins": ["box:0,0,0,1,1,1"]}, "flesh=True cannot be combined with pins"),
+        ({"flesh": True, "drop": "1"}, "flesh=True cannot be combined with drop"),
         ({"flesh": True, "solver": "ul"}, "does not support flesh=True"),
         ({"bone_radius": 0.4}, "bone_radius=0.4 is for flesh=True"),
         ({"squish": 0.5}, "squish=0.5 is for flesh=True"),

@@ -80,7 +80,7 @@ def test_frames_before_the_animation_are_told_apart(
     path = write(here, arm())
     done = gf_usd("bake", path, "--flesh", "--particles", "300", "--preroll", "6", "--frames", "2")
     assert done.status == 0, done.err
-    assert " particles, 8 frames (the first 6 lead in and are not written), " in done.err
+    assert " particles, 8 frames (the first 6 are pre-roll and are not written), " in done.err
 
 
 def test_nobody_is_told_to_lower_a_drop_that_is_not_there(tmp_path: Path) -> None:

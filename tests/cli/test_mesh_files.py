@@ -81,7 +81,7 @@ def test_bakes_of_one_file_share_its_layer(gf_usd, tmp_path):
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.5
     other = gf_usd("bake", path, *SIZES, "-m", "metal", "--up-axis", "Z")
     assert other.status == 2
-    assert "box.source.usdc exists already, and was not made of this file" in other.err
+    assert "box.source.usdc exists already, and was made from another file" in other.err
     assert not (tmp_path / "box.metal.usda").exists()
     forced = gf_usd("bake", path, *SIZES, "-m", "metal", "--up-axis", "Z", "--overwrite")
     assert forced.status == 0, forced.err

@@ -208,7 +208,8 @@ def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Pa
     assert f"{STEM}.clips/0001.usdc is gone" in again.err
     (here / KEPT).write_bytes(b"no checkpoint")
     assert (
-        f"{KEPT} is no checkpoint that this program can read" in gf_usd(*arguments, "--resume").err
+        f"{KEPT} is not a checkpoint that this program can read"
+        in gf_usd(*arguments, "--resume").err
     )
     assert gf_usd(*arguments).status == 0
     assert names(here / f"{STEM}.clips") == [

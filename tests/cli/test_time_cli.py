@@ -155,7 +155,7 @@ def test_range_handles_and_samples_together(baked) -> None:
         (("--range", "101:120", "--frames", "5"), "ends after the last of --frames 5, at time"),
         (("--handles", "-1"), "--handles is -1"),
         (("--samples-per-frame", "0"), "--samples-per-frame is 0"),
-        (("--samples-per-frame", "2", "--wls"), "--samples-per-frame 2 does not go with"),
+        (("--samples-per-frame", "2", "--wls"), "--samples-per-frame 2 cannot be combined with"),
     ],
 )
 def test_what_makes_no_sense_is_refused(

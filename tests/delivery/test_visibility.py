@@ -136,7 +136,7 @@ def test_usd_hides_what_particles_stand_for(tmp_path: Path, flatten: bool) -> No
     assert BakedMotion(bake.root).recording().converted == ("/World/Block",)
     done = deliver(bake.root, tmp_path / "out.usda", error=TOLERANCE)
     assert [one.meshes for one in done.bodies] == [("/World/Other",)]
-    assert "</World/Block>: left out because particles stand for it" in done.notes
+    assert "</World/Block>: left out because particles replace it" in done.notes
     stage = Usd.Stage.Open(str(done.path))
     for name, shown in (("Block", False), ("Other", True)):
         image = UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{name}"))
@@ -172,14 +172,14 @@ def sand(folder: Path, **options: Any) -> Path:
 @pytest.mark.parametrize("suffix", [".glb", ".usda"])
 def test_the_hint_about_what_flows_can_be_followed(tmp_path: Path, suffix: str) -> None:
     bake = sand(tmp_path)
-    with pytest.raises(InputError, match="flows without end: particles stand for") as caught:
+    with pytest.raises(InputError, match="flows without limit: particles replace") as caught:
         deliver(bake, tmp_path / f"out{suffix}")
     assert caught.value.hint.endswith("deliver the particles as Gaussians to a .glb: --splats only")
     assert deliver(bake, tmp_path / "out.glb", splats="only").splats
 
 
 def test_without_gaussians_the_hint_says_how_to_get_them(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="flows without end") as caught:
+    with pytest.raises(InputError, match="flows without limit") as caught:
         deliver(sand(tmp_path, only="points"), tmp_path / "out.glb")
     assert "bake again with gaussians among --only" in caught.value.hint
 

@@ -232,11 +232,11 @@ def test_a_box_without_a_vertex_in_it_converts_what_it_holds(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("honey", "is no material and limit"),
-        ("honey@melt:3", "is no material and limit"),
-        ("honey@strain:-1", "is no material and limit"),
-        ("rubber@time:3", "does not flow without end"),
-        ("1,2=honey@time:3", "is no preset and box"),
+        ("honey", "is not a material and a limit"),
+        ("honey@melt:3", "is not a material and a limit"),
+        ("honey@strain:-1", "is not a material and a limit"),
+        ("rubber@time:3", "does not flow without limit"),
+        ("1,2=honey@time:3", "is not a preset and a box"),
         ("marmalade@time:3", "no material 'marmalade'"),
     ],
 )
@@ -247,12 +247,12 @@ def test_what_says_nothing_is_refused(blocks: Path, text: str, message: str) -> 
 
 def test_what_means_nothing_is_refused_by_name(blocks: Path, tmp_path: Path) -> None:
     for texts, error, message in (
-        ("/World/Nobody=honey@time:3", InputError, "means none of the"),
-        (["honey@time:3", "water@time:4"], InputError, "later ones hold for all"),
+        ("/World/Nobody=honey@time:3", InputError, "selects none of the"),
+        (["honey@time:3", "water@time:4"], InputError, "later ones override it for all"),
     ):
         with pytest.raises(error, match=message):
             gf_usd.bake(blocks, output=tmp_path / "out.usda", conversions=texts, **SMALL)
-    with pytest.raises(UsageError, match="does not go with certify"):
+    with pytest.raises(UsageError, match="cannot be combined with certify"):
         gf_usd.bake(blocks, conversions="honey@time:3", certify=True, **SMALL)
     sand = scene(tmp_path, body("Sand", "dry-sand", "0, 0.1, 0"))
     with pytest.raises(InputError, match="flow from the start"):

@@ -167,7 +167,7 @@ def test_it_ends_at_twice_the_hours_that_it_may_take() -> None:
     with pytest.raises(OutOfResources) as caught:
         follow(made, clock, [100] * 100, 0.09)  # 900 s of 720 s
     assert caught.value.frame == 81, "the first that could not be had"
-    assert "the bake has taken 12.2 minutes, and --max-hours 0.1 lets it take 12" in str(
+    assert "the bake has taken 12.2 minutes, and --max-hours 0.1 allows at most 12" in str(
         caught.value.message
     )
     assert "19 of 100 frames are left" in caught.value.message
@@ -201,7 +201,7 @@ def test_a_frame_that_is_cut_leaves_what_can_be_resumed(
     with monkeypatch.context() as patched:
         patched.setattr(launch, "LAUNCH_SECONDS", 1e-9)
         patched.setattr(runs, "Forecast", partial(Forecast, clock=lambda: float(next(seconds))))
-        with pytest.raises(SolverError, match=r"max_hours=0\.003 lets it take 22 s") as caught:
+        with pytest.raises(SolverError, match=r"max_hours=0\.003 allows at most 22 s") as caught:
             gf_usd.bake(str(SPHERE), **options, max_hours=0.003)
     assert next(seconds) in (22, 23), "at once: a frame has eight substeps and more"
     ended = caught.value.__cause__
@@ -211,7 +211,7 @@ def test_a_frame_that_is_cut_leaves_what_can_be_resumed(
     assert list(tmp_path.glob("*.checkpoint.npz"))
     result = gf_usd.bake(str(SPHERE), **options, resume=True)
     assert len(result.bakes[0].per_frame) == 5
-    assert any("goes on after frame" in note for note in result.notes)
+    assert any("continues after frame" in note for note in result.notes)
 
 
 def test_the_last_frame_is_never_too_late() -> None:
@@ -226,7 +226,7 @@ def test_a_bake_that_is_too_long_leaves_its_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(forecasts, "OVERRUN", 0.0)
-    with pytest.raises(SolverError, match="max_hours=1 lets it take"):
+    with pytest.raises(SolverError, match="max_hours=1 allows at most"):
         gf_usd.bake(str(SPHERE), material="clay", output=f"{tmp_path}/", particles=100, frames=6)
     assert list(tmp_path.glob("*.cache.partial.usdc"))
     assert list(tmp_path.glob("*.report.json"))

@@ -1,4 +1,4 @@
-"""Sand: which solver takes it, what is written of it, and what it does not go with."""
+"""Sand: which solver simulates it, what is written of it, and options that it does not support."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_granular_presets_choose_the_solver_and_what_is_written() -> None:
     assert plan.settings.solver == "ul"
     assert plan.choices.shapes == ("gaussians", "points")
     assert len(plan.samples.X) == len(plan.particles), "contact at every particle"
-    assert any("dry-sand: flows without end" in note and "hidden" in note for note in plan.notes)
+    assert any("dry-sand: flows without limit" in note and "hidden" in note for note in plan.notes)
     planned = gf_usd.inspect(SPHERE, only="mesh,points", **SAND).plan
     assert planned.choices.shapes == ("mesh", "points")
     assert not any("hidden" in note for note in planned.notes)
@@ -45,10 +45,10 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"material": "jelly", "surface": True}, "surface=True is for what flows"),
+        ({"material": "jelly", "surface": True}, "surface=True needs a material"),
         ({"surface": True, "only": "points"}, "which only points leaves out"),
-        ({"certify": True}, "certify=True does not go with what flows"),
-        ({"surface": True, "certify": True}, "certify=True does not go with what flows"),
+        ({"certify": True}, "certify=True does not support materials"),
+        ({"surface": True, "certify": True}, "certify=True does not support materials"),
         ({"solver": "tl"}, "cannot be combined with dry-sand"),
         ({"material": ["rubber", "dry-sand"]}, "some of these materials flow without limit"),
         ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not support --pin|pins"),

@@ -74,7 +74,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "stress-cap": (
         summary(Health(stress_capped=2)),
         summary(Health(stress_capped=3)),
-        "cut in 1.5 % of all particles and frames",
+        "capped in 1.5 % of all particles and frames",
     ),
     "injected": (
         summary(Health(elastic=10.0, injected=0.09)),
@@ -168,7 +168,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "loop": (
         summary(loop_cycles=4, loop_difference_m=0.005, loop_difference_share=0.01),
         summary(loop_cycles=16, loop_difference_m=0.006, loop_difference_share=0.012),
-        "after 16 times the cycle differs from the one before by 0.006 m, 1.2 % of the radius",
+        "after 16 cycles, the last one differs from the one before by 0.006 m, 1.2 % of the radius",
     ),
 }
 
@@ -212,7 +212,7 @@ def test_faces_that_are_too_coarse_are_to_be_divided_before_anything_else() -> N
     assert inside.hint.startswith("divide the faces of the coarse mesh (--max-edge-length auto)")
     fine = replace(coarse, outside_share=0.01)
     (inside,) = health_warnings(summary(fine))
-    assert inside.hint.startswith("take more --particles")
+    assert inside.hint.startswith("use more --particles")
 
 
 @pytest.mark.parametrize("about", ["inside-out", "redone"])

@@ -30,7 +30,7 @@ def test_the_law_of_each_body_says_how_it_is_simulated(castle: Path) -> None:
     assert plan.bodies.count == 2
     grains = int((np.asarray(plan.particles.body) == 0).sum())
     assert int((np.asarray(plan.samples.body) == 0).sum()) == grains, "contact at every particle"
-    assert any("</World/Sand>: flows without end (dry-sand" in note for note in plan.notes)
+    assert any("</World/Sand>: flows without limit (dry-sand" in note for note in plan.notes)
     assert set(plan.points) == {"/World/Block"}, "no mesh is drawn of what flows"
     alone = gf_usd.inspect(castle, solver="ul", **SMALL).plan
     assert alone.settings.solver == "ul"
@@ -52,7 +52,7 @@ def test_sand_that_the_stage_asks_for_flows(tmp_path: Path) -> None:
     """It was simulated as a solid body, without a word."""
     plan = gf_usd.inspect(scene(tmp_path, body("Sand", "dry-sand", "0, 0.1, 0")), **SMALL).plan
     assert plan.settings.solver == "ul"
-    assert any("flows without end" in note for note in plan.notes)
+    assert any("flows without limit" in note for note in plan.notes)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_a_body_of_which_a_part_flows_is_moved_as_a_whole_by_the_solver_of_what_
     options = {"material": "rubber", "material_boxes": ["water:-1,0.1,-1,1,1,1"], "drop": 0}
     seen = gf_usd.inspect(path, particles=2000, **options).plan
     assert seen.settings.solver == "mixed"
-    assert seen.choices.flowing == ("/World/Block",), "particles stand for it"
+    assert seen.choices.flowing == ("/World/Block",), "particles replace it"
     done = gf_usd.bake(path, frames=24, particles=2000, output=tmp_path / "out.usda", **options)
     assert not done.findings
     stage = Usd.Stage.Open(str(done.root))

@@ -90,7 +90,7 @@ def test_a_file_that_holds_no_keys_is_refused(tmp_path: Path, text: str, message
 def test_a_missing_file_and_what_knows_no_fields_are_refused(tmp_path: Path) -> None:
     for options, message in (
         ({"gravity": str(tmp_path / "gone.csv")}, "cannot be read"),
-        ({"fields": ("wind:1,0,0",), "rigid": ("box:0,0,0,1,1,1",)}, "--rigid does not go with"),
+        ({"fields": ("wind:1,0,0",), "rigid": ("box:0,0,0,1,1,1",)}, "cannot be combined with"),
         ({"fields": ("wind:1,0,0",), "solver": "ul"}, "--solver ul does not support --field"),
     ):
         with pytest.raises(UsageError) as caught:

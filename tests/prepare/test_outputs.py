@@ -214,9 +214,9 @@ def test_the_layer_of_a_mesh_file_is_shared_by_its_bakes(tmp_path: Path) -> None
         require_source_free(files, True, False)
         require_source_free(files, False, True)
         assert refusal(require_source_free, files, False, False) == (
-            f"{there} exists already, and was not made of this file in this way",
-            "add --overwrite to replace it (other bakes may lie over it), or choose another folder"
-            " with -o",
+            f"{there} exists already, and was made from another file or with other options",
+            "add --overwrite to replace it (other bakes may be layered over it), or choose another"
+            " folder with -o",
         )
     require_source_free(outputs(DUCK, ["rubber"], f"{tmp_path}/"), False, False)
 

@@ -118,7 +118,7 @@ def test_pinned_rubber_has_no_shape_correction() -> None:
 
 def test_every_option_is_noted() -> None:
     text = "\n".join(notes(made(preset="paper"), "rubber"))
-    for expected in ("WLS", "2 % of the way", "0.2 .. 5", "3.526e+04 Pa", "not judged"):
+    for expected in ("WLS", "2 % of the way", "0.2 .. 5", "3.526e+04 Pa", "the energy check skips"):
         assert expected in text
     assert all(line.startswith("rubber: ") for line in text.splitlines())
 

@@ -1,4 +1,4 @@
-"""--material-sweep: values, names, and what it does not go with."""
+"""--material-sweep: values, names, and options that it cannot be combined with."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ def test_what_is_animated_beside_a_pose_at_rest_is_held_at_its_time() -> None:
 def test_what_asks_for_frames_does_not_go_with_one_pose(
     tmp_path: Path, more: dict[str, Any]
 ) -> None:
-    with pytest.raises(UsageError, match="settle_only=True does not go with"):
+    with pytest.raises(UsageError, match="settle_only=True cannot be combined with"):
         gf_usd.bake(SPHERE, output=tmp_path / "s.usda", settle_only=True, **SMALL, **more)
 
 
@@ -248,7 +248,7 @@ def test_frames_until_rest_are_parsed() -> None:
 def test_what_says_how_long_does_not_go_with_until_rest(
     tmp_path: Path, more: dict[str, Any]
 ) -> None:
-    with pytest.raises(UsageError, match="rest does not go with"):
+    with pytest.raises(UsageError, match="rest cannot be combined with"):
         gf_usd.bake(SPHERE, output=tmp_path / "s.usda", frames="rest", **SMALL, **more)
 
 

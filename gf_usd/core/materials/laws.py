@@ -49,7 +49,7 @@ class LawSpec:
     flows: bool = False  # it has a flow rule, and so a history
     isochoric: bool = False  # its flow keeps the volume, det F_p = 1
     associated: bool = True  # its flow only ever takes energy
-    unbounded: bool = False  # it flows without end: for the Updated Lagrangian solver
+    unbounded: bool = False  # it flows without limit: for the Updated Lagrangian solver
     over: str = ""  # the law whose energy it has; "": its own
     internal: tuple[Internal, ...] = ()
 

@@ -41,7 +41,7 @@ def columns(materials: Sequence[Material]) -> dict[str, Floats]:
 
 
 def unbounded(particles: Particles, materials: Sequence[Material]) -> Ints:
-    """(N,) whether particles flow without end from the start, by the laws of their materials."""
+    """(N,) whether particles flow without limit from the start, by the laws of their materials."""
     return np.array([LAWS[m.law].unbounded for m in materials])[np.asarray(particles.material)]
 
 
@@ -74,7 +74,7 @@ def stiffest_by_conversion(
 
 def moved_as_flow(particles: Particles, materials: Sequence[Material]) -> Ints:
     """(N,) particles that replace meshes, from the start or later: those of surfaces of which some
-    flow without end, and of bodies of which some can be converted.
+    flow without limit, and of bodies of which some can be converted.
     """
     surface, body = np.asarray(particles.surface), particles.body_of
     flows = np.unique(surface[unbounded(particles, materials)])

@@ -115,7 +115,7 @@ def find_content(solid: Solid, grid: Grid) -> Content:
         raise InputError(
             f"<{solid.surfaces[0].path}> is {wide:.3g} m wide, too small to fill with cells of"
             f" {grid.h:.3g} m, which the size of all bodies and the number of particles give",
-            "leave it out, check its scale, or take more --particles",
+            "leave it out, check its scale, or use more --particles",
         )
     return Content(
         ijk=grid.ijk(np.concatenate([full, key[some]])),

@@ -308,7 +308,7 @@ def _shape_tracks(
 def _grain_track(
     cache: Usd.Stage, scope: Sdf.Path, grains: Particles, unit: float, choices: Choices
 ) -> PointsTrack:
-    """Flowing particles, which stand for meshes; unit : [m]."""
+    """Flowing particles, which replace meshes; unit : [m]."""
     track = PointsTrack(
         cache, scope.AppendChild(FLOW), grains, unit,
         velocities=choices.velocities, some=bool(choices.converting),

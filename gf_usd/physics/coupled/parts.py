@@ -38,8 +38,8 @@ class Part:
 
 
 def flowing_bodies(particles: Particles, materials: Sequence[Material]) -> Ints:
-    """(B,) which bodies are for the Updated Lagrangian solver: those that flow without end in part,
-    or can be converted.
+    """(B,) which bodies are for the Updated Lagrangian solver: those that flow without limit in
+    part, or can be converted.
     """
     flows = unbounded(particles, materials) | convertible(particles)
     return np.bincount(particles.body_of, flows) > 0.0

@@ -205,12 +205,12 @@ class Coupled(Solver):
 def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None:
     """Raise UsageError for options that a bake of solid and flowing bodies does not support."""
     unsupported = {
-        "--flesh and attachments that pull": goals is not None,
+        "--flesh and attachments with springs": goals is not None,
         "--rigid": any(pin.rigid for pin in pins),
         "pins that move": any(len(pin.path) > 1 for pin in pins),
         "the WLS recomputation of F": settings.wls,
         "the Procrustes correction": settings.procrustes > 0.0,
-        "--field and gravity that changes": bool(settings.fields),
+        "--field and gravity that changes over time": bool(settings.fields),
         "--preset paper": settings.contact_rate is not None,
     }
     for what, wanted in unsupported.items():

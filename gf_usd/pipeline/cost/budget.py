@@ -315,7 +315,7 @@ def require_affordable(
         f" {material.youngs_modulus:.3g} Pa, damping time {material.damping_time:.3g} s), dropped"
         f" {drop:.3g} m, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
         f" {counted(settings.frames, 'frame')}",
-        "take a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
+        "use a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
         + "".join(f" {line};" for line in shortcuts({**cost, "per_material": [row]}, materials))
         + f" --max-hours {math.ceil(hours * 1.2)} allows it",
     )
@@ -433,7 +433,7 @@ def require_resources(
         raise InputError(
             f"{path}: the bake would take about {memory / 1e9:.3g} GB of memory, and"
             f" {left / 1e9:.3g} GB are free",
-            "take fewer --particles, bake one material at a time, or end other programs",
+            "use fewer --particles, bake one material at a time, or end other programs",
         )
 
 
@@ -461,8 +461,8 @@ class ResourceGuard:
         free = free_disk(self._folder)
         if free < need:
             raise OutOfResources(
-                f"{self._folder} has {free / 1e6:.3g} MB left, and {need / 1e6:.3g} MB are wanted"
-                " for the next frame, what is not yet written, and the report",
+                f"{self._folder} has {free / 1e6:.3g} MB left, and {need / 1e6:.3g} MB are needed"
+                " for the next frame, unwritten data, and the report",
                 f"free some space; {self._resume_hint}",
                 frame=index,
             )
@@ -474,6 +474,6 @@ class ResourceGuard:
         if left < LEAST_MEMORY and (left := left + free_swap()) < LEAST_MEMORY:
             raise OutOfResources(
                 f"{left / 1e6:.3g} MB of memory are left on this machine",
-                f"end other programs, or take fewer --particles; {self._resume_hint}",
+                f"end other programs, or use fewer --particles; {self._resume_hint}",
                 frame=index,
             )

@@ -159,7 +159,7 @@ class Forecast:
         left = self._samples - 1 - self._index
         raise OutOfResources(
             f"the bake has taken {duration(spent)}, and --max-hours {self._limit / 3600.0:g}"
-            f" lets it take {duration(OVERRUN * self._limit)} at most; {left} of"
+            f" allows at most {duration(OVERRUN * self._limit)}; {left} of"
             f" {self._samples} frames are left",
             f"raise --max-hours; {self._resume_hint}",
             frame=min(self._index + 1, self._samples - 1),

@@ -114,9 +114,9 @@ def _energy(h: HealthSummary) -> MessageAndHint:
     if share <= ENERGY_GAIN:
         return None
     return (
-        f"energy rose without a cause: {h['energy_gain_max_J']:.3g} J in one frame,"
+        f"energy rose without a known cause: {h['energy_gain_max_J']:.3g} J in one frame,"
         f" {100.0 * share:.2g} % of the energy scale of the body",
-        f"{_gentler(h)}, or take a softer material",
+        f"{_gentler(h)}, or use a softer material",
     )
 
 
@@ -140,7 +140,8 @@ def _expanded(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"<{h['expanded_body']}> expanded to {volume:.3g} times its volume in frame"
-        f" {h['expanded_frame']}, single particles to {h['max_J']:.2g} times theirs: no solid does",
+        f" {h['expanded_frame']}, single particles to {h['max_J']:.2g} times theirs; solids do not"
+        " expand like this",
         f"{_gentler(h)}, use a stiffer material, or pin a larger region of what is pinned",
     )
 
@@ -150,8 +151,8 @@ def _rollbacks(h: HealthSummary) -> MessageAndHint:
         return None
     law = f", or use {_other_law(h)}" if _other_law(h) else ""
     return (
-        f"the step was too long {counted(h['rollbacks'], 'time')} in"
-        f" {counted(h['frames'], 'frame')}, which were redone with half of it",
+        f"the time step was too long {counted(h['rollbacks'], 'time')} in"
+        f" {counted(h['frames'], 'frame')}; these frames were recomputed with half of it",
         f"{_gentler(h)}{law}",
     )
 
@@ -170,8 +171,8 @@ def _capped(h: HealthSummary) -> MessageAndHint:
     if h["stress_capped_share"] <= ALTERED:
         return None
     return (
-        f"stress was cut in {100.0 * h['stress_capped_share']:.2g} % of all particles and frames:"
-        " there the material law does not hold",
+        f"stress was capped in {100.0 * h['stress_capped_share']:.2g} % of all particles and"
+        " frames: there the material law does not hold",
         f"raise --stress-cap, or {_gentler(h)}",
     )
 
@@ -183,8 +184,7 @@ def _injected(h: HealthSummary) -> MessageAndHint:
         return None
     done = f"put {given:.3g} J into" if given > 0.0 else f"took {-given:.3g} J out of"
     return (
-        f"corrections of the shape {done} the body, {100.0 * share:.2g} % of the energy scale of"
-        f" the body",
+        f"shape corrections {done} the body, {100.0 * share:.2g} % of the energy scale of the body",
         "lower --procrustes, or use --no-wls",
     )
 
@@ -196,7 +196,7 @@ def _planes(h: HealthSummary) -> MessageAndHint:
     return (
         f"contact put {share * h['energy_scale_J']:.3g} J into the bodies,"
         f" {100.0 * share:.2g} % of their energy scale",
-        f"{_gentler(h)}, or take more --particles; if bodies overlap at the start, move"
+        f"{_gentler(h)}, or use more --particles; if bodies overlap at the start, move"
         " them apart in the asset",
     )
 
@@ -207,7 +207,7 @@ def _deep(h: HealthSummary) -> MessageAndHint:
     return (
         f"the surface sank {h['deepest_penetration_spacings']:.2g} spacings"
         f" ({h['deepest_penetration_m']:.3g} m) into the floor",
-        f"{_gentler(h)}, or take a stiffer material",
+        f"{_gentler(h)}, or use a stiffer material",
     )
 
 
@@ -220,7 +220,7 @@ def _overlap(h: HealthSummary) -> MessageAndHint:
     return (
         f"{pair} overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
         f" ({h['deepest_overlap_m']:.3g} m) at frame {h['overlap_frame']}",
-        f"{_gentler(h)}, or take more --particles; if bodies overlap at the start,"
+        f"{_gentler(h)}, or use more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
     )
 
@@ -233,7 +233,7 @@ def _pierced(h: HealthSummary) -> MessageAndHint:
     return (
         f"an edge or corner of {h['pierced_pair']}, {how}{depth:.2g} spacings"
         f" ({h['pierced_max_m']:.3g} m) deep at frame {h['pierced_frame']}",
-        "round the edges of the obstacle, make the body thicker, or take more --particles;"
+        "round the edges of the obstacle, make the body thicker, or use more --particles;"
         f" {_gentler(h)}",
     )
 
@@ -244,8 +244,8 @@ def _let_go(h: HealthSummary) -> MessageAndHint:
     return (
         f"contact points were released, {h['released_max']} at once, and bodies may overlap there:"
         " they were deeper in another surface than they can have moved, where it was folded or"
-        " inverted, or an obstacle has more edges and corners than there is room for",
-        f"{_gentler(h)}, take a stiffer material, more --particles, or a smoother obstacle",
+        " inverted, or an obstacle has more edges and corners in a body than contact can store",
+        f"{_gentler(h)}, use a stiffer material, more --particles, or a smoother obstacle",
     )
 
 
@@ -259,7 +259,7 @@ def _inside(h: HealthSummary) -> MessageAndHint:
     return (
         f"{100.0 * share:.2g} % of the surface is half a spacing or more inside a body at the"
         f" end, up to {_length(h['inside_at_end_m'])} deep",
-        f"{first}take more --particles or a stiffer material,"
+        f"{first}use more --particles or a stiffer material,"
         f" {_gentler(h)}, and do not use --no-self-contact",
     )
 
@@ -292,9 +292,10 @@ def _drift(h: HealthSummary) -> MessageAndHint:
     if linear is None or spin is None or max(linear, spin) <= DRIFT:
         return None
     return (
-        f"the free flight is off: by {100.0 * linear:.2g} % of the momentum and"
+        f"momentum drifted in free flight: by {100.0 * linear:.2g} % of the momentum and"
         f" {100.0 * spin:.2g} % of the angular momentum of the fastest motion; with"
-        f" {h['substeps_max_per_frame']} substeps a frame single precision loses digits",
+        f" {h['substeps_max_per_frame']} substeps a frame, rounding errors of single precision add"
+        " up",
         "use a softer or less damped material, which allows longer time steps",
     )
 
@@ -306,7 +307,7 @@ def _untouched(h: HealthSummary) -> MessageAndHint:
     return (
         f"the body touched nothing in {h['frames']} frames: it moved {h['shift_max_m']:.3g} m and"
         " is still in the air",
-        "take more --frames, a lower --drop, or check the unit of the asset (--meters-per-unit)",
+        "use more --frames, a lower --drop, or check the unit of the asset (--meters-per-unit)",
     )
 
 
@@ -340,7 +341,7 @@ def _lost(h: HealthSummary) -> MessageAndHint:
     return (
         f"{counted(count, 'flowing particle')}, {are} the floor or every obstacle in the last"
         f" frame, the first from frame {h['first_lost_frame']} on",
-        "add a floor (--floor HEIGHT), make obstacles larger or thicker, or take more --particles",
+        "add a floor (--floor HEIGHT), make obstacles larger or thicker, or use more --particles",
     )
 
 
@@ -372,7 +373,7 @@ def _thin_flow(h: HealthSummary) -> MessageAndHint:
         f"flowing material is spread too thin for its particles: {count:.2g} are in a cell of the"
         " grid at the end, and about 6 where it is deep, so that it looks like single drops or"
         " grains",
-        "take more --particles or fewer --frames, or hold it in a container",
+        "use more --particles or fewer --frames, or hold it in a container",
     )
 
 
@@ -381,7 +382,7 @@ def _loop(h: HealthSummary) -> MessageAndHint:
     if share <= NOT_PERIODIC:
         return None
     return (
-        f"after {h['loop_cycles']} times the cycle differs from the one before by"
+        f"after {h['loop_cycles']} cycles, the last one differs from the one before by"
         f" {h['loop_difference_m']:.2g} m, {100.0 * share:.2g} % of the radius: the loop has a"
         f" visible jump",
         "repeat it until it is periodic (--loop), or longer, and damp the flesh (--goal-frequency,"

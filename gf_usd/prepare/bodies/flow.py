@@ -1,4 +1,4 @@
-"""Which bodies flow without end, and which meshes then have no body."""
+"""Which bodies flow without limit, and which meshes then have no body."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """The bodies that flow without end, from the start or after conversion."""
+    """The bodies that flow without limit, from the start or after conversion."""
 
     bodies: tuple[int, ...] = ()  # as in Particles: some of their particles flow, or all
-    meshes: tuple[str, ...] = ()  # prim paths of those that particles stand for from the start
-    converting: tuple[tuple[str, int], ...] = ()  # of those they stand for later, and their bodies
+    meshes: tuple[str, ...] = ()  # prim paths of those that particles replace from the start
+    converting: tuple[tuple[str, int], ...] = ()  # of those they replace later, and their bodies
 
 
 def flow_of(

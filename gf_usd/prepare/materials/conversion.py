@@ -36,7 +36,7 @@ class ConversionRule:
     text: str  # as given
     path: str  # of a prim, all below it included; "": everything, or what is in the box
     box: MaterialBox | None
-    material: str  # name of a preset that flows without end
+    material: str  # name of a preset that flows without limit
     limit: Limit
 
     def becomes(self, stated: Mapping[str, float]) -> Material:
@@ -61,7 +61,7 @@ def parse_conversions(texts: Sequence[str]) -> tuple[ConversionRule, ...]:
 
     WHERE is the path of a prim or GeomSubset, or a box x0,y0,z0,x1,y1,z1 in stage units, and LIMIT
     is time:CODE, strain:VALUE or stress:PASCAL.  Raises UsageError for anything else, for an
-    unknown preset, and for one that does not flow without end.
+    unknown preset, and for one that does not flow without limit.
     """
     return tuple(_parse(text) for text in texts)
 
@@ -77,7 +77,7 @@ def _parse(text: str) -> ConversionRule:
     sound = np.isfinite(value) and (kind == TIME or value > 0.0)
     if not name or kind not in KINDS or not sound:
         raise UsageError(
-            f"{OPTION} {text} is no material and limit",
+            f"{OPTION} {text} is not a material and a limit",
             f"give a preset that flows and a limit above zero: {OPTION} honey@time:48,"
             f" powder-snow@strain:0.1 or wet-sand@stress:2000, and before it, if not all bodies are"
             f" meant, the path of a prim or a box: {OPTION} /World/Bar=honey@time:48",
@@ -86,9 +86,9 @@ def _parse(text: str) -> ConversionRule:
     made = preset.material(1.0, None)
     if not LAWS[made.law].unbounded:
         raise UsageError(
-            f"{OPTION} {text}: {preset.name} does not flow without end, so that nothing can become"
-            " it",
-            "name one of the flowing presets: gf-usd materials",
+            f"{OPTION} {text}: {preset.name} does not flow without limit, and only such presets"
+            " can be given",
+            "name one of the flowing presets: gf-usd materials lists them",
         )
     where, box = where.strip(), None
     if where and not where.startswith("/"):
@@ -131,7 +131,7 @@ def with_conversions(
     for k, (rule, mine) in enumerate(zip(rules, meant)):
         if not mine.any():
             raise InputError(
-                f"{path}: {OPTION} {rule.text} means none of the {len(particles)} particles",
+                f"{path}: {OPTION} {rule.text} selects none of the {len(particles)} particles",
                 "name a baked prim (gf-usd inspect lists them), a GeomSubset whose material is used"
                 " (without --material), or a box that holds particles",
             )
@@ -148,7 +148,7 @@ def with_conversions(
         rows = np.flatnonzero(of == k)
         if not len(rows):
             raise InputError(
-                f"{path}: {OPTION} {rule.text}: later ones hold for all of its particles",
+                f"{path}: {OPTION} {rule.text}: later ones override it for all of its particles",
                 "leave it out, or name it after them",
             )
         made.append(Conversion(particles=rows, material=count + k, limit=rule.limit))

@@ -1,4 +1,4 @@
-"""Which bodies flow without end: from the laws of their materials, before particles are made."""
+"""Which bodies flow without limit: from the laws of their materials, before particles are made."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def dispatch(
     rules: Sequence[ConversionRule],
     unit: float,
 ) -> Dispatch:
-    """The surfaces that flow without end in part, from the start or after conversion.
+    """The surfaces that flow without limit in part, from the start or after conversion.
 
     presets : as in `table`, one variant each; law : of the options, instead of all others.
     regions : of which boxes count; rules : of conversions; unit : [m] of the stage.
@@ -134,8 +134,8 @@ def require_dispatched(
     solid: Solid,
     flows: Ints,
 ) -> None:
-    """Raise InputError for particles that flow without end in a body that was taken for solid, as
-    those of labels.
+    """Raise InputError for particles that flow without limit in a body that was taken as solid,
+    as those of labels.
 
     path : of the asset, for messages; tables : the materials of each variant; flows : (B,) of
     bodies.

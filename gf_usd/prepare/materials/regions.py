@@ -120,7 +120,7 @@ def parse_corners(option: str, text: str, corners: str) -> tuple[Floats, Floats]
         numbers = np.full(6, np.nan)
     if len(numbers) != 6 or not np.isfinite(numbers).all():
         raise UsageError(
-            f"{option} {text} is no preset and box",
+            f"{option} {text} is not a preset and a box",
             "give two opposite corners in stage units: "
             + (
                 f"{BOX_OPTION} metal:-1,0,-1,1,0.2,1"
@@ -212,7 +212,7 @@ def _parse_label(text: str) -> MaterialLabel:
         name, number = "", 0
     if not name.strip() or not preset.strip():
         raise UsageError(
-            f"{LABEL_OPTION} {text} is no property, whole value and preset",
+            f"{LABEL_OPTION} {text} is not a property, a whole number and a preset",
             f"name the property of the Gaussians, a value of it and a preset: {LABEL_OPTION}"
             " label=3:metal",
         )

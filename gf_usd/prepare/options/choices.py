@@ -40,7 +40,7 @@ def chosen(
     """
     if request.surface and not flow.bodies:
         raise UsageError(
-            "--surface is for what flows without end, and no material of this bake does",
+            "--surface needs a material that flows without limit, and this bake has none",
             "leave it out: the mesh moves with the body",
         )
     if files.flat and request.clip_frames:
@@ -50,7 +50,7 @@ def chosen(
         )
     if request.certify and flow.bodies:
         raise UsageError(
-            "--certify does not go with what flows without end: its figures are those of a mesh",
+            "--certify does not support materials that flow without limit: it measures meshes",
             "leave it out",
         )
     choices = Choices(
@@ -124,8 +124,8 @@ def require_stored(precision: Precision | None, particles: Particles, settings: 
     if least < rounding:
         raise UsageError(
             f"--precision {precision.text} is {least:.3g} m for the smallest body, and points have"
-            f" single precision, which is off by {rounding:.2g} m at {farthest:.3g} m from the"
-            " origin",
+            f" single precision, with a rounding error of {rounding:.2g} m at {farthest:.3g} m"
+            " from the origin",
             f"give {rounding:.2g}m or more",
         )
 
@@ -146,9 +146,9 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     placed = {"--floor": request.floor, "--drop": request.drop}
     placement = " ".join(f"{name} {text}" for name, text in placed.items() if text is not None)
     raise UsageError(
-        f"{placement or 'the stage'}: bodies would be {height:.3g} m from the origin, where points,"
-        f" which have single precision, are off by {rounding:.2g} m; particles are {spacing:.2g} m"
-        " apart",
+        f"{placement or 'the stage'}: bodies would be {height:.3g} m from the origin, where"
+        f" points, in single precision, have a rounding error of {rounding:.2g} m; particles are"
+        f" {spacing:.2g} m apart",
         f"give heights of up to {LOST * spacing / rounding * height:.2g} m, or check the unit of"
         " the asset (--meters-per-unit)",
     )

@@ -40,10 +40,10 @@ def parse_field(text: str, option: str = "--field") -> Field:
     first, *pairs = rest.split(":")
     parts = {key: value for key, _, value in (pair.partition("=") for pair in pairs)}
     if kind not in KINDS or len(parts) < len(pairs) or not set(parts) <= set(KEYS):
-        raise UsageError(f"{where} is no field", f"give {FORM}")
+        raise UsageError(f"{where} is not a field", f"give {FORM}")
     missing = [key for key in KINDS[kind] if key not in parts]
     if missing or ("radius" in parts and "at" not in parts):
-        raise UsageError(f"{where} does not say {missing[0] if missing else 'at'}", f"give {FORM}")
+        raise UsageError(f"{where} does not give {missing[0] if missing else 'at'}", f"give {FORM}")
     there = Field(
         kind=kind,
         center=_triple(where, parts["at"]) if "at" in parts else (0.0, 0.0, 0.0),
@@ -71,7 +71,7 @@ def in_meters(field: Field, unit: float) -> Field:
 def _positive(where: str, part: str) -> float:
     value = number(where, part, FORM)
     if not value > 0.0:
-        raise UsageError(f"{where} has {part} where a number above 0 belongs", f"give {FORM}")
+        raise UsageError(f"{where} has {part} instead of a number above 0", f"give {FORM}")
     return value
 
 

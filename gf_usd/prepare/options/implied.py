@@ -73,7 +73,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
     """
     names, paths = ", ".join(flow.names), listed(flow.paths)
     beside = (
-        f"{paths}: flows without end ({names}; Updated Lagrangian solver, with contact at every"
+        f"{paths}: flows without limit ({names}; Updated Lagrangian solver, with contact at every"
         f" particle); the other bodies are solid (Total Lagrangian solver); the flowing meshes are"
         f" hidden, and "
         + ("a surface around its particles is" if request.surface else "its particles are")
@@ -98,10 +98,12 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
                 )
         return replace(request, solver=MIXED), (beside,)
     if flow.some:
-        return request, (f"{paths}: flows without end ({names}); all is one body (--solver ul)",)
+        return request, (f"{paths}: flows without limit ({names}); all is one body (--solver ul)",)
     if request.only is None and not request.surface:
         request = replace(request, only="gaussians,points")
-    note = f"{names}: flows without end (Updated Lagrangian solver, with contact at every particle)"
+    note = (
+        f"{names}: flows without limit (Updated Lagrangian solver, with contact at every particle)"
+    )
     if request.surface:
         note += "; a surface around the particles is shown instead of the mesh"
     elif "mesh" in (request.parsed["only"] or ()):

@@ -40,7 +40,7 @@ class Request(RequestOptions):
     def parsed(self) -> Mapping[str, Any]:
         """The values of the options that are texts, by name; None where none was given.
 
-        Raises UsageError for a text that says nothing.
+        Raises UsageError for a text that cannot be read.
         """
         texts = {name: getattr(self, name) for name, row in PLANNED.items() if row.parse}
         return {name: PLANNED[name].value(text) for name, text in texts.items()}
@@ -119,7 +119,7 @@ class Request(RequestOptions):
             )
         if self.rigid and (self.preset or self.wls or self.procrustes):
             raise UsageError(
-                "--rigid does not go with --preset paper, --wls or --procrustes",
+                "--rigid cannot be combined with --preset paper, --wls or --procrustes",
                 "leave them out: they change the shape of all particles alike",
             )
         if self.particles and self.spacing:
@@ -135,9 +135,9 @@ class Request(RequestOptions):
         once_a_frame = (self.preset, self.wls, self.procrustes)
         if (self.samples_per_frame or 1) > 1 and any(once_a_frame):
             raise UsageError(
-                f"--samples-per-frame {self.samples_per_frame} does not go with --preset paper,"
-                " --wls or --procrustes",
-                "leave them out: what they do once a frame would be done at every sample",
+                f"--samples-per-frame {self.samples_per_frame} cannot be combined with --preset"
+                " paper, --wls or --procrustes",
+                "leave them out: they act once per frame, but would then act at every sample",
             )
         if self.surface and "mesh" not in (self.parsed["only"] or ("mesh",)):
             raise UsageError(
@@ -152,15 +152,15 @@ class Request(RequestOptions):
         if self.self_contact and self.preset:
             raise UsageError(
                 f"--preset {self.preset} does not support --self-contact",
-                "leave one of the two out: there every particle meets the floor, and nothing else",
+                "leave one of the two out: with this preset, particles collide with the floor only",
             )
         fields = [parse_field(text) for text in self.fields]
         if self.rigid and (fields or isinstance(self.parsed["gravity"], GravityKeys)):
             raise UsageError(
-                "--rigid does not go with --field, or with keys of gravity",
-                "leave one of the two out: rigid regions feel constant gravity only",
+                "--rigid cannot be combined with --field, or with keys of gravity",
+                "leave one of the two out: rigid regions support constant gravity only",
             )
-        _ = self.parsed  # raises for a text that says nothing
+        _ = self.parsed  # raises for a text that cannot be read
 
     def _check_conversion(self) -> None:
         """Raise UsageError for options that cannot be combined with --conversion."""
@@ -176,7 +176,7 @@ class Request(RequestOptions):
         ):
             if given:
                 raise UsageError(
-                    f"--conversion does not go with {option}", "leave one of the two out"
+                    f"--conversion cannot be combined with {option}", "leave one of the two out"
                 )
 
     def _check_precision(self) -> None:
@@ -188,7 +188,7 @@ class Request(RequestOptions):
             )
         if self.adaptive_samples and self.precision is None:
             raise UsageError(
-                "--adaptive-samples leaves out what is within --precision, and none was given",
+                "--adaptive-samples omits samples that are within --precision, which is not given",
                 "add an error, such as --precision 0.5%",
             )
 
@@ -204,7 +204,8 @@ class Request(RequestOptions):
         ):
             if self.settle_only and given:
                 raise UsageError(
-                    f"--settle-only does not go with {option}: it writes one pose, that at rest",
+                    f"--settle-only cannot be combined with {option}: it writes only the pose at"
+                    " rest",
                     f"leave {option} out",
                 )
         for option, given in (
@@ -214,8 +215,8 @@ class Request(RequestOptions):
         ):
             if self.until_rest and given:
                 raise UsageError(
-                    f"--frames {self.frames} does not go with {option}, which says how long is"
-                    " simulated",
+                    f"--frames {self.frames} cannot be combined with {option}, which sets the"
+                    " length of the simulation",
                     "leave one of the two out",
                 )
 
@@ -223,18 +224,18 @@ class Request(RequestOptions):
         """Raise UsageError for options for which --certify has no figures."""
         shapes = self.parsed["only"]
         for option, given, why in (
-            ("--preset paper", self.preset, "its particles lie at random"),
-            (f"--skin {self.skin}", self.skin not in (None, "embed"), "it has no grid's surface"),
+            ("--preset paper", self.preset, "it places particles at random"),
+            (f"--skin {self.skin}", self.skin not in (None, "embed"), "it does not use the grid"),
             (
                 f"--samples-per-frame {self.samples_per_frame}",
                 (self.samples_per_frame or 1) > 1,
-                "its figures are those of frames",
+                "it measures at frames",
             ),
-            (f"--only {self.only}", shapes and "mesh" not in shapes, "figures are the surface's"),
+            (f"--only {self.only}", shapes and "mesh" not in shapes, "it measures the mesh"),
         ):
             if self.certify and given:
                 raise UsageError(
-                    f"--certify does not go with {option}: {why}", "leave one of the two out"
+                    f"--certify cannot be combined with {option}: {why}", "leave one of the two out"
                 )
 
     def _check_sweep(self) -> None:
@@ -249,7 +250,7 @@ class Request(RequestOptions):
         ):
             if sweep and given is not None and name in (None, sweep.name):
                 raise UsageError(
-                    f"--material-sweep {self.material_sweep} does not go with {option}",
+                    f"--material-sweep {self.material_sweep} cannot be combined with {option}",
                     f"leave {option} out",
                 )
 
@@ -289,7 +290,8 @@ class Request(RequestOptions):
         ):
             if given:
                 raise UsageError(
-                    f"--flesh does not go with {option}: the bones say where the body is",
+                    f"--flesh cannot be combined with {option}: the bones set the position of the"
+                    " body",
                     f"leave {option} out",
                 )
 

@@ -290,10 +290,10 @@ def parse_precision(text: str) -> Precision:
     try:
         value = float(plain.removesuffix(unit))
     except ValueError as error:
-        raise UsageError(f"--precision {text!r} is no length", hint) from error
+        raise UsageError(f"--precision {text!r} is not a length", hint) from error
     value *= 0.01 if unit == "%" else LENGTHS[unit]
     if not (math.isfinite(value) and value > 0.0):
-        raise UsageError(f"--precision {text!r} is no length above 0", hint)
+        raise UsageError(f"--precision {text!r} is not a length above 0", hint)
     if unit == "%" and value > COARSEST:
         raise UsageError(
             f"--precision {text} is more than {100 * COARSEST:g} % of the radius", hint

@@ -29,7 +29,7 @@ ISOCHORIC = ("vonMises", *OVER_OTHERS, ROW.token)
 def yielding() -> list[str]:
     """The laws that yield at a stress.
 
-    What bears more the more it is pressed has its own file, and what flows without end does it by
+    What bears more the more it is pressed has its own file, and what flows without limit does it by
     the code of another.
     """
     return [t for t, row in LAWS.items() if YIELD_STRESS in row.parameters and not row.unbounded]

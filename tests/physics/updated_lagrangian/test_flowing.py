@@ -1,4 +1,4 @@
-"""What flows without end: each particle meets the floor where it is."""
+"""What flows without limit: each particle meets the floor where it is."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def test_every_list_names_a_preset_and_no_phrase_stands_in_two():
     # A name that says steel gets the look `metal`: the real ones cost minutes: not the default.
     by_hand = {"dented", "polyurethane-foam", "aluminium", "mild-steel", "copper", "lead"}
     by_hand |= {"modelling-clay", "wet-clay"}
-    # What flows without end has no mesh: no name of a prim implies that.
+    # What flows without limit has no mesh: no name of a prim implies that.
     by_hand |= {"dry-sand", "wet-sand", "gravel", "powder-snow", "wet-snow", "water"}
     by_hand |= {"toothpaste", "mud", "cream", "honey"}
     assert {preset for _, preset in every} == set(presets()) - by_hand

@@ -50,9 +50,9 @@ def test_a_box_that_holds_nothing_is_refused(plan) -> None:
 @pytest.mark.parametrize(
     ("box", "message"),
     [
-        ("metal:0,0,0,1,1", "is no preset and box"),
-        ("0,0,0,1,1,1", "is no preset and box"),
-        ("metal:0,0,0,1,1,nan", "is no preset and box"),
+        ("metal:0,0,0,1,1", "is not a preset and a box"),
+        ("0,0,0,1,1,1", "is not a preset and a box"),
+        ("metal:0,0,0,1,1,nan", "is not a preset and a box"),
         ("metal:0,0,0,1,0,1", "has no volume"),
         ("butter:0,0,0,1,1,1", "butter"),
     ],

@@ -151,9 +151,9 @@ def test_gaussians_that_are_left_out_take_their_labels_along() -> None:
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
-        (("label=3",), "is no property, whole value and preset"),
-        (("3:metal",), "is no property, whole value and preset"),
-        (("label=x:metal",), "is no property, whole value and preset"),
+        (("label=3",), "is not a property, a whole number and a preset"),
+        (("3:metal",), "is not a property, a whole number and a preset"),
+        (("label=x:metal",), "is not a property, a whole number and a preset"),
         (("label=3:butter",), "butter"),
         (("label=3:metal", "label=3:foam"), "name the same value twice"),
     ],
