@@ -143,7 +143,7 @@ def run_case(case: Case, *, full: bool = False, device: str = "cpu") -> Result:
         measures = (
             Measure(
                 name="run", value=math.nan, target=0.0, bound=0.0,
-                why=f"the solver has to come to the end: {error.message}",
+                why=f"the solver must reach the end: {error.message}",
             ),
         )  # fmt: skip
     return Result(case=case, measures=measures, seconds=time.perf_counter() - start_time)

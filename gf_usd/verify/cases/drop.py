@@ -80,8 +80,8 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
             ("spread", 0.005, "a mean over all particles; half a percent is required"),
             (
                 "height", 0.025,
-                "the mesh's lowest point goes into the soft floor by an amount that depends on the"
-                " particles nearest to it; h falls by a fifth from one count to the next",
+                "the depth of the lowest mesh vertex in the soft floor depends on the particles"
+                " nearest to it; h decreases by a fifth from one count to the next",
             ),
         ):  # fmt: skip
             last = abs(getattr(results[-1], name) - getattr(results[-2], name))
@@ -97,10 +97,14 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="drop",
-        what="A rubber ball falls by three radii on a soft floor, with more and more particles."
-        "  Mean stretch and height at the deepest squash must settle.",
-        source="no outside truth: a prototype of this solver in NumPy, and the case itself at other"
-        " resolutions",
+        what=(
+            "A rubber ball falls by three radii on a soft floor, with increasing numbers of"
+            " particles.  Mean stretch and height at the deepest squash must converge."
+        ),
+        source=(
+            "no independent reference: a prototype of this solver in NumPy, and the case itself at"
+            " other resolutions"
+        ),
         quick=converge(250, 500, 1000, 2000),
         full=converge(250, 500, 1000, 2000, 4000, 8000),
     ),

@@ -42,8 +42,8 @@ def free_fall(device: str) -> Iterator[Measure]:
             error = np.linalg.norm(np.asarray(frame.health.momentum) - p)
             momentum = max(momentum, float(error / np.linalg.norm(p)))
     why = (
-        "position Verlet is exact under a constant force, so rounding alone is left: 6e-8 a substep"
-        " in the sum of some 100 of them, of one sign at worst"
+        "position Verlet is exact under a constant force, so that only rounding remains: 6e-8 a"
+        " substep in the sum of some 100 of them, of one sign at worst"
     )
     yield Measure(name="position", value=position_error, target=0.0, bound=6e-6, why=why)
     yield Measure(name="momentum", value=momentum, target=0.0, bound=6e-6, why=why)
@@ -71,8 +71,10 @@ def momentum(device: str, frames: int = 120, particles: int = 500) -> Iterator[M
         value=float(drift / size),
         target=0.0,
         bound=1e-5,
-        why="internal forces are pairs by construction; what is left is the rounding of node sums,"
-        " 6e-8 a substep, over sqrt(2 m E)",
+        why=(
+            "internal forces sum to zero by construction; the remaining error is the rounding of"
+            " node sums, 6e-8 a substep, over sqrt(2 m E)"
+        ),
     )
 
 
@@ -95,8 +97,10 @@ def spin(device: str, frames: int = 120, particles: int = 500) -> Iterator[Measu
         value=float(np.abs(E / E[0] - 1.0).max()),
         target=0.0,
         bound=0.01,
-        why="Verlet keeps a shadow energy; the energy swings about it by (w dt)^2 / 4 of what"
-        " vibrates, and w dt reaches 1 at the finest scale only",
+        why=(
+            "Verlet conserves a shadow energy; the energy oscillates about it by (w dt)^2 / 4 of"
+            " the vibrational energy, and w dt reaches 1 at the finest scale only"
+        ),
     )
     yield Measure(
         name="exchange",
@@ -104,7 +108,7 @@ def spin(device: str, frames: int = 120, particles: int = 500) -> Iterator[Measu
         target=0.01,
         bound=0.0,
         kind=AT_LEAST,
-        why="the ball has to vibrate, or its energy would be kept by doing nothing",
+        why="the ball must vibrate, or conservation of its energy would be trivial",
     )
 
 
@@ -120,8 +124,11 @@ def spin_apic(device: str) -> Iterator[Measure]:
     first, *_, last = (np.linalg.norm(f.health.angular_momentum) for f in solver.frames())
     yield Measure(
         name="left", value=float(last / first), target=1.0, bound=(1.0 - SQUASH) ** 2, unit="L/L0",
-        why="APIC keeps sum X x p, and sum x x p but for sum u x (change of p): u is of the order"
-        " of the strain, .12, and so is what of p is not affine and can change; .12 squared",
+        why=(
+            "APIC conserves sum X x p, and sum x x p except for sum u x (change of p): u is of the"
+            " order of the strain, .12, and so is the part of p that is not affine and can change;"
+            " .12 squared"
+        ),
     )  # fmt: skip
     s = settings(device, frames=2, fps=60.0, filter_rate=np.inf, mass=LUMPED)
     solver = TotalLagrangian(body, [material], s)
@@ -131,9 +138,11 @@ def spin_apic(device: str) -> Iterator[Measure]:
     yield Measure(
         name="affine", value=float(np.linalg.norm(after - before) / np.linalg.norm(before)),
         target=0.0, bound=1e-5,
-        why="a body that is not strained and turns has velocities affine in X, which APIC gives"
-        " back as they are: rounding, 6e-8 a substep, in about 60 of them; strains by turning"
-        " are rho w^2 r^2 / E, 1e-5, and act through their square",
+        why=(
+            "an unstrained rotating body has velocities affine in X, which APIC reproduces:"
+            " rounding, 6e-8 a substep, in about 60 of them; strains due to rotation are rho w^2"
+            " r^2 / E, 1e-5, and act through their square"
+        ),
     )  # fmt: skip
 
 
@@ -147,8 +156,10 @@ CASES = (
     ),
     Case(
         name="momentum",
-        what="A rubber ball spins and vibrates in free flight, without filter and damping.  Its"
-        " linear momentum must stay what it was.",
+        what=(
+            "A rubber ball spins and vibrates in free flight, without filter and damping.  Its"
+            " linear momentum must be conserved."
+        ),
         source="closed form",
         quick=momentum,
         full=lambda device: momentum(device, 1000, 1000),
@@ -164,7 +175,7 @@ CASES = (
     Case(
         name="spin-apic",
         what="The same ball with the APIC filter at every substep, as in the paper, for two"
-        " seconds, squashed to .88 of its height.  How much of its spin is left.",
+        " seconds, squashed to .88 of its height.  The fraction of its spin that remains.",
         source="conservation of angular momentum",
         quick=spin_apic,
     ),

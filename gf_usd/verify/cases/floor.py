@@ -51,8 +51,10 @@ def bounce(device: str) -> Iterator[Measure]:
     yield Measure(
         name="height", value=top, target=HEIGHT * RESTITUTION**2, bound=0.015, kind=RELATIVE,
         unit="m",
-        why="the formula of r belongs to a spring that also pulls; a floor never does and separates"
-        " sooner, which gives back .8553 for .85, 1.25 % more height",
+        why=(
+            "the formula of r is that of a spring that also pulls; a floor does not, and separates"
+            " sooner, which gives .8553 for .85, 1.25 % more height"
+        ),
     )  # fmt: skip
     yield Measure(
         name="height-no-pull", value=top, target=exact, bound=0.004, kind=RELATIVE, unit="m",
@@ -127,14 +129,16 @@ CASES = (
     Case(
         name="bounce",
         what="Eight particles and a contact sample in one point are a point mass.  It falls from"
-        " 4 m on a floor with a restitution of .85; the height it comes back to is measured.",
+        " 4 m on a floor with a restitution of .85; the height of its rebound is measured.",
         source="closed form; Schwager and Poeschel 2007, eq. 21",
         quick=bounce,
     ),
     Case(
         name="penetration",
-        what="Balls of the three looks fall by three radii, and lie at rest.  How deep vertices and"
-        " contact samples go below the floor, in spacings of the particles, at every size.",
+        what=(
+            "Balls of the dimensionless presets fall by three radii and come to rest.  The depth"
+            " of vertices and contact samples in the floor, in particle spacings, at every size."
+        ),
         source="docs/physics.md: contact with the floor",
         quick=penetration((1.0,), 250, ("rubber",)),
         full=penetration((0.025, 1.0, 5.0), 1000, BOUNCING),

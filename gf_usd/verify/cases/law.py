@@ -121,9 +121,12 @@ def check_law(token: str) -> Callable[[str], Iterator[Measure]]:
 CASES = tuple(
     Case(
         name=f"law-{token}",
-        what="A block is strained evenly, upright, nearly flat and inside out.  The stress that its"
-        " nodes feel must be the gradient of the energy, turn with the body, vanish at rest however"
-        " turned, and follow Hooke's law with the given moduli where strains are small.",
+        what=(
+            "A block is strained uniformly, with a volume ratio J that is positive, nearly zero"
+            " and negative.  The stress computed from its nodal forces must be the gradient of the"
+            " energy, rotate with the body, vanish in every unstrained orientation, and follow"
+            " Hooke's law with the given moduli where strains are small."
+        ),
         source="finite differences, frame indifference, Hooke",
         quick=check_law(token),
         f64=True,

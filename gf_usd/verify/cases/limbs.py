@@ -80,8 +80,8 @@ def swing_teeth(which: tuple[int, ...], gap: float, device: str) -> tuple[Floats
 
 
 WHY = (
-    "the same cells, but for the root: there the two share nodes, and a node that a pin holds"
-    " mirrors what is around; h = 1/12 of the length, squared"
+    "the same cells, except at the root: there the two share nodes, and a pinned node mirrors its"
+    " surroundings; h = 1/12 of the length, squared"
 )
 
 
@@ -105,8 +105,11 @@ def two_teeth(device: str) -> Iterator[Measure]:
 CASES = (
     Case(
         name="limbs",
-        what="Two teeth of a comb, 6 times as long as thick, swing against each other, a quarter"
-        " of a cell and 2.75 cells apart.  Frequency and swing of each over those of one alone.",
+        what=(
+            "Two teeth of a comb, 6 times as long as thick, swing against each other, a quarter of"
+            " a cell and 2.75 cells apart.  Frequency and amplitude of each relative to those of a"
+            " single tooth."
+        ),
         source="the same tooth without the other, which shares no node with anything",
         quick=two_teeth,
     ),

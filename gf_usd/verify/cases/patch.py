@@ -129,8 +129,8 @@ def turn(device: str) -> Iterator[Measure]:
     frame = next(iter(solver.frames()))
     exact = skin.points @ QUARTER.T
     why = (
-        "offsets are material vectors turned by F, so a rigid turn is exact; nodal displacements"
-        " are rounded to 6e-8 of a radius and F to 1e-7 r / h"
+        "offsets are material vectors turned by F, so a rigid rotation is exact; nodal"
+        " displacements are rounded to 6e-8 of a radius and F to 1e-7 r / h"
     )
     idw = make_skin("idw", skin.points, body.X)
     for name, pose in (("embed", frame.embedded["skin"]), ("idw", idw.pose(frame.particles))):
@@ -143,9 +143,11 @@ def turn(device: str) -> Iterator[Measure]:
 CASES = (
     Case(
         name="patch",
-        what="Nodes are displaced by one affine map.  Every particle must see exactly that"
-        " gradient and the stress that the law gives it, wherever it lies in its cell, and the"
-        " nodal forces must carry the same stress.",
+        what=(
+            "Nodes are displaced by one affine map.  Every particle must see exactly that gradient"
+            " and the stress that the law gives it, wherever it lies in its cell, and the nodal"
+            " forces must correspond to the same stress."
+        ),
         source="closed form: the patch test of finite elements",
         quick=patch(np.float32, 1e-6),
     ),
@@ -158,7 +160,10 @@ CASES = (
     ),
     Case(
         name="patch-f64",
-        what="The patch test in double precision: what is left is rounding, not the method.",
+        what=(
+            "The patch test in double precision: the remaining error is that of rounding, not of"
+            " the method."
+        ),
         source="closed form: the patch test of finite elements",
         quick=patch(np.float64, 1e-12, ("corotated", "neoHookean")),
         full=patch(np.float64, 1e-12),

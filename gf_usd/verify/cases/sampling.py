@@ -138,7 +138,7 @@ def sideways(count: int) -> Callable[[str], Iterator[Measure]]:
         )
         yield Measure(
             name="along", value=float(along), target=10.0 * TRAVEL, bound=0.0, kind=AT_LEAST,
-            unit="r", why="along its plane the body is not symmetric: it has to travel",
+            unit="r", why="along its plane the body is not symmetric, so that it must move",
         )  # fmt: skip
 
     return run

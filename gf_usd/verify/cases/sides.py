@@ -86,13 +86,18 @@ def sides(particles: int) -> Callable[[str], Iterator[Measure]]:
             target=1.0,
             bound=0.0,
             kind=AT_LEAST,
-            why="UL loses to APIC in every substep what TL, with its filter's finite rate, keeps",
+            why=(
+                "in every substep APIC dissipates energy of UL that TL, with the finite rate of"
+                " its filter, conserves"
+            ),
         )
         for name, results in (("tl", tl), ("ul", ul)):
             yield Measure(
                 name=f"energy.{name}", value=max(0.0, results.gain - 1.0), target=0.0, bound=1e-3,
-                why="nothing gives energy to a falling body; Verlet lets it swing by rounding and"
-                " by (w dt)^2 / 4 of what vibrates",
+                why=(
+                    "no energy is added to a falling body; that of Verlet oscillates by rounding"
+                    " and by (w dt)^2 / 4 of the vibrational energy"
+                ),
             )  # fmt: skip
 
     return run
@@ -104,7 +109,7 @@ CASES = (
         what="The Total Lagrangian solver and the Updated Lagrangian baseline drop the same rubber"
         " ball on the same floor.  Height, stretch and place at the deepest squash must agree; how"
         " high each lets it rebound is compared.",
-        source="no outside truth: each other",
+        source="no independent reference: the two solvers are compared with each other",
         quick=sides(1000),
         full=sides(8000),
     ),

@@ -43,24 +43,26 @@ def close_arms(name: str, speed: float, particles: int, device: str) -> Iterator
     p = np.array([h.momentum for h in results])
     yield Measure(
         name=f"momentum.{suffix}", value=float(np.abs(p - p[0]).max()) / (results[0].mass * speed),
-        target=0.0, bound=ROUNDING, why="forces of a pair have no sum; float32",
+        target=0.0, bound=ROUNDING, why="the forces of a pair sum to zero; rounding of float32",
     )  # fmt: skip
     yield Measure(
         name=f"let-go.{suffix}", value=float(max(h.let_go for h in results)), target=0.0, bound=0.0,
-        unit="samples", why="each sample stores on which side of the surface that it faces it was",
+        unit="samples", why="each sample stores on which side of the opposite surface it was",
     )  # fmt: skip
     energy_gain = np.cumsum([h.injected for h in results])
     yield Measure(
         name=f"given.{suffix}", value=max(0.0, float(energy_gain.max())) / results[0].kinetic,
         target=0.0,
         bound=MAX_ENERGY_GAIN,
-        why="new planes store what the old ones did; at most a thousandth is allowed",
+        why="new planes store the energy of the old ones; at most a thousandth is allowed",
     )  # fmt: skip
     yield Measure(
         name=f"overlap.{suffix}", value=max(h.overlap for h in results) / body.spacing, target=0.0,
         bound=OVERLAP, unit="spacings",
-        why="no outside truth: surfaces yield a little where bodies are pressed together, and less"
-        " than a third of a spacing is required",
+        why=(
+            "no independent reference: surfaces yield a little where bodies are pressed together,"
+            " and less than a third of a spacing is required"
+        ),
     )  # fmt: skip
 
 
@@ -79,9 +81,11 @@ def arms(speeds: Sequence[float], counts: Sequence[int]) -> Callable[[str], Iter
 CASES = (
     Case(
         name="arms",
-        what="Two arms of one body, 3 m long, close until they meet, their tips at 1.5, 3 and 6 m/s"
-        " each.  Momentum, samples that pass, the energy that contact gives, and how deep the arms"
-        " are in each other.",
+        what=(
+            "Two arms of one body, 3 m long, close until they meet, their tips at 1.5, 3 and 6 m/s"
+            " each.  Momentum, samples that pass through, the energy added by contact, and the"
+            " overlap of the arms."
+        ),
         source="conservation laws; the depth is a requirement of the project",
         quick=arms((1.5, 6.0), (500,)),
         full=arms((1.5, 3.0, 6.0), (500, 2000)),

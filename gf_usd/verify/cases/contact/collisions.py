@@ -131,12 +131,14 @@ def kept(name: str, results: Crash) -> Iterator[Measure]:
     ):  # fmt: skip
         yield Measure(
             name=f"{what}.{name}", value=value, target=0.0, bound=ROUNDING,
-            why="forces of a pair have no sum and no moment: float32 sums over some hundred"
-            " substeps, 6e-8 each",
+            why=(
+                "the forces and moments of a pair sum to zero: rounding of float32 over some"
+                " hundred substeps, 6e-8 each"
+            ),
         )  # fmt: skip
     yield Measure(
         name=f"planes.{name}", value=results.put_in, target=0.0, bound=1e-3,
-        why="new contact planes store what the old ones did; a thousandth is what issue 19 allows",
+        why="new contact planes store the energy of the old ones; a thousandth is allowed",
     )  # fmt: skip
 
 
@@ -150,8 +152,11 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         x = tuple(map(float, counts))
         yield Measure(
             name="energy.head-on", value=results[-1].total, target=1.0, bound=5e-3,
-            why="nothing damps: position Verlet's energy swings by up to (w dt)^2 / 4 of what the"
-            " stiffest vibrations hold, and those are a hundredth of what rings",
+            why=(
+                "there is no damping: the energy of position Verlet oscillates by up to (w dt)^2 /"
+                " 4 of that of the stiffest vibrations, which is a hundredth of the vibrational"
+                " energy"
+            ),
         )  # fmt: skip
         for count, one in zip(counts, results):
             tolerance = LEAST_FINE if count >= FINE_BALL else LEAST_COARSE
@@ -159,8 +164,10 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             yield Measure(
                 name=f"restitution.head-on.{count}", value=one.restitution, target=1.0,
                 bound=1.0 - tolerance, kind=AT_LEAST,
-                why=f"slow balls part as fast as they met but for what rings in them: {tolerance}"
-                " is required",
+                why=(
+                    "slow balls separate at their approach speed, except for the energy of"
+                    f" vibrations: {tolerance} is required"
+                ),
                 curve=Curve(
                     title="speed lost by two balls", x_label="particles a ball", y_label="1 - e",
                     x=x, y=tuple(1.0 - each.restitution for each in results),
@@ -169,9 +176,12 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             yield Measure(
                 name=f"ringing.head-on.{count}", value=one.ringing / (1.0 - one.centers),
                 target=1.0, bound=0.25, unit="of what the centers lost",
-                why=f"of the energy {one.centers:.5f} moves the centers, {one.ringing:.5f} vibrates"
-                f" in the balls and {1.0 - one.total:.5f} is gone: nothing damps, and Verlet's"
-                " energy swings by at most (w dt)^2 / 4 of what vibrates, w dt up to 1",
+                why=(
+                    f"of the energy {one.centers:.5f} is motion of the centers, {one.ringing:.5f}"
+                    f" is vibration of the balls and {1.0 - one.total:.5f} is lost: there is no"
+                    " damping, and the energy of Verlet oscillates by at most (w dt)^2 / 4 of the"
+                    " vibrational energy, w dt up to 1"
+                ),
                 curve=Curve(
                     title="energy left ringing in two balls", x_label="particles a ball",
                     y_label="of the energy at the start", x=x,
@@ -186,10 +196,12 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="collisions",
-        what="Equal elastic balls run into each other, nothing damps: two in line, two aside with"
-        " friction, three in a row.  Momentum, angular momentum, the energy that contact gives,"
-        " the restitution, and where the energy is that the centers lost.",
-        source="conservation laws; Hertz: slow elastic balls part as fast as they met",
+        what=(
+            "Equal elastic balls collide without damping: two head-on, two off-center with"
+            " friction, three in a row.  Momentum, angular momentum, the energy added by contact,"
+            " the restitution, and the energy of vibrations afterward."
+        ),
+        source="conservation laws; Hertz: slow elastic balls separate at their approach speed",
         quick=collisions((600, 1500)),
         full=collisions((600, 1500, 3000)),
     ),

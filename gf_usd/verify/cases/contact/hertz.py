@@ -103,19 +103,23 @@ def durations(
                 name=f"time.{approach:g}R.nu{nu:g}", value=results[-1].time, target=1.0,
                 bound=bound,
                 kind=RELATIVE, curve=curve if len(counts) > 1 else None,
-                why=f"closed form for small strain, which neglects what is of the order approach /"
-                f" R; the contact's radius is"
-                f" {np.sqrt(approach) / cell(counts[-1]):.2g} cells of the grid, whose missing"
-                f" compliance the springs stand for; of a frame, {100.0 / frames:g} %, the end of"
-                " the contact is known to a quarter",
+                why=(
+                    "closed form for small strain, which neglects terms of the order approach / R;"
+                    f" the contact radius is {np.sqrt(approach) / cell(counts[-1]):.2g} cells of"
+                    " the grid, whose missing compliance the springs supply; of a frame,"
+                    f" {100.0 / frames:g} %, the end of the contact is known to a quarter"
+                ),
             )  # fmt: skip
             ratios[nu, approach] = results[-1].time
             yield Measure(
                 name=f"restitution.{approach:g}R.nu{nu:g}", value=results[-1].restitution,
                 target=1.0,
                 bound=0.01, kind=AT_LEAST,
-                why="nothing damps: what is missing rings in the ball, 1e-3 of the energy at a"
-                " speed of .01 c in theory (Hunter 1957), so up to 1 % of the speed",
+                why=(
+                    "there is no damping: the missing energy is vibration of the ball, 1e-3 of the"
+                    " energy at a speed of .01 c in theory (Hunter 1957), so up to 1 % of the"
+                    " speed"
+                ),
             )  # fmt: skip
 
         for nu in dict.fromkeys(nu for nu, _ in ratios) if len(counts) > 1 else ():
@@ -123,8 +127,10 @@ def durations(
             yield Measure(
                 name=f"time.limit.nu{nu:g}", value=short + (short - long) * low / (high - low),
                 target=1.0, bound=0.01, kind=RELATIVE,
-                why=f"the times at {low:g} and {high:g} R, extrapolated linearly to no approach, as"
-                " what the theory neglects is of the order approach / R",
+                why=(
+                    f"the times at {low:g} and {high:g} R, extrapolated linearly to zero approach,"
+                    " because the theory neglects terms of the order approach / R"
+                ),
             )  # fmt: skip
 
     return run
@@ -138,9 +144,12 @@ def cell(particles: int) -> float:
 CASES = (
     Case(
         name="hertz",
-        what="An elastic ball comes at a rigid floor so fast that by Hertz's theory it is pressed"
-        " in by .05 and .01 of its radius.  Nothing damps.  How long it stays, over the closed"
-        " form, at 8,000 particles, and how fast it leaves: means of three directions.",
+        what=(
+            "An elastic ball hits a rigid floor so fast that by Hertz's theory it is indented by"
+            " .05 and .01 of its radius, without damping.  The contact time relative to the closed"
+            " form, with 8,000 particles, and the speed after the bounce: means of three"
+            " directions."
+        ),
         source="Hertz 1882; Johnson 1985, section 11.4: 2.87 (m^2 / (R E*^2 v))^(1/5)",
         quick=durations((8000,), ((0.05, 0.3, 0.02), (0.01, 0.3, 0.05)), FEW),
         full=durations(

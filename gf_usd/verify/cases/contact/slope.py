@@ -88,10 +88,13 @@ def friction(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                         name=f"{name}.{what}", value=float(v[-1] - v[0]),
                         target=float(G0 * (np.sin(lean) - FRICTION * np.cos(lean))), bound=1e-3,
                         kind=RELATIVE, unit="m/s^2",
-                        why="all samples slip, so that friction is mu times what presses; the block"
-                        " trembles at w = pi / 2 sqrt(E / rho) / L = 50 /s at the lowest, at first"
-                        " by g / w = .2 m/s and after a second of damping, exp(-tau w^2 G / (lambda"
-                        " + 2 G) t), by 1e-4 of what it gained; what slides does not roll",
+                        why=(
+                            "all samples slip, so that friction is mu times the normal force; the"
+                            " block vibrates at w = pi / 2 sqrt(E / rho) / L = 50 /s at the"
+                            " lowest, at first by g / w = .2 m/s and after a second of damping,"
+                            " exp(-tau w^2 G / (lambda + 2 G) t), by 1e-4 of the speed that it"
+                            " gained; a sliding block does not roll"
+                        ),
                     )  # fmt: skip
 
     return run
@@ -100,9 +103,11 @@ def friction(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="slope",
-        what="A block of 1 m with a friction of .5 is put on slopes of 20 and 35 degrees, floor"
-        " and obstacle.  On the first it must not creep, on the second slide with Coulomb's"
-        " acceleration, with rolling resistance and settling as in bakes too.",
+        what=(
+            "A block of 1 m with a friction of .5 is put on slopes of 20 and 35 degrees, floor and"
+            " obstacle.  On the first it must not creep, on the second it must slide with"
+            " Coulomb's acceleration, also with the rolling resistance and settling of bakes."
+        ),
         source="Coulomb: a = g (sin - mu cos) above atan(mu), 0 below",
         quick=friction((3,)),
         full=friction((3, 6)),

@@ -63,15 +63,19 @@ def bar(*cells: int) -> Callable[[str], Iterator[Measure]]:
         yield Measure(
             name="frequency", value=float(w[-1]), target=EXACT, bound=1.5 * places, kind=RELATIVE,
             unit="rad/s",
-            why="particles in the middle of their strata take the mean square of what is linear in"
-            " a cell of length h for x^2 / 16 instead of / 12, which lowers the frequency by"
-            f" (k h)^2 / 96 = {places:.1e}, k = pi / 2L, with {cells[-1]} cells along the bar; half"
-            " as much again for the pin",
+            why=(
+                "particles in the middle of their strata give h^2 / 16 instead of h^2 / 12 as the"
+                " mean square of x in a cell of length h, which lowers the frequency by (k h)^2 /"
+                f" 96 = {places:.1e}, k = pi / 2L, with {cells[-1]} cells along the bar; half as"
+                " much again for the pin"
+            ),
         )  # fmt: skip
         yield Measure(
             name="order", value=convergence_order(h, error), target=2.0, bound=0.1, kind=AT_LEAST,
-            why="quadratic splines and a pin that mirrors across its boundary; coarse grids"
-            " show a little of the next order",
+            why=(
+                "quadratic splines and a pin that mirrors across its boundary; coarse grids show a"
+                " small term of the next order"
+            ),
             curve=Curve(
                 title="fixed-free bar, error of the first frequency", x_label="h / L",
                 y_label="error", x=tuple(h), y=tuple(np.abs(error)),
@@ -80,8 +84,10 @@ def bar(*cells: int) -> Callable[[str], Iterator[Measure]]:
         yield Measure(
             name="sampled", value=first_mode(cells[-1], device, GAUSS), target=EXACT,
             bound=places, kind=RELATIVE, unit="rad/s",
-            why="the points of Gauss's rule, where a bake has its particles, integrate the slopes"
-            " exactly: less than what the other places cost is left",
+            why=(
+                "the points of Gauss's rule, where a bake has its particles, integrate the slopes"
+                " exactly: the error is smaller than that of the other positions"
+            ),
         )  # fmt: skip
 
     return run
@@ -151,9 +157,12 @@ def hang(*cells: int) -> Callable[[str], Iterator[Measure]]:
         yield Measure(
             name="time", value=float(times[-1]), target=TIME, bound=late / TIME, kind=RELATIVE,
             unit="s",
-            why="the corner shakes about the motion of the block with a period of .01 s, and stays"
-            f" within 1 % of its lowest for {FLAT} s on either side: on coarse grids a wave next to"
-            " it is the deepest; 24 cells separate them, and a frame is left",
+            why=(
+                "the corner oscillates about the motion of the block with a period of .01 s, and"
+                f" stays within 1 % of its lowest for {FLAT} s on either side: on coarse grids a"
+                " neighboring wave is the deepest; 24 cells separate them, and the error is one"
+                " frame"
+            ),
         )  # fmt: skip
 
     return run
@@ -165,7 +174,7 @@ VERTICAL_CASES = (
         what="A cube of 1 m, Neo-Hookean, hangs by its top face, which may slide sideways, when a"
         " gravity of 1000 m/s^2 sets in.  It stretches to 2.7 times its length; how far the bottom"
         " corner comes down, and when.",
-        source="finite elements, two codes that share nothing: -1.751 m at 0.0884 s (a published"
+        source="finite elements, two independent codes: -1.751 m at 0.0884 s (a published"
         " -1.7146 m is not of this set-up)",
         quick=hang(8),
         full=hang(8, 12, 16, 24),

@@ -138,7 +138,7 @@ CASES = (
         full=elastica(
             Beam(slenderness=20, cells=8), tuple(ELASTICA), 0.01,
             "20 times as long as thick: the elastica has no shear, .6 (t/L)^2 = .15 % of w, nor"
-            " the stretch that a steep load gives the beam, P / E A = .2 %; what still moves .1 %",
+            " the stretch that a steep load gives the beam, P / E A = .2 %; residual motion .1 %",
         ),
     ),
 )  # fmt: skip

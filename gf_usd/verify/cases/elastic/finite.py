@@ -154,10 +154,13 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="manufactured-finite",
-        what="A cube is stretched and sheared by up to half while it turns by 90 degrees, as a"
-        " made-up solution says, driven by the body force and the tractions that it needs by the"
-        " Neo-Hookean law.  The largest L2 error of displacement must fall with h^2.",
-        source="made-up solution; its forces by complex steps from the law",
+        what=(
+            "A cube is stretched and sheared by up to half while it turns by 90 degrees, according"
+            " to a manufactured solution, driven by the body force and the tractions that the"
+            " Neo-Hookean law requires for it.  The largest L2 error of displacement must fall"
+            " with h^2."
+        ),
+        source="manufactured solution; its forces by complex-step differentiation of the law",
         quick=converge(4, 6, 8),
         full=converge(4, 6, 8, 12, 16),
         f64=True,

@@ -107,9 +107,11 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
         h = 1.0 / np.array(cells)
         yield Measure(
             name="slope", value=convergence_order(h, errors), target=2.0, bound=0.15, kind=AT_LEAST,
-            why="quadratic splines with traction at their edges are second order in h, and so is"
-            " the step, which is a fixed share of h / c; edge nodes that follow others cost a"
-            " little",
+            why=(
+                "quadratic splines with traction at their edges are second order in h, and so is"
+                " the step, which is a fixed share of h / c; dependent nodes at edges add a small"
+                " error"
+            ),
             curve=Curve(
                 title="manufactured solution", x_label="h [m]", y_label="L2 error / G",
                 x=tuple(h), y=tuple(errors),
@@ -129,10 +131,12 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="manufactured",
-        what="A cube vibrates as a made-up solution says, driven by the body force and the"
-        " tractions that it needs by the Neo-Hookean law.  The largest L2 error of displacement"
-        " over half a period must fall with h^2.",
-        source="made-up solution: u = G sin(pi X) sin(c pi t + phi), G = 1e-4",
+        what=(
+            "A cube vibrates according to a manufactured solution, driven by the body force and"
+            " the tractions that the Neo-Hookean law requires for it.  The largest L2 error of"
+            " displacement over half a period must fall with h^2."
+        ),
+        source="manufactured solution: u = G sin(pi X) sin(c pi t + phi), G = 1e-4",
         quick=converge(4, 6, 8),
         full=converge(4, 8, 16, 32),
         f64=True,

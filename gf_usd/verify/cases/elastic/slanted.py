@@ -144,7 +144,10 @@ def bar(*counts: int) -> Callable[[str], Iterator[Measure]]:
         )  # fmt: skip
         yield Measure(
             name="frequency", value=1.0 + float(error[-1]), target=1.0, bound=float(h[-1] ** 2),
-            why="the surface is wrong by a share of a cell, of second order: (h / thickness)^2",
+            why=(
+                "the error of the surface is a fraction of a cell, of second order: (h /"
+                " thickness)^2"
+            ),
         )  # fmt: skip
 
     return run
@@ -173,17 +176,21 @@ def sphere_with_a_hole(*counts: int) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="slanted",
-        what="A free bar with nu = 0 lies across the grid, along none of its planes, and vibrates"
-        " along itself.  Its frequency must be (pi / L) sqrt(E / rho), and the error must fall with"
-        " h^2.",
+        what=(
+            "A free bar with nu = 0 lies at an angle to the grid, parallel to none of its planes,"
+            " and vibrates longitudinally.  Its frequency must be (pi / L) sqrt(E / rho), and the"
+            " error must fall with h^2."
+        ),
         source="closed form",
         quick=bar(500, 1000, 2000),
         full=bar(500, 1000, 2000, 4000, 8000, 16_000),
     ),
     Case(
         name="hollow",
-        what="A free hollow sphere, a wall as thick as its hole's radius, breathes: its lowest"
-        " radial frequency with curved surfaces on both sides.",
+        what=(
+            "A free hollow sphere, with a wall as thick as the radius of its cavity, vibrates"
+            " radially: its lowest frequency, with curved surfaces on both sides."
+        ),
         source="closed form: Love 1944, section 196",
         quick=sphere_with_a_hole(500, 2000),
         full=sphere_with_a_hole(500, 1000, 2000, 4000, 8000, 16_000),

@@ -84,10 +84,12 @@ def rods(*across: float) -> Callable[[str], Iterator[Measure]]:
                 yield Measure(
                     name=f"{name}.{count:g}", value=bending(count, tilted, device), target=1.0,
                     bound=BOUND, kind=RELATIVE,
-                    why="no outside truth for the size of this error: light nodes at the rim follow"
-                    " the others by an affine fit, which stiffens what is a cell thick or less."
-                    "  The bound is a third to twice the stiffness; a rod that folds like cloth has"
-                    " none",
+                    why=(
+                        "no independent reference for the size of this error: light nodes at the"
+                        " boundary are interpolated from the others by an affine fit, which"
+                        " stiffens parts that are a cell thick or less.  The bound is a third to"
+                        " twice the stiffness; a rod that folds like cloth has none"
+                    ),
                 )  # fmt: skip
 
     return run

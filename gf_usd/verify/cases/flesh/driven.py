@@ -44,8 +44,10 @@ def springs(device: str) -> Iterator[Measure]:
     yield Measure(
         name="sag", value=float((body.X - last.particles.x)[:, 1].mean()),
         target=DENSITY * G / (DENSITY * RATE**2), bound=TOLERANCE, kind=RELATIVE, unit="m",
-        why="at rest the rule of the step does not matter: rounding, and e^(-w t) of the way; 0.1 %"
-        " is required",
+        why=(
+            "at rest the integration rule does not matter: rounding, and e^(-w t) of the"
+            " displacement; 0.1 % is required"
+        ),
     )  # fmt: skip
 
 
@@ -110,8 +112,10 @@ def driven_base(*cells: int) -> Callable[[str], Iterator[Measure]]:
             name="core", value=float(answers[-1]), target=AMPLITUDE_RATIO,
             bound=1.5 * slope * CORE_OFFSET * h[-1],
             kind=RELATIVE,
-            why=f"flesh begins {CORE_OFFSET:.2f} cells before the last node that is held, and the"
-            " bar is longer by that; half as much again for the terms behind the linear one",
+            why=(
+                f"flesh begins {CORE_OFFSET:.2f} cells before the last prescribed node, and the"
+                " bar is longer by that; half as much again for the terms behind the linear one"
+            ),
         )  # fmt: skip
         yield Measure(
             name="limit", value=float(np.polyfit(h, answers, 1)[1]), target=AMPLITUDE_RATIO,
@@ -130,8 +134,10 @@ def driven_base(*cells: int) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="goals",
-        what="A block hangs on springs alone that draw it to where it rests.  It must swing with"
-        " sqrt(k / rho) and sag by rho g / k, k the stiffness of the springs per volume.",
+        what=(
+            "A block is held only by springs that pull it to its rest position.  It must swing"
+            " with sqrt(k / rho) and sag by rho g / k, k the stiffness of the springs per volume."
+        ),
         source="closed form",
         quick=springs,
     ),

@@ -143,7 +143,7 @@ def tumble(device: str) -> Iterator[Measure]:
 CASES = (
     Case(
         name="rigid-end",
-        what="A bar with nu = 0 is held at one end and has a rigid one at the other, of M/m times"
+        what="A bar with nu = 0 is fixed at one end and has a rigid part at the other, of M/m times"
         " its mass.  It must swing with beta tan beta = m / M, beta = w L / c.",
         source="closed form",
         quick=loaded(10),
@@ -151,8 +151,11 @@ CASES = (
     ),
     Case(
         name="tumble",
-        what="A rigid block with next to no flesh on it turns freely, nearly about its middle axis."
-        "  It must precess as Euler's equations say, and keep its momenta.",
+        what=(
+            "A rigid block with flesh of negligible mass rotates freely, nearly about its"
+            " intermediate axis.  It must precess according to Euler's equations, and conserve its"
+            " momenta."
+        ),
         source="Euler's equations, solved to 1e-10",
         quick=tumble,
     ),

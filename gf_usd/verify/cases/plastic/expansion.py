@@ -191,9 +191,11 @@ def full(device: str) -> Iterator[Measure]:
 CASES = (
     Case(
         name="expansion",
-        what="A thick cylinder of perfectly plastic material, 10 mm inside and 20 outside, is blown"
-        " up until its hole is 40 mm wide, in plane strain: the stress on the hole.  Flow so far"
-        " must neither lock nor lose the volume.",
+        what=(
+            "A thick cylinder of perfectly plastic material, 10 mm inside and 20 outside, is"
+            " expanded until its hole is 40 mm wide, in plane strain: the stress on the hole."
+            "  Flow of this extent must neither lock nor lose volume."
+        ),
         source="closed form of a rigid, perfectly plastic cylinder (Hill 1950); set-up of Cardiff"
         " et al. 2016",
         quick=expansion((5,), (10e-3, 20e-3), 0.02),

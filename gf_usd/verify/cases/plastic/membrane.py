@@ -106,9 +106,11 @@ def membrane(*cells: int, bounds: tuple[float, float]) -> Callable[[str], Iterat
         (right, up), y = results[-1][0], tuple(way[1] for way, _ in results)
         yield Measure(
             name="corner", value=up, target=CORNER[1], bound=bounds[1], kind=RELATIVE, unit="m",
-            why=f"{cells[-1]} cells over the width; flow gathers at the clamped upper corner, which"
-            " leaves about the first order in h, also to elements; ours tend to a value .15 % from"
-            " this one",
+            why=(
+                f"{cells[-1]} cells over the width; flow concentrates at the clamped upper corner,"
+                " which reduces the order to about one, also that of finite elements; our values"
+                " tend to a limit .15 % from this one"
+            ),
             curve=Curve(
                 title="Cook's membrane, way of the corner", x_label="h / width", y_label="[m]",
                 x=tuple(1.0 / n for n in cells), y=y, logarithmic=False, target=CORNER[1],
@@ -129,7 +131,7 @@ def membrane(*cells: int, bounds: tuple[float, float]) -> Callable[[str], Iterat
             )  # fmt: skip
         yield Measure(
             name="rest", value=max(moved for _, moved in results), target=0.0, bound=1e-3,
-            why="how far the corner still moved at the end: it has to be at rest when it is read",
+            why="residual motion of the corner at the end: it must be at rest when it is measured",
         )  # fmt: skip
 
     return run

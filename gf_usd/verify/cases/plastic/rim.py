@@ -86,8 +86,8 @@ def landing(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], 
         finest = results[-1]
         shapes = np.array([(one.radius[-1], one.length[-1], one.lift[-1]) for one in results])
         why = (
-            f"{cells[-1]} cells a radius; the foot turns up within its last cell, which leaves the"
-            " first order in h, to the elements as well"
+            f"{cells[-1]} cells a radius; the foot bends up within its last cell, which reduces"
+            " the order to one, also that of the finite elements"
         )
         for k, name in enumerate(("radius", "length", "lift")):
             yield Measure(
@@ -109,9 +109,11 @@ def landing(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], 
         yield Measure(
             name="depth", value=finest.depth, target=0.0, bound=float(hit + again) * spacing,
             unit="m",
-            why="of the foot in the floor: twice what its springs yield to the pressure rho c v of"
-            " the impact, since they are hit at once, and what stops a sample that has left the"
-            " floor and comes back at most as fast",
+            why=(
+                "depth of the foot in the floor: twice the static deflection of its springs under"
+                " the pressure rho c v of the impact, because the load is sudden, and the stopping"
+                " distance of a sample that left the floor and returns at most as fast"
+            ),
         )  # fmt: skip
         start = finest.energy[0]
         yield Measure(

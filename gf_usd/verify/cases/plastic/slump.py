@@ -71,8 +71,11 @@ def slump(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             yield Measure(
                 name=f"slump-at-{y:g}", value=reached[-1], target=float(exact(y)), bound=0.05,
                 kind=RELATIVE, unit="H",
-                why="the theory has slices that spread evenly and leaves out that the foot flares:"
-                " 3 % of a column 8 times as high as wide, 19 % of one twice as high (measured)",
+                why=(
+                    "the theory assumes slices that spread evenly, and neglects the flare of the"
+                    " foot: 3 % of a column 8 times as high as wide, 19 % of one twice as high"
+                    " (measured)"
+                ),
                 curve=Curve(
                     title="slump of a column", x_label="h / half width", y_label="s / H",
                     x=tuple(1.0 / np.array(cells)), y=tuple(reached), logarithmic=False,
@@ -86,8 +89,10 @@ def slump(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="slump",
-        what="A column of perfectly plastic paste on a floor without friction becomes heavier until"
-        " it bears four times what it yields at: how much shorter it is at several weights.",
+        what=(
+            "A column of perfectly plastic paste on a floor without friction becomes heavier until"
+            " its load is four times its yield stress: its shortening at several weights."
+        ),
         source="theory of slices (Pashias et al. 1996), which is within 10 % of experiments",
         quick=slump((1,)),
         full=slump((1, 2, 3)),

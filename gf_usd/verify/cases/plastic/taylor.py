@@ -122,7 +122,7 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
         radii = np.array([one.at(END)[0] for one in results])
         why = (
             f"{cells[-1]} cells a radius; the foot is pressed to {finest.least:.2f} of its height"
-            " within the first, whose corner leaves the first order in h"
+            " within the first, whose corner reduces the order to one"
         )
         yield Measure(
             name="radius", value=finest.at(END)[0], target=FINAL[0], bound=bounds[0],
@@ -162,7 +162,7 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
         yield Measure(
             name="negative-control", value=abs(away / HISTORY[CONTROL][0] - 1.0), target=0.2,
             bound=0.0, kind=AT_LEAST,
-            why="ten times the yield stress keeps the foot narrow: the case must notice",
+            why="a negative control: with ten times the yield stress the foot stays narrow",
         )  # fmt: skip
 
     return run
@@ -174,7 +174,9 @@ def moved(cells: int, still: Impact, device: str) -> Iterator[Measure]:
     yield Measure(
         name="work", value=results.work, target=float(results.energy[-1]), bound=1e-3,
         kind=RELATIVE,
-        unit="J", why="the wall's work is all the energy there is; as energy above",
+        unit="J", why=(
+            "the work of the wall is the only source of energy; bound as for energy above"
+        ),
     )  # fmt: skip
     yield Measure(
         name="impulse", value=results.work / SPEED, target=results.momentum,
@@ -198,7 +200,7 @@ def observers(cells: int) -> Callable[[str], Iterator[Measure]]:
         yield Measure(
             name="moving-wall", value=float(max(off)), target=0.0,
             bound=2.0**-53 * far * still.substeps,
-            why=f"who moves makes no difference but to rounding: each of {still.substeps} substeps"
+            why=f"which of the two moves affects only rounding: each of {still.substeps} substeps"
             f" rounds positions of up to {far:.1f} radii by 2^-53, at most all in one direction",
         )  # fmt: skip
 
@@ -208,18 +210,22 @@ def observers(cells: int) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="taylor",
-        what="A copper bar hits a rigid wall at 227 m/s, with the mass matrix of bakes: radius of"
-        " its foot and its length, at the end and on the way; energy, and work and impulse of the"
-        " wall where the wall moves and the bar is at rest.",
+        what=(
+            "A copper bar hits a rigid wall at 227 m/s, with the mass matrix of bakes: radius of"
+            " its foot and its length, at the end and on the way; energy, and work and impulse of"
+            " the wall if the wall moves and the bar is at rest."
+        ),
         source="Kamoulakos 1990; Zhu and Cescotto 1995 (finite elements, 7.2259 and 21.42 mm)",
         quick=impact(3, bounds=(0.04, 0.005, 0.055)),
         full=impact(4, 6, 10, bounds=(0.01, 0.005, 0.015)),
     ),
     Case(
         name="taylor-f64",
-        what="The bar of the case taylor in double precision, thrown against a wall and at rest"
-        " when the wall hits it: radius and length have to be the same at all times.",
-        source="symmetry: the laws of motion are those of an observer who moves steadily",
+        what=(
+            "The bar of the case taylor in double precision, once moving toward a fixed wall and"
+            " once at rest, hit by the wall: radius and length must be the same at all times."
+        ),
+        source="symmetry: Galilean invariance",
         quick=observers(2),
         full=observers(4),
         f64=True,

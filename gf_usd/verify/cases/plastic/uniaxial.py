@@ -65,7 +65,7 @@ def uniaxial(device: str) -> Iterator[Measure]:
     )  # fmt: skip
     yield Measure(
         name="plastic-strain", value=float(history(solver, "plastic_strain").mean()), target=0.2,
-        bound=1e-8, kind=RELATIVE, why=f"what stays when it is unloaded; {why}",
+        bound=1e-8, kind=RELATIVE, why=f"the permanent strain after unloading; {why}",
     )  # fmt: skip
 
 

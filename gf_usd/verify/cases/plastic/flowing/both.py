@@ -61,15 +61,15 @@ def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         why = {
             "lowest": (
                 0.01, "r",
-                "half a cell of the grid is .14 r; the stretched cells of a squashed ball are"
-                " counted otherwise by a grid fixed in the world",
+                "half a cell of the grid is .14 r; a grid fixed in space samples the stretched"
+                " cells of a squashed ball differently",
             ),
             "when": (0.005, "T", "a free fall is exact in both, and the bounce lasts half a T"),
             "rebound": (
                 0.6, "r",
-                "not the same physics: APIC takes what vibrates within a cell, and of that the grid"
-                " of the world, which the ball moves through, has more. It is .57, .45 with 500 and"
-                " 1,000 particles and goes to 0 with the cells",
+                "not the same physics: APIC damps vibrations within a cell, and more of them on"
+                " the fixed grid, through which the ball moves. It is .57, .45 with 500 and 1,000"
+                " particles and goes to 0 with the cells",
             ),
         }  # fmt: skip
         for name, (bound, unit, reason) in why.items():
@@ -89,8 +89,11 @@ def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="drop-of-both",
-        what="A ball of rubber falls by three radii and bounces, by the Updated and by the Total"
-        " Lagrangian solver: how far apart its lowest place, its time, and its rebound are.",
+        what=(
+            "A ball of rubber falls by three radii and bounces, by the Updated and by the Total"
+            " Lagrangian solver: the differences of its lowest position, of its time, and of its"
+            " rebound."
+        ),
         source="the Total Lagrangian solver, with APIC in every substep",
         quick=agree((1000,)),
         full=agree((500, 1000, 2000)),

@@ -86,9 +86,12 @@ def column(ratios: Sequence[float], particles: Sequence[int]) -> Callable[[str],
             yield Measure(
                 name=f"runout-at-{a:g}", value=results[-1][0], target=middle,
                 bound=SPREAD, kind=RELATIVE, unit="r",
-                why="the two experiments differ by 12 and 21 %; a front thinner than a cell stops"
-                " too early (by 20 % with 4,000 particles at a = 1, measured), and in a fast flow"
-                " beads bear more than at rest, which a constant friction leaves out",
+                why=(
+                    "the two experiments differ by 12 and 21 %; a front thinner than a cell stops"
+                    " too early (by 20 % with 4,000 particles at a = 1, measured), and in a fast"
+                    " flow beads have more friction than at rest, which a constant coefficient"
+                    " neglects"
+                ),
                 curve=Curve(
                     title=f"runout of a column of beads, {a:g} r high", x_label="particles^(-1/3)",
                     y_label="(r_end - r) / r", x=tuple(float(n) ** (-1.0 / 3.0) for n in particles),
@@ -98,7 +101,7 @@ def column(ratios: Sequence[float], particles: Sequence[int]) -> Callable[[str],
             yield Measure(
                 name=f"at-rest-at-{a:g}", value=results[-1][1], target=0.0, bound=1e-3,
                 kind=ABSOLUTE,
-                unit="m g r", why="a heap stands still; the collapse itself has 0.1 and more",
+                unit="m g r", why="a heap is at rest; the collapse itself has 0.1 and more",
             )  # fmt: skip
         rough, _ = runout(ratios[-1], particles[0], ROUGH, device)
         yield Measure(

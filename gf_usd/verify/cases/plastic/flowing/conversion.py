@@ -88,20 +88,25 @@ def conserve(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         )  # fmt: skip
         yield Measure(
             name="angular-momentum", value=fine.spin, target=0.0, bound=1e-4, kind=ABSOLUTE,
-            why="transfers and the change of solver keep it: float32 rounding of some thousand"
+            why="transfers and the change of solver conserve it: float32 rounding of some thousand"
             " substeps, 6e-8 each",
         )  # fmt: skip
         yield Measure(
             name="energy-from-nothing", value=fine.gain, target=0.0, bound=1e-3, kind=ABSOLUTE,
-            why="what is strained is lost, and counted; the integrator's energy swings by"
-            " (w dt)^2 / 4 of what vibrates",
+            why=(
+                "strain energy is lost, and counted; the energy of the integrator oscillates by (w"
+                " dt)^2 / 4 of the vibrational energy"
+            ),
         )  # fmt: skip
         yield Measure(
             name="spread", value=fine.spread, target=1.0, bound=float(3.0 * cell**2), kind=RELATIVE,
-            why="sand bears no tension, so that each grain goes on along its tangent and"
-            " sum m r^2 grows by w^2 t^2.  Affine motion has an inertia of its own, m h^2 / 2 next"
-            " to the ball's 2/5 m r^2: with the same angular momentum w falls by 5/4 (h / r)^2 and"
-            f" the growth by twice that, of cells of {cell:.2g} r; a fifth more is allowed",
+            why=(
+                "sand bears no tension, so that each grain moves on along its tangent and sum m"
+                " r^2 grows by w^2 t^2.  Affine motion has an inertia of its own, m h^2 / 2 in"
+                " addition to the ball's 2/5 m r^2: with the same angular momentum w falls by 5/4"
+                f" (h / r)^2 and the growth by twice that, of cells of {cell:.2g} r; a fifth more"
+                " is allowed"
+            ),
             curve=Curve(
                 title="spread of a ball that becomes sand", x_label="particles",
                 y_label="over that of free grains", x=tuple(map(float, counts)),

@@ -90,9 +90,11 @@ def dam(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             yield Measure(
                 name=f"front-at-{T:g}", value=reached[-1], target=Z, bound=0.1, kind=RELATIVE,
                 unit="a",
-                why="in the experiment a membrane had to open and the floor was rough: codes for"
-                " ideal fluids run ahead of it by 5 to 10 %, all alike; a front is thinner than a"
-                " cell of an eighth of a, half of which is 3 % of where it is first read",
+                why=(
+                    "in the experiment a membrane had to open and the floor was rough: codes for"
+                    " ideal fluids are all ahead of it by 5 to 10 %; a front is thinner than a"
+                    " cell of an eighth of a, half of which is 3 % of where it is first read"
+                ),
                 curve=Curve(
                     title="front of a dam that breaks", x_label="h / a", y_label="Z",
                     x=tuple(1.0 / n for n in cells), y=tuple(reached), logarithmic=False, target=Z,
@@ -101,8 +103,10 @@ def dam(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         yield Measure(
             name="momentum", value=finest.momentum, target=0.0, bound=3e-5, kind=ABSOLUTE,
             unit="m g t",
-            why="single precision rounds what planes give in each of some thousand substeps to"
-            " 6e-8, most of it the weight with one sign",
+            why=(
+                "single precision rounds the impulse of the planes in each of some thousand"
+                " substeps to 6e-8; most of it opposes the weight and has one sign"
+            ),
         )  # fmt: skip
         yield Measure(
             name="volume", value=finest.volume, target=1.0, bound=0.01, kind=RELATIVE,
@@ -115,8 +119,11 @@ def dam(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="dam",
-        what="A column of water twice as high as wide collapses between smooth walls: where its"
-        " front is by several times, and that momentum is what walls and weight gave.",
+        what=(
+            "A column of water twice as high as wide collapses between smooth walls: the position"
+            " of its front at several times, and its momentum, which must equal the impulse of"
+            " walls and weight."
+        ),
         source="experiment: Martin and Moyce 1952, figure 3; conservation",
         quick=dam((8,)),
         full=dam((4, 8, 16)),

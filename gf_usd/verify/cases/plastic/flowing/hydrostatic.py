@@ -117,8 +117,10 @@ def hydrostatic(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         )  # fmt: skip
         yield Measure(
             name="weight", value=finest.borne, target=1.0, bound=5e-4, kind=RELATIVE, unit="m g",
-            why="momentum is kept to rounding, so that the floor gives what the weight takes but"
-            " for the last of the motion, which drag wears off",
+            why=(
+                "momentum is conserved to rounding, so that the impulse of the floor equals that"
+                " of the weight, except for residual motion, which drag damps"
+            ),
         )  # fmt: skip
         yield Measure(
             name="speed", value=finest.left, target=0.0, bound=1e-3, kind=ABSOLUTE,
@@ -132,8 +134,10 @@ def hydrostatic(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="hydrostatic",
-        what="A column of fluid stands between smooth walls on a smooth floor: its pressure at"
-        " every height, how far it settles, and what the floor bears.",
+        what=(
+            "A column of fluid stands between smooth walls on a smooth floor: its pressure at"
+            " every height, its settlement, and the load on the floor."
+        ),
         source="closed form: p = rho g (H - Y) and Tait's equation of state",
         quick=hydrostatic((16,)),
         full=hydrostatic((8, 16, 32)),

@@ -73,14 +73,17 @@ def incline(device: str) -> Iterator[Measure]:
     yield Measure(
         name="acceleration", value=results, target=float(exact), bound=0.01, kind=RELATIVE,
         unit="m/s^2",
-        why="the sum of Coulomb's forces is mu times what presses; 1 % is required, the"
-        " block's bouncing on the springs of the floor, 1.2 % of it, is taken off by the momentum",
+        why="the sum of Coulomb's forces is mu times the normal force; 1 % is required, the"
+        " block's bouncing on the springs of the floor, 1.2 % of it, is corrected by the momentum",
     )  # fmt: skip
     _, left = slide(BELOW, device)
     yield Measure(
         name="speed-below", value=left, target=0.0, bound=2e-3, kind=ABSOLUTE, unit="m/s",
-        why="what sticks swings on the springs of friction, which are damped; the block would have"
-        f" {SECONDS * G0 * float(np.sin(np.arctan(BELOW * FRICTION))):.2g} m/s without friction",
+        why=(
+            "a sticking block oscillates on the springs of friction, which are damped; the block"
+            f" would have {SECONDS * G0 * float(np.sin(np.arctan(BELOW * FRICTION))):.2g} m/s"
+            " without friction"
+        ),
     )  # fmt: skip
 
 
@@ -113,15 +116,17 @@ def burst(device: str) -> Iterator[Measure]:
     )  # fmt: skip
     yield Measure(
         name="size", value=min(wide, 100.0), target=100.0, bound=1e-12, kind=RELATIVE,
-        why="that it did burst: a hundred times the box, or the figures above say nothing",
+        why="it must burst, to a hundred times the box, or the figures above prove nothing",
     )  # fmt: skip
 
 
 CASES = (
     Case(
         name="incline",
-        what="A block of sand is put on a slope: it stays below the angle of friction of the floor,"
-        " and slides as Coulomb says above.",
+        what=(
+            "A block of sand is put on a slope: it sticks below the angle of friction of the"
+            " floor, and above it slides by Coulomb's law."
+        ),
         source="closed form: g (sin theta - mu cos theta)",
         quick=incline,
     ),

@@ -107,7 +107,7 @@ def puddle(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         )  # fmt: skip
         yield Measure(
             name="at-rest", value=results[-1].left, target=0.0, bound=1e-5, kind=ABSOLUTE,
-            unit="m g H", why="a puddle stands still; the fall of the block has 0.1 and more",
+            unit="m g H", why="a puddle is at rest; the fall of the block has 0.1 and more",
         )  # fmt: skip
 
     return run
@@ -116,8 +116,10 @@ def puddle(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 CASES = (
     Case(
         name="puddle",
-        what="A block of paste spreads on a floor it sticks to and stops: the yield stress that"
-        " the shape of the puddle says.",
+        what=(
+            "A block of paste spreads on a floor that it sticks to, and stops: the yield stress"
+            " computed from the shape of the puddle."
+        ),
         source="thrust over the floor: Nye 1951; Dubash, Balmforth, Slim and Cochard 2009",
         quick=puddle((6,)),
         full=puddle((6, 12)),
