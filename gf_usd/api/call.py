@@ -77,7 +77,7 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
 
 
 def named(function: Callable[Q, S]) -> Callable[Q, S]:
-    """Have a function refuse a keyword that it does not have in the words of `takes`."""
+    """Make a function refuse unknown keywords with the same message as functions of `takes`."""
     name, known = function.__name__, inspect.signature(function).parameters
 
     @wraps(function)

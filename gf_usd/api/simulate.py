@@ -263,7 +263,7 @@ class Simulation(Iterator[SimulationFrame]):
         before = self._forces + self._acceleration
         self._forces, self._acceleration = state["forces"], state["added_acceleration"]
         if not np.array_equal(before, self._forces + self._acceleration):
-            self._act(solver)  # before the rest, of which it wakes what sleeps
+            self._act(solver)  # before the rest of the state, because it wakes sleeping bodies
         with guest():
             solver.load(state)
         self._index, self._last = state["index"], state["health"]

@@ -6,9 +6,9 @@
     asset_references.json   every file that is read, and the folder that is written
     jobs.json               the jobs, which the tasks count
 
-A task is a chunk of jobs: one process, which bakes them one after another or side by side, tells
-its progress on stdout, and on SIGTERM ends its bakes and itself.  In slices, a step is one slice of
-every job and waits for the step before: tasks of one step know nothing of each other.
+A task is a chunk of jobs: one process, which bakes them one after another or in parallel,
+prints its progress to stdout, and on SIGTERM ends its bakes and itself.  In slices, a step is one
+slice of every job and waits for the step before: tasks of one step are independent.
 """
 
 from __future__ import annotations

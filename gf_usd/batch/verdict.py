@@ -48,7 +48,7 @@ def attempt_outcome(
     error = events.get("error", {})
     if "finished" in events and ended.status in (0, 4):
         return _complete(outcome, ended, events["finished"], error)
-    # a batch resumes without being told to
+    # a batch resumes by itself
     message, hint = error.get("message", ""), error.get("hint", "").replace(RESUME, GO_ON)
     state = STATUS.get(ended.status, "crashed")
     if ended.stopped:

@@ -205,7 +205,7 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 
 
 def _notes(seen: Inspection) -> list[str]:
-    """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
+    """Notes that the page does not show elsewhere, and harmless oddities of the meshes."""
     from gf_usd.pipeline.cost.budget import shortcuts
     from gf_usd.prepare.fill.notes import not_baked_notes
 

@@ -19,19 +19,19 @@ def columns(rows: Floats) -> np.ndarray:
 
 
 def lengths(rows: Floats) -> np.ndarray:
-    """|a| (n,) of rows (n, 3), to the bit what `numpy.linalg.norm` says."""
+    """|a| (n,) of rows (n, 3), bit-identical to `numpy.linalg.norm`."""
     squares = columns(rows)
     squares = squares * squares
     return np.sqrt(squares[0] + squares[1] + squares[2])
 
 
 def row_dots(a: Floats, b: Floats) -> np.ndarray:
-    """a . b (n,) of rows (n, 3), to the bit what `(a * b).sum(1)` says."""
+    """a . b (n,) of rows (n, 3), bit-identical to `(a * b).sum(1)`."""
     return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
 
 
 def cross(a: Floats, b: Floats) -> np.ndarray:
-    """a x b (..., 3) of vectors (..., 3), to the bit what `numpy.cross` says."""
+    """a x b (..., 3) of vectors (..., 3), bit-identical to `numpy.cross`."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
     for axis in range(3):
         i, j = (axis + 1) % 3, (axis + 2) % 3

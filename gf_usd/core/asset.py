@@ -33,7 +33,7 @@ from gf_usd.core.radiance import DEGREE, Y_0
 from gf_usd.core.units import StageUnits
 
 # Linear, of what has neither a material nor displayColor: what Storm, and so usdview, draws then.
-# (UsdPreviewSurface's own fallback, 0.18, is that of a material that says no color.)
+# (UsdPreviewSurface's own fallback, 0.18, is that of a material without an authored color.)
 NO_COLOR = (0.5, 0.5, 0.5)
 
 

@@ -112,8 +112,8 @@ class SurfaceSamples:
     """Points at which contact acts, spread over the surfaces about one spacing apart."""
 
     X: Floats  # (n, 3) [m] rest positions, world
-    area: Floats  # (n,) [m^2] of surface that each stands for
-    normal: Floats | None = None  # (n, 3) unit, outward; None: they meet nothing but the floor
+    area: Floats  # (n,) [m^2] of surface that each represents
+    normal: Floats | None = None  # (n, 3) unit, outward; None: they touch only the floor
     body: Ints | None = None  # (n,) as in Particles
     cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
@@ -130,7 +130,7 @@ class SurfaceSamples:
     def with_grains(self, particles: Particles, flows: Ints) -> SurfaceSamples:
         """Those of solid bodies, and every particle of the bodies (B,) that flow.
 
-        Each particle stands for an area such that rho * area * spacing is its own mass.
+        The area of each particle is such that rho * area * spacing is its own mass.
         """
         of = np.zeros(len(self.X), np.int64) if self.body is None else np.asarray(self.body)
         shell, body = ~flows[of], particles.body_of

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 NAME = Path("scene")  # used in messages in place of a file name
-BELOW = 1e-6  # of the scene's size: bodies that are less deep below the floor stand on it
+BELOW = 1e-6  # of the scene's size: bodies that are less deep in the floor rest on it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -107,7 +107,7 @@ def attachment_pins(
         path = np.concatenate(each, axis=1)
         option = f"<{name}>: the region"
         made = make_pins([region], asset, solid, settings, file, rest=rest, option=option)
-        # where it is, the places say, however the surface of the stage moves
+        # the attachments give its positions, however the surface of the stage moves
         pins += [replace(pin, name=name, anchors=path[0], path=path) for pin in made]
     return tuple(pins), (held, *notes)
 

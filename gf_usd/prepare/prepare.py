@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
-DEFAULT_MATERIAL = "rubber"  # where nobody says anything
+DEFAULT_MATERIAL = "rubber"  # where neither an option nor the stage gives one
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
 
@@ -218,7 +218,7 @@ class SourceAsset:
     """An asset with its specification and presets."""
 
     asset: Asset
-    spec: StageSpec  # what its stage says
+    spec: StageSpec  # what its stage specifies
     presets: Sequence[Any]  # one for each variant
     file: Path  # its USD form
     converted: MeshSource | None  # of an asset that is not USD, or whose faces were divided

@@ -75,7 +75,7 @@ def span(
     Parameters
     ----------
     range : first and last time code, each None where it is open; None: all.
-    handles : frames that are written on both sides besides.
+    handles : additional frames that are written on both sides.
     start : time code of frame 0; step : time codes per frame.
     frames : of the bake without a range; fixed : they were given.
     option : the option as it was given, for the message.
@@ -216,11 +216,11 @@ def resolve(
     stated_fields: Sequence[str] = (),
     attached: bool = False,
 ) -> Settings:
-    """Settings of a bake, but for what hangs on its material (`paper.of_material`).
+    """Settings of a bake, except for those that depend on its material (`paper.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     animation : that the bones of --flesh follow; gravity_keys : time codes and [m/s^2] of the
-    stage; stated_fields : its fields; attached : something of it holds the body.
+    stage; stated_fields : its fields; attached : attachments of the stage hold the body.
     """
     paper = request.preset == "paper"
     authored = authored_rate(facts)
@@ -334,7 +334,7 @@ def resolution(
     *,
     paper: bool,
 ) -> Resolution:
-    """An option wins over what the stage says, and that over the defaults.
+    """An option takes precedence over the stage, and the stage over the defaults.
 
     spacing : [m]; volumes : [m^3] of each surface, by prim path, called where needed.
     thin : of the solid its volume [m^3] and its thickness, called where neither does; None

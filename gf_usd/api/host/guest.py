@@ -72,7 +72,7 @@ def here_or_away(
 
 
 def require_here(what: str) -> None:
-    """Raise UsageError where something that hands over its solver cannot be in this process."""
+    """Raise UsageError where a function that returns its solver cannot run in this process."""
     if is_forked():
         raise UsageError(f"{FORKED}: {what} needs it", SPAWN)
     if is_started_by_host():

@@ -30,7 +30,7 @@ FULL = {5121: 255.0, 5122: 32767.0, 5123: 65535.0}
 def read_error(path: Path, recording: Recording, rigs: Sequence[Rig]) -> float:
     """The largest distance to the bake over points and frames, in radii.
 
-    Over vertices, and over Gaussians, but for those that follow a single joint.  Where a body is
+    Over vertices, and over Gaussians, except for those that follow a single joint.  Where a body is
     hidden there is nothing to compare.
     """
     file = GlbFile(path)

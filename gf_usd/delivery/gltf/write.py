@@ -91,7 +91,7 @@ class _Writer:
         self.notes: dict[str, None] = {}
 
     def add(self, rig: Rig) -> None:
-        """A body with its joints or shapes; what stands still has none."""
+        """A body with its joints or shapes; a static one has none."""
         if not (rig.body.moves or rig.body.shown or rig.body.splats):
             for number in rig.body.meshes:
                 mesh = self._mesh(rig, number)

@@ -6,7 +6,7 @@ of which nine in ten are within a factor of two (docs/performance.md).  Memory i
 ``/usr/bin/time -v``.
 
 A bake that needs too much is refused before it starts.  A bake during which other programs fill
-the disk or the memory ends while there is still room for its results: the frames so far, a layer
+the disk or the memory ends while there is still space for its results: the frames so far, a layer
 that opens them, and a report.
 """
 
@@ -105,8 +105,8 @@ FRAME_SECONDS = (3e-3, 4e-6, 3.5e-6)
 RESTS = {False: 45.0, True: 12.0}
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
-# [s] of a substep, for each contact sample where several bodies or obstacles meet: the samples that
-# can touch are few, and are detected once in many substeps.  Self-contact costs less.
+# [s] of a substep, for each contact sample where there are several bodies or obstacles: the samples
+# that can touch are few, and are detected once in many substeps.  Self-contact costs less.
 CONTACT_PAIR_SECONDS = 6e-8
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
@@ -114,7 +114,7 @@ PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 PARTICLE_MEMORY = {"tl": 1900.0, "ul": 3000.0, MIXED: 3000.0}
 ROWS_MEMORY = 1000.0  # [bytes] a particle of W and G, which are kept where a GPU computes
 VERTEX_MEMORY = 2200.0  # [bytes] a vertex: the surface, its nodes, a frame
-CONTACT_PAIR_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
+CONTACT_PAIR_MEMORY = 9e3  # [bytes] a contact sample where bodies can touch others
 
 
 def estimate(

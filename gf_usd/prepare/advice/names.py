@@ -2,14 +2,14 @@
 
 Names are tried in the order of SOURCES, and the first that holds a known phrase decides.  Its
 confidence is that of the source times the weight of the phrase (`words`), halved where other
-phrases of the same name want other presets; the last phrase of a name decides, for a name ends in
-what a thing is.
+phrases of the same name have other presets; the last phrase of a name decides, because names end in
+the kind of the thing.
 
 Words in names, and the presets that they stand for: plain data, American and British.
 
 A phrase is words that follow each other.  Longer phrases are found first and use their words up,
 so that a silicone rubber is a silicone.  A word counts as it is written here: nothing is stemmed,
-so that plurals stand here too.
+so that plurals are listed too.
 """
 
 from __future__ import annotations

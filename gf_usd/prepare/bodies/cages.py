@@ -14,7 +14,7 @@ FAR = 1.0  # [spacings]
 def cage_notes(surfaces: Sequence[Surface], spacing: float, *, refined: bool) -> tuple[str, ...]:
     """Notes on cages that are FAR from their limit surfaces.
 
-    spacing : [m] of the particles; refined : cages were, but for those that cannot be.
+    spacing : [m] of the particles; refined : cages were, except for those that cannot be.
     """
     what = "" if refined else "refine the cage with --max-edge-length auto, or "
     notes = []

@@ -46,7 +46,7 @@ def sample_bodies(
     """Fill a solid.  Raises InputError where a body cannot be filled.
 
     seed : of random places; paper : whether particles are placed as in the paper.
-    mixed : solid bodies beside flowing ones, each with its own solver.
+    mixed : there are solid and flowing bodies, each with its own solver.
     combine, owners, characters, can_combine : see `plan_bodies`.
     """
     from gf_usd.geometry.sampling.contact_samples import sample_surface
@@ -72,7 +72,7 @@ def sample_bodies(
         can_combine=can_combine,
     )  # fmt: skip
     if paper or (flow.flows.any() and not mixed):
-        # There every particle feels the floor; a mass of rho * area * spacing is its own.
+        # Contact with the floor acts on every particle; a mass of rho * area * spacing is its own.
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
     else:
         samples = sample_surface(

@@ -171,7 +171,7 @@ def fill(
 def _moving_surfaces(
     inputs: Inputs, filled: SampledBodies, materials: Assigned
 ) -> Sequence[Surface]:
-    """The surfaces for which particles do not stand in every variant."""
+    """The surfaces that particles do not replace in every variant."""
     hidden = [
         set(flow_of(inputs.solid, filled.bodies, materials.particles, table).meshes)
         for table in materials.tables

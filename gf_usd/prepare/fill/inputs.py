@@ -52,7 +52,7 @@ class Inputs:
 
     @property
     def mixed(self) -> bool:
-        """Whether solid bodies are beside flowing ones."""
+        """Whether there are solid and flowing bodies."""
         return self.request.solver == MIXED
 
 

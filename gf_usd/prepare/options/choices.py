@@ -104,7 +104,7 @@ def split_again(
     return replace(choices, clip_frames=length), (*notes[:at], *now, *notes[at + 1 :])
 
 
-LOST = 0.5  # of the spacing of particles: who is next to whom is lost
+LOST = 0.5  # of the spacing of particles: the order of neighbors is lost
 SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
 
 

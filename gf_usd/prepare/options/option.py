@@ -34,19 +34,19 @@ class Option:
     group: str  # heading that it is listed under
     help: str  # one or two sentences, with the unit in brackets
     _: KW_ONLY
-    shown: str = ""  # default, where None stands for something that has a name
+    shown: str = ""  # default in the help, where the value is None
     short: str = ""  # "-m"
     low: float | None = None  # smallest value, included
     high: float = math.inf  # largest value, included
     above_zero: bool = False  # instead of low and high
     noun: str = "number"  # what the value is, for the hint
     choices: tuple[str, ...] = ()
-    bare: str = ""  # what the flag alone says; "": it needs a value
+    bare: str = ""  # value of the flag alone; "": it needs a value
     parse: Callable[[str], Any] | None = None  # a text to its value; raises UsageError
     # (name, value of Python) to the text, or to the texts of a list; raises UsageError
     write: Callable[[str, Any], Any] | None = None
     commands: tuple[str, ...] = PLAN
-    decides: bool = True  # what is written hangs on it
+    decides: bool = True  # it affects what is written
     # read from the field
     name: str = ""  # in Python
     kind: type = str  # one of PLAIN, of each item where it is repeated

@@ -132,7 +132,7 @@ def frames(name: str, value: Any) -> str:
 
 
 def repeats(name: str, value: Any) -> str | None:
-    """A number of times, or "auto", which True stands for; None: once, for False."""
+    """A number of times, or "auto" for True; None, which is once, for False."""
     if isinstance(value, bool):
         return "auto" if value else None
     return value if isinstance(value, str) else str(whole(name, value))
@@ -165,7 +165,7 @@ def vector(name: str, value: Any) -> str:
 
 
 def paths(name: str, value: Any) -> tuple[str, ...]:
-    """Paths of files; one stands for itself."""
+    """Paths of files, of a list or a single one."""
     if isinstance(value, str | os.PathLike):
         return (os.fspath(text(name, os.fspath(value))),)
     wanted = "the path of a file, or a list of them"
@@ -291,13 +291,13 @@ def boxes(name: str, value: Any) -> tuple[str, ...]:
 
 
 def fields(name: str, value: Any) -> tuple[str, ...]:
-    """Texts; one stands for itself."""
+    """Texts, of a list or a single one."""
     wanted = "a field such as 'wind:3,0,0', or a list of them"
     return (value,) if isinstance(value, str) else texts(name, value, wanted)
 
 
 def conversions(name: str, value: Any) -> tuple[str, ...]:
-    """Texts; one stands for itself."""
+    """Texts, of a list or a single one."""
     return texts(name, value, "a material and limit such as 'honey@time:48', or a list of them")
 
 
@@ -318,14 +318,14 @@ def labels(name: str, value: Any) -> tuple[str, ...]:
 
 
 def texts(name: str, value: Any, wanted: str) -> tuple[str, ...]:
-    """Texts; one stands for itself."""
+    """Texts, of a list or a single one."""
     if isinstance(value, str):
         return (text(name, value, wanted),)
     return tuple(text(name, one, wanted) for one in items(name, value, wanted))
 
 
 def prims(name: str, value: Any) -> tuple[str, ...]:
-    """Paths of prims; one stands for itself."""
+    """Paths of prims, of a list or a single one."""
     wanted = "the path of a prim, such as '/World/Duck', or a list of them"
     if isinstance(value, str) or hasattr(value, "GetPath") or hasattr(value, "pathString"):
         return (prim(name, value),)
@@ -333,7 +333,7 @@ def prims(name: str, value: Any) -> tuple[str, ...]:
 
 
 def pins(name: str, value: Any) -> tuple[str, ...]:
-    """Regions; one stands for itself."""
+    """Regions, of a list or a single one."""
     wanted = "the path of a prim, two corners of a box, or a list of them"
     named = isinstance(value, str) or hasattr(value, "GetPath") or hasattr(value, "pathString")
     if named or _is_box(value):

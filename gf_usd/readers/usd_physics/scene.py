@@ -111,7 +111,7 @@ def _stand_ins(body: Usd.Prim, own: Sequence[Usd.Prim], time: Usd.TimeCode) -> t
 def note_joints(
     prims: Iterable[Usd.Prim], baked: Sequence[Usd.Prim], time: Usd.TimeCode, notes: Notes
 ) -> None:
-    """Say of enabled joints that connect a baked surface, or a body that it is of, what happens."""
+    """Note that enabled joints of baked surfaces, or of their bodies, are not simulated."""
     owners = [(one, body_of(one, time)) for one in baked]
     for prim in prims:
         if not prim.IsA(UsdPhysics.Joint):

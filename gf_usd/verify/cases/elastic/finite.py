@@ -104,7 +104,7 @@ def error(cells: int, device: str) -> float:
     )  # fmt: skip
     X, normals = faces(cells)
     inner, outer = solver.body.rows.combined.T, solver.body.stencil.rows(X).W.T
-    patch = 0.25 * h * h  # [m^2] a Gauss point stands for
+    patch = 0.25 * h * h  # [m^2] of a Gauss point
     nodes = solver.body.stencil.node_X
     set_state(solver, place(nodes, 0.0) - nodes, velocity(nodes, 0.0))
     worst = 0.0

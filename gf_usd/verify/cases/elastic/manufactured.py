@@ -82,7 +82,7 @@ def error(cells: int, device: str) -> float:
     X, normals = faces(cells)
     solver = TotalLagrangian(body, [material], s, real=np.float64)
     inner, outer = solver.body.rows.combined.T, solver.body.stencil.rows(X).W.T
-    patch = 0.25 * h * h  # [m^2] a Gauss point stands for
+    patch = 0.25 * h * h  # [m^2] of a Gauss point
     set_state(
         solver, exact.u(solver.body.stencil.node_X, 0.0), exact.v(solver.body.stencil.node_X, 0.0)
     )

@@ -113,7 +113,7 @@ def blown_up(
 ) -> tuple[Floats, Floats]:
     """Radii of the hole [m] and -sigma_rr [Pa] there without inertia, in the middle of each frame.
 
-    softer : what the moduli are divided by; the answer does not know them.
+    softer : what the moduli are divided by; the answer does not depend on them.
     speed : [m/s] of the hole.
     """
     body, h = ring(cells)

@@ -46,7 +46,7 @@ class Landing:
 
 
 def foot_of(cells: int) -> SurfaceSamples:
-    """Contact samples of a quarter of the foot, as the particles over it stand."""
+    """Contact samples of a quarter of the foot, at the places of the particles over it."""
     flat, area = sample_strata(
         lambda x, z: x * x + z * z < RADIUS**2, (cells, cells), RADIUS / cells
     )

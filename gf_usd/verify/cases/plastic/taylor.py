@@ -169,7 +169,7 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
 
 
 def moved(cells: int, still: Impact, device: str) -> Iterator[Measure]:
-    """The same impact seen by an observer who moves with the bar: the wall does the work."""
+    """The same impact in a frame of reference that moves with the bar: the wall does the work."""
     results = taylor(cells, device, COPPER, moving=True)
     yield Measure(
         name="work", value=results.work, target=float(results.energy[-1]), bound=1e-3,
@@ -187,7 +187,7 @@ def moved(cells: int, still: Impact, device: str) -> Iterator[Measure]:
 
 
 def observers(cells: int) -> Callable[[str], Iterator[Measure]]:
-    """The shapes that two observers see, of whom one moves with the bar, in double precision."""
+    """The shapes in two frames of reference, one moving with the bar, in double precision."""
 
     def run(device: str) -> Iterator[Measure]:
         still = taylor(cells, device, COPPER, real=np.float64)
