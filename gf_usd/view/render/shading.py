@@ -95,6 +95,80 @@ def face_viewer(normal, face_normal, v):
     return n.normalized()
 
 
+@ti.func
+def backdrop_color(uniforms: ti.template(), floor: ti.template(), camera: ti.template(), d, a, b):
+    """The color where nothing is hit: backdrop with shadows on the floor; d : of the camera ray.
+
+    a, b : position in the image, in -1..1.
+    """
+    color = backdrop(uniforms, a, b)
+    up = to_f64(vector_at(uniforms, UP))
+    height = vector_at(camera, 0).dot(up) - uniforms[FLOOR]
+    descent = -d.dot(up)
+    if height > 0.0 and descent > 1e-6 * d.norm():
+        p = to_f32(vector_at(camera, 0) + height / descent * d)
+        color *= floor_factor(uniforms, floor, p)
+    return color
+
+
+@ti.func
+def triangle_point(
+    clip: ti.template(),
+    tri: ti.template(),
+    points: ti.template(),
+    normals: ti.template(),
+    t,
+    x,
+    y,
+    v,
+):
+    """Position and shading normal of triangle t at sample position (x, y); v : to the viewer."""
+    w = barycentric(clip, tri, t, x, y)
+    p0, p1 = row(points, tri[t, 0]), row(points, tri[t, 1])
+    p2 = row(points, tri[t, 2])
+    p = w[0] * p0 + w[1] * p1 + w[2] * p2
+    n = face_viewer(interpolate_corners(normals, t, w), (p1 - p0).cross(p2 - p0), v)
+    return p, n
+
+
+@ti.func
+def triangle_albedo(
+    clip: ti.template(),
+    tri: ti.template(),
+    colors: ti.template(),
+    uvs: ti.template(),
+    texture_index: ti.template(),
+    texels: ti.template(),
+    levels: ti.template(),
+    kinds: ti.template(),
+    t,
+    x,
+    y,
+):
+    """Albedo of triangle t at sample position (x, y): of its texture, else of its corners."""
+    w = barycentric(clip, tri, t, x, y)
+    albedo = interpolate_corners(colors, t, w)
+    if texture_index[t] >= 0:
+        uv = interpolate_uv(uvs, t, w)
+        du = interpolate_uv(uvs, t, barycentric(clip, tri, t, x + 1.0, y)) - uv
+        dv = interpolate_uv(uvs, t, barycentric(clip, tri, t, x, y + 1.0)) - uv
+        albedo = sample_texture(texels, levels, kinds, texture_index[t], uv, du, dv)
+    return albedo
+
+
+@ti.func
+def ellipsoid_point(camera: ti.template(), center: ti.template(), inverse: ti.template(), i, d):
+    """Position and normal of ellipsoid i where the camera ray of direction d hits it."""
+    t, q = intersect_ellipsoid(camera, center, inverse, i, d)
+    p = to_f32(vector_at(camera, 0) + t * d)
+    n = vec3(0.0)
+    # the gradient of |M (x - c)|^2 is M' q
+    for k in ti.static(range(3)):
+        for j in ti.static(range(3)):
+            n[k] += inverse[i, 3 * j + k] * ti.cast(q[j], ti.f32)
+    return p, n.normalized()
+
+
 @ti.kernel
 def shade(
     zbuffer: I64_2,
@@ -147,50 +221,21 @@ def shade(
                 farthest = 3e38
                 a = ti.cast(2.0 * sx / zbuffer.shape[1] - 1.0, ti.f32)
                 b = ti.cast(1.0 - 2.0 * sy / zbuffer.shape[0], ti.f32)
-                color = backdrop(uniforms, a, b)
-                up = to_f64(vector_at(uniforms, UP))
-                height = vector_at(camera, 0).dot(up) - uniforms[FLOOR]
-                descent = -d.dot(up)
-                if height > 0.0 and descent > 1e-6 * d.norm():
-                    p = to_f32(vector_at(camera, 0) + height / descent * d)
-                    color *= floor_factor(uniforms, floor, p)
+                color = backdrop_color(uniforms, floor, camera, d, a, b)
             else:
                 item = ti.cast(zbuffer[y, x], ti.i32)
                 farthest = ti.max(farthest, ti.bit_cast(depth_bits, ti.f32))
                 p, n, albedo = vec3(0.0), vec3(0.0), vec3(0.0)
                 rough, metal = 0.5, 0.0
                 if item < tri.shape[0]:
-                    w = barycentric(clip, tri, item, sx, sy)
-                    p0, p1 = row(points, tri[item, 0]), row(points, tri[item, 1])
-                    p2 = row(points, tri[item, 2])
-                    p = w[0] * p0 + w[1] * p1 + w[2] * p2
-                    n = face_viewer(
-                        interpolate_corners(normals, item, w), (p1 - p0).cross(p2 - p0), v
+                    p, n = triangle_point(clip, tri, points, normals, item, sx, sy, v)
+                    albedo = triangle_albedo(
+                        clip, tri, colors, uvs, texture_index, texels, levels, kinds, item, sx, sy
                     )
-                    albedo = interpolate_corners(colors, item, w)
                     rough, metal = roughness_metallic[item, 0], roughness_metallic[item, 1]
-                    if texture_index[item] >= 0:
-                        uv = interpolate_uv(uvs, item, w)
-                        du = (
-                            interpolate_uv(uvs, item, barycentric(clip, tri, item, sx + 1.0, sy))
-                            - uv
-                        )
-                        dv = (
-                            interpolate_uv(uvs, item, barycentric(clip, tri, item, sx, sy + 1.0))
-                            - uv
-                        )
-                        albedo = sample_texture(
-                            texels, levels, kinds, texture_index[item], uv, du, dv
-                        )
                 else:
                     i = item - tri.shape[0]
-                    t, q = intersect_ellipsoid(camera, center, inverse, i, d)
-                    p = to_f32(vector_at(camera, 0) + t * d)
-                    # the gradient of |M (x - c)|^2 is M' q
-                    for k in ti.static(range(3)):
-                        for j in ti.static(range(3)):
-                            n[k] += inverse[i, 3 * j + k] * ti.cast(q[j], ti.f32)
-                    n = n.normalized()
+                    p, n = ellipsoid_point(camera, center, inverse, i, d)
                     albedo = row(ellipsoid_colors, i)
                 # samples of one smooth surface in one pixel share their visibility: it is costly
                 if shaded_id != item or n.dot(shaded_normal) < SAME_NORMAL:
