@@ -230,35 +230,15 @@ def resolve(
     fps = request.fps or (60.0 * PAPER_T / T if paper else playback)
     requested = request.parsed
     floor, normal = floor_plane(requested["floor"], facts.up, facts.units.length)
-    placed = is_placed(request, facts)
-    drop = ON_FLOOR if placed else requested["drop"] or DEFAULT_DROP
-    height = drop.meters(radius, facts.units.length)
-    # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
-    lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
-    if placed:  # by the stage, which may have it in the air
-        lift = max(lift, 0.0)
-    if animation or (request.drop is None and (request.pins or attached or floor is None)):
-        lift = 0.0
-    elif floor is None:
-        lift = height
+    lift = _lift(
+        request, facts, radius, ((floor or 0.0) - lowest) / float(normal @ facts.up),
+        floor=floor is not None, animated=animation is not None, attached=attached,
+    )  # fmt: skip
     slow = time_scale_of(requested["time_scale"], T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
-    start, step = first_time_code(facts, request.start), (authored or fps) / fps
-    if animation:
-        start = animation.first
-        shot = int(np.floor((animation.last - start) / step + ROUNDING)) + 1
-    if request.settle_only or request.until_rest:
-        shot = settled_frames(shot)
-    most = requested["frames"].frames if requested["frames"] else None
-    frames = most or (PAPER_FRAMES if paper and not request.until_rest else shot)
-    first, frames = span(
-        requested["range"], request.handles or 0, start=start, step=step,
-        frames=frames, fixed=bool(request.frames), option=f"--range {request.range}",
-    )  # fmt: skip
-    if animation:
-        lead = request.preroll or animation.preroll(fps, slow)
-        lead += request.cycles.repeats * animation.cycle(shot)
-        first, frames, start = first + lead, frames + lead, start - lead * step
+    start, first, frames = _frame_range(
+        request, facts, animation, fps=fps, slow=slow, shot=shot, step=(authored or fps) / fps
+    )
     rate = request.filter_rate
     if rate is None:
         rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
@@ -298,6 +278,70 @@ def resolve(
         rolling=_rolling(request, paper),
         settling=not (paper or request.no_settling or request.solver in ("ul", MIXED)),
     )
+
+
+def _lift(
+    request: Request,
+    facts: StageFacts,
+    radius: float,
+    to_floor: float,
+    *,
+    floor: bool,
+    animated: bool,
+    attached: bool,
+) -> float:
+    """[m] by which bodies are moved up at the start.
+
+    to_floor : [m] by which their lowest point would be moved to the floor, or to height 0 where
+    there is no floor.  animated : bones of --flesh hold them; attached : attachments do.
+    """
+    placed = is_placed(request, facts)
+    drop = ON_FLOOR if placed else request.parsed["drop"] or DEFAULT_DROP
+    height = drop.meters(radius, facts.units.length)
+    # What is pinned, or has no floor, stays where it is.
+    if animated or (request.drop is None and (request.pins or attached or not floor)):
+        return 0.0
+    if not floor:
+        return height
+    lift = height + to_floor
+    return max(lift, 0.0) if placed else lift  # the stage may have placed it in the air
+
+
+def _frame_range(
+    request: Request,
+    facts: StageFacts,
+    animation: Animation | None,
+    *,
+    fps: float,
+    slow: float,
+    shot: int,
+    step: float,
+) -> tuple[float, int, int]:
+    """The time code of the first simulated frame, the first frame that is written, and the number
+    of simulated frames.
+
+    fps : frames per second; slow : seconds simulated per second of playback; shot : frames of a
+    bake of default length; step : time codes of a frame.
+    """
+    start = first_time_code(facts, request.start)
+    if animation:
+        start = animation.first
+        shot = int(np.floor((animation.last - start) / step + ROUNDING)) + 1
+    if request.settle_only or request.until_rest:
+        shot = settled_frames(shot)
+    requested = request.parsed
+    most = requested["frames"].frames if requested["frames"] else None
+    paper = request.preset == "paper" and not request.until_rest
+    frames = most or (PAPER_FRAMES if paper else shot)
+    first, frames = span(
+        requested["range"], request.handles or 0, start=start, step=step,
+        frames=frames, fixed=bool(request.frames), option=f"--range {request.range}",
+    )  # fmt: skip
+    if animation:
+        lead = request.preroll or animation.preroll(fps, slow)
+        lead += request.cycles.repeats * animation.cycle(shot)
+        first, frames, start = first + lead, frames + lead, start - lead * step
+    return start, first, frames
 
 
 def _rolling(request: Request, paper: bool) -> float:
