@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
@@ -19,6 +19,7 @@ from gf_usd.prepare.pins import FREE
 from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.flesh.cores import Cores
     from gf_usd.geometry.solid import Solid
     from gf_usd.prepare.bodies.plan import BodyPlan
 
@@ -153,93 +154,179 @@ def _of_character(
     it is written; 0: the animation is none.  Raises InputError as
     `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
     """
-    from gf_usd.geometry.flesh.carried import (
-        carried_meshes,
-        carried_pins,
-        loose_meshes,
-        meshes_apart,
-        named_carried_meshes,
-    )
-    from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
-    from gf_usd.geometry.flesh.goals import flesh_goals
+    from gf_usd.geometry.flesh.cores import bone_cores
     from gf_usd.geometry.flesh.limits import flesh_limits
-    from gf_usd.geometry.flesh.medial import medial_skeleton
-    from gf_usd.readers.usd.bones import read_skeleton
-    from gf_usd.readers.usd_bake.caches import read_cache
-    from gf_usd.readers.usd_bake.settings import goals_vary, read_goals
 
+    cell, radius = 2.0 * lattice, share or BONE_RADIUS
     times, lead = _animation_times(settings, animation, cycle, repeats)
-    paths = [s.path for s in asset.surfaces]
-    different, again = np.unique(times, return_inverse=True)
-    when = {"first": animation.first, "times": different.tolist()}
-    cores, notes = None, ()
-    if animation.cached:
-        skeleton, cores = medial_skeleton(
-            solid, X, samples, read_cache(file, paths, asset.facts, **when),
-            share=share or BONE_RADIUS, cell=2.0 * lattice, spacing=spacing,
-            where=str(asset.facts.path),
-        )  # fmt: skip
-        notes = (
-            f"it has no skeleton: {len(skeleton.bones)} pieces along its medial axis follow its"
-            f" animated points as bones",
-        )
-    else:
-        loose = _surface_points(asset) if animation.nearest else None
-        skeleton = read_skeleton(file, paths, asset.facts, **when, loose=loose)
-    skeleton = _at_frames(skeleton, again.tolist())
-    bones = skeleton.bones
+    different, frame_rows = np.unique(times, return_inverse=True)
+    skeleton, cores, notes = _read_bones(
+        asset, solid, X, samples, animation, file, different.tolist(),
+        radius=radius, cell=cell, spacing=spacing,
+    )  # fmt: skip
+    skeleton = _at_frames(skeleton, frame_rows.tolist())
     if cycle and repeats:
         _require_closed(asset, skeleton, lead, cycle)
     if cores is None:
-        cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
+        cores, notes = bone_cores(skeleton.bones, solid, radius, cell)
     if animation.nearest:
         notes = (
-            f"{', '.join(paths)} without joint weights: each point follows the nearest bones of"
-            f" {animation.nearest}",
+            f"{', '.join(s.path for s in asset.surfaces)} without joint weights: each point follows"
+            f" the nearest bones of {animation.nearest}",
             *notes,
         )
+    pins, kept, pin_notes = _pin_to_bones(asset, solid, skeleton, cores, rigid, cell)
+    limits = None
+    if squish is not None or stretch is not None:
+        limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=cell)
+    painted, frequency, goal_notes = _goal_weights(
+        asset, solid, skeleton, cores, animation, file, frequency, cell
+    )
+    notes = (*notes, *pin_notes, *goal_notes)
+    if frequency is None and limits is None:
+        return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
+    goals, key_notes = _springs(
+        asset, solid, samples, skeleton, painted, animation, file, different, frame_rows,
+        frequency=frequency or 0.0,  # limits alone: no springs
+        damping=GOAL_DAMPING if damping is None else damping, spacing=spacing, limits=limits,
+    )  # fmt: skip
+    return Flesh(pins=pins, goals=goals, notes=(*notes, *key_notes), rigid=tuple(kept))
+
+
+def _read_bones(
+    asset: Asset,
+    solid: Solid,
+    X: Floats,
+    samples: SurfaceSamples,
+    animation: Animation,
+    file: Path,
+    times: Sequence[float],
+    *,
+    radius: float,
+    cell: float,
+    spacing: float,
+) -> tuple[Skeleton, Cores | None, tuple[str, ...]]:
+    """The bones at some time codes: of the skeleton, or pieces of a body without one, whose cores
+    are found with them.  The cores, else None; notes.
+    """
+    from gf_usd.geometry.flesh.medial import medial_skeleton
+    from gf_usd.readers.usd.bones import read_skeleton
+    from gf_usd.readers.usd_bake.caches import read_cache
+
+    paths = [s.path for s in asset.surfaces]
+    when = {"first": animation.first, "times": times}
+    if not animation.cached:
+        loose = _surface_points(asset) if animation.nearest else None
+        return read_skeleton(file, paths, asset.facts, **when, loose=loose), None, ()
+    skeleton, cores = medial_skeleton(
+        solid, X, samples, read_cache(file, paths, asset.facts, **when),
+        share=radius, cell=cell, spacing=spacing, where=str(asset.facts.path),
+    )  # fmt: skip
+    note = (
+        f"it has no skeleton: {len(skeleton.bones)} pieces along its medial axis follow its"
+        f" animated points as bones"
+    )
+    return skeleton, cores, (note,)
+
+
+def _pin_to_bones(
+    asset: Asset,
+    solid: Solid,
+    skeleton: Skeleton,
+    cores: Cores,
+    rigid: Sequence[str],
+    cell: float,
+) -> tuple[tuple[Pin, ...], list[str], tuple[str, ...]]:
+    """Pins of the cores, and of meshes that move rigidly with a joint: those named by --rigid, and
+    those apart from the flesh.  Which of `rigid` they are; notes.
+
+    Raises InputError where nothing is pinned.
+    """
+    from gf_usd.geometry.flesh.carried import (
+        carried_meshes,
+        carried_pins,
+        meshes_apart,
+        named_carried_meshes,
+    )
+    from gf_usd.geometry.flesh.cores import bone_pins
+
+    bones = skeleton.bones
     pins = bone_pins(bones, cores)
     carried = carried_meshes(skeleton)
-    kept = named_carried_meshes(rigid, carried, paths)
-    pins += carried_pins(kept, carried, skeleton, solid, 2.0 * lattice)
+    kept = named_carried_meshes(rigid, carried, [s.path for s in asset.surfaces])
+    pins += carried_pins(kept, carried, skeleton, solid, cell)
     taken = {path for pin in pins for path in pin.meshes}
     soft = [path for path in carried if path not in taken]
-    apart = meshes_apart(soft, carried, solid, cores, 2.0 * lattice)
-    pins += carried_pins(apart, carried, skeleton, solid, 2.0 * lattice)
-    notes = (*notes, *_apart_meshes(apart), *_soft_meshes([p for p in soft if p not in apart]))
+    apart = meshes_apart(soft, carried, solid, cores, cell)
+    pins += carried_pins(apart, carried, skeleton, solid, cell)
     if not pins:
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
             f" as {bones[0].name}",
             "bind the mesh again, so that in the bind pose its skeleton is inside it",
         )
-    limits = None
-    if squish is not None or stretch is not None:
-        limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=2.0 * lattice)
+    return pins, kept, (*_apart_meshes(apart), *_soft_meshes([p for p in soft if p not in apart]))
+
+
+def _goal_weights(
+    asset: Asset,
+    solid: Solid,
+    skeleton: Skeleton,
+    cores: Cores,
+    animation: Animation,
+    file: Path,
+    frequency: float | None,
+    cell: float,
+) -> tuple[dict[str, Floats], float | None, tuple[str, ...]]:
+    """Goal weights by prim path, the frequency [Hz] of their springs, and notes: painted ones, or,
+    where neither these nor a frequency are given, those of meshes that no flesh holds.  The
+    frequency is None where there are no springs.
+    """
+    from gf_usd.geometry.flesh.carried import carried_meshes, loose_meshes
+    from gf_usd.readers.usd_bake.settings import read_goals
+
     painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
-    if frequency is None and not painted:
-        loose_ones, near = loose_meshes(skeleton, carried, solid, cores, 2.0 * lattice)
-        notes = (*notes, *_loose_meshes(loose_ones), *_hanging_meshes(near))
-        if loose_ones:
-            painted = _held(asset.surfaces, loose_ones)
-            frequency = GOAL_FREQUENCY
-    if frequency is None and limits is None and not painted:
-        return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
-    if frequency is None:
-        frequency = GOAL_FREQUENCY if painted else 0.0  # limits alone: no springs
-        if painted:
-            notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
+    if frequency is not None:
+        return painted, frequency, ()
+    if painted:
+        note = f"painted goals are springs of {GOAL_FREQUENCY:g} Hz: --goal-frequency"
+        return painted, GOAL_FREQUENCY, (note,)
+    loose, near = loose_meshes(skeleton, carried_meshes(skeleton), solid, cores, cell)
+    notes = (*_loose_meshes(loose), *_hanging_meshes(near))
+    if loose:
+        return _held(asset.surfaces, loose), GOAL_FREQUENCY, notes
+    return painted, None, notes
+
+
+def _springs(
+    asset: Asset,
+    solid: Solid,
+    samples: SurfaceSamples,
+    skeleton: Skeleton,
+    painted: Mapping[str, Floats],
+    animation: Animation,
+    file: Path,
+    times: Floats,
+    frame_rows: Ints,
+    **options: Any,
+) -> tuple[Goals, tuple[str, ...]]:
+    """The springs and limits of the flesh, and notes; options : of `flesh_goals`.
+
+    times : different time codes of the animation; frame_rows : of each frame, in `times`.
+    """
+    from gf_usd.geometry.flesh.goals import flesh_goals
+    from gf_usd.readers.usd_bake.settings import goals_vary, read_goals
+
     keys: list[Mapping[str, Floats]] = []
+    notes: tuple[str, ...] = ()
     if painted and goals_vary(file, asset.facts, asset.surfaces):
-        codes = np.maximum(different, animation.first).tolist()
+        codes = np.maximum(times, animation.first).tolist()
         keys = [read_goals(file, asset.facts, asset.surfaces, rest=code) for code in codes]
-        notes = (*notes, "painted goals have time samples: springs change with them")
+        notes = ("painted goals have time samples: springs change with them",)
     goals = flesh_goals(
-        solid, samples, skeleton, painted, keys=keys, key_of_frame=again.tolist(),
-        frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
-        limits=limits,
-    )  # fmt: skip
-    return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept))
+        solid, samples, skeleton, painted, keys=keys, key_of_frame=frame_rows.tolist(), **options
+    )
+    return goals, notes
 
 
 def _held(surfaces: Sequence[Surface], paths: Sequence[str]) -> dict[str, Floats]:
