@@ -116,14 +116,23 @@ def fill(
     copies = {t.key: t.copy for t in tets if t.copy is not None}
     goals, goal_notes = springs_of(inputs, filled, shot, constraints.flesh, limbs, settings)
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
-    loose_notes: tuple[str, ...] = ()
-    ground: tuple[str, ...] = ()  # bodies and obstacles of a scene have calls of their own
-    if file is not None:
-        ground = ground_notes(asset.surfaces, dict(solid.embedded), asset.facts.up, unit)
+    unpinned: tuple[str, ...] = ()
     if not goals:
-        loose_notes = unpinned_animation_notes(
+        unpinned = unpinned_animation_notes(
             filled.bodies, spec.bodies, limbs.particles, constraints.pins
         )
+    notes = (
+        *_ground_notes(inputs), *_asset_notes(asset, shot.animation),
+        *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
+        *stage_notes, *shot.notes, *constraints.attachment_notes, *goal_notes,
+        *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
+        *_cage_notes(inputs, filled, materials), *unpinned,
+        *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
+        *softness, *length.physics.notes, *not_filled_notes(solid.embedded),
+        *not_baked_notes(asset.skipped), *SKIN_NOTES.get(settings.skin, ()),
+        *paper_notes(materials.main, each), *split_notes,
+        *no_internals_notes(materials.main, settings),
+    )  # fmt: skip
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -148,24 +157,26 @@ def fill(
         tets=tets,
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
-        notes=(
-            *ground,
-            *_asset_notes(asset, shot.animation), *(one.note for one in advice),
-            *meshes.notes, *filled.count_notes, *flow_notes, *stage_notes, *shot.notes,
-            *constraints.attachment_notes, *goal_notes, *filled.resolution_notes,
-            *filled.bodies.notes, *overlap_notes,
-            *cage_notes(
-                _moving_surfaces(inputs, filled, materials), filled.particles.spacing,
-                refined=request.max_edge_length is not None,
-            ),
-            *loose_notes, *filled.character_notes, *constraints.flesh.notes, *limbs.notes,
-            *materials.notes, *softness, *length.physics.notes,
-            *not_filled_notes(solid.embedded), *not_baked_notes(asset.skipped),
-            *SKIN_NOTES.get(settings.skin, ()), *paper_notes(materials.main, each), *split_notes,
-            *no_internals_notes(materials.main, settings),
-        ),
-    )  # fmt: skip
+        notes=notes,
+    )
     return plan, solid
+
+
+def _ground_notes(inputs: Inputs) -> tuple[str, ...]:
+    if inputs.file is None:  # bodies and obstacles of a scene have calls of their own
+        return ()
+    asset = inputs.asset
+    return ground_notes(
+        asset.surfaces, dict(inputs.solid.embedded), asset.facts.up, asset.facts.units.length
+    )
+
+
+def _cage_notes(inputs: Inputs, filled: SampledBodies, materials: Assigned) -> tuple[str, ...]:
+    """Notes on cages of subdivision surfaces that move."""
+    return cage_notes(
+        _moving_surfaces(inputs, filled, materials), filled.particles.spacing,
+        refined=inputs.request.max_edge_length is not None,
+    )  # fmt: skip
 
 
 def _moving_surfaces(
