@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,11 @@ from gf_usd.cli.help import HelpAll
 from gf_usd.cli.worker import read_ahead
 from gf_usd.core import __version__
 from gf_usd.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from gf_usd.pipeline.cost.forecast import Activity
+    from gf_usd.pipeline.prepared import Prepared
+    from gf_usd.pipeline.result import BakeResult
 
 
 def bake(
@@ -79,12 +84,10 @@ def bake(
     if options["limits"] is not None:
         read_ahead()
     from gf_usd.cli.console import announce, progress, show_plan, summarize
-    from gf_usd.pipeline.health.warnings import warnings_json
     from gf_usd.pipeline.measures.refine import Refining
     from gf_usd.pipeline.prepared import prepare
     from gf_usd.pipeline.result import require_healthy
     from gf_usd.pipeline.run.run import run
-    from gf_usd.prepare.plan import describe
 
     taken = ("strict", "max_hours", "slice", "until")
     strict, max_hours, slice, until = (options.pop(name) for name in taken)
@@ -107,9 +110,7 @@ def bake(
                 plan = prepared.plan
                 exit.watch(plan.outputs.checkpoints, plan.outputs.root)
                 if events is not None:
-                    emit("plan", **describe(plan), **prepared.cost)
-                for note in plan.notes:
-                    emit("note", message=note)
+                    _emit_plan(emit, prepared)
                 if dry_run:
                     if as_json or events != STDOUT:
                         show_plan(prepared, as_json=as_json, max_hours=max_hours)
@@ -130,22 +131,43 @@ def bake(
                     break
             result = replace(result, notes=(*result.notes, *refining.notes))
             if plan.outputs.sheet:
-                from gf_usd.api.drawing.sweep import draw_sweep
-                from gf_usd.pipeline.cost.forecast import DRAWING, Activity
-
-                show(Activity(stage=DRAWING, what=plan.outputs.sheet.name))
-                draw_sweep(result, plan.outputs.sheet)
-        for note in result.notes[len(plan.notes) :]:
-            if note not in printed:
-                emit("note", message=note)
-        for warning in warnings_json(result.warnings):
-            emit("warning", **warning)
-        emit("finished", **result.as_json())
+                _draw_sheet(result, plan.outputs.sheet, show)
+        new = [note for note in result.notes[len(plan.notes) :] if note not in printed]
+        _emit_result(emit, result, new)
         if as_json:
             typer.echo(json.dumps(result.as_json(), indent=1))
         elif not quiet and events != STDOUT:
             summarize(result, plan, show.text())
         require_healthy(result, strict=strict)
+
+
+def _emit_plan(emit: Callable[..., None], prepared: Prepared) -> None:
+    """What will be baked, its cost, and notes on it."""
+    from gf_usd.prepare.plan import describe
+
+    emit("plan", **describe(prepared.plan), **prepared.cost)
+    for note in prepared.plan.notes:
+        emit("note", message=note)
+
+
+def _emit_result(emit: Callable[..., None], result: BakeResult, notes: Sequence[str]) -> None:
+    """The result, after its warnings and those of its notes that were not emitted before."""
+    from gf_usd.pipeline.health.warnings import warnings_json
+
+    for note in notes:
+        emit("note", message=note)
+    for warning in warnings_json(result.warnings):
+        emit("warning", **warning)
+    emit("finished", **result.as_json())
+
+
+def _draw_sheet(result: BakeResult, sheet: Path, show: Callable[[Activity], None]) -> None:
+    """The contact sheet of --material-sweep."""
+    from gf_usd.api.drawing.sweep import draw_sweep
+    from gf_usd.pipeline.cost.forecast import DRAWING, Activity
+
+    show(Activity(stage=DRAWING, what=sheet.name))
+    draw_sweep(result, sheet)
 
 
 def _emit_frame(emit: Callable[..., None], particles: int, done: int, total: int) -> None:
