@@ -13,6 +13,8 @@ from gf_usd.core.errors import InputError
 from gf_usd.delivery.joints import STEPS
 from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.transforms import hierarchy
+from gf_usd.readers.pictures.extent import has_animated_visibility
+from gf_usd.readers.usd_physics.motion import transform_varies
 
 NAME = "Skeleton"
 ROOT = "Root"
@@ -277,31 +279,49 @@ def _author_extent(
     time_codes: Sequence[float],
     unit: float,
 ) -> None:
-    """The box of the moving meshes and of what is beside them in each frame, in the space of the
-    root prim.
+    """The box of all that is below the root prim in each frame, in the space of the root prim.
 
-    The bounds of a SkelRoot stand for those of all that is below it.
+    The bounds of a SkelRoot include those of all that is below it.
     """
     moving = {names[mesh] for rig in rigs for mesh in rig.body.meshes}
-    beside = [
+    others = [
         prim
         for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
         if (prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer))
         and str(prim.GetPath()) not in moving
     ]
+    changing = [prim for prim in others if _changes(prim)]
     boxes = UsdGeom.BBoxCache(Usd.TimeCode(time_codes[0]), PURPOSES)
+    static = _corners(boxes, [prim for prim in others if prim not in changing])
     extent = UsdGeom.Boundable(root).CreateExtentAttr()
     for frame, code in enumerate(time_codes):
         boxes.SetTime(Usd.TimeCode(code))
         boxes.Clear()  # it keeps the boxes of points that change where no extent is authored
-        others = [boxes.ComputeWorldBound(prim).ComputeAlignedRange() for prim in beside]
-        corners = [box.GetCorner(k) for box in others if not box.IsEmpty() for k in range(8)]
         world = UsdGeom.Imageable(root).ComputeLocalToWorldTransform(code)
         back = np.array(world.GetInverse())
-        points = np.concatenate([rig.body.frames[frame] for rig in rigs]) / unit
-        points = np.concatenate([points, np.reshape(np.array(corners, float), (-1, 3))])
+        baked = np.concatenate([rig.body.frames[frame] for rig in rigs]) / unit
+        points = np.concatenate([baked, static, _corners(boxes, changing)])
         local = points @ back[:3, :3] + back[3, :3]
         extent.Set(_vectors(np.array([local.min(axis=0), local.max(axis=0)])), code)
+
+
+def _changes(prim: Usd.Prim) -> bool:
+    """Whether the box of a prim and of all below it may change over time."""
+    if transform_varies(prim) or has_animated_visibility(prim):
+        return True
+    for one in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+        if one.IsA(UsdGeom.PointInstancer):  # its prototypes may be anywhere
+            return True
+        if any(attribute.ValueMightBeTimeVarying() for attribute in one.GetAttributes()):
+            return True
+    return False
+
+
+def _corners(boxes: UsdGeom.BBoxCache, prims: Sequence[Usd.Prim]) -> Floats:
+    """(n, 3) corners of the boxes of prims in the world."""
+    found = [boxes.ComputeWorldBound(prim).ComputeAlignedRange() for prim in prims]
+    corners = [box.GetCorner(k) for box in found if not box.IsEmpty() for k in range(8)]
+    return np.reshape(np.array(corners, float), (-1, 3))
 
 
 def _vectors(rows: Floats) -> Vt.Vec3fArray:

@@ -70,6 +70,27 @@ FLAG = """def Mesh "flag" (prepend apiSchemas = ["PhysicsCollisionAPI"])
             }
         }
             def Cube "body" """
+# Likewise: a static post with a child that rises, and a lamp that appears.
+POST = """def Cube "post" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {
+            double size = 0.2
+            double3 xformOp:translate = (0, 0, 9)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+            def Cube "knob" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+            {
+                double size = 0.2
+                double3 xformOp:translate.timeSamples = { 1: (0, 1, 0), 6: (0, 6, 0) }
+                uniform token[] xformOpOrder = ["xformOp:translate"]
+            }
+        }
+        def Cube "lamp" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {
+            double size = 0.2
+            double3 xformOp:translate = (0, 0, -7)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+            token visibility.timeSamples = { 1: "invisible", 4: "inherited" }
+        }
+            def Cube "body" """
 PLACES = {"crate": (1.01, 0.5, 0.0), "plate": (-1.01, 0.5, 0.0), "ground": (0.0, -4.0, 0.0)}
 
 
@@ -139,7 +160,7 @@ def bound(stage: Usd.Stage, path: str, code: float) -> list[float]:
     return [*box.GetMin(), *box.GetMax()]
 
 
-def test_the_bounds_above_a_body_contain_what_is_beside_it(tmp_path: Path) -> None:
+def test_the_bounds_above_a_body_contain_all_below_it(tmp_path: Path) -> None:
     asset = tmp_path / "flag.usda"
     asset.write_text(PROPS.replace('def Cube "body"', FLAG), encoding="utf-8")
     baked = bake(asset, 200)
@@ -147,6 +168,18 @@ def test_the_bounds_above_a_body_contain_what_is_beside_it(tmp_path: Path) -> No
     stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(baked))
     for code in (1.0, 4.0, 6.0):
         assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
+
+
+def test_the_bounds_follow_what_moves_below_what_does_not(tmp_path: Path) -> None:
+    asset = tmp_path / "post.usda"
+    asset.write_text(PROPS.replace('def Cube "body"', POST), encoding="utf-8")
+    done = deliver(bake(asset, 200), tmp_path / "out.usda", error=TOLERANCE)
+    stage = Usd.Stage.Open(str(done.path))
+    extent = stage.GetPrimAtPath("/World/props/soft").GetAttribute("extent")
+    for code, knob in ((1.0, 1.0), (4.0, 4.0), (6.0, 6.0)):
+        low, high = extent.Get(code)
+        assert high[1] == pytest.approx(knob + 0.1, abs=1e-5)
+        assert (low[2], high[2]) == pytest.approx((-7.1, 9.1), abs=1e-5)
 
 
 @pytest.mark.parametrize("apart", [True, False])
