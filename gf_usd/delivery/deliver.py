@@ -46,6 +46,8 @@ MARGIN = 0.999  # of the error that is left to rounding in the file
 
 AGAIN = 0.9  # of that error, where rounding took more
 
+MOST_REASONS = 4  # in an error message
+
 
 @dataclass(frozen=True, kw_only=True)
 class DeliveredBody:
@@ -171,11 +173,13 @@ def _smallest(
     most_joints, most_shapes = limits
     kinds = KINDS[1:] if kind == "auto" else (kind,)
     made: list[tuple[int, Path, Sequence[BakedVariant], float, tuple[str, ...]]] = []
-    reasons = []
+    failures: dict[str, str] = {}
     for one in kinds:
         if made:
             most_joints = min(most_joints, _joints_as_large(made[0][2]))
-        fit = _fitter(one, max(1, most_joints), most_shapes, reasons, nodes=nodes)
+        fit = _fitter(
+            one, max(1, most_joints), most_shapes, failures, nodes=nodes, alone=len(kinds) == 1
+        )
         found = _within(variants, fit, error, files)
         if found is None:
             continue
@@ -188,8 +192,10 @@ def _smallest(
     if not made:
         raise BakeError(
             f"{bake} cannot be delivered within {100 * error:g} % of the radius: "
-            f"{' and '.join(reasons)}.",
-            "allow a larger --error, or more joints or shapes with --max-joints and --max-shapes",
+            f"{_some(list(failures))}.",
+            ", or ".join(
+                ["allow a larger --error", *filter(None, dict.fromkeys(failures.values()))]
+            ),
         )
     made.sort(key=lambda row: row[0])
     size, smallest, chosen, off, rig_notes = made[0]
@@ -272,19 +278,19 @@ def _require(
 
 class _Usd:
     def __init__(self, bake: Path, target: Path, allowed: float) -> None:
-        self._bake, self._target, self._allowed = bake, target, allowed
+        self._bake, self.target, self._allowed = bake, target, allowed
 
     def write(self, variants: Sequence[BakedVariant]) -> tuple[str, ...]:
-        return write_usd(self._bake, self._target, variants, self._allowed)
+        return write_usd(self._bake, self.target, variants, self._allowed)
 
     def error(self, variants: Sequence[BakedVariant]) -> float:
-        points = max(error_of(partial_path(self._target), variant) for variant in variants)
+        points = max(error_of(partial_path(self.target), variant) for variant in variants)
         return max([points, *(one.position for found in self.splats(variants) for one in found)])
 
     def splats(self, variants: Sequence[BakedVariant]) -> list[tuple[SplatErrors, ...]]:
         return [
             read_errors(
-                SplatMotion(partial_path(self._target), variant.name or None),
+                SplatMotion(partial_path(self.target), variant.name or None),
                 variant.clouds, variant.radii, variant.time_codes,
             )
             if variant.clouds
@@ -295,41 +301,73 @@ class _Usd:
 
 class _Glb:
     def __init__(self, target: Path, recording: Recording) -> None:
-        self._target, self._recording = target, recording
+        self.target, self._recording = target, recording
 
     def write(self, variants: Sequence[BakedVariant]) -> tuple[str, ...]:
-        return write_glb(self._target, self._recording, variants[0].rigs, variants[0].clouds)
+        return write_glb(self.target, self._recording, variants[0].rigs, variants[0].clouds)
 
     def error(self, variants: Sequence[BakedVariant]) -> float:
-        return read_error(partial_path(self._target), self._recording, variants[0].rigs)
+        return read_error(partial_path(self.target), self._recording, variants[0].rigs)
 
     def splats(self, variants: Sequence[BakedVariant]) -> list[tuple[SplatErrors, ...]]:
         (variant,) = variants
-        path = partial_path(self._target)
+        path = partial_path(self.target)
         return [read_splat_errors(path, self._recording, variant.rigs, variant.clouds)]
 
 
 def _fitter(
-    kind: str, most_joints: int, most_shapes: int, reasons: list[str], *, nodes: bool
-) -> Callable[[BodyMotion, float], Rig | None]:
-    """Finds the smallest rig of a body within an error; None, and why, where there is none."""
+    kind: str,
+    most_joints: int,
+    most_shapes: int,
+    failures: dict[str, str],
+    *,
+    nodes: bool,
+    alone: bool,
+) -> Callable[[BakedVariant, BodyMotion, float], Rig | None]:
+    """Finds the smallest rig of a body within an error; None where there is none.
 
-    def fit(body: BodyMotion, error: float) -> Rig | None:
+    failures : gets the reason, with what helps.  alone : no other kind is tried.
+    """
+
+    def fit(variant: BakedVariant, body: BodyMotion, error: float) -> Rig | None:
         if kind == "shapes":
             found = with_shapes(body, error, most_shapes)
             if found is None:
-                reasons.append(
-                    f"{counted(most_shapes, 'blend shape is', 'blend shapes are')} not enough"
+                many = counted(most_shapes, "blend shape is", "blend shapes are")
+                failures[f"{_named(variant, body)}: {many} not enough"] = (
+                    "more blend shapes with --max-shapes"
                 )
             return found
         *_, last = with_joints(body, error, most_joints)
         if last.error <= error:
             return with_single_joints(last) if nodes else last
-        joints = counted(last.joints, "joint leaves", "joints leave")
-        reasons.append(f"{joints} an error of {100 * last.error:.2g} %")
+        reason = (
+            f"{_named(variant, body)}: {counted(last.joints, 'joint leaves', 'joints leave')} an"
+            f" error of {100 * last.error:.2g} % of the radius, {last.error * body.radius:.2g} m"
+        )
+        remedy = "more joints with --max-joints"
+        if last.joints < most_joints:
+            reason += f"; it has {counted(last.joints, 'distinct point')}, and more joints than"
+            reason += " points do not help"
+            without = ", without --bind-splats nodes" if nodes else ""
+            remedy = f"blend shapes with --as shapes{without}" if alone else ""
+        failures[reason] = remedy
         return None
 
     return fit
+
+
+def _some(reasons: Sequence[str]) -> str:
+    more = f"; and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
+    return "; ".join(reasons[:MOST_REASONS]) + more
+
+
+def _named(variant: BakedVariant, body: BodyMotion) -> str:
+    """The prims of a body as text."""
+    paths = [variant.meshes[k] for k in body.meshes]
+    paths += [variant.clouds[number].name for number, _ in body.splats]
+    more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+    return f"{variant.name}: <{paths[0]}>{more}" if variant.name else f"<{paths[0]}>{more}"
 
 
 def _joints_as_large(variants: Sequence[BakedVariant]) -> int:
@@ -343,7 +381,7 @@ def _joints_as_large(variants: Sequence[BakedVariant]) -> int:
 
 def _within(
     variants: Sequence[BakedVariant],
-    fit: Callable[[BodyMotion, float], Rig | None],
+    fit: Callable[[BakedVariant, BodyMotion, float], Rig | None],
     error: float,
     files: _Usd | _Glb,
 ) -> tuple[list[BakedVariant], float, tuple[str, ...]] | None:
@@ -352,7 +390,7 @@ def _within(
     while aim > error / 2.0:
         rigged = []
         for variant in variants:
-            rigs = [fit(body, aim) for body in variant.bodies]
+            rigs = [fit(variant, body, aim) for body in variant.bodies]
             if any(rig is None for rig in rigs):
                 return None
             rigged.append(replace(variant, rigs=tuple(rig for rig in rigs if rig is not None)))
@@ -363,7 +401,8 @@ def _within(
         aim *= AGAIN
     step, far = max(_rounding(body) for variant in variants for body in variant.bodies)
     raise BakeError(
-        f"the file differs by {100 * off:.2g} % of the radius when it is read back.",
+        f"{files.target} differs by {100 * off:.2g} % of the radius when it is read back, but at"
+        f" most {100 * error:g} % is allowed.",
         "allow a larger --error"
         if step < error / 4.0
         else f"numbers in single precision have steps of {100 * step:.2g} % of the radius at the"

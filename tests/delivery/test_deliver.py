@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -253,9 +254,42 @@ def test_the_smaller_file_is_kept(ball: Path, tmp_path: Path) -> None:
 
 
 def test_limits_that_do_not_allow_the_error_are_named(ball: Path, tmp_path: Path) -> None:
-    with pytest.raises(BakeError, match=r"1 blend shape is not enough and 2 joints leave"):
+    with pytest.raises(BakeError) as caught:
         deliver(ball, tmp_path / "out.glb", error=1e-4, most_joints=2, most_shapes=1)
+    message = caught.value.message
+    assert message.startswith(f"{ball} cannot be delivered within 0.01 % of the radius: ")
+    assert "</Ball/Skin>: 1 blend shape is not enough" in message
+    assert "</Ball/Skin>: 2 joints leave an error of " in message
+    assert "--max-joints" in caught.value.hint
+    assert "--max-shapes" in caught.value.hint
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_mesh_of_too_few_points_for_joints_is_named(tmp_path: Path) -> None:
+    """More joints than points do not help it; they are no advice."""
+    source = moving_ball(tmp_path / "card.usdc")
+    stage = Usd.Stage.Open(str(source))
+    mesh = UsdGeom.Mesh.Define(stage, "/Ball/Card")
+    mesh.CreateFaceVertexCountsAttr([4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    for code in range(1, FRAMES + 1):
+        t = (code - 1) / (FRAMES - 1)
+        corners = [(9, 0, t), (10, 0, 0), (10, 1 + t, t), (9, 1, -t)]
+        mesh.CreatePointsAttr().Set(Vt.Vec3fArray([Gf.Vec3f(*one) for one in corners]), code)
+    stage.Save()
+    target = tmp_path / "out.glb"
+    with pytest.raises(BakeError) as caught:
+        deliver(source, target, error=0.005, kind="joints")
+    assert re.fullmatch(
+        rf"{source} cannot be delivered within 0.5 % of the radius: </Ball/Card>: 4 joints leave an"
+        r" error of 63 % of the radius, 0\.0061 m; it has 4 distinct points, and more joints"
+        r" than points do not help\.",
+        caught.value.message,
+    )
+    assert "--as shapes" in caught.value.hint
+    assert "--max-joints" not in caught.value.hint
+    assert not target.exists()
+    deliver(source, target, error=0.005, kind="shapes")  # as the hint says
 
 
 @pytest.mark.parametrize(
