@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pxr import Tf, Usd, UsdValidation
+from pxr import Tf, Usd, UsdGeom, UsdValidation
 
 from gf_usd.layers.check.base import Finding, Severity, unreadable
 
@@ -26,6 +26,8 @@ FIXES = {
     "CompositionError": "correct the path of the layer or prim that cannot be composed",
     "UnresolvableDependency": "correct the path of the file, or put the file at that path",
 }
+# beginnings of documentation that says what a validator does, and states no rule
+ABOUT_ITSELF = ("Validates all ", "Validator ", "Warns ")
 
 
 def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
@@ -48,9 +50,33 @@ def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
                 severity=SEVERITIES[error.GetType()],
                 prim_path=_path(error),
                 message=" ".join(error.GetMessage().split()),
-                fix=FIXES.get(str(error.GetName()))
-                or f"follow the rule: {' '.join(metadata.doc.split())}",
+                fix=_fix(stage, error, " ".join(metadata.doc.split())),
             )
+
+
+def _fix(stage: Usd.Stage, error: UsdValidation.ValidationError, doc: str) -> str:
+    """What to do about an error; doc : of its validator."""
+    name, path = str(error.GetName()), _path(error)
+    if name in FIXES:
+        return FIXES[name]
+    if name == "InvalidNestedGprims" and (above := _gprim_above(stage.GetPrimAtPath(path))):
+        to = above.GetParent().GetPath().AppendChild(stage.GetPrimAtPath(path).GetName())
+        return (
+            f"move <{path}> out of <{above.GetPath()}>, for example to <{to}>: a prim that is drawn"
+            " has no others below it; an Xform above both can hold their transform"
+        )
+    if doc.startswith(ABOUT_ITSELF):
+        return f"correct {'the stage' if path == '/' else f'<{path}>'} as the message says"
+    return f"follow the rule: {doc}"
+
+
+def _gprim_above(prim: Usd.Prim) -> Usd.Prim | None:
+    """The highest Gprim above a prim."""
+    found, above = None, prim.GetParent()
+    while above and not above.IsPseudoRoot():
+        found = above if above.IsA(UsdGeom.Gprim) else found
+        above = above.GetParent()
+    return found
 
 
 def _path(error: UsdValidation.ValidationError) -> str:

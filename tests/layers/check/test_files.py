@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from checked_stages import CUBE, MESH, MIDDLE, RATE, box, good_stage, put, vec3, with_nan
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
 from gf_usd.core.errors import InputError
 from gf_usd.layers.check.base import RULES
@@ -89,6 +89,44 @@ def test_the_validators_of_usd_are_heard(tmp_path: Path) -> None:
         finding.fix
         == "author defaultPrim in the root layer: the name of the root prim to be referenced"
     )
+
+
+def test_nested_gprims_are_gone_once_the_fix_is_followed(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "nested.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    UsdGeom.Cube.Define(stage, "/World/Body")
+    UsdGeom.Scope.Define(stage, "/World/Body/Parts")
+    UsdGeom.Sphere.Define(stage, "/World/Body/Parts/Knob")
+    (finding,) = check_stage(stage).findings
+    assert finding.rule.endswith(".InvalidNestedGprims")
+    assert finding.prim_path == "/World/Body/Parts/Knob"
+    assert finding.fix == (
+        "move </World/Body/Parts/Knob> out of </World/Body>, for example to </World/Knob>: a prim"
+        " that is drawn has no others below it; an Xform above both can hold their transform"
+    )
+    editor = Usd.NamespaceEditor(stage)
+    assert editor.MovePrimAtPath("/World/Body/Parts/Knob", "/World/Knob")
+    assert editor.ApplyEdits()
+    assert check_stage(stage).findings == ()
+
+
+def test_what_a_validator_says_of_itself_is_no_fix(tmp_path: Path) -> None:
+    """Documentation such as "Validates all of the ..." tells what it does, not what to do."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "collider.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    root = UsdGeom.Xform.Define(stage, "/World").GetPrim()
+    stage.SetDefaultPrim(root)
+    points = UsdGeom.Points.Define(stage, "/World/Dust")
+    points.CreatePointsAttr([(0, 0, 0)])
+    points.CreateExtentAttr([(0, 0, 0), (0, 0, 0)])
+    UsdPhysics.CollisionAPI.Apply(points.GetPrim())
+    found = check_stage(stage).findings
+    assert found
+    assert all("ColliderChecker" in one.rule for one in found)
+    assert {one.fix for one in found} == {"correct </World/Dust> as the message says"}
 
 
 def test_a_damaged_sublayer_is_a_finding(tmp_path: Path) -> None:
