@@ -139,19 +139,10 @@ class CacheWriter:
         )
         self._settled, self._held = choices.settled, ()
         self._choices, self._look, self._unit = choices, info.look, asset.facts.units.length
-        self._tolerance = self._moving = self._clips = None
+        self._tolerance = None
         if choices.precision is not None:
             self._tolerance = Tolerance(choices.precision, particles, self._unit)
-        if choices.clip_frames:
-            length = choices.clip_frames * self._per_frame
-            self._clips = ClipStore(self.path, self._layer, length, since)
-            self._stage = self._clips.stage
-        elif choices.adaptive:
-            self._moving = moving_layer(self._layer)
-            self._stage = Usd.Stage.Open(self._layer, self._moving)
-            self._stage.SetEditTarget(self._layer)
-        else:
-            self._stage = Usd.Stage.Open(self._layer)
+        self._stage, self._clips, self._moving = self._open_stage(since)
         for prim in prims:
             end_instancing(self._stage, prim)
         self._meshes, self._splats = self._surface_tracks(asset, prims)
@@ -188,6 +179,23 @@ class CacheWriter:
             self._stage.SetEditTarget(self._moving)
         if since:
             self._restore(since)
+
+    def _open_stage(
+        self, since: Mapping[str, Any] | None
+    ) -> tuple[Usd.Stage, ClipStore | None, Sdf.Layer | None]:
+        """The stage to author, and where samples go instead of its layer: clips, or a layer of
+        moving samples.
+        """
+        if self._choices.clip_frames:
+            length = self._choices.clip_frames * self._per_frame
+            clips = ClipStore(self.path, self._layer, length, since)
+            return clips.stage, clips, None
+        if self._choices.adaptive:
+            moving = moving_layer(self._layer)
+            stage = Usd.Stage.Open(self._layer, moving)
+            stage.SetEditTarget(self._layer)
+            return stage, None, moving
+        return Usd.Stage.Open(self._layer), None, None
 
     def _surface_tracks(
         self, asset: Asset, prims: Sequence[Usd.Prim]
