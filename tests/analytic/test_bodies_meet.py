@@ -289,7 +289,7 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
 @pytest.mark.slow
 @pytest.mark.parametrize("material", ["rubber", "jelly"])
 @pytest.mark.parametrize("rate", [0.5, 1.0, 2.0])
-def test_no_sample_of_two_arms_that_close_is_let_go(material, rate):
+def test_no_sample_of_two_closing_arms_is_released(material, rate):
     """Tips at 1.5, 3 and 6 m/s: nothing passes, and the planes give no energy."""
 
     def close(X):

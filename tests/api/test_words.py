@@ -101,7 +101,7 @@ def test_errors_keep_the_name_of_the_file(tmp_path: Path) -> None:
         gf_usd.bake(path=missing)
 
 
-def test_a_scene_is_not_told_of_repairs() -> None:
+def test_repairs_are_not_suggested_for_a_scene() -> None:
     with pytest.raises(gf_usd.InputError) as caught:
         gf_usd.simulate(scene(FACES[:4]), particles=100)
     assert caught.value.hint == "close the holes or give the mesh thickness"

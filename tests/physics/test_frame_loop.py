@@ -270,7 +270,7 @@ def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (caught.value.frame, caught.value.particle) == (1, 7)
 
 
-def test_a_motion_that_is_no_number_is_told_with_its_place() -> None:
+def test_a_motion_that_is_not_finite_is_reported_with_its_place() -> None:
     def broken(X: np.ndarray) -> np.ndarray:
         v = np.zeros_like(X)
         v[X[:, 0] > 0.5] = np.nan

@@ -211,7 +211,7 @@ def test_times_for_reading(seconds: float, text: str) -> None:
         (1.2e6, "14 days"),
     ],
 )
-def test_estimates_have_no_digits_that_nobody_knows(seconds: float, text: str) -> None:
+def test_estimates_have_no_meaningless_digits(seconds: float, text: str) -> None:
     assert rough_duration(seconds) == text
 
 
@@ -290,7 +290,7 @@ def test_bodies_in_flight_and_those_that_meet_only_themselves_are_cheap(plan: Pl
     assert seconds(fall=10.0) < budget.MOST * seconds(fall=0.0)
 
 
-def test_a_soft_body_beside_a_stiff_one_costs_no_more_substeps(plan: Plan) -> None:
+def test_a_soft_body_next_to_a_stiff_one_costs_no_more_substeps(plan: Plan) -> None:
     """The waves of the stiff one determine them, whichever of the two names the variant."""
     jelly, metal = (find_preset(name).material(0.1) for name in ("jelly", "metal"))
     assert metal.wave_speed > 3.0 * jelly.wave_speed

@@ -240,12 +240,12 @@ def test_a_box_without_a_vertex_in_it_converts_what_it_holds(tmp_path: Path) -> 
         ("marmalade@time:3", "no material 'marmalade'"),
     ],
 )
-def test_what_says_nothing_is_refused(blocks: Path, text: str, message: str) -> None:
+def test_invalid_texts_are_refused(blocks: Path, text: str, message: str) -> None:
     with pytest.raises(UsageError, match=f"(?i){message}"):
         gf_usd.inspect(blocks, conversions=text, **SMALL)
 
 
-def test_what_means_nothing_is_refused_by_name(blocks: Path, tmp_path: Path) -> None:
+def test_conversions_without_particles_are_refused_by_name(blocks: Path, tmp_path: Path) -> None:
     for texts, error, message in (
         ("/World/Nobody=honey@time:3", InputError, "selects none of the"),
         (["honey@time:3", "water@time:4"], InputError, "later ones override it for all"),

@@ -11,7 +11,7 @@ from gf_usd.core.errors import SolverError
 from gf_usd.pipeline.failure import locate_failure
 
 
-def test_the_prim_is_that_of_the_particle_where_a_surface_before_it_only_rides(plan) -> None:
+def test_the_prim_is_that_of_the_particle_after_an_embedded_surface(plan) -> None:
     # Particles count the surfaces that are filled: the embedded one stands before both.
     seen = plan(mesh("One"), mesh("Two", at(3.0)), particles=200)
     embedded = replace(seen.asset.surfaces[0], path="/Cloth")

@@ -61,7 +61,7 @@ def test_a_bake_as_long_as_estimated_is_no_news() -> None:
     assert made.take_remarks() == ()
 
 
-def test_a_shrinking_step_is_told_with_its_reason_once() -> None:
+def test_a_shrinking_step_is_reported_once_with_its_reason() -> None:
     clock, remarks = Clock(), []
     made = Forecast(cost(100.0), 100, 1.0, clock=clock, remark=remarks.append)
     follow(made, clock, [100] * 10 + [400] * 90, 0.01)
@@ -83,9 +83,7 @@ def test_a_bake_that_may_end_at_rest_takes_at_most_that_long() -> None:
 
 
 @pytest.mark.parametrize(("after", "reported"), [(20, False), (90, True)])
-def test_a_complete_bake_is_told_what_it_took_and_not_what_was_expected(
-    after: int, reported: bool
-) -> None:
+def test_a_complete_bake_reports_its_time_and_not_the_estimate(after: int, reported: bool) -> None:
     """A table came to rest after 64 s, and its last lines predicted 6 minutes."""
     clock = Clock()
     made = Forecast({**cost(100.0), "ends_early": True}, 100, 1.0, clock=clock)
@@ -98,7 +96,7 @@ def test_a_complete_bake_is_told_what_it_took_and_not_what_was_expected(
     assert made.take_remarks() == ()
 
 
-def test_a_complete_bake_as_long_as_estimated_is_told_nothing() -> None:
+def test_a_complete_bake_as_long_as_estimated_reports_nothing() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 1.0, clock=clock)
     follow(made, clock, [100] * 100, 0.01)
@@ -106,7 +104,7 @@ def test_a_complete_bake_as_long_as_estimated_is_told_nothing() -> None:
     assert made.take_outcome() == ()
 
 
-def test_it_is_told_again_when_it_doubles_again() -> None:
+def test_the_estimate_is_reported_again_when_it_doubles_again() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 100.0, clock=clock)
     follow(made, clock, [100] * 10 + [400] * 30 + [3000] * 60, 0.01)
@@ -133,7 +131,7 @@ def test_an_impact_of_ten_frames_is_no_surprise() -> None:
     assert made.take_remarks() == ()
 
 
-def test_a_slow_machine_is_told_from_a_small_step() -> None:
+def test_a_slow_machine_is_distinguished_from_a_short_step() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 1.0, clock=clock)
     follow(made, clock, [100] * 100, 0.05)
@@ -298,7 +296,7 @@ def test_looks_and_soft_materials_have_nothing_to_gain() -> None:
         assert shortcuts({"per_material": [{"name": name, "seconds": 1e5}]}, [made]) == ()
 
 
-def test_a_damping_that_makes_the_step_short_is_told_with_a_time_that_does_not() -> None:
+def test_a_damping_that_shortens_the_step_is_reported_with_one_that_does_not() -> None:
     made = replace(PHYSICAL["foam"].material(0.04), damping_time=0.002)
     row = {"name": "foam", "seconds": 3600.0, "damping_ratio": 100.0, "substeps_per_frame": 200_000}
     (line,) = shortcuts({"per_material": [row]}, [made])

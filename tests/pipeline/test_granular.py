@@ -54,7 +54,7 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
         ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not support --pin|pins"),
     ],
 )
-def test_what_sand_does_not_go_with_is_refused_in_words(more: dict[str, Any], message: str) -> None:
+def test_options_that_sand_does_not_support_are_refused(more: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         gf_usd.inspect(SPHERE, **(SAND | more))
 

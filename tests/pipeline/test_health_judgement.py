@@ -227,7 +227,7 @@ def test_a_law_is_named_only_to_those_that_do_not_have_it(about: str) -> None:
     assert "--law" not in there.hint
 
 
-def test_what_flows_without_end_may_expand() -> None:
+def test_what_flows_without_limit_may_expand() -> None:
     wide = summary(Health(max_J=5.0, expanded=1.5, expanded_body="/A"))
     assert [w.about for w in health_warnings(wide, ["neoHookean"])] == ["expanded"]
     assert health_warnings(wide, ["neoHookean", "snow"]) == ()
@@ -309,7 +309,7 @@ def test_energy_that_contact_made_is_an_error_without_strict() -> None:
     assert "--strict" not in caught.value.hint
 
 
-def test_limits_leave_room_for_what_sound_bakes_do() -> None:
+def test_limits_have_a_margin_to_sound_bakes() -> None:
     # The solver redoes a frame that gains more than `physics.guard.GAIN`: a limit above it would
     # never be met.
     from gf_usd.physics.frame_loop import GAIN

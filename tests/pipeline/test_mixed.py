@@ -73,7 +73,7 @@ def test_sand_that_the_stage_asks_for_flows(tmp_path: Path) -> None:
         ({"rolling_resistance": 0.1}, "rolling.resistance cannot be combined with"),
     ],
 )
-def test_what_a_mixed_scene_does_not_go_with_is_refused_in_words(
+def test_options_that_a_mixed_scene_does_not_support_are_refused(
     castle: Path, more: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(UsageError, match=message):
@@ -108,7 +108,7 @@ def test_what_flows_must_not_start_inside_a_solid_body(tmp_path: Path) -> None:
         gf_usd.bake(scene(tmp_path, body(*water), body(*ball)), **SMALL)
 
 
-def test_samples_are_left_out_of_what_flows_beside_solid_bodies(
+def test_samples_of_flowing_bodies_next_to_solid_ones_are_left_out(
     castle: Path, tmp_path: Path
 ) -> None:
     """It ended with a ValueError: the tolerances were those of all particles."""

@@ -35,7 +35,7 @@ def certificate(**widths: float | None) -> Certificate:
 
 
 @pytest.mark.parametrize("text", ["2", "0%", "100%", "x%", "", "nan%", "size:2%", "rebound:2"])
-def test_what_says_nothing_is_refused(text: str) -> None:
+def test_invalid_texts_are_refused(text: str) -> None:
     with pytest.raises(UsageError, match="--until") as caught:
         Until.of(text)
     assert caught.value.hint

@@ -126,7 +126,7 @@ def test_writing_again_keeps_what_is_the_same(cube, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["my cube.obj", "my cube.source.usdc"]
 
 
-def test_pictures_inside_a_file_are_written_beside_the_layer(tmp_path):
+def test_pictures_inside_a_file_are_written_next_to_the_layer(tmp_path):
     maker = GltfMaker()
     uvs = CORNERS[:, :2].astype(np.float32)
     rows = []

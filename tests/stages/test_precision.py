@@ -41,7 +41,7 @@ def in_meters(stage: Usd.Stage, path: str, name: str, code: float) -> np.ndarray
 
 
 @pytest.mark.slow
-def test_an_independent_reader_finds_the_error_that_is_told(bakes) -> None:
+def test_an_independent_reader_finds_the_printed_error(bakes) -> None:
     true, mine = (Usd.Stage.Open(str(bakes[name].root)) for name in ("all", "few"))
     storage = json.loads(bakes["few"].report.read_text())["bakes"][0]["storage"]
     radius = json.loads(bakes["few"].report.read_text())["radius_m"]

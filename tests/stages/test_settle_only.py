@@ -128,7 +128,7 @@ def swaying(stage: Usd.Stage, path: str) -> UsdGeom.XformCommonAPI:
     return sway
 
 
-def test_what_is_animated_beside_a_pose_at_rest_is_held_at_its_time() -> None:
+def test_other_animation_is_frozen_at_the_time_of_the_pose_at_rest() -> None:
     source = Usd.Stage.CreateInMemory()
     for path in ("/A/Light", "/A/Baked", "/B/Light"):
         swaying(source, path)
@@ -150,7 +150,7 @@ def test_what_is_animated_beside_a_pose_at_rest_is_held_at_its_time() -> None:
 @pytest.mark.parametrize(
     "more", [{"range": (1, 2)}, {"handles": 2}, {"samples_per_frame": 2}, {"clip_frames": 5}]
 )
-def test_what_asks_for_frames_does_not_go_with_one_pose(
+def test_options_of_frames_cannot_be_combined_with_settle_only(
     tmp_path: Path, more: dict[str, Any]
 ) -> None:
     with pytest.raises(UsageError, match="settle_only=True cannot be combined with"):
@@ -211,7 +211,7 @@ def test_the_pose_at_rest_is_that_of_the_frame_in_which_all_rests(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_nothing_of_the_stage_moves_beside_the_pose(tmp_path: Path) -> None:
+def test_no_other_prim_of_the_stage_moves_with_settle_only(tmp_path: Path) -> None:
     asset = tmp_path / "lit.usda"
     source = Usd.Stage.CreateNew(str(asset))
     UsdGeom.SetStageUpAxis(source, "Y")
@@ -245,7 +245,7 @@ def test_frames_until_rest_are_parsed() -> None:
 
 
 @pytest.mark.parametrize("more", [{"range": (1, 2)}, {"handles": 2}])
-def test_what_says_how_long_does_not_go_with_until_rest(
+def test_options_of_length_cannot_be_combined_with_until_rest(
     tmp_path: Path, more: dict[str, Any]
 ) -> None:
     with pytest.raises(UsageError, match="rest cannot be combined with"):

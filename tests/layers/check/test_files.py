@@ -78,7 +78,7 @@ def test_attributes_of_the_wrong_type_are_no_crash(tmp_path: Path) -> None:
     assert any("AttributeTypeMismatch" in rule for rule in rules_of(result))
 
 
-def test_the_validators_of_usd_are_heard(tmp_path: Path) -> None:
+def test_the_validators_of_usd_are_run(tmp_path: Path) -> None:
     stage = good_stage(tmp_path / "no_default.usda")
     stage.ClearDefaultPrim()
     (finding,) = check_stage(stage).findings

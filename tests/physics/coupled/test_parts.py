@@ -87,7 +87,7 @@ def test_a_body_flows_where_a_part_of_it_does_or_can_be_converted() -> None:
     assert hold.particles.conversions == ()
 
 
-def test_what_passes_through_what_is_told_of_the_parts() -> None:
+def test_pairs_without_contact_are_converted_to_the_parts() -> None:
     _, (hold, flow) = parts()
     setup = ContactSetup(
         skins=skins(MADE, OF), through=frozenset({(1, 3), (2, 3)}),

@@ -77,7 +77,7 @@ def test_a_variable_keeps_what_it_held_before_the_next_change() -> None:
     assert out.tolist() == [2.0, 1.0]
 
 
-def test_a_fault_in_it_is_told_with_the_line_of_the_kernel() -> None:
+def test_a_fault_in_it_is_reported_with_the_line_of_the_kernel() -> None:
     @unrolled
     def wrong(x):
         return x + "no number"

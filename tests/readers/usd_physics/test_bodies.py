@@ -37,7 +37,7 @@ def only(physics: StagePhysics) -> BodyPhysics:
     return body
 
 
-def test_a_mesh_without_physics_says_nothing(read_physics) -> None:
+def test_a_mesh_without_physics_has_no_notes(read_physics) -> None:
     body = only(read_physics(mesh("Duck")))
     assert body == BodyPhysics(path="/Duck")
     assert body.resolve(BASE) is not None

@@ -20,7 +20,7 @@ def scene(*lines: str, name: str = "Scene") -> str:
     return prim("PhysicsScene", name, *lines)
 
 
-def test_a_stage_without_a_scene_says_nothing(write: Write) -> None:
+def test_a_stage_without_a_scene_has_no_gravity(write: Write) -> None:
     physics = physics_of(write(ASSET))
     assert (physics.gravity, physics.scene) == (None, "")
     assert physics.colliders == physics.bodies == physics.ignored == physics.notes == ()

@@ -39,7 +39,7 @@ def group(name: str, *members: str, lines: str = "") -> str:
     )
 
 
-def test_everything_meets_everything_unless_told(ignored) -> None:
+def test_all_bodies_collide_unless_filtered(ignored) -> None:
     assert ignored(mesh("One"), mesh("Two"), OBSTACLES) == set()
     # the relationship without its API says nothing
     assert ignored(mesh("One", filtered("/Two")), mesh("Two"), OBSTACLES) == set()

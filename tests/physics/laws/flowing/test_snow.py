@@ -113,7 +113,7 @@ def test_the_work_is_that_of_what_remains_less_what_hardening_stores() -> None:
     np.testing.assert_allclose(loss, expected, rtol=1e-10, atol=1e-13)
 
 
-def test_a_stretch_beside_compression_gains_and_that_is_counted() -> None:
+def test_a_stretch_next_to_compression_gains_and_that_is_counted() -> None:
     """The clamp is not an associated flow: P along the stretch is below 0 where J_e < 1."""
     E, _, loss = returned(np.diag([1.05, 0.98, 0.98])[None], np.ones((1, 1)), lam=LAM)
     P = evaluate(LAW, E, MU, LAM)[1]
