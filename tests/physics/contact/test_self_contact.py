@@ -61,35 +61,36 @@ def test_what_is_not_faced_yet_is_searched_for_before_it_touches(left):
     assert len(found.rows) or min(hold, found.hold) <= left - OFFSET * SPACING
 
 
-def test_a_body_that_faces_nothing_of_its_own_is_not_looked_at_again_in_a_frame(monkeypatch):
+def test_a_body_that_hardly_deforms_is_not_searched_again_in_a_frame(monkeypatch):
     own, samples = made()
     X, n = samples.X, len(samples.X)
     searches, broad_phase = [], own.broad_phase
     monkeypatch.setattr(own, "broad_phase", lambda *a: searches.append(a) or broad_phase(*a))
     contacts = OwnContacts({0: own}, [np.arange(n)], n, reach=REACH, spacing=SPACING)
     right = X[:, :1] > 0.4 + 0.5 * GAP
-    v = np.where(right, [[-1.0, 0.0, 0.0]], 0.0)
+    # 0.625 spacings relative to the mean of the body may pass
+    way = 0.6 * SPACING * np.where(right, [[-1.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
 
-    def search(time: float, span: float, *, frame_begins: bool) -> float:
+    def search(x, speed: float, *, frame_begins: bool = False) -> int:
         outlook = Outlook(
-            x=X, v=v, mean=np.zeros((1, 3)), spread=np.ones(1), near=np.zeros((1, 1), bool),
-            moving=np.zeros(0, bool), pull=0.0, time=time, span=span,
+            x=x, v=0.0 * x, mean=np.zeros((1, 3)), spread=np.array([speed]),
+            near=np.zeros((1, 1), bool), moving=np.zeros(0, bool), pull=0.0, time=1.0, span=0.04,
         )  # fmt: skip
-        return contacts.search(
-            ContactSearch(X, REACH, np.full(n, -np.inf)), outlook, np.zeros(1, bool), X, span,
+        contacts.search(
+            ContactSearch(x, REACH, np.full(n, -np.inf)), outlook, np.zeros(1, bool), X, 0.04,
             every_sample=frame_begins,
         )  # fmt: skip
+        return len(searches)
 
-    until = search(1.0, 0.04, frame_begins=True)
-    assert 0.08 < until < GAP
-    assert search(1.01, 0.03, frame_begins=False) > 0.03
-    assert len(searches) == 1
-    assert contacts.until[0] == 1.0 + until
-    # a new frame, or one that the time does not cover with a margin
-    search(1.04, 0.04, frame_begins=True)
-    assert len(searches) == 2
-    search(1.05, until, frame_begins=False)
-    assert len(searches) == 3
+    assert search(X, 0.0, frame_begins=True) == 1
+    assert search(X + 3.0, 0.0) == 1, "moved, not deformed"
+    assert contacts.until[0] == -np.inf
+    # a push within the frame: the legs will come together before it ends, or have
+    assert search(X, 0.62 * SPACING / 0.04) == 1
+    assert search(X, 0.63 * SPACING / 0.04) == 2
+    assert search(X + way - way.mean(0), 0.0) == 2
+    assert search(X + 1.5 * way, 0.0) == 3
+    assert search(X, 0.0, frame_begins=True) == 4
 
 
 def test_a_sample_is_pushed_before_it_touches_but_not_where_it_is_at_rest():

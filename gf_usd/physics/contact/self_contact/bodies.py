@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.physics.contact.narrow_phase import ContactSearch
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes
 from gf_usd.physics.contact.planes.persistence import Outlook
-from gf_usd.physics.contact.self_contact.search import FACE, SelfContact
+from gf_usd.physics.contact.self_contact.search import CLEAR, FACE, SelfContact
 
 STAY = 1.0  # [spacings]
-# Multiple of the time that is left in a frame for which nothing of a body may come near: it is not
-# looked at again in this frame.  A push may make it faster than `closing` allows for.
-AGAIN = 2.0
+# [spacings] largest motion of a sample relative to the mean of its body, after a search that found
+# nothing within FACE, without a new one: two samples approach each other by twice that at most.
+STIR = 0.5 * (FACE - CLEAR)
 
 
 class OwnContacts:
@@ -35,8 +35,10 @@ class OwnContacts:
         self.gap = np.full(count, reach)
         # (B,) [s] time until which a body cannot come near itself
         self.until = np.full(len(members), np.inf)
-        # (B,) [s] the same of bodies that faced nothing of their own in this frame; -inf: others
-        self._apart = np.full(len(members), -np.inf)
+        # Whether nothing of a body was near itself at its last search in this frame, (B,), and
+        # where its samples were then, (n, 3) [m].
+        self._clear = np.zeros(len(members), bool)
+        self._searched = np.zeros((count, 3))
 
     def forget(self, rows: Ints) -> None:
         """Nothing is near samples `rows` (k,)."""
@@ -72,18 +74,20 @@ class OwnContacts:
         self.gap = np.full(len(known), self._reach)
         self.until = np.full(len(self._members), np.inf)
         if every_sample:
-            self._apart[:] = -np.inf
+            self._clear[:] = False
         for k, own in self._bodies.items():
             m = self._members[k]
             if kept[k]:
                 self.gap[m] = known[m]
                 continue
-            if self._apart[k] >= outlook.time + AGAIN * span:
-                self.until[k] = self._apart[k]
+            if self._clear[k] and self._hardly_deformed(k, search.x[m], span * outlook.spread[k]):
+                self.until[k] = -np.inf  # beyond the span nothing is known
                 continue
+            self._searched[m] = search.x[m]
             patch_pairs, until = own.broad_phase(search.x[m], v[m], min(span, hold))
             hold = min(hold, until)
-            self._apart[k] = self.until[k] = outlook.time + until
+            self.until[k] = outlook.time + until
+            self._clear[k] = patch_pairs is None
             if patch_pairs is None:
                 continue
             found = own.find(
@@ -93,7 +97,7 @@ class OwnContacts:
             self.gap[m[found.rows]] = found.gap
             hold = min(hold, found.hold)
             self.until[k] = outlook.time + min(until, found.hold)
-            self._apart[k] = -np.inf if len(found.rows) else self.until[k]
+            self._clear[k] = found.nearest >= FACE * self._spacing
             order = np.argsort(-found.weights, axis=1, kind="stable")
             search.offer(
                 m[found.rows], found.gap, found.normal,
@@ -102,6 +106,13 @@ class OwnContacts:
                 np.take_along_axis(found.weights, order, 1), sure=True,
             )  # fmt: skip
         return hold
+
+    def _hardly_deformed(self, body: int, x: Floats, coming: float) -> bool:
+        """Whether samples at x (k, 3) [m] of a body have moved by no more than `STIR` relative to
+        its mean since its last search, and will have by `coming` [m] more.
+        """
+        way = x - self._searched[self._members[body]]
+        return lengths(way - way.mean(0)).max() + coming <= STIR * self._spacing
 
     def keep_unseen(
         self, search: ContactSearch, planes: ContactPlanes, offset: Floats, depth: Floats, of: Ints

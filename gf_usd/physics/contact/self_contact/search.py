@@ -70,6 +70,9 @@ class Facing:
     carriers: Ints  # (k, 3) corners of its triangle, samples of the body
     weights: Floats  # (k, 3) barycentric
     hold: float = float("inf")  # [s] until a place found beyond the reach may come within it
+    # [m] from a sample to the nearest opposite place or sample that was found, whether or not it
+    # is certain that the sample faces it
+    nearest: float = float("inf")
 
 
 class SelfContact:
@@ -188,10 +191,12 @@ class SelfContact:
         faced = placed & (least < reach)
         later = ~faced & (placed | (distance >= reach + s))
         hold = float(((least - CLEAR * s) / rate)[later].min(initial=np.inf))
+        nearest = float(least.min(initial=np.inf))
         rows = rows[faced]
-        if not len(rows):
-            return replace(_nothing(), hold=hold)
-        return replace(self._sided(rows, found[rows], which[rows], x, before, gap), hold=hold)
+        seen = (
+            self._sided(rows, found[rows], which[rows], x, before, gap) if len(rows) else _nothing()
+        )
+        return replace(seen, hold=hold, nearest=nearest)
 
     def _closest(
         self, x: Floats, searching: Ints, known: Ints, reach: float
