@@ -205,7 +205,7 @@ def require_source_free(files: Outputs, is_current: bool, overwrite: bool, other
     """
     if other:
         raise UsageError(
-            f"{files.source} was made of {other}, and bakes of it lie over it",
+            f"{files.source} was made from {other}, and bakes of it may be layered over it",
             f"choose another folder with -o, or delete {files.source} and these bakes",
         )
     if overwrite or is_current or files.source is None:

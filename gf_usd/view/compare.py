@@ -258,7 +258,8 @@ def _pairing_notes(
         yield f"<{a.meshes[i].name}> is compared with <{b.meshes[j].name}>{more}"
     if missing := [i for i in baked_a if i not in pairs]:
         yield f"not in {b.path.name}: {_list_names(a, missing)}"
-    there = {mesh.name for mesh in a.meshes}  # also its obstacles, which a delivery of it poses
+    # A delivered file poses the obstacles of its bake, too, and does not tell them from bodies.
+    there = set() if b.about else {mesh.name for mesh in a.meshes}
     if extra := [j for j in unpaired_b if b.baked[j] and b.meshes[j].name not in there]:
         yield f"not in {a.path.name}: {_list_names(b, extra)}"
     if a.up != b.up:

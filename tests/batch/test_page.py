@@ -96,7 +96,7 @@ def test_a_slice_is_no_fault(tmp_path: Path) -> None:
 
 def test_notes_and_warnings_of_a_bake_are_on_the_page(tmp_path: Path) -> None:
     """Also those that the record of an earlier run holds."""
-    warning = {"variant": "rubber", "message": "still in the air", "hint": "take more frames"}
+    warning = {"variant": "rubber", "message": "still in the air", "hint": "use more --frames"}
     result = {
         "bakes": [{"frames": 9, "health": {}}], "warnings": [warning], "check": [], "outputs": [],
         "notes": ["floor at 0", "gravity is 1.62 m/s^2", "30 fps", "</A/Hat> is not baked", NASTY],
@@ -110,7 +110,7 @@ def test_notes_and_warnings_of_a_bake_are_on_the_page(tmp_path: Path) -> None:
     plan = BatchPlan(jobs=(one,), out=tmp_path, title="t", timeout=None, retries=1)
     text = build_page(plan, [Outcome.of(made.as_json())], {}, {})
     attributes, cells = Table(text).rows[1]
-    for message in ("warning: rubber: still in the air", "take more frames", "note: floor at 0"):
+    for message in ("warning: rubber: still in the air", "use more --frames", "note: floor at 0"):
         assert message in cells[1]
     assert "2 more notes" in cells[1]
     assert "note: </A/Hat> is not baked" in cells[1], "can be opened"

@@ -98,7 +98,9 @@ def test_no_layer_of_another_mesh_file_is_replaced(gf_usd, tmp_path):
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     other = gf_usd("bake", tmp_path / "box.ply", *SIZES, "-o", "other.usda", "--overwrite")
     assert other.status == 2
-    assert "box.source.usdc was made of box.obj, and bakes of it lie over it" in other.err
+    assert (
+        "box.source.usdc was made from box.obj, and bakes of it may be layered over it" in other.err
+    )
     assert "another folder with -o" in other.err
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     # a layer over the divided faces is that of one bake

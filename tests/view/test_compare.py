@@ -198,6 +198,8 @@ def test_an_obstacle_of_the_first_is_not_missing_from_it() -> None:
     box, ground = Changed(names=("/Box", "/Ground")).recording().meshes
     a, b = Changed(meshes=(box, ground), baked=(True, False)), Changed(names=("/Box", "/Ground"))
     assert not any("not in" in note for note in compare_motions(a, b).notes)
+    baked = Changed(names=("/Box", "/Ground"), about={"variants": {}})
+    assert any("not in" in note and "</Ground>" in note for note in compare_motions(a, baked).notes)
 
 
 def test_surfaces_whose_faces_change_are_refused_in_words() -> None:

@@ -147,8 +147,8 @@ def require_composed(stage: Usd.Stage, path: Path) -> None:
     for error in stage.GetCompositionErrors():
         raise InputError(
             f"{path} does not compose: {_first_line(_text(error))}",
-            "move the root layer, the cache and the asset of a bake together; a damaged file has to"
-            " be written again",
+            "if it is a bake, move its root layer, its cache and its asset together, and write a"
+            " damaged file again; if it is an asset, bake it first with gf-usd bake",
         )
 
 

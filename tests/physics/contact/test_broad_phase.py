@@ -126,8 +126,10 @@ def test_a_sample_without_a_normal_is_treated_as_its_neighbors_are():
     assert patch_pairs.until.min() < GAP
 
 
+@pytest.mark.parametrize("block", [1, 70, 100_000])
 @pytest.mark.parametrize("resting", [False, True])
-def test_bodies_are_scheduled_as_pair_by_pair(resting: bool):
+def test_bodies_are_scheduled_as_pair_by_pair(resting: bool, block: int, monkeypatch):
+    monkeypatch.setattr("gf_usd.physics.contact.broad_phase.BLOCK", block)
     random = np.random.default_rng(1)
     middle, size = 6.0 * random.random((20, 3)), 0.3 + random.random((20, 3))
     low, high = middle - size, middle + size
