@@ -205,7 +205,7 @@ def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Pa
     (here / f"{STEM}.clips" / "0001.usdc").unlink()
     again = gf_usd(*arguments, "--resume")
     assert again.status == 2
-    assert f"{STEM}.clips/0001.usdc is gone" in again.err
+    assert f"{STEM}.clips/0001.usdc is missing" in again.err
     (here / KEPT).write_bytes(b"no checkpoint")
     assert (
         f"{KEPT} is not a checkpoint that this program can read"
