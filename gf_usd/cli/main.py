@@ -205,7 +205,7 @@ BOOTSTRAP = "<frozen importlib._bootstrap>"  # the file of the code that imports
 def _stop(number: int, frame: FrameType | None) -> None:
     if _in_usd(frame) or _is_callback(frame):
         # The import of USD, and what called a callback, continue after an exception within it.
-        again = threading.Timer(LATER, signal.raise_signal, (number,))
+        again = threading.Timer(LATER, _signal_main_thread, (number,))
         again.daemon = True
         again.start()
         return
@@ -215,6 +215,17 @@ def _stop(number: int, frame: FrameType | None) -> None:
     # typer ends a KeyboardInterrupt without a message
     typer.echo("; ".join(filter(None, (STOPPED[number], exit.message()))), err=True)
     sys.exit(128 + number)
+
+
+def _signal_main_thread(number: int) -> None:
+    """Send a signal to the main thread, which runs the handlers, also where it waits for something.
+
+    `signal.raise_signal` sends it to the calling thread: a main thread that waits is not woken.
+    """
+    if sys.platform == "win32":
+        signal.raise_signal(number)
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
 
 
 def _is_callback(frame: FrameType | None) -> bool:
