@@ -37,25 +37,25 @@ def require_same(one: Path, other: Path) -> None:
     assert clips == sorted(p.relative_to(other) for p in other.glob("*.clips/*.usdc"))
     for clip in clips:
         a, b = samples(one / clip), samples(other / clip)
-        assert a.keys() == b.keys()
-        assert [key for key in a if a[key] != b[key]] == []
+        assert a.keys() == b.keys(), f"{clip}: {sorted(a.keys() ^ b.keys())}"
+        differ = [key for key in a if a[key] != b[key]]
+        assert not differ, f"{clip}: {differ}"
     for text in (path.relative_to(one) for path in one.glob("*.clips/manifest.usda")):
-        assert (one / text).read_text() == (other / text).read_text()
+        assert (one / text).read_text() == (other / text).read_text(), str(text)
     for cache in one.glob("*.cache.usdc"):
         a, b = (
             Sdf.Layer.OpenAsAnonymous(str(folder / cache.name)).ExportToString()
             for folder in (one, other)
         )
-        assert a == b
+        assert a == b, cache.name
     for report in one.glob("*.report.json"):
         a, b = (json.loads((folder / report.name).read_text()) for folder in (one, other))
         for bake in (*a["bakes"], *b["bakes"]):
             del bake["cache"]
-        assert {k: v for k, v in a.items() if k not in OWN} == {
-            k: v for k, v in b.items() if k not in OWN
-        }
+        differ = [k for k in sorted({*a, *b} - {*OWN}) if a.get(k) != b.get(k)]
+        assert not differ, f"{report.name}: {differ}"
     leftovers = [p.name for p in other.rglob("*") if "partial" in p.name or "checkpoint" in p.name]
-    assert leftovers == []
+    assert not leftovers, f"left: {leftovers}"
 
 
 def require_whole(folder: Path) -> None:
