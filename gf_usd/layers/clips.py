@@ -28,7 +28,7 @@ from pxr import Gf, Sdf, Tf, Usd, Vt
 from gf_usd.core.errors import BakeError
 from gf_usd.layers.stage import VARIANT_SET, new_layer, refresh, save
 from gf_usd.layers.tracks.storage import AdaptiveSamples, take_samples
-from gf_usd.system.atomic_files import asset_path, partial_path, publish
+from gf_usd.system.atomic_files import asset_path, drop_working, partial_path, publish
 
 FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
 MANIFEST = "manifest.usda"
@@ -124,6 +124,8 @@ class ClipStore:
                 _Clip(path=path, layer=self._moving, first=times[0], times=list(times))
             )
         partial_path(self.folder / f"{len(clips) + 1:04d}.usdc").unlink(missing_ok=True)
+        for left in self.folder.glob("*.partial.??????"):
+            drop_working(self.folder / f"{left.name.partition('.')[0]}.usdc")
         manifest = _open_complete(self.folder / MANIFEST)
         self._roots = sorted({p.GetPrefixes()[0] for p in _attributes(manifest)})
         last = self._done[-1]

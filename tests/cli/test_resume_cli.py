@@ -198,6 +198,23 @@ def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path
     assert "with unchanged files" in other.err
 
 
+def test_what_usd_was_writing_when_it_was_killed_is_removed(
+    gf_usd, here: Path, block: Path
+) -> None:
+    """Found by a kill in the middle of a clip: USD saves to a name of its own, and renames it."""
+    arguments = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*arguments, "--slice", "2").status == 5
+    clips = here / f"{STEM}.clips"
+    (clips / "0003.partial.aK0Gvf").write_bytes(b"half a clip")
+    (clips / "notes.partial.txt").write_text("not ours")
+    assert gf_usd(*arguments, "--resume").status == 0
+    assert names(clips) == [
+        *(f"{k:04d}.usdc" for k in (1, 2, 3, 4)),
+        "manifest.usda",
+        "notes.partial.txt",
+    ]
+
+
 @pytest.mark.slow
 def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Path) -> None:
     arguments = ("bake", block, *SMALL, "-q")
