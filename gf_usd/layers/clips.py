@@ -28,10 +28,11 @@ from pxr import Gf, Sdf, Tf, Usd, Vt
 from gf_usd.core.errors import BakeError
 from gf_usd.layers.stage import VARIANT_SET, new_layer, refresh, save
 from gf_usd.layers.tracks.storage import AdaptiveSamples, take_samples
-from gf_usd.system.atomic_files import asset_path, drop_working, partial_path, publish
+from gf_usd.system.atomic_files import asset_path, publish
 
 FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
 MANIFEST = "manifest.usda"
+PARTIAL = ".partial."  # in the name of a file that is not complete
 # a killed process leaves the temporary file NAME.partial.XXXXXX of USD
 OURS = re.compile(
     r"(\d{4,}(\.partial)?\.usdc|manifest(\.partial)?\.usda|(\d{4,}|manifest)\.partial\.\w{6})"
@@ -117,15 +118,14 @@ class ClipStore:
 
     def _restore(self, clips: Sequence[Sequence[float]]) -> None:
         """Take over the clips with these first and last time codes, and what the next repeats."""
+        for left in sorted(self.folder.iterdir()):
+            if PARTIAL in left.name and OURS.fullmatch(left.name):
+                left.unlink()
         for count, times in enumerate(clips, 1):
             path = self.folder / f"{count:04d}.usdc"
-            partial_path(path).unlink(missing_ok=True)
             self._done.append(
                 _Clip(path=path, layer=self._moving, first=times[0], times=list(times))
             )
-        partial_path(self.folder / f"{len(clips) + 1:04d}.usdc").unlink(missing_ok=True)
-        for left in self.folder.glob("*.partial.??????"):
-            drop_working(self.folder / f"{left.name.partition('.')[0]}.usdc")
         manifest = _open_complete(self.folder / MANIFEST)
         self._roots = sorted({p.GetPrefixes()[0] for p in _attributes(manifest)})
         last = self._done[-1]

@@ -16,7 +16,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, Segments, lengths
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.obstacles.obstacle import Obstacle
+from gf_usd.physics.contact.obstacles.obstacle import Obstacle, box_gap
 
 FAR = 1e30  # [m]
 BLOCK = 100_000  # pairs of bodies that are compared at once
@@ -81,7 +81,7 @@ def schedule(
             met[apart[:, 0] - first, apart[:, 1]] = False
             a, b = np.nonzero(met)
             a += first
-            gap = lengths(np.maximum(np.maximum(low[b] - high[a], low[a] - high[b]), 0.0))
+            gap = box_gap(low[a], high[a], low[b], high[b])
             hold = min(hold, until(gap, lengths(mean[b] - mean[a]) + spread[a] + spread[b]))
             close = gap < reach
             for one, other in zip(a[close].tolist(), b[close].tolist()):

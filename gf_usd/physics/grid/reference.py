@@ -192,11 +192,11 @@ class Stencil:
 
         beyond : ijk, and with `copies` the cell copy of each, or -1; nodes : None: all.
         """
-        fitted = self._fits.affine(beyond[:, :3], self._moving, beyond[:, 3:].ravel())
         within = self._extend if nodes is None else self._extend[nodes]
         if not len(beyond):
             return sparse.csr_matrix(within)
-        fitted = fitted @ self._extend[np.flatnonzero(self._moving)]
+        fitted = self._fits.affine(beyond[:, :3], self._moving, beyond[:, 3:].ravel())
+        fitted = fitted @ self._extend_moving
         return sparse.csr_matrix(sparse.vstack([within, fitted], format="csr"))
 
     @cached_property
@@ -214,6 +214,11 @@ class Stencil:
             return extend
         constants = sparse.eye(self.node_count, self.node_count - self.free_count, -self.free_count)
         return sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
+
+    @cached_property
+    def _extend_moving(self) -> sparse.csr_matrix:
+        """`extension` to the nodes to which fields are fitted."""
+        return sparse.csr_matrix(self._extend[np.flatnonzero(self._moving)])
 
     @cached_property
     def _fits(self) -> Fits:

@@ -82,9 +82,7 @@ class Obstacle:
         """(n,) [m] distances of boxes with corners (n, 3) [m] to the bounding box over all frames;
         0 where they overlap.
         """
-        if self.endless:
-            return np.zeros(len(low))
-        return lengths(np.maximum(np.maximum(self._low - high, low - self._high), 0.0))
+        return np.zeros(len(low)) if self.endless else box_gap(low, high, *self.box)
 
     def planes(
         self, X: Floats, reach: float, frame: float, span: float, of: Ints | None = None
@@ -120,7 +118,8 @@ def obstacles(colliders: Sequence[Collider], frame_time: float) -> tuple[Obstacl
     return tuple(Obstacle(collider, frame_time) for collider in colliders)
 
 
-def box_gap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
-    """[m] distance between two boxes; 0 where they overlap."""
-    apart = np.maximum(np.maximum(other_low - high, low - other_high), 0.0)
-    return float(np.linalg.norm(apart))
+def box_gap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> Floats:
+    """(n,) [m] distances of boxes with corners (n, 3) [m], or (3,), from others; 0 where they
+    overlap.
+    """
+    return lengths(np.maximum(np.maximum(other_low - high, low - other_high), 0.0))
