@@ -25,6 +25,7 @@ from gf_usd.physics.contact.planes.contact_planes import (
     ContactPlanes,
     nothing,
 )
+from gf_usd.physics.grid.embedding import product
 from gf_usd.physics.grid.reference import Stencil
 
 FACING = 1.5  # [spacings] radius of the surface represented by a sample
@@ -284,7 +285,7 @@ class BodySkin:
         """Set `out` (V, 3) [m] to the points of `posed`."""
         np.add(self.skin.points, offset, out=out)
         if u is not None:
-            out += self._W @ u
+            out += product(self._W, u)
 
     def at(self, points: Floats) -> PosedSkin:
         """The surface with points (V, 3) [m]."""

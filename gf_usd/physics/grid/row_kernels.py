@@ -135,6 +135,22 @@ def gather(cell: Whole, around: Nodes, fx: Rows, ih: ti.f64, P: Rows, f: Lanes):
 
 @on_arrays
 @ti.kernel
+def multiply(start: Whole, node: Whole, W: Numbers, u: Lanes, x: Rows):
+    """x = W u.
+
+    start (n + 1,), node (nnz,), W : rows and values of a CSR matrix with n rows.
+    """
+    for p in range(x.shape[0]):
+        zero = 0.0 * W[0]
+        row = ti.Vector([zero, zero, zero, zero])
+        for e in range(start[p], start[p + 1]):
+            row += W[e] * u[node[e]]
+        for a in ti.static(range(3)):
+            x[p, a] = row[a]
+
+
+@on_arrays
+@ti.kernel
 def iterate(
     start: Whole,
     node: Whole,
