@@ -30,29 +30,38 @@ class Client:
 
     requirements: tuple[str, ...]
     proof: str  # Python, or JavaScript for Node.js, that must run once it is installed
+    megabytes: int  # of its environment
     python: str | None = None  # the one version it runs on; None: any that gf-usd runs on
     libraries: tuple[str, ...] = ()  # Debian packages that it links to
     npm: bool = False
 
 
 CLIENTS = {
-    "validation": Client(("usd-validation-nvidia[usd]>=1.22,<2",), "import usd_validation_nvidia"),
+    "validation": Client(
+        ("usd-validation-nvidia[usd]>=1.22,<2",), "import usd_validation_nvidia", 240
+    ),
     "newton": Client(
         # not newton[importers], which brings meshing and robot formats that are not read here
         ("newton>=1.8,<2", "newton-usd-schemas>=0.6,<1", "usd-core>=25.5,<26.9"),
         "import newton.usd",
+        780,
     ),
     "splats": Client(
         # the converter has no release for Python 3.13 yet
         ("gsply[spz]>=0.4,<1", "usd-convert-gsplat[usd]>=0.1.15,<1; python_version < '3.13'"),
         "import gsply",
+        540,
     ),
     "gltf": Client(
-        ("gltf-validator@2.0.0-dev.3.10", "three@0.187.0"), "require('gltf-validator')", npm=True
+        ("gltf-validator@2.0.0-dev.3.10", "three@0.187.0"),
+        "require('gltf-validator')",
+        25,
+        npm=True,
     ),
     "blender": Client(
         ("bpy>=5.2,<5.3",),
         "import bpy; print(bpy.app.version_string)",
+        1_010,
         python="3.13",
         libraries=(
             *("libx11-6", "libgl1", "libxrender1", "libxfixes3", "libxi6"),
@@ -60,6 +69,9 @@ CLIENTS = {
         ),
     ),
 }
+
+
+SPACE = 1.5  # times the size of an environment: pip unpacks its packages beside it
 
 
 class NotInstalled(Exception):
@@ -99,7 +111,8 @@ def main() -> None:
 def set_up(name: str, into: Path, pythons: list[str]) -> str:
     """Create ``into/name`` with the client in it, and say how that went.
 
-    Raises NotInstalled where no Python of the right version is found, or pip or the proof fails.
+    Raises NotInstalled where no Python of the right version is found, the disk is too full, or pip
+    or the proof fails.
     """
     client = CLIENTS[name]
     folder = into.resolve() / name
@@ -108,6 +121,7 @@ def set_up(name: str, into: Path, pythons: list[str]) -> str:
     if stamp.is_file() and stamp.read_text() == wanted:
         return f"is in {folder}"
     began = time.perf_counter()
+    _require_space(client, into.resolve())
     if client.npm:
         _install_packages(client, folder)
         stamp.write_text(wanted)
@@ -128,6 +142,17 @@ def set_up(name: str, into: Path, pythons: list[str]) -> str:
         ) from error
     stamp.write_text(wanted)
     return f"installed into {folder} in {time.perf_counter() - began:.0f} s"
+
+
+def _require_space(client: Client, into: Path) -> None:
+    """Raises NotInstalled where the disk of a folder, which may not exist yet, is too full."""
+    there = next(folder for folder in (into, *into.parents) if folder.exists())
+    free, needed = shutil.disk_usage(there).free / 1e6, SPACE * client.megabytes
+    if free < needed:
+        raise NotInstalled(
+            f"{there}: {free:,.0f} MB of the disk are free, and {needed:,.0f} MB are needed\n"
+            "hint: free some, or install into another disk with --into"
+        )
 
 
 def _install_packages(client: Client, folder: Path) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -219,7 +219,7 @@ class Solver(ABC):
             if not fault:
                 frame = self.read(index)
                 done = 0 if stats.rested else substeps
-                seen = {name: value for name, value in asdict(stats).items() if value is not None}
+                seen = {name: value for name, value in vars(stats).items() if value is not None}
                 if (frame.health.pierced or 0.0) > stats.overlap:
                     seen["overlap"] = frame.health.pierced
                     seen["overlap_pair"] = frame.health.pierced_pair

@@ -135,7 +135,7 @@ def _pose_by_kernel(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> P
 
 def placed(rows: Rows | SplineRows, u: Floats, v: Floats) -> tuple[Floats, Floats]:
     """W u and W v of `Rows.nodes`, in one pass over W where no kernel computes them."""
-    if _by_kernel(rows.W, u):
+    if by_kernel(rows.W, u):
         return product(rows.W, u), product(rows.W, v)
     both = product(rows.W, np.concatenate([u, v], 1))
     return both[:, :3], np.ascontiguousarray(both[:, 3:])
@@ -252,7 +252,7 @@ def embedded_rows(
 
 def product(M: Any, u: Floats) -> NDArray[np.float64]:
     """M u of a sparse M (n, m) in CSR format and u (m, k); bit-identical however it is computed."""
-    if _by_kernel(M, u):
+    if by_kernel(M, u):
         return _multiplied(M, u)
     count = M.shape[0]
     parts = min(threads(), count // FEW)
@@ -268,7 +268,8 @@ def product(M: Any, u: Floats) -> NDArray[np.float64]:
     return out
 
 
-def _by_kernel(M: Any, u: Floats) -> bool:
+def by_kernel(M: Any, u: Floats) -> bool:
+    """Whether `product` launches a kernel."""
     many = M.nnz >= MANY and M.indices.dtype == np.int32 and u.shape[1:] == (3,)
     return many and not resident_blocks()
 

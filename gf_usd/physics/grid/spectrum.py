@@ -35,21 +35,17 @@ def largest_eigenvalue(
     if not size > 0.0:
         return 0.0
     q, Kq = q / size, Kq / size
-    diagonal: list[float] = []
-    off_diagonal: list[float] = []
+    T = np.zeros((MOST + 1, MOST + 1))  # tridiagonal, of which `eigh` reads the lower half
     value = bound = 0.0
-    for _ in range(MOST):
+    for k in range(MOST):
         r = inverse_mass(Kq)
-        diagonal.append(float((r * Kq).sum()))
-        r = r - diagonal[-1] * q - beta * q_old
+        T[k, k] = (r * Kq).sum()
+        r = r - T[k, k] * q - beta * q_old
         Kr = stiffness(r)
-        beta = float(np.sqrt(max((r * Kr).sum(), 0.0)))
-        values, vectors = np.linalg.eigh(
-            np.diag(diagonal) + np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1)
-        )
+        T[k + 1, k] = beta = float(np.sqrt(max((r * Kr).sum(), 0.0)))
+        values, vectors = np.linalg.eigh(T[: k + 1, : k + 1])
         value, bound = float(values[-1]), beta * abs(float(vectors[-1, -1]))
         if bound <= accuracy * value or beta <= 1e-12 * value:
             break
-        off_diagonal.append(beta)
         q_old, q, Kq = q, r / beta, Kr / beta
     return value + bound

@@ -139,7 +139,7 @@ class HealthLog:
         return [
             {
                 "time_code": self._settings.time_code(i),
-                **{name: value for name, value in asdict(f).items() if value is not None},
+                **{name: value for name, value in vars(f).items() if value is not None},
                 "centre": f.center,  # until 1.0
                 "energy": total[i],
                 "energy_gain": gains[i],

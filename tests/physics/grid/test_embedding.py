@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from random_turns import random_turns
+from scipy import sparse
 from solids import ball
 
 from gf_usd.core.matrices import cofactors, entries
@@ -187,3 +188,19 @@ def test_particles_have_the_rows_of_any_points_where_they_are():
         stretches(ours, ours.nodes(u)), np.stack([G @ u for G in any_points.G], -1),
         atol=1e-11 / made.h,
     )  # fmt: skip
+
+
+def test_products_are_the_same_bits_by_the_kernel():
+    """Which way is taken depends on the size and the device, the result must not."""
+    rng = np.random.default_rng(5)
+    M = sparse.random_array((301, 120), density=0.2, format="csr", rng=rng)
+    M.indptr, M.indices = M.indptr.astype(np.int32), M.indices.astype(np.int32)
+    M.data[7] = 1e200  # some cancel, some differ by many orders
+    u = rng.normal(size=(120, 3)) * 10.0 ** rng.uniform(-9.0, 9.0, (120, 1))
+    assert np.diff(M.indptr).min() < np.diff(M.indptr).max()
+    assert embedding.by_kernel(M, u) is False
+    plain = embedding.product(M, u)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(embedding, "MANY", 1)
+        assert embedding.by_kernel(M, u)
+        assert (embedding.product(M, u) == plain).all()
