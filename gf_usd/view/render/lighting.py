@@ -18,6 +18,10 @@ UP, KEY_DIR, KEY, FILL_DIR, FILL, SKY, BOUNCE, CENTER, EDGE = (3 * i for i in ra
 MAP_X, MAP_Y, MAP_O, RADIUS, FLOOR, MAP_HALF, KEY_SPREAD = 27, 30, 33, 36, 37, 38, 39
 UNIFORM_COUNT = 40
 
+# [texels] of a look-up of the dome, from the point itself
+TAPS = ((0.0, 0.0), (2.6, 0.9), (-0.9, 2.6), (-2.6, -0.9), (0.9, -2.6))
+STEEPEST = 0.1  # cosine of the steepest plane that is followed
+
 
 @ti.func
 def smoothstep(low, high, x):
@@ -64,8 +68,9 @@ def key_visibility(p, n, frames: ti.template(), key_count, depth: ti.template(),
 def dome_visibility(p, n, frames: ti.template(), key_count, depth: ti.template(), radius):
     """Cosine-weighted visible fraction of the dome at p with normal n.
 
-    Look-ups of its shadow maps, depth (L - key_count, S, S), take the nearest texel: the dome has
-    many faint directions, and interpolation would not show.
+    A direction stands for those up to its neighbors, which an edge at a distance hides one after
+    another: its shadow map, of depth (L - key_count, S, S), is looked up at TAPS places around p on
+    the plane through p.
     """
     size = depth.shape[1]
     texel = 2.0 * radius / size
@@ -75,9 +80,16 @@ def dome_visibility(p, n, frames: ti.template(), key_count, depth: ti.template()
         cosine = frames[light, 6] * n[0] + frames[light, 7] * n[1] + frames[light, 8] * n[2]
         if cosine > 0.0:
             q = to_shadow_map(frames, light, biased, radius, size)
-            x, y = ti.cast(ti.floor(q[0]), ti.i32), ti.cast(ti.floor(q[1]), ti.i32)
+            right = frames[light, 0] * n[0] + frames[light, 1] * n[1] + frames[light, 2] * n[2]
+            above = frames[light, 3] * n[0] + frames[light, 4] * n[1] + frames[light, 5] * n[2]
+            slope = texel / ti.max(cosine, STEEPEST)  # depth of the plane per texel
+            seen = 0.0
+            for a, b in ti.static(TAPS):
+                x, y = ti.cast(ti.floor(q[0] + a), ti.i32), ti.cast(ti.floor(q[1] + b), ti.i32)
+                z = q[2] - 0.8 * texel + ti.min(slope * (a * right + b * above), 0.0)
+                seen += texel_visibility(depth, light - key_count, x, y, z)
             weight = cosine * frames[light, 9]
-            visible += weight * texel_visibility(depth, light - key_count, x, y, q[2] - 0.8 * texel)
+            visible += weight * seen / ti.static(len(TAPS))
             count += weight
     return visible / ti.max(count, 1e-6)
 

@@ -186,6 +186,30 @@ def test_shadows_on_a_ground_a_thousand_times_larger_are_there():
     assert shadow["body"] < 0.6
 
 
+def test_the_shadow_of_a_plate_on_a_ground_has_no_steps():
+    """A ground of the stage has no light map that is blurred; the dome has 80 directions."""
+    camera = Camera(eye=(0.0, 1.5, 14.0), target=(0.0, -0.6, 0.0), up=UP, fov=24.0)
+
+    def lying(y, half):
+        corners = [(-half, y, half), (half, y, half), (half, y, -half), (-half, y, -half)]
+        return mesh(corners, [(0, 1, 2), (0, 2, 3)], np.array((0.5, 0.5, 0.5)))
+
+    ground, plate = lying(-1.2, 8.0), lying(0.0, 1.6)
+    focus = Bounds(low=(-1.6, -1.2, -1.6), high=(1.6, 0.0, 1.6))
+    bare, dark = (
+        render_linear(Scene(up=UP, meshes=meshes, focus=focus), camera, (320, 240))
+        for meshes in ((ground,), (ground, plate))
+    )
+    seen = (dark / bare).mean(axis=2)[136:190]  # below the plate in the picture
+    assert seen.min() < 0.2
+    assert seen.max() > 0.95
+    # A step is a change between two pixels beyond the changes on both sides of it.
+    change = np.diff(seen, axis=1)
+    steps = np.abs(change[:, 1:-1] - 0.5 * (change[:, :-2] + change[:, 2:]))
+    # one look-up for each direction gives 0.024, five 0.012; steps of the key light are rarer
+    assert np.quantile(steps, 0.999) < 0.017
+
+
 @pytest.mark.slow
 def test_a_picture_is_the_same_every_time_and_for_any_number_of_threads():
     scene = Scene(up=UP, ground=-1.0, meshes=(quad(0.2),), ellipsoids=(ball(0.3),))
