@@ -84,6 +84,17 @@ def test_mirror_planes_are_found_and_no_others():
     assert axes(holed, 1e-6)[0] is False
 
 
+def test_mirror_planes_of_two_surfaces_are_those_of_both_together():
+    left, right = (sphere(center=(x, 0.0, 0.0)) for x in (-3.0, 3.0))
+    parts = [(ball.points, ball.triangles) for ball in (left, right)]
+    assert mirror_axes(parts, 1e-6).tolist() == [True, True, True]
+    # Corners in another order, and the points of one in the order of the other's numbers.
+    turned = (right.points[::-1], len(right.points) - 1 - np.roll(right.triangles, 1, axis=1))
+    assert mirror_axes([parts[0], turned], 1e-6).tolist() == [True, True, True]
+    holed = (right.points, right.triangles[right.points[right.triangles].mean(1)[:, 1] < 0.9])
+    assert mirror_axes([parts[0], holed], 1e-6).tolist() == [False, False, True]
+
+
 @pytest.mark.parametrize("gap", [(3.217, 0.0, 0.0), (2.6, 1.01, 0.33)])
 def test_equal_bodies_have_equal_particles(gap):
     balls = [sphere(path=f"/B{k}", center=k * np.array(gap)) for k in range(3)]
