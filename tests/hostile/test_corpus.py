@@ -96,6 +96,15 @@ def test_values_of_another_type_than_the_schema_has(tmp_path: Path, kind: str) -
     assert stopped(cases, EACH) == {}
 
 
+def test_value_of_a_type_that_usd_does_not_know(tmp_path: Path) -> None:
+    """USD prints a TypeError of its own for it, by the hook for uncaught ones, and goes on."""
+    file = Path(__file__).parents[1] / "assets" / "unknown_value_type.usdc"
+    assert stopped([file], EACH) == {}
+    with pytest.raises(InputError, match=r"unknown_value_type\.usdc is damaged: ") as raised:
+        read_untrusted(file)
+    assert "export the asset again" in raised.value.hint
+
+
 @pytest.mark.parametrize("name", ["../a.usda", "/tmp/a.usda", "a/../../a.usda"])
 def test_package_that_names_places_outside_writes_nothing(tmp_path: Path, name: str) -> None:
     file = tmp_path / "in" / "trick.usdz"
