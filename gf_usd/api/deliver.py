@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from gf_usd.api.call import asset_path, keywords
 from gf_usd.api.host.guest import here_or_away
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from gf_usd.delivery.deliver import Delivered
     from gf_usd.delivery.retime import Retimed
 
+Kind = Literal["auto", "shapes", "joints"]
+Splats = Literal["captured", "all", "only", "none"]
+Binding = Literal["skin", "nodes"]
+KINDS, SPLATS, BINDINGS = map(get_args, (Kind, Splats, Binding))
+
 
 def deliver(
     path: str | os.PathLike[str],
@@ -23,11 +28,11 @@ def deliver(
     *,
     error: float | str = 0.005,
     variant: str | None = None,
-    kind: str = "auto",
+    kind: Kind = "auto",
     max_joints: int = 400,
     max_shapes: int = 64,
-    splats: str = "captured",
-    bind_splats: str = "skin",
+    splats: Splats = "captured",
+    bind_splats: Binding = "skin",
 ) -> Delivered:
     """Write a bake as joints or blend shapes, for game engines, web pages and phones.
 
@@ -68,12 +73,12 @@ def deliver(
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
             "error": _share("error", error),
-            "variant": variant,
-            "kind": kind,
-            "most_joints": values.whole("max_joints", max_joints),
-            "most_shapes": values.whole("max_shapes", max_shapes),
-            "splats": splats,
-            "bind_splats": bind_splats,
+            "variant": values.variant("variant", variant),
+            "kind": values.choice("kind", kind, KINDS),
+            "most_joints": values.positive("max_joints", max_joints),
+            "most_shapes": values.positive("max_shapes", max_shapes),
+            "splats": values.choice("splats", splats, SPLATS),
+            "bind_splats": values.choice("bind_splats", bind_splats, BINDINGS),
         }
         return here_or_away("gf_usd.delivery.deliver:deliver", arguments)[0]
 

@@ -117,18 +117,27 @@ def fit(
         wanted = prepared_fit(
             asset_path(path),
             texts,
-            unknowns=names_of(unknowns),
+            unknowns=_names(unknowns),
             bounds=_bounds(bounds),
             output=None if output is None else Path(values.path("output", output)),
             picture=None if picture is None else Path(values.path("picture", picture)),
-            evaluations=None if evaluations is None else Path(os.fspath(evaluations)),
+            evaluations=None
+            if evaluations is None
+            else Path(values.path("evaluations", evaluations)),
             max_minutes=values.real("max_minutes", max_minutes),
-            jobs=jobs,
-            overwrite=overwrite,
+            jobs=None if jobs is None else values.positive("jobs", jobs),
+            overwrite=values.switch("overwrite", overwrite),
             options=taken(options, "fit"),
         )
-        arguments = {"request": wanted}
+        arguments, progress = {"request": wanted}, values.listener("progress", progress)
         return here_or_away("gf_usd.fitting.fit:fit_counted", arguments, progress)[0]
+
+
+def _names(unknowns: object) -> list[str]:
+    """The names of `fit`.  Raises UsageError for anything but texts."""
+    wanted = "names such as ['E', 'nu'], or 'E,nu'"
+    given = () if unknowns is None else values.texts("unknowns", unknowns, wanted)
+    return [name for one in given for name in names_of(one)]
 
 
 def names_of(unknowns: str | Sequence[str] | None) -> list[str]:

@@ -53,7 +53,11 @@ def report(
     """
     with keywords("max_vertices", "max_frames", "max_splats", "variant"):
         source = asset_path(path)
-        target = Path(values.path("output", output)) if output else default_page(source, splats)
+        splats = values.switch("splats", splats)
+        variant = values.variant("variant", variant)
+        target = (
+            default_page(source, splats) if output is None else Path(values.path("output", output))
+        )
         vertices = values.whole("max_vertices", max_vertices)
         frames = values.whole("max_frames", max_frames)
         most = values.whole("max_splats", max_splats)

@@ -223,10 +223,11 @@ class Simulation(Iterator[SimulationFrame]):
 
         It is that after the last frame, with what was set since, and with forces and acceleration.
         """
+        solver = self._running()
         if self._last is None:
             raise UsageError("the simulation has not started", "request its first frame: next(it)")
         with guest():
-            state = self._running().save()
+            state = solver.save()
         return {
             **state, "index": self._index, "health": self._last, "disturbed": self._disturbed,
             "forces": self._forces, "added_acceleration": self._acceleration,

@@ -225,6 +225,64 @@ def test_targets_that_are_none_are_refused(targets: Any) -> None:
         gf_usd.fit("duck.usda", targets)
 
 
+# function, keywords, words of the message, words of the hint
+OTHER_MISUSES: list[tuple[str, dict[str, Any], str, str]] = [
+    ("fit", {"unknowns": 5}, "unknowns is 5, of type int", "such as ['E', 'nu']"),
+    ("fit", {"unknowns": ["E", 3]}, "unknowns is 3, of type int", "such as ['E', 'nu']"),
+    ("fit", {"evaluations": 5}, "evaluations is 5, of type int", "give a path"),
+    ("fit", {"jobs": 0}, "jobs is 0", "give 1 or more"),
+    ("fit", {"jobs": "2"}, "jobs is '2', of type str", "without quotes: jobs=2"),
+    ("fit", {"jobs": 1.5}, "jobs is 1.5", "give a whole number"),
+    ("fit", {"overwrite": "no"}, "overwrite is 'no'", "give True or False: overwrite=True"),
+    ("fit", {"progress": 3}, "progress is 3, of type int", "(frames done, total frames)"),
+    ("compare", {"output": 3}, "output is 3, of type int", "a path, or a list of them"),
+    ("compare", {"variant": 3}, "variant is 3, of type int", "the name of a variant"),
+    ("compare", {"other_variant": []}, "other_variant is [], of type", "the name of a variant"),
+    ("compare", {"progress": 3}, "progress is 3, of type int", "(frames done, total frames)"),
+    ("preview", {"camera": 3}, "camera is 3, of type int", "the path of a camera"),
+    ("preview", {"progress": "bar"}, "progress is 'bar'", "(frames done, total frames)"),
+    ("report", {"splats": "all"}, "splats is 'all'", "give True or False: splats=True"),
+    ("report", {"output": []}, "output is [], of type list", "give a path"),
+    ("report", {"variant": 3}, "variant is 3, of type int", "the name of a variant"),
+    ("deliver", {"variant": 3}, "variant is 3, of type int", "the name of a variant"),
+    ("deliver", {"kind": object()}, "kind is <object", "'joints'"),
+    ("deliver", {"splats": None}, "splats is None", "'captured'"),
+    ("deliver", {"bind_splats": 1}, "bind_splats is 1", "'skin'"),
+    ("deliver", {"max_joints": 0}, "max_joints is 0", "give 1 or more"),
+    ("deliver", {"max_shapes": -1}, "max_shapes is -1", "give 1 or more"),
+]
+NEEDED: dict[str, dict[str, Any]] = {
+    "fit": {"targets": {"squash": 0.3}, "max_minutes": 0.0, "particles": 100, "frames": 1},
+    "compare": {"other": SPHERE},
+    "deliver": {"output": "sphere.glb"},
+    "report": {"output": "sphere.html"},
+}
+
+
+@pytest.mark.parametrize(("function", "options", "message", "hint"), OTHER_MISUSES, ids=named)
+def test_a_misuse_of_another_function_is_a_usage_error(
+    function: str,
+    options: dict[str, Any],
+    message: str,
+    hint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(gf_usd.UsageError) as caught:
+        getattr(gf_usd, function)(SPHERE, **{**NEEDED.get(function, {}), **options})
+    assert message in caught.value.message
+    assert hint in caught.value.hint
+    assert "--" not in str(caught.value), "an option of the command line"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("radius", [-1.0, 0.0, math.nan, math.inf])
+def test_a_dimensionless_preset_refuses_an_invalid_radius(radius: float) -> None:
+    with pytest.raises(gf_usd.UsageError, match=rf"^preset rubber: the radius is {radius:g}\n"):
+        gf_usd.materials()["rubber"].material(radius)
+
+
 @pytest.mark.parametrize("minutes", [math.nan, -1.0])
 def test_a_time_for_a_fit_that_is_none_is_refused(minutes: float) -> None:
     with pytest.raises(gf_usd.UsageError, match=rf"^max_minutes is {minutes:g}\n"):

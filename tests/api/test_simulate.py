@@ -359,6 +359,15 @@ def test_leaving_early_and_closing() -> None:
         simulation.push(np.zeros((100, 3)))
 
 
+def test_a_simulation_that_was_closed_before_its_first_frame_has_no_state() -> None:
+    simulation = gf_usd.simulate(alone(), frames=2, particles=100)
+    with pytest.raises(gf_usd.UsageError, match="the simulation has not started"):
+        simulation.save()
+    simulation.close()
+    with pytest.raises(gf_usd.UsageError, match="the simulation is closed"):
+        simulation.save()
+
+
 def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
     one = gf_usd.simulate(alone(), frames=3, particles=100, threads=1)
     next(one)

@@ -95,3 +95,13 @@ def test_a_fit_takes_names_and_bounds_as_texts(
         gf_usd.fit(SPHERE, {"least_height": "1.4+-1%"}, particles=100, **options)
     assert message in caught.value.message
     assert hint in caught.value.hint
+
+
+def test_the_types_of_deliver_list_what_the_command_accepts() -> None:
+    from gf_usd.api import deliver as api
+    from gf_usd.delivery import deliver as delivery
+    from gf_usd.delivery.splats import clouds
+
+    assert api.KINDS == delivery.KINDS
+    assert api.SPLATS == clouds.CHOICES
+    assert api.BINDINGS == delivery.BINDINGS

@@ -77,17 +77,22 @@ def compare(
             raise values.refuse(
                 "tolerance", tolerance, "meters, or a string such as '2mm' or '0.5%'"
             )
-        many = [output] if isinstance(output, str | os.PathLike) else list(output)
+        single = isinstance(output, str | os.PathLike)
+        many = [output] if single else values.items("output", output, "a path, or a list of them")
         arguments: dict[str, Any] = {
             "path": asset_path(path),
             "other": asset_path(other),
             "targets": [Path(values.path("output", one)) for one in many],
             "tolerance": tolerance,
-            "variants": (variant, other_variant),
+            "variants": (
+                values.variant("variant", variant),
+                values.variant("other_variant", other_variant),
+            ),
             "align": align,
             "size": None if size is None else joined("size", size, "x", (2,)),
             "fps": fps,
         }
+        progress = values.listener("progress", progress)
         return here_or_away("gf_usd.api.drawing.compare:run", arguments, progress, schema=False)[0]
 
 

@@ -129,8 +129,9 @@ def preview(
             raise UsageError(
                 f"color is {color!r}", f"give {', '.join(map(repr, COLORS))}, or leave it out"
             )
-        if variant is not None:
-            values.text("variant", variant, "the name of a variant, such as 'rubber' or 'none'")
+        if camera is not None:
+            camera = values.prim("camera", camera, "the path of a camera, such as '/World/Camera'")
+        values.variant("variant", variant)
         options = read_options(
             target or UNWRITTEN,
             size=None if size is None else joined("size", size, "x", (2,)),
@@ -147,6 +148,7 @@ def preview(
             "color": color, "variant": variant, "write": target is not None,
         }  # fmt: skip
         task = "gf_usd.api.drawing.preview:draw"
+        progress = values.listener("progress", progress)
         return here_or_away(task, arguments, progress, schema=False)[0]
 
 

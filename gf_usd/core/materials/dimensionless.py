@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.material import Material, scaled_parameters, young_poisson
 
 G0 = 9.81  # [m/s^2] in the scales of a preset; never the scene's gravity
@@ -39,7 +40,15 @@ class DimensionlessPreset:
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def material(self, radius: float, law: str | None = None) -> Material:
-        """The preset on a body of radius r [m]."""
+        """The preset on a body of radius r [m].
+
+        Raises UsageError unless the radius is finite and above 0.
+        """
+        if not 0.0 < radius < np.inf:
+            raise UsageError(
+                f"preset {self.name}: the radius is {radius:g}",
+                "give the radius [m] of a ball of the body's volume, above 0",
+            )
         scale = self.density * G0 * radius
         young, poisson = young_poisson(self.mu * scale, self.lam * scale)
         return Material(

@@ -31,21 +31,23 @@ VALIDATORS = "usd"
 class CheckResult:
     """The result of a check."""
 
-    path: str
+    path: str  # of the file
     findings: tuple[Finding, ...]  # errors first
     skipped: tuple[Skip, ...]  # checks that were not possible, and why
     inherited: tuple[Finding, ...] = ()  # for a bake: errors that its source has too
     warned: tuple[str, ...] = ()  # USD's own warnings, counted
-    layers: int
-    prims: int
+    layers: int  # number of layers that were read
+    prims: int  # number of prims that were checked
     rules: int  # number of gf-usd rules that ran
 
     @property
     def errors(self) -> int:
+        """The number of findings that are errors."""
         return sum(finding.severity == "error" for finding in self.findings)
 
     @property
     def warnings(self) -> int:
+        """The number of findings that are warnings."""
         return len(self.findings) - self.errors
 
     @property
@@ -66,7 +68,7 @@ def check_file(path: str | Path) -> CheckResult:
     file = Path(path)
     if not file.is_file():
         raise InputError(
-            f"{file} is not a file.", "give the path of a usd, usda, usdc or usdz file"
+            f"{file} does not exist", "give the path of a usd, usda, usdc or usdz file"
         )
     require_utf8(file)
     if not Usd.Stage.IsSupportedFile(str(file)):

@@ -63,6 +63,23 @@ def whole(name: str, value: Any) -> int:
     return int(value)
 
 
+def positive(name: str, value: Any) -> int:
+    """A whole number of at least 1.  Raises UsageError for anything else."""
+    number = whole(name, value)
+    if number < 1:
+        raise UsageError(f"{name} is {number}", "give 1 or more")
+    return number
+
+
+def choice(name: str, value: Any, choices: Iterable[str]) -> str:
+    """One of the choices.  Raises UsageError for anything else."""
+    if not isinstance(value, str):
+        raise refuse(name, value, f"one of {', '.join(map(repr, choices))}")
+    if value not in choices:
+        raise UsageError(f"{name} is {value!r}", f"choose one of {', '.join(choices)}")
+    return value
+
+
 def switch(name: str, value: Any) -> bool:
     """True or False, of Python or NumPy.  Raises UsageError for anything else."""
     if isinstance(value, bool) or type(value).__name__ == "bool":
@@ -112,12 +129,22 @@ def path(name: str, value: Any) -> str:
     raise refuse(name, value, "a path: a text, or an object of pathlib")
 
 
-def prim(name: str, value: Any) -> str:
+def variant(name: str, value: Any) -> str | None:
+    """The name of a variant; None: none is chosen."""
+    wanted = "the name of a variant, such as 'rubber'"
+    return None if value is None else text(name, value, wanted)
+
+
+def prim(
+    name: str,
+    value: Any,
+    wanted: str = "the path of a prim, such as '/World/Duck', or a list of them",
+) -> str:
     """The path of a prim: a text, an Sdf.Path, or a prim."""
     found = value.GetPath() if hasattr(value, "GetPath") else value
     if hasattr(found, "pathString"):
         found = found.pathString
-    return text(name, found, "the path of a prim, such as '/World/Duck', or a list of them")
+    return text(name, found, wanted)
 
 
 def length(name: str, value: Any) -> str:
