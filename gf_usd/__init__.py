@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from gf_usd.delivery.deliver import Delivered, DeliveredBody, DeliveredSplats
     from gf_usd.delivery.retime import Retimed
     from gf_usd.fitting.result import Estimate, FitResult, Reproduced
+    from gf_usd.layers.check.base import Finding
     from gf_usd.layers.check.run import CheckResult
+    from gf_usd.pipeline.health.warnings import HealthWarning
     from gf_usd.pipeline.inspect import Inspection
     from gf_usd.pipeline.result import BakeResult, VariantResult
     from gf_usd.view.compare import Comparison
@@ -68,8 +70,10 @@ _HOMES = {
     "DeliveredBody": "gf_usd.delivery.deliver",
     "DeliveredSplats": "gf_usd.delivery.deliver",
     "Estimate": "gf_usd.fitting.result",
+    "Finding": "gf_usd.layers.check.base",
     "FitResult": "gf_usd.fitting.result",
     "Health": "gf_usd.core.frames",
+    "HealthWarning": "gf_usd.pipeline.health.warnings",
     "Inspection": "gf_usd.pipeline.inspect",
     "Material": "gf_usd.core.materials.material",
     "Preview": "gf_usd.api.drawing.preview",
@@ -100,9 +104,11 @@ __all__ = [
     "DeliveredBody",
     "DeliveredSplats",
     "Estimate",
+    "Finding",
     "FitResult",
     "GfUsdError",
     "Health",
+    "HealthWarning",
     "InputError",
     "Inspection",
     "Material",

@@ -27,8 +27,8 @@ from gf_usd.prepare.options.table import OPTIONS  # noqa: E402
 
 PAGE = ROOT / "docs" / "api.md"
 GROUPS = {
-    "Bake": ("bake", "BakeResult", "VariantResult", "Material", "materials"),
-    "Look before and after": ("inspect", "Inspection", "check", "CheckResult"),
+    "Bake": ("bake", "BakeResult", "VariantResult", "HealthWarning", "Material", "materials"),
+    "Look before and after": ("inspect", "Inspection", "check", "CheckResult", "Finding"),
     "Read a bake": ("read", "Bake", "BakeFrame", "Health", "Settings"),
     "Show": ("preview", "Preview", "report"),
     "Compare": ("compare", "Comparison"),

@@ -79,7 +79,7 @@ class Unfinished(GfUsdError):
 
 
 class SolverError(BakeError):
-    """The simulation failed.
+    """The simulation failed: a BakeError.
 
     frame : the first frame that could not be computed; particle : the one where it went wrong, or
         -1.
@@ -96,7 +96,9 @@ class OutOfResources(SolverError):
 
 
 class UnhealthyError(GfUsdError):
-    """The bake was written, but its result is wrong, or it has warnings under --strict (status 4).
+    """The bake was written, but its result is wrong, or `strict` was set and it has warnings.
+
+    The exit status of the command line is 4.
 
     warnings : the `HealthWarning`s; result : the `BakeResult`.
     """

@@ -68,7 +68,7 @@ class DeliveredSplats:
 
     variant: str  # "" where the bake has none
     path: str  # of the prim
-    count: int
+    count: int  # of the Gaussians
     position: float  # the largest distance over Gaussians and frames [radii]
     # |S' - S| / |S| of covariances over Gaussians and frames: median, 99 in 100, largest
     covariance: tuple[float, float, float]
@@ -78,11 +78,11 @@ class DeliveredSplats:
 class Delivered:
     """A delivered file."""
 
-    path: Path
-    bytes: int
+    path: Path  # the file
+    bytes: int  # its size
     error: float  # the largest distance to the bake over points, Gaussians and frames [radii]
-    frames: int
-    bodies: tuple[DeliveredBody, ...]
+    frames: int  # number of frames of the motion
+    bodies: tuple[DeliveredBody, ...]  # of each variant
     splats: tuple[DeliveredSplats, ...] = ()  # that were delivered
     notes: tuple[str, ...] = ()  # assumptions and omissions, as text
 

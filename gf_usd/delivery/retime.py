@@ -33,8 +33,8 @@ class Retimed:
     path: Path  # root layer
     caches: tuple[Path, ...]  # one per variant
     frames: int  # samples of the longest
-    start: float  # time codes
-    end: float
+    start: float  # time code of the first frame
+    end: float  # time code of the last
     notes: tuple[str, ...] = ()  # missing files, and prims that keep their speed, as text
 
 

@@ -26,21 +26,21 @@ class Estimate:
     """A fitted value, in SI."""
 
     name: str  # of a field of Material, or of a parameter of its law
-    unit: str
-    value: float
+    unit: str  # "" where it has none
+    value: float  # the best estimate [unit]
     low: float  # of the 95 % interval
-    high: float
+    high: float  # of the 95 % interval
     identifiable: bool  # False: the targets add little to the bounds
-    start: float
-    bounds: tuple[float, float]
+    start: float  # its value in the initial material
+    bounds: tuple[float, float]  # of the search
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduced:
     """A target and its value with the fitted material, in SI."""
 
-    name: str
-    unit: str
+    name: str  # of the figure, or of the file with the motion
+    unit: str  # "" where it has none
     target: float  # a number; of points 0
     sigma: float  # its standard deviation
     stated: bool  # whether the standard deviation was stated
@@ -54,20 +54,20 @@ class FitResult:
     """What `gf_usd.fit` found."""
 
     material: Material  # with the fitted values
-    estimates: tuple[Estimate, ...]
-    targets: tuple[Reproduced, ...]
+    estimates: tuple[Estimate, ...]  # one per unknown
+    targets: tuple[Reproduced, ...]  # one per target
     not_identifiable: tuple[str, ...]  # sentences; empty if the targets determine all values
     correlation: tuple[tuple[float, ...], ...]  # of the estimates, in their order
     noise: float  # scatter of the residuals over the standard deviations of the targets
     converged: bool  # False: the time limit was reached first
     simulations: int  # that were run
     read: int  # that were kept from before
-    seconds: float
-    particles: int
-    frames: int
-    layer: Path | None  # the material, for --material
-    picture: Path | None
-    notes: tuple[str, ...]
+    seconds: float  # [s] the fit took
+    particles: int  # of each simulation
+    frames: int  # of each simulation
+    layer: Path | None  # the material, for `material` of a bake; None: not written
+    picture: Path | None  # None: not written
+    notes: tuple[str, ...]  # assumptions, as text
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON-compatible values."""

@@ -62,12 +62,12 @@ class Inspection:
 
     asset: Asset  # as it was read
     diagnoses: tuple[Diagnosis, ...]  # one per surface, before any repair
-    repairs: tuple[Repairs, ...] = ()
+    repairs: tuple[Repairs, ...] = ()  # one per surface; empty without repair=True
     plan: Plan | None = None  # None: refused
-    cost: Cost | None = None
-    parts: tuple[Part, ...] = ()
-    warnings: tuple[str, ...] = ()
-    refusal: InputError | None = None
+    cost: Cost | None = None  # estimated_seconds, estimated_bytes and more; None: refused
+    parts: tuple[Part, ...] = ()  # that are filled poorly
+    warnings: tuple[str, ...] = ()  # problems of the asset, as text
+    refusal: InputError | None = None  # why `bake` would refuse the asset; None: it would not
     thickness: Thickness | None = None  # of the filled bodies
 
     @property

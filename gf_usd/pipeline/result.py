@@ -76,7 +76,8 @@ class VariantResult:
     material: Material  # that of most of the volume
     frames: int  # that were written
     health: dict[str, Any] = field(repr=False)  # totals; docs/guide/report.md has the keys
-    per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)  # fields of `Health`
+    # one dict per frame, with the fields of `Health` by name
+    per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
     warnings: tuple[HealthWarning, ...] = ()  # each with about, message and hint
     clips: tuple[Path, ...] = ()  # files next to the cache
     at_rest: int | None = None  # frame, from 1, at which all rested; None: not tested
@@ -117,7 +118,8 @@ class BakeResult:
     seconds: float  # [s] the bake took
     settings: Settings  # of the first material
     notes: tuple[str, ...] = ()  # assumptions, as text
-    findings: tuple[dict[str, str], ...] = ()  # of `check`, less those of the source
+    # of `check`, less those of the source, as dicts with the fields of `Finding`
+    findings: tuple[dict[str, str], ...] = ()
     outputs: tuple[Path, ...] = ()  # all files, including shared ones of a mesh file
 
     @property

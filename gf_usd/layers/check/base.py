@@ -17,8 +17,8 @@ Severity = Literal["error", "warning"]
 class Finding:
     """A fault in a file."""
 
-    rule: str
-    severity: Severity
+    rule: str  # its name, such as "value-range"
+    severity: Severity  # error | warning
     prim_path: str  # "/" for the stage itself
     message: str  # the fault, with its numbers
     fix: str  # how to fix it

@@ -55,12 +55,15 @@ ERRORS = ("planes",)  # of RULES
 
 @dataclass(frozen=True, kw_only=True)
 class HealthWarning:
-    """One warning, or an error, which needs no --strict."""
+    """A value of a bake's health that a sound bake does not have.
 
-    about: str  # the row of RULES that it came from
-    message: str
-    hint: str
-    level: str = WARNING
+    docs/guide/warnings-and-errors.md lists the warnings by their names.
+    """
+
+    about: str  # its name, such as "untouched"
+    message: str  # the fault, with its numbers
+    hint: str  # what to do about it
+    level: str = WARNING  # warning | error: a bake with an error fails even without `strict`
 
     def as_json(self) -> dict[str, str]:
         """Plain values."""
