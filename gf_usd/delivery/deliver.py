@@ -23,7 +23,7 @@ from gf_usd.delivery.splats.clouds import (
     SplatErrors,
 )
 from gf_usd.delivery.splats.usd import read_errors
-from gf_usd.delivery.usd import error_of, require_no_input, write_usd
+from gf_usd.delivery.usd import error_of, require_no_layer_of_bake, write_usd
 from gf_usd.delivery.variants import BakedVariant, read_variants
 from gf_usd.readers.pictures.splats import SplatMotion
 from gf_usd.system.atomic_files import partial_path, publish
@@ -273,7 +273,7 @@ def _require(
         )
     if target.is_dir():
         raise UsageError(f"{target} is a folder.", "name the file: -o duck.usdz")
-    require_no_input(bake, target)
+    require_no_layer_of_bake(bake, target)
 
 
 class _Usd:

@@ -17,7 +17,7 @@ from pxr import Sdf, Usd, UsdUtils
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.delivery.resample import SAME, Warp, most_samples, resample, sample_as_played
-from gf_usd.delivery.usd import VARIANTS, absolute, require_no_input
+from gf_usd.delivery.usd import VARIANTS, absolute, require_no_layer_of_bake
 from gf_usd.layers.flatten import export, write_placed
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.system.atomic_files import partial_path, publish
@@ -64,7 +64,7 @@ def retime(
         root = open_stage(bake).GetRootLayer()
         caches = _caches(root, bake)
         made = {cache: _named(target, name, len(caches)) for name, cache in caches.items()}
-        require_no_input(bake, target, *made.values())
+        require_no_layer_of_bake(bake, target, *made.values())
         if keys is not None:
             _require_no_samples_in_other_variants(root, bake)
         try:

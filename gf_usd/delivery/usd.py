@@ -28,6 +28,7 @@ from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured
 from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.system.atomic_files import same_place
 
 VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
 
@@ -81,7 +82,7 @@ def error_of(target: Path, variant: BakedVariant) -> float:
     return largest
 
 
-def require_no_input(bake: Path, *targets: Path) -> None:
+def require_no_layer_of_bake(bake: Path, *targets: Path) -> None:
     """Raise UsageError where a file that is to be written is one that a bake is composed of.
 
     Or where it has the contents of the asset that was baked, which need not be a layer: the bake of
@@ -97,7 +98,7 @@ def require_no_input(bake: Path, *targets: Path) -> None:
         about = (layer.customLayerData.get(VARIANTS) for layer in layers)
         hashes = {data.get("inputHash") for data in about if isinstance(data, dict)}
     for target in there:
-        if any(path.exists() and path.samefile(target) for path in read):
+        if any(same_place(path, target) for path in read):
             raise UsageError(f"{target} is an input of the bake.", "choose another -o")
         if target.is_file() and digest(target) in hashes:
             raise UsageError(f"{target} is the asset that was baked.", "choose another -o")

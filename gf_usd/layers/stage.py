@@ -17,7 +17,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import BAKES, Asset, StageFacts, baked_already
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.core.frames import Choices, Settings
-from gf_usd.system.atomic_files import partial_path
+from gf_usd.system.atomic_files import partial_path, same_place
 
 VARIANT_SET = BAKES
 SCOPE = "GaussianFlesh"
@@ -141,7 +141,7 @@ def new_layer(path: Path, source: Path) -> Sdf.Layer:
     UsageError : ``path`` is the source itself, which is never overwritten.
     BakeError : the folder cannot be written.
     """
-    if path.exists() and source.exists() and path.samefile(source):
+    if path.exists() and same_place(path, source):
         raise UsageError(f"{path} is the asset itself.", "give the output another name with -o")
     partial = partial_path(path)
     try:

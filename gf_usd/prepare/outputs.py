@@ -185,7 +185,7 @@ def require_free(files: Outputs, overwrite: bool, *, resume: bool = False) -> No
         ) from error
 
 
-def require_no_input(files: Outputs, inputs: Sequence[Path]) -> None:
+def require_no_input_of_bake(files: Outputs, inputs: Sequence[Path]) -> None:
     """Raise UsageError where a result would replace a file that the bake reads."""
     for path in files.all:
         if any(same_place(path, read) for read in inputs):

@@ -35,7 +35,7 @@ from gf_usd.prepare.outputs import (
     outputs,
     require_free,
     require_free_sequences,
-    require_no_input,
+    require_no_input_of_bake,
     require_source_free,
     sequences,
     stamp,
@@ -109,7 +109,7 @@ def prepare(
     shared = request.max_edge_length is None  # else the layer is that of this bake alone
     files, seen_source = _with_layer(targets, found.converted, shared=shared)
     if any(file.exists() for file in files.all):
-        require_no_input(files, _files_read(source, material, request))
+        require_no_input_of_bake(files, _files_read(source, material, request))
     asset = found.asset
     plan, solid = fill(
         asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair

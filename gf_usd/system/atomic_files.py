@@ -25,10 +25,18 @@ def partial_path(path: Path) -> Path:
 
 
 def same_place(one: Path, other: Path) -> bool:
-    """Whether two paths lead to the same file.  A link that leads to itself is not followed:
-    `Path.resolve` raises a RuntimeError for it up to Python 3.12.
+    """Whether two paths lead to the same file, which need not exist.
+
+    A hard link is the same file, as is another spelling where case does not matter.  A symbolic
+    link that leads to itself is not followed: `Path.resolve` raises a RuntimeError for it up to
+    Python 3.12.
     """
-    return os.path.realpath(one) == os.path.realpath(other)
+    if os.path.realpath(one) == os.path.realpath(other):
+        return True
+    try:
+        return os.path.samefile(one, other)
+    except OSError:  # one of them does not exist, or cannot be followed
+        return False
 
 
 def drop_working(path: Path) -> None:

@@ -9,7 +9,13 @@ import pytest
 from full_disk import full_disk  # noqa: F401
 
 from gf_usd.core.errors import BakeError
-from gf_usd.system.atomic_files import drop_working, partial_path, publish, publish_text
+from gf_usd.system.atomic_files import (
+    drop_working,
+    partial_path,
+    publish,
+    publish_text,
+    same_place,
+)
 
 
 def test_the_partial_name_keeps_folder_and_suffix() -> None:
@@ -67,3 +73,31 @@ def test_what_a_kill_within_usd_leaves_is_dropped_and_nothing_else(tmp_path: Pat
         (tmp_path / name).write_text("x")
     drop_working(path)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(mine)
+
+
+@pytest.mark.parametrize(
+    ("other", "same"),
+    [
+        ("file", True),
+        ("folder/../file", True),
+        ("symbolic", True),
+        ("hard", True),
+        ("copy", False),
+        ("missing", False),
+        ("circle", False),
+    ],
+)
+def test_paths_to_the_same_file_are_the_same_place(tmp_path: Path, other: str, same: bool) -> None:
+    (tmp_path / "folder").mkdir()
+    for name in ("file", "copy"):
+        (tmp_path / name).write_text("text", encoding="utf-8")
+    (tmp_path / "symbolic").symlink_to(tmp_path / "file")
+    (tmp_path / "hard").hardlink_to(tmp_path / "file")
+    (tmp_path / "circle").symlink_to(tmp_path / "circle")
+    assert same_place(tmp_path / "file", tmp_path / other) is same
+    assert same_place(tmp_path / other, tmp_path / "file") is same
+
+
+def test_two_paths_to_a_file_that_is_not_there_are_the_same_place(tmp_path: Path) -> None:
+    assert same_place(tmp_path / "none", tmp_path / "folder" / ".." / "none")
+    assert not same_place(tmp_path / "none", tmp_path / "other")
