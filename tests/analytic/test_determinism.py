@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from launching import WAYS, launched
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
@@ -17,7 +17,7 @@ def drop(threads: int, way: str, monkeypatch, frames: int = 8) -> np.ndarray:
         fps=60.0,
     )  # fmt: skip
     solver = TotalLagrangian(
-        body, [look("rubber", body)], s, samples=samples, velocity=(0.3, -2.0, 0.1)
+        body, [preset_material("rubber", body)], s, samples=samples, velocity=(0.3, -2.0, 0.1)
     )
     launched(solver, way, monkeypatch)
     deepest = max(f.health.penetration for f in solver.frames())

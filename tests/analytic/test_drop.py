@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from solids import fill, look, settings, solid, sphere
+from solids import fill, preset_material, settings, solid, sphere
 
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -29,7 +29,7 @@ def drop(name: str, radius: float, particles: int = 1000, **changes: float) -> d
         frames=120, fps=19.1 / T, gravity=(0.0, -G0, 0.0), floor=0.0, filter_rate=FILTER_RATE / T,
         lift=(0.0, 4.0 * radius, 0.0),
     )  # fmt: skip
-    made = look(name, body, **changes)
+    made = preset_material(name, body, **changes)
     solver = TotalLagrangian(body, [made], s, samples=samples, embedded={"skin": shape.points})
     heights, depths, health = [], [], []
     for frame in solver.frames():
@@ -100,7 +100,7 @@ def test_a_body_at_rest_sinks_by_a_tenth_of_a_spacing_at_most(radius):
         frames=60, fps=10.0 / T, gravity=(0.0, -G0, 0.0), floor=0.0, filter_rate=FILTER_RATE / T,
         lift=(0.0, radius, 0.0), drag=3.0 / T,
     )  # fmt: skip
-    solver = TotalLagrangian(body, [look("rubber", body)], s, samples=samples)
+    solver = TotalLagrangian(body, [preset_material("rubber", body)], s, samples=samples)
     last = list(solver.frames())[-1]
     assert last.health.kinetic < 1e-4 * solver.body.m.sum() * G0 * radius, "it has come to rest"
     assert 0.0 < last.health.penetration <= 0.1 * body.spacing

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from solids import cube, fill, look, settings, solid, sphere
+from solids import cube, fill, preset_material, settings, solid, sphere
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
@@ -29,7 +29,7 @@ def affine(X: np.ndarray) -> np.ndarray:
 def filtered(body: str, velocity: Any, *, substeps: int, followers: bool):
     """Positions [m] of the free nodes, their mass, and their velocities before and after."""
     particles, _ = fill(BODIES[body](), 600)
-    slack = look("rubber", particles, damping_time=0.0, youngs_modulus=1e-9)
+    slack = preset_material("rubber", particles, damping_time=0.0, youngs_modulus=1e-9)
     # A frame of a microsecond: nodes do not move, so nothing but the filter acts.
     s = settings(frames=2, fps=1e6, filter_rate=np.inf, substeps=substeps, followers=followers)
     solver = TotalLagrangian(particles, [slack], s, velocity=velocity, real=np.float64)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
@@ -22,7 +22,7 @@ def spun(X):
 
 def fly(real=np.float32, frames=100, filter_rate=0.0, particles=500, damping=0.0):
     body, _ = ball(particles)
-    made = look("rubber", body, damping_time=damping)
+    made = preset_material("rubber", body, damping_time=damping)
     solver = TotalLagrangian(
         body,
         [made],
@@ -43,7 +43,7 @@ def test_free_fall_is_exact_at_every_frame(real, tolerance):
     body, _ = ball(300)
     g = np.array([1.0, -9.81, 0.0])
     s = settings(frames=12, gravity=tuple(g), filter_rate=10.0)
-    for frame in TotalLagrangian(body, [look("rubber", body)], s, real=real).frames():
+    for frame in TotalLagrangian(body, [preset_material("rubber", body)], s, real=real).frames():
         fallen = 0.5 * g * frame.time**2
         assert frame.time == pytest.approx(frame.index / 24.0, rel=1e-12)
         np.testing.assert_allclose(
@@ -60,7 +60,7 @@ def test_drag_slows_a_fall_as_its_formula_says():
     # dv/dt = g - k v: the splitting (kick, then exp(-k dt)) is first order in k dt = 0.5 / 150.
     body, _ = ball(300)
     s = settings(frames=13, gravity=(0.0, -9.81, 0.0), drag=0.5)
-    frame = list(TotalLagrangian(body, [look("rubber", body)], s).frames())[-1]
+    frame = list(TotalLagrangian(body, [preset_material("rubber", body)], s).frames())[-1]
     t = frame.time
     speed = 9.81 / 0.5 * (1.0 - np.exp(-0.5 * t))
     assert -frame.health.momentum[1] / frame.health.mass == pytest.approx(speed, rel=5e-3)
@@ -108,7 +108,7 @@ def test_one_filter_conserves_reference_angular_momentum_exactly():
     # nodes, followers with their own mass, must stay; so must that of the free nodes' momenta,
     # because followers are carried by an affine fit.
     body, _ = ball(400)
-    soft = replace(look("rubber", body, damping_time=0.0), youngs_modulus=1e-3)
+    soft = replace(preset_material("rubber", body, damping_time=0.0), youngs_modulus=1e-3)
     s = settings(frames=2, filter_rate=np.inf, substeps=8)
     solver = TotalLagrangian(body, [soft], s, velocity=spun, real=np.float64)
     X = solver.body.stencil.free_X
@@ -128,7 +128,7 @@ def test_a_finite_filter_rate_does_not_depend_on_the_step():
     losses = []
     for substeps in (8, 16, 32):
         body, _ = ball(400)
-        made = look("rubber", body, damping_time=0.0)
+        made = preset_material("rubber", body, damping_time=0.0)
         s = settings(frames=8, filter_rate=20.0, substeps=substeps, fps=48.0)
         solver = TotalLagrangian(body, [made], s, velocity=lambda X: X @ SQUEEZE)
         h = [f.health for f in solver.frames()]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from law_references import ENERGIES
 from slow_parameters import slow_but
-from solids import cube, fill, look, settings, solid
+from solids import cube, fill, preset_material, settings, solid
 
 from gf_usd.core.frames import Particles
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -37,7 +37,7 @@ def even_cube() -> Particles:
 @pytest.mark.parametrize("real", slow_but([np.float32, np.float64], np.float32))
 def test_nodes_inside_feel_nothing_and_nodes_at_the_skin_feel_the_traction(A, token, real):
     particles = even_cube()
-    made = look("rubber", particles, law=token, damping_time=0.0)
+    made = preset_material("rubber", particles, law=token, damping_time=0.0)
     # Without followers: those hand the traction of the skin on to nodes two cells deep.
     s = settings(frames=2, substeps=1, fps=1.0 / DT, followers=False)
     solver = TotalLagrangian(particles, [made], s, real=real)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from solids import look, settings, solid, sphere
+from solids import preset_material, settings, solid, sphere
 
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import slopes
@@ -42,7 +42,7 @@ def run(name="rubber", seed=0, velocity=(0.0, 0.0, 0.0), drop=False, **options):
             "drag": 0.5,
         }
         samples = SurfaceSamples(X=body.X, area=body.V0 / body.spacing)
-    material = look(name, body, damping_time=0.0, law="corotated")
+    material = preset_material(name, body, damping_time=0.0, law="corotated")
     solver = TotalLagrangian(
         body, [material], settings(**values), samples=samples, velocity=velocity
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from law_references import ENERGIES, A, reference_stress, von_mises
 from slow_parameters import slow_but
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.physics.total_lagrangian import energies
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -29,7 +29,7 @@ def test_stress_is_uniform(token, real, tolerance):
     # P ~ mu (F - R) and |F - R| ~ 0.1 here, F has rounding eps * sum |u| |grad w| ~ 3 eps on 1:
     # f32 leaves some 3e-6 of the stress, f64 1e-14.
     body, _ = ball(500)
-    made = look("rubber", body, law=token, damping_time=0.0)
+    made = preset_material("rubber", body, law=token, damping_time=0.0)
     solver = TotalLagrangian(body, [made], settings(), real=real)
     u = solver.body.stencil.node_X @ (A - np.eye(3)).T + SHIFT
     solver.state.arrays["u"].from_numpy(u.astype(real).ravel())
@@ -46,7 +46,7 @@ def test_stress_is_uniform(token, real, tolerance):
 def test_forces_add_up_to_nothing(token):
     # Internal forces are pairs: their sum and their moment about any point vanish, whatever u is.
     body, _ = ball(300)
-    made = look("rubber", body, law=token, damping_time=0.002)
+    made = preset_material("rubber", body, law=token, damping_time=0.002)
     s = settings(frames=2, substeps=1, fps=1e6)
     rng = np.random.default_rng(1)
     wave = rng.normal(size=(3, 3))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from solids import cube, fill, look, settings, solid
+from solids import cube, fill, preset_material, settings, solid
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
@@ -36,7 +36,7 @@ def core(damping: float) -> tuple[float, float]:
     """
     body, _ = fill(solid(cube((-0.5, -0.5, -0.5))), 8000)
     nu = LAM / (2.0 * (LAM + MU))
-    made = look(
+    made = preset_material(
         "rubber", body, youngs_modulus=2.0 * MU * (1.0 + nu), poissons_ratio=nu, density=DENSITY,
         damping_time=damping,
     )  # fmt: skip

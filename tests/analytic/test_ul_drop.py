@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from solids import fill, look, settings, solid, sphere
+from solids import fill, preset_material, settings, solid, sphere
 
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.physics.frame_loop import energy
@@ -25,7 +25,9 @@ def drop(kind: type, name: str, frames: int = 75, radius: float = 1.0):
         frames=frames, fps=19.1 / T, gravity=(0.0, -G0, 0.0), floor=0.0, filter_rate=np.inf,
         lift=(0.0, 4.0 * radius, 0.0),
     )  # fmt: skip
-    solver = kind(body, [look(name, body)], s, samples=samples, embedded={"skin": shape.points})
+    solver = kind(
+        body, [preset_material(name, body)], s, samples=samples, embedded={"skin": shape.points}
+    )
     seen = list(solver.frames())
     heights = [float(np.ptp(f.embedded["skin"].x[:, 1])) / (2.0 * radius) for f in seen]
     return heights, [f.health for f in seen], body.spacing
@@ -66,7 +68,7 @@ def test_a_sliding_ball_is_slowed_by_friction_and_stays_on_the_floor():
     # Friction may not do more than mu m g; a ball that rolls and slides loses some of its speed.
     shape = sphere(1.0)
     body, samples = fill(solid(shape), 300)
-    made = look("metal", body, friction=0.2)
+    made = preset_material("metal", body, friction=0.2)
     s = settings(frames=30, fps=60.0, gravity=(0.0, -G0, 0.0), floor=-1.0)
     solver = UpdatedLagrangian(body, [made], s, samples=samples, velocity=(2.0, 0.0, 0.0))
     health = [f.health for f in solver.frames()]

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
@@ -27,7 +27,7 @@ def test_free_fall_is_exact_at_every_frame(real, tolerance):
     body, _ = ball(300)
     g = np.array([1.0, -9.81, 0.0])
     s = settings(frames=12, gravity=tuple(g))
-    made = look("rubber", body, damping_time=0.0)
+    made = preset_material("rubber", body, damping_time=0.0)
     for frame in UpdatedLagrangian(body, [made], s, real=real).frames():
         fallen = 0.5 * g * frame.time**2
         assert frame.time == pytest.approx(frame.index / 24.0, rel=1e-12)
@@ -44,7 +44,7 @@ def test_drag_slows_a_fall_as_its_formula_says():
     # dv/dt = g - k v: the splitting (kick, then exp(-k dt)) is first order in k dt = 0.5 / 150.
     body, _ = ball(300)
     s = settings(frames=13, gravity=(0.0, -9.81, 0.0), drag=0.5)
-    made = look("rubber", body, damping_time=0.0)
+    made = preset_material("rubber", body, damping_time=0.0)
     frame = list(UpdatedLagrangian(body, [made], s).frames())[-1]
     speed = 9.81 / 0.5 * (1.0 - np.exp(-0.5 * frame.time))
     assert -frame.health.momentum[1] / frame.health.mass == pytest.approx(speed, rel=5e-3)
@@ -56,7 +56,7 @@ def test_both_momenta_are_kept_and_energy_is_only_lost(real, tolerance):
     # In the world frame APIC keeps sum x x m v with the particles' own spin, the stress is
     # symmetric, and a particle moves along its velocity: rounding of 400 substeps is left.
     body, _ = ball(300)
-    made = look("rubber", body, damping_time=0.0)
+    made = preset_material("rubber", body, damping_time=0.0)
     solver = UpdatedLagrangian(body, [made], settings(frames=60), velocity=spun, real=real)
     health = [f.health for f in solver.frames()]
     first = health[0]
@@ -78,7 +78,7 @@ def test_both_momenta_are_kept_and_energy_is_only_lost(real, tolerance):
 def test_a_body_at_rest_stays_at_rest():
     # F = I is the rest state of the law to the bit, so nothing moves at all.
     body, _ = ball(300)
-    made = look("rubber", body)
+    made = preset_material("rubber", body)
     *_, last = UpdatedLagrangian(body, [made], settings(frames=30)).frames()
     np.testing.assert_allclose(last.particles.x, body.X, atol=1e-7)  # f32 of X - center
     assert np.abs(last.particles.v).max() == 0.0
@@ -91,7 +91,7 @@ def test_an_affine_velocity_is_an_affine_strain():
     # Splines reproduce what is affine: over one step of 1e-6 s F = I + dt A and v stays, up to
     # (dt A)^2 / 2, because the grid gets the particles half a step further on.
     body, _ = ball(300)
-    made = look("rubber", body, damping_time=0.0, youngs_modulus=1e-6)
+    made = preset_material("rubber", body, damping_time=0.0, youngs_modulus=1e-6)
     s = settings(frames=2, substeps=1, fps=1e6)
     solver = UpdatedLagrangian(body, [made], s, velocity=lambda X: X @ SHEAR.T, real=np.float64)
     *_, last = solver.frames()
@@ -104,7 +104,7 @@ def test_an_affine_velocity_is_an_affine_strain():
 def test_a_body_that_outgrows_its_grid_gets_a_larger_one():
     # The frame is done again in the larger grid: the same to the bit as where it was there before.
     body, _ = ball(300)
-    soft = look("rubber", body, damping_time=0.0, youngs_modulus=1e-6)
+    soft = preset_material("rubber", body, damping_time=0.0, youngs_modulus=1e-6)
     s = settings(frames=2, substeps=24)
     solver = UpdatedLagrangian(body, [soft], s, velocity=lambda X: 60.0 * X @ SHEAR.T)
     start, room = solver.state.save(), solver.state.node_capacity
@@ -125,7 +125,7 @@ def test_viscosity_takes_what_its_formula_says():
     # At F = I the power is -V 2 mu tau D:D, D the symmetric rate.  Over one step of 1e-7 s the
     # elastic stress and the change of D are smaller by 1e-5 each.
     body, _ = ball(300)
-    made = look("rubber", body, damping_time=0.01)
+    made = preset_material("rubber", body, damping_time=0.01)
     s = settings(frames=2, substeps=1, fps=1e7)
     solver = UpdatedLagrangian(body, [made], s, velocity=lambda X: X @ SHEAR.T, real=np.float64)
     before, after = (f.health for f in solver.frames())

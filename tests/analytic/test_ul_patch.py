@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from law_references import ENERGIES, A, reference_stress, von_mises
 from slow_parameters import longest_but, slow_but
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
@@ -15,7 +15,7 @@ from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 def strained(token: str, real: type, **changes):
     """A ball that is put where A takes it, at rest."""
     body, _ = ball(500)
-    made = look("rubber", body, law=token, damping_time=0.0)
+    made = preset_material("rubber", body, law=token, damping_time=0.0)
     s = settings(frames=2, substeps=1, fps=1e6, **changes)
     solver = UpdatedLagrangian(body, [made], s, real=real)
     x = solver.state.rows("x") @ A.T

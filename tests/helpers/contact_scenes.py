@@ -7,7 +7,7 @@ from typing import Any
 
 import igl
 import numpy as np
-from solids import look, settings, solid, surface
+from solids import preset_material, settings, solid, surface
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Frame
@@ -43,7 +43,7 @@ def contact_solver(
     filled = sample_solid(made, particles=particles, spacing=None, seed=0, bodies=of)
     return TotalLagrangian(
         filled,
-        [look(material, filled, **(changes or {}))],
+        [preset_material(material, filled, **(changes or {}))],
         settings(**{"filter_rate": FILTER, **options}),
         samples=sample_surface(made, filled.spacing, of),
         embedded={s.path: s.points for s in surfaces},

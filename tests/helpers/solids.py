@@ -107,7 +107,7 @@ def ball(particles: int, radius: float = 1.0, seed: int = 0) -> tuple[Particles,
     return fill(solid(sphere(radius)), particles, seed)
 
 
-def look(name: str, particles: Particles, **changes: Any) -> Material:
+def preset_material(name: str, particles: Particles, **changes: Any) -> Material:
     """A preset on a body; changes replace fields of the material."""
     made = DIMENSIONLESS[name].material(particles.radius)
     own = {"parameters": {**made.parameters, **tension_parameters(changes.get("law", made.law))}}

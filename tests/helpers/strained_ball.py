@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.physics.total_lagrangian.shape_correction import clip_stretches
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -30,7 +30,7 @@ def made(
 ):
     """A ball like rubber that floats, in two substeps a frame so short that it hardly moves."""
     values = {"frames": 2, "fps": 1e5, "substeps": 2, **options}
-    material = look("rubber", body(), damping_time=0.0, law=law)
+    material = preset_material("rubber", body(), damping_time=0.0, law=law)
     return TotalLagrangian(
         body(),
         [material],
@@ -49,7 +49,7 @@ def strain(solver, A):
 
 
 def shear_modulus():
-    return look("rubber", body()).mu
+    return preset_material("rubber", body()).mu
 
 
 def force(solver):

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.errors import BakeError, SolverError
 from gf_usd.core.frames import Frame, Health, Pose
@@ -153,10 +153,14 @@ def dropped(safety: float = 0.5, frames: int = 16, **more) -> TotalLagrangian:
         frames=frames, gravity=(0.0, -9.81, 0.0), floor=0.0, lift=(0.0, 1.3, 0.0),
         filter_rate=FILTER_RATE / time_scale(body.radius), safety=safety,
     )  # fmt: skip
-    solver = TotalLagrangian(body, [look("rubber", body)], s, samples=samples, **more)
+    solver = TotalLagrangian(body, [preset_material("rubber", body)], s, samples=samples, **more)
     # so many in every frame: a step that follows the strain would mend what is to be seen here
     return TotalLagrangian(
-        body, [look("rubber", body)], replace(s, substeps=solver.coarse), samples=samples, **more
+        body,
+        [preset_material("rubber", body)],
+        replace(s, substeps=solver.coarse),
+        samples=samples,
+        **more,
     )
 
 
@@ -221,7 +225,7 @@ def test_a_state_that_blew_up_does_not_set_the_substeps_of_the_next_attempt(
 ) -> None:
     """By the strain of such a state a frame can require more substeps than anybody waits for."""
     body, _ = ball(300)
-    solver = TotalLagrangian(body, [look("rubber", body)], settings())
+    solver = TotalLagrangian(body, [preset_material("rubber", body)], settings())
     frames, tried = solver.frames(), []
     next(frames)
     advance, read = solver.advance, solver.read
@@ -260,7 +264,7 @@ def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
         " the frames before it are in the partial cache"
     )
     body, _ = ball(300)
-    free = TotalLagrangian(body, [look("rubber", body)], settings())
+    free = TotalLagrangian(body, [preset_material("rubber", body)], settings())
     with pytest.raises(SolverError) as caught:
         list(free.frames())
     assert caught.value.hint == (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 import gf_usd
 from gf_usd.core.errors import UsageError
@@ -27,7 +27,9 @@ def test_the_words_of_the_option_are_the_registry():
 def test_every_solver_flies(name):
     body, samples = ball(100)
     s = settings(frames=3, solver=name, gravity=(0.0, -9.81, 0.0), floor=-3.0)
-    solver = make_solver(s, body, [look("rubber", body)], samples=samples, embedded={"a": body.X})
+    solver = make_solver(
+        s, body, [preset_material("rubber", body)], samples=samples, embedded={"a": body.X}
+    )
     assert isinstance(solver, Solver)
     *_, last = solver.frames()
     fallen = -0.5 * 9.81 * last.time**2
@@ -38,7 +40,7 @@ def test_every_solver_flies(name):
 def test_an_unknown_solver_is_refused():
     body, _ = ball(100)
     with pytest.raises(UsageError, match="unknown solver 'fem'"):
-        make_solver(settings(solver="fem"), body, [look("rubber", body)])
+        make_solver(settings(solver="fem"), body, [preset_material("rubber", body)])
     with pytest.raises(UsageError, match="there is no solver 'fem'"):
         Request(solver="fem").check()
 

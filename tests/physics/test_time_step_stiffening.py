@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lane_kernels import alike
 from law_references import LAM, MU, felt, unit
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.per_particle import strains
@@ -80,7 +80,7 @@ def test_the_step_follows_waves_but_never_grows_beyond_that_at_rest() -> None:
 
 def test_a_squashed_body_gets_more_substeps_unless_they_are_given() -> None:
     body, _ = ball(500)
-    m = look("jelly", body, damping_time=0.0)
+    m = preset_material("jelly", body, damping_time=0.0)
     solver = TotalLagrangian(body, [m], settings(fps=1.0))
     solver.read(0)
     assert solver.substeps == solver.coarse
@@ -117,7 +117,7 @@ def perturbation_growth(F: np.ndarray, steps_apart: float) -> float:
     steps_apart : length of these over that of the stable step.
     """
     body, _ = ball(600)
-    material = look("jelly", body)
+    material = preset_material("jelly", body)
     runs = []
     for size in (0.0, 1e-8):
         solver = TotalLagrangian(

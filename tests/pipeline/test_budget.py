@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from solids import asset, facts, fill, look, settings, solid, sphere
+from solids import asset, facts, fill, preset_material, settings, solid, sphere
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.material import Material
@@ -40,7 +40,7 @@ def plan() -> Plan:
         asset=replace(asset(shape), facts=facts(path=Path("ball.usda"))),
         particles=particles,
         samples=samples,
-        materials=(look("rubber", particles),),
+        materials=(preset_material("rubber", particles),),
         settings=settings(frames=31, gravity=(0.0, -9.81, 0.0), floor=-1.5),
         outputs=outputs(Path("ball.usda"), ["rubber"], None),
         source=Path("ball.usda"),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Health
@@ -257,7 +257,7 @@ def test_a_hard_landing_may_be_redone() -> None:
 
 
 def result(*healths: dict[str, Any]) -> BakeResult:
-    material = look("rubber", ball(100)[0])
+    material = preset_material("rubber", ball(100)[0])
     bakes = [
         VariantResult(
             variant=f"look{i}", cache=Path("c.usdc"), material=material, frames=2, health=health,

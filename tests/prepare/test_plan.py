@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from physics_stages import head, mesh
 from planned import at
-from solids import asset, facts, fill, look, settings, solid, sphere
+from solids import asset, facts, fill, preset_material, settings, solid, sphere
 
 import gf_usd
 from gf_usd.core.frames import Settings
@@ -44,7 +44,7 @@ def plan(source: Path) -> Plan:
         asset=replace(asset(shape), facts=facts(path=source)),
         particles=particles,
         samples=samples,
-        materials=(look("rubber", particles), look("jelly", particles)),
+        materials=(preset_material("rubber", particles), preset_material("jelly", particles)),
         settings=settings(frames=5, fps=30.0, seed=3, gravity=(0.0, -9.81, 0.0)),
         outputs=outputs(source, ["rubber", "jelly"], "out/"),
         source=source,

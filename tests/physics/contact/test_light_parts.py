@@ -8,7 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 from contact_scenes import contact_solver
-from solids import CUBE_POINTS, CUBE_TRIANGLES, cube, fill, look, settings, solid, surface
+from solids import (
+    CUBE_POINTS,
+    CUBE_TRIANGLES,
+    cube,
+    fill,
+    preset_material,
+    settings,
+    solid,
+    surface,
+)
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Settings
@@ -49,7 +58,7 @@ def on_floor(**changes: object) -> Settings:
 @cache
 def solver_of(shape: str, restitution: float = 0.85) -> TotalLagrangian:
     body, samples = fill(solid(SHAPES[shape]), 600)
-    made = look("rubber", body, restitution=restitution)
+    made = preset_material("rubber", body, restitution=restitution)
     return TotalLagrangian(body, [made], on_floor(), samples=samples)
 
 
@@ -155,7 +164,7 @@ def test_a_blade_comes_to_rest_on_the_floor_a_tenth_of_a_spacing_deep_at_most() 
         frames=40, fps=5.0 / T, gravity=(0.0, -G0, 0.0), floor=0.0, filter_rate=FILTER_RATE / T,
         lift=(0.0, 0.2, 0.0), drag=3.0 / T,
     )  # fmt: skip
-    solver = TotalLagrangian(body, [look("jelly", body)], s, samples=samples)
+    solver = TotalLagrangian(body, [preset_material("jelly", body)], s, samples=samples)
     contact = solver.body.contact
     assert contact is not None
     assert (contact.mass < 0.7 * contact.layer).any()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.stage import Pin
 from gf_usd.physics.grid import embedding
@@ -30,7 +30,9 @@ def test_poses_are_those_of_the_rows_over_free_nodes(monkeypatch, pinned: bool, 
         anchors=body.X[:4],
         path=body.X[None, :4],
     )
-    solver = TotalLagrangian(body, [look("rubber", body)], settings(), pins=[top] if pinned else [])
+    solver = TotalLagrangian(
+        body, [preset_material("rubber", body)], settings(), pins=[top] if pinned else []
+    )
     X = points(1.0)
     on = np.zeros(len(X), int)
     plain = solver.body.stencil.rows(X, on)
@@ -54,7 +56,7 @@ def test_poses_are_those_of_the_rows_over_free_nodes(monkeypatch, pinned: bool, 
 
 def test_no_points_have_no_rows() -> None:
     body, _ = ball(400, radius=1.0)
-    solver = TotalLagrangian(body, [look("rubber", body)], settings())
+    solver = TotalLagrangian(body, [preset_material("rubber", body)], settings())
     lean = embedded_rows(solver.body.stencil, np.zeros((0, 3)), np.zeros(0, int))
     u = np.ones((lean.spread.shape[1], 3))
     assert pose(lean, u, u, np.zeros(3)).x.shape == (0, 3)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from slow_parameters import slow_but
-from solids import asset, cube, fill, look, settings, solid, surface
+from solids import asset, cube, fill, preset_material, settings, solid, surface
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
@@ -313,7 +313,7 @@ def test_a_pin_of_one_body_holds_nothing_of_another_in_the_same_place() -> None:
 def test_a_falling_body_without_pins_is_as_it_was() -> None:
     body = bar()
     s = settings(gravity=(0.0, -9.81, 0.0))
-    free = TotalLagrangian(body, [look("rubber", body)], s)
+    free = TotalLagrangian(body, [preset_material("rubber", body)], s)
     assert free.body.pin_constraint is None
     assert not free.body.stencil.held.any
     assert free.body.stencil.rows(body.X).W.shape[1] == free.body.stencil.free_count

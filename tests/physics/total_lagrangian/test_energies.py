@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.physics.contact.floor import HARD, STOPPING_DISTANCE
 from gf_usd.physics.per_particle import strains
@@ -22,7 +22,7 @@ def body():
 def first(body, *, velocity=(0.0, 0.0, 0.0), samples=None, **changes):
     """The solver and the health of its first frame."""
     particles, _ = body
-    material = look("rubber", particles, damping_time=0.0, law="corotated")
+    material = preset_material("rubber", particles, damping_time=0.0, law="corotated")
     solver = TotalLagrangian(
         particles, [material], settings(**changes), samples=samples, velocity=velocity
     )
@@ -85,7 +85,7 @@ def test_a_stretched_body_holds_the_energy_of_its_strain(body):
     u[:, 1] = 0.1 * solver.body.stencil.node_X[:, 1]
     solver.state.arrays["u"].from_numpy(u.ravel())
     health = next(solver.frames()).health
-    material = look("rubber", particles)
+    material = preset_material("rubber", particles)
     # Corotated law at diag(1, 1.1, 1): mu .01 + lam/2 .01.
     density = 0.01 * material.mu + 0.005 * material.lam
     # psi is a difference of float32 numbers near 1 squared: 6e-8 / .1, twice, times a few.

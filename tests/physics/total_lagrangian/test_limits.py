@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from slow_parameters import slow_but
-from solids import look
+from solids import preset_material
 from strained_ball import EXACT, INVERTED, SQUASH, body, clipped, force, made, shear_modulus, strain
 
 from gf_usd.core.frames import Health, Pose
@@ -77,7 +77,7 @@ def test_with_wls_the_new_f_is_clipped_and_counted():
 def test_the_cap_scales_the_stress_down_to_itself(share):
     A = SQUASH
     U, _, Vt = np.linalg.svd(A)
-    mu, lam, J = shear_modulus(), look("rubber", body()).lam, np.linalg.det(A)
+    mu, lam, J = shear_modulus(), preset_material("rubber", body()).lam, np.linalg.det(A)
     P = 2.0 * mu * (A - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(A).T
     size = np.linalg.norm(P)
     capped, bare = made(stress_cap=share * size), made()

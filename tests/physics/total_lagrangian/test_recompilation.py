@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solids import look
+from solids import preset_material
 from strained_ball import made
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -26,7 +26,7 @@ def test_another_step_stiffness_and_count_compile_nothing() -> None:
         orientation=p.orientation[half], scale=p.scale[half], color=p.color[half],
         opacity=p.opacity[half], surface=p.surface[half],
     )  # fmt: skip
-    stiffer = look("rubber", p, damping_time=0.0, youngs_modulus=7.7e5, law="corotated")
+    stiffer = preset_material("rubber", p, damping_time=0.0, youngs_modulus=7.7e5, law="corotated")
     other = TotalLagrangian(fewer, [stiffer], replace(first.settings, fps=31.0), real=np.float32)
     assert other.body.kernels is first.body.kernels
     other.advance(1, 5)

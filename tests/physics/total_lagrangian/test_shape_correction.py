@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import look, settings
+from solids import preset_material, settings
 from strained_ball import EXACT, SQUASH, body, made, shear_modulus, strain
 
 from gf_usd.core.errors import UsageError
@@ -68,7 +68,7 @@ def test_a_frame_with_wls_ends_with_f_of_the_positions():
     )
     assert np.abs(F - np.eye(3) - G).max() > 1e-3, "it is not what the grid says"
     # The kernels see the same F: their energy is that of a law called on it.
-    mu, lam = shear_modulus(), look("rubber", body()).lam
+    mu, lam = shear_modulus(), preset_material("rubber", body()).lam
     s = np.linalg.svd(F, compute_uv=False)
     psi = mu * ((s - 1.0) ** 2).sum(1) + 0.5 * lam * (np.linalg.det(F) - 1.0) ** 2
     assert elastic_energy(solver.body, solver.state) == pytest.approx(

@@ -7,7 +7,7 @@ import weakref
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.physics import per_particle, taichi_arrays
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -16,7 +16,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 @pytest.fixture
 def solver():
     particles, _ = ball(120)
-    return TotalLagrangian(particles, [look("rubber", particles)], settings(frames=3))
+    return TotalLagrangian(particles, [preset_material("rubber", particles)], settings(frames=3))
 
 
 def test_the_same_state_has_one_view(solver):
@@ -61,7 +61,7 @@ def test_what_is_handed_out_cannot_be_changed(solver):
 
 def test_a_solver_that_nobody_holds_is_gone_at_once() -> None:
     particles, _ = ball(120)
-    solver = TotalLagrangian(particles, [look("rubber", particles)], settings(frames=3))
+    solver = TotalLagrangian(particles, [preset_material("rubber", particles)], settings(frames=3))
     assert len(list(solver.frames())) == 3
     assert solver.state.view().particles.x.size
     seen = weakref.ref(solver)
@@ -79,7 +79,7 @@ def test_strains_are_worked_out_again_only_where_f0_or_the_frame_is_another(monk
     chosen = settings(frames=3, wls=True)
     solver = TotalLagrangian(
         particles,
-        [look("rubber", particles)],
+        [preset_material("rubber", particles)],
         chosen,
         velocity=lambda X: 3.0 * np.sin(2.0 * X[:, [1, 2, 0]]),
     )

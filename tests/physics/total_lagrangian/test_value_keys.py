@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.keys import KEYED, ValueKeys
@@ -37,7 +37,7 @@ def with_keys(body, made, times, **changes):
 
 
 def rubber(body):
-    return look("rubber", body, damping_time=0.0, law="neoHookean")
+    return preset_material("rubber", body, damping_time=0.0, law="neoHookean")
 
 
 def keyed(body, times, factors):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from lane_kernels import alike
 from law_references import ENERGIES, LAM, MU, felt, unit
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.per_particle import strains
@@ -65,7 +65,7 @@ def test_the_mean_of_a_cell_counts():
 
 def test_a_stretched_body_takes_shorter_steps():
     body, _ = ball(300)
-    made = look("rubber", body, damping_time=0.0, law="corotated")
+    made = preset_material("rubber", body, damping_time=0.0, law="corotated")
     solver = UpdatedLagrangian(body, [made], settings(fps=1.0), real=np.float32)
     solver.read(0)
     relaxed = solver.substeps
@@ -79,7 +79,9 @@ def test_a_stretched_body_takes_shorter_steps():
 def test_a_state_that_blew_up_is_left_to_the_guard(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its stable step can round to 0 s, by which nothing can be divided."""
     body, _ = ball(300)
-    solver = UpdatedLagrangian(body, [look("rubber", body)], settings(fps=1.0), real=np.float32)
+    solver = UpdatedLagrangian(
+        body, [preset_material("rubber", body)], settings(fps=1.0), real=np.float32
+    )
     monkeypatch.setattr(updated_solver, "strained_step", lambda *of_the_strain: 0.0)
     solver.read(0)
     assert solver.strained == 1

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from slow_parameters import slow_but
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.core.stage import Pin
@@ -24,7 +24,7 @@ def dropped(frames: int = 8, threads: int | None = None, real: type = np.float32
     s = settings(
         frames=frames, gravity=(0.0, -9.81, 0.0), floor=-0.1, threads=threads, fps=60.0, **changes
     )
-    made = look("rubber", body)
+    made = preset_material("rubber", body)
     return UpdatedLagrangian(body, [made], s, samples=samples, velocity=(0.3, -2.0, 0.1), real=real)
 
 
@@ -88,7 +88,7 @@ def test_the_floor_gives_what_its_samples_feel():
     # Forces go back by the transpose of how samples read their motion: over one substep the body
     # gains dt sum f and dt sum x_s x f_s, to rounding, its particles' own spin included.
     body, samples = ball(300)
-    made = look("jelly", body, damping_time=0.0, friction=0.3)
+    made = preset_material("jelly", body, damping_time=0.0, friction=0.3)
     s = settings(frames=2, substeps=1, fps=1000.0, floor=-0.9)
 
     def velocity(X):
@@ -153,7 +153,7 @@ def test_a_cap_that_is_never_met_changes_nothing():
 @pytest.mark.slow
 def test_riders_come_with_every_frame():
     body, _ = ball(300)
-    made = look("rubber", body, damping_time=0.0)
+    made = preset_material("rubber", body, damping_time=0.0)
     points = np.array([[0.0, 1.0, 0.0], [0.5, 0.0, 0.2]])
     s = settings(frames=3, gravity=(0.0, -9.81, 0.0))
     solver = UpdatedLagrangian(body, [made], s, embedded={"a": points}, velocity=(1.0, 0.0, 0.0))
@@ -167,7 +167,7 @@ def test_riders_come_with_every_frame():
 @pytest.mark.slow
 def test_stress_is_read_where_asked_for():
     body, _ = ball(300)
-    made = look("rubber", body, damping_time=0.0)
+    made = preset_material("rubber", body, damping_time=0.0)
     s = settings(frames=3, stress=True)
     *_, last = UpdatedLagrangian(body, [made], s, velocity=lambda X: X * [0.0, -0.5, 0.0]).frames()
     assert last.stress is not None
@@ -219,7 +219,9 @@ def test_it_does_not_matter_when_cells_are_numbered(monkeypatch):
     s = settings(frames=3, substeps=40, gravity=(0.0, -9.81, 0.0))
     seen, most = [], []
     for anew in (False, True):
-        solver = UpdatedLagrangian(body, [look("jelly", body)], s, velocity=(5.0, -20.0, 3.0))
+        solver = UpdatedLagrangian(
+            body, [preset_material("jelly", body)], s, velocity=(5.0, -20.0, 3.0)
+        )
         counts = []
 
         def launched(solver=solver, counts=counts, anew=anew) -> None:
@@ -256,7 +258,7 @@ def test_a_position_that_is_no_place_is_noticed_and_nothing_is_written_for_it(va
 def test_positions_move_to_the_offset_by_whole_cells():
     body, _ = ball(300, radius=0.1)
     s = settings(frames=20, gravity=(0.0, -9.81, 0.0))
-    solver = UpdatedLagrangian(body, [look("rubber", body, damping_time=0.0)], s)
+    solver = UpdatedLagrangian(body, [preset_material("rubber", body, damping_time=0.0)], s)
     start = solver.state.offset.copy()
     *_, last = solver.frames()
     cells = (solver.state.offset - start) / solver.body.h
@@ -269,7 +271,7 @@ def test_positions_move_to_the_offset_by_whole_cells():
 
 def test_what_it_does_not_know_is_refused():
     body, _ = ball(100)
-    made = [look("rubber", body)]
+    made = [preset_material("rubber", body)]
     pin = Pin(
         name="box", inside=lambda X: X[:, 0] > 0.0, nearest=lambda X: X,
         anchors=np.zeros((1, 3)), path=np.zeros((1, 1, 3)),

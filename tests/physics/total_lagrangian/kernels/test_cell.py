@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.errors import GfUsdError
 from gf_usd.physics.total_lagrangian.launch import Launches
@@ -24,7 +24,7 @@ def dropped(cells, law="neoHookean", real=np.float32, **changes):
         "threads": 2, "substeps": 40, **changes,
     }  # fmt: skip
     solver = TotalLagrangian(
-        body, [look("rubber", body, law=law)], settings(**options), samples=samples,
+        body, [preset_material("rubber", body, law=law)], settings(**options), samples=samples,
         velocity=(0.3, -2.0, 0.1), real=real, cells=cells,
     )  # fmt: skip
     if cells:
@@ -73,7 +73,9 @@ def test_laws_and_options_are_the_same_either_way(changes) -> None:
 
 def test_a_launch_that_the_gpu_does_not_hold_at_once_is_an_error() -> None:
     body, _ = ball(100)
-    solver = TotalLagrangian(body, [look("rubber", body)], settings(frames=2), cells=True)
+    solver = TotalLagrangian(
+        body, [preset_material("rubber", body)], settings(frames=2), cells=True
+    )
     launches = Launches(solver.body, solver.state, "resident")
     assert resident_blocks() == 0  # on a CPU one thread does it all
     assert launches._blocks((3, 40, 2, 0)) == 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from launching import WAYS, launched
 from slow_parameters import slow_but
-from solids import ball, look, settings
+from solids import ball, preset_material, settings
 
 from gf_usd.core.frames import CONSISTENT, LUMPED
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
@@ -28,7 +28,7 @@ def drop(plain, real=np.float64, threads=2, launching=lambda solver: solver, **c
     }  # fmt: skip
     law = options.pop("law", "corotated")
     solver = TotalLagrangian(
-        body, [look("rubber", body, law=law)], settings(**options), samples=samples,
+        body, [preset_material("rubber", body, law=law)], settings(**options), samples=samples,
         velocity=(0.3, -2.0, 0.1), real=real, plain=plain,
     )  # fmt: skip
     frames = list(launching(solver).frames())
