@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import BAKE, takes
-from gf_usd.api.host.guest import here_or_away
+from gf_usd.api.host.guest import run_here_or_separately
 from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def bake(
 
     require_saved(path)
     arguments = {"path": path, "max_hours": max_hours, "slice": slice, "until": until, **options}
-    result, why = here_or_away("gf_usd.api.bake:prepare_and_run", arguments, progress)
+    result, why = run_here_or_separately("gf_usd.api.bake:prepare_and_run", arguments, progress)
     if why:
         result = replace(result, notes=(*result.notes, f"baked in a separate process: {why}"))
     result = _in_keywords(result)

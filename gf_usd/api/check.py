@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.host.guest import here_or_away
+from gf_usd.api.host.guest import run_here_or_separately
 from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
@@ -43,7 +43,9 @@ def check(
     with keywords("limits"):
         file = asset_path(path)
         most = None if limits is None else values.limits("limits", limits)
-        return here_or_away("gf_usd.api.check:check_here", {"path": file, "limits": most})[0]
+        return run_here_or_separately(
+            "gf_usd.api.check:check_here", {"path": file, "limits": most}
+        )[0]
 
 
 def check_here(path: Path, limits: Limits | None) -> CheckResult:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.host.guest import here_or_away
+from gf_usd.api.host.guest import run_here_or_separately
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
@@ -80,7 +80,7 @@ def deliver(
             "splats": values.choice("splats", splats, SPLATS),
             "bind_splats": values.choice("bind_splats", bind_splats, BINDINGS),
         }
-        return here_or_away("gf_usd.delivery.deliver:deliver", arguments)[0]
+        return run_here_or_separately("gf_usd.delivery.deliver:deliver", arguments)[0]
 
 
 def retime(
@@ -129,7 +129,7 @@ def retime(
             "speed": None if speed is None else values.real("speed", speed),
             "keys": None if keys is None else _pairs(keys),
         }
-        return here_or_away("gf_usd.delivery.retime:retime", arguments)[0]
+        return run_here_or_separately("gf_usd.delivery.retime:retime", arguments)[0]
 
 
 PAIRS = "pairs (time code of the result, time code of the bake)"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import BAKE, in_python, takes
-from gf_usd.api.host.guest import guest, require_here
+from gf_usd.api.host.guest import guest, require_this_process
 from gf_usd.prepare.options.table import OPTIONS, PROGRESS, BakeOptions
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def inspect(path: Path, **options: Any) -> Inspection:
     from gf_usd.readers.usd.stage import require_saved
 
     require_saved(path)
-    require_here("inspect")
+    require_this_process("inspect")
     with guest():
         seen = inspect_asset(
             path, **{k: v for k, v in options.items() if k not in (*LATER, PROGRESS)}

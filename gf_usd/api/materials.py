@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.host.guest import here_or_away
+from gf_usd.api.host.guest import run_here_or_separately
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
@@ -129,8 +129,8 @@ def fit(
             overwrite=values.switch("overwrite", overwrite),
             options=taken(options, "fit"),
         )
-        arguments, progress = {"request": wanted}, values.listener("progress", progress)
-        return here_or_away("gf_usd.fitting.fit:fit_counted", arguments, progress)[0]
+        arguments, progress = {"request": wanted}, values.progress_callback("progress", progress)
+        return run_here_or_separately("gf_usd.fitting.fit:fit_counted", arguments, progress)[0]
 
 
 def _names(unknowns: object) -> list[str]:

@@ -176,9 +176,9 @@ class Bake(Sequence[BakeFrame]):
         kinetic, elastic, potential, contact [J], center [m], momentum [kg m/s], min_J, max_stretch,
         inverted, penetration [m], substeps and others.
         """
-        from gf_usd.layers.tracks.health import FLOW, FRAME, sizes
+        from gf_usd.layers.tracks.health import FLOW, FRAME, si_factors
 
-        si = sizes(self._arrays.units)
+        si = si_factors(self._arrays.units)
         found = {}
         for name, samples in self._arrays.health().items():
             if name in FRAME | FLOW:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.host.guest import here_or_away
+from gf_usd.api.host.guest import run_here_or_separately
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
@@ -70,13 +70,13 @@ def report(
                 "path": source, "target": target, "variant": variant, "splats": most,
                 "frames": frames,
             }  # fmt: skip
-            here_or_away("gf_usd.api.report:write_splats", arguments, schema=False)
+            run_here_or_separately("gf_usd.api.report:write_splats", arguments, schema=False)
             return target
         arguments = {
             "path": source, "target": target, "variant": variant, "vertices": vertices,
             "frames": frames,
         }  # fmt: skip
-        here_or_away("gf_usd.api.report:write", arguments, schema=False)
+        run_here_or_separately("gf_usd.api.report:write", arguments, schema=False)
         return target
 
 

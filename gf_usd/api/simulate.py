@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gf_usd.api.call import in_words, named, words_of
-from gf_usd.api.host.guest import guest, require_here
+from gf_usd.api.host.guest import guest, require_this_process
 from gf_usd.api.read import Table
 from gf_usd.api.scene import Scene, at_frames
 from gf_usd.core.errors import SolverError, UsageError, counted
@@ -452,6 +452,6 @@ def simulate(
     count = values.whole("frames", frames)
     if count < 1 or not options["fps"] > 0.0:
         raise UsageError(f"frames is {count} and fps is {options['fps']:g}", "give numbers above 0")
-    require_here("simulate")
+    require_this_process("simulate")
     with in_words(WORDS), guest():
         return Simulation(scene, count, options)

@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand
 
 from gf_usd.cli.renamed import present
-from gf_usd.cli.take_back import without_taken_back
+from gf_usd.cli.reset_options import without_reset_options
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.table import OPTIONS
@@ -111,9 +111,9 @@ class HelpfulCommand(TyperCommand):
         given without one.
         """
         known = {flag for param in self.get_params(ctx) for flag in param.opts}
-        args, taken_back = without_taken_back(self.name or "", present(self.name or "", args))
+        args, reset = without_reset_options(self.name or "", present(self.name or "", args))
         of_folder = ctx.default_map or {}
-        ctx.default_map = {k: v for k, v in of_folder.items() if k not in taken_back}
+        ctx.default_map = {k: v for k, v in of_folder.items() if k not in reset}
         left = super().parse_args(ctx, with_bare_values(args, known))
         self._refuse_nan(ctx)
         return left

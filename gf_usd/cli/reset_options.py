@@ -1,4 +1,4 @@
-"""The value ``default`` of an option of a bake: takes back what a gf-usd.toml or an earlier
+"""The value ``default`` of an option of a bake: it removes what a gf-usd.toml or an earlier
 occurrence of the option has set.
 """
 
@@ -12,7 +12,7 @@ from gf_usd.prepare.options.table import options_of
 COMMANDS = ("bake", "inspect", "fit")
 
 
-def without_taken_back(command: str, arguments: Sequence[str]) -> tuple[list[str], set[str]]:
+def without_reset_options(command: str, arguments: Sequence[str]) -> tuple[list[str], set[str]]:
     """The arguments of a command without each option whose value is ``default``, and the names of
     these options.
 
@@ -23,7 +23,7 @@ def without_taken_back(command: str, arguments: Sequence[str]) -> tuple[list[str
     rows = [row for row in options_of(command) if row.takes_default]
     named = {spelling: row for row in rows for spelling in (row.flag, row.short) if spelling}
     kept: list[tuple[str, list[str]]] = []  # the option, or "", and its arguments
-    taken_back: set[str] = set()
+    reset: set[str] = set()
     left = list(arguments)
     while left:
         argument = left.pop(0)
@@ -43,8 +43,8 @@ def without_taken_back(command: str, arguments: Sequence[str]) -> tuple[list[str
             value = left.pop(0)
             given.append(value)
         if value == DEFAULT:
-            taken_back.add(row.name)
+            reset.add(row.name)
             kept = [(name, words) for name, words in kept if name != row.name]
         else:
             kept.append((row.name, given))
-    return [word for _, words in kept for word in words], taken_back
+    return [word for _, words in kept for word in words], reset

@@ -249,7 +249,7 @@ class SplatPose:
     harmonics: Floats | None = None  # (N, K, 3) turned; None where the degree is 0
 
 
-def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
+def valid_gaussians(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
     """The valid Gaussians: finite, of a positive size, with normalized quaternions.
 
     `note` is called with each change.  Raises InputError if none remains.

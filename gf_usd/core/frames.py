@@ -117,7 +117,7 @@ class SurfaceSamples:
     body: Ints | None = None  # (n,) as in Particles
     cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
-    def some(self, rows: Ints) -> SurfaceSamples:
+    def subset(self, rows: Ints) -> SurfaceSamples:
         """Some of the samples."""
         return SurfaceSamples(
             X=self.X[rows],

@@ -40,7 +40,7 @@ from gf_usd.layers.stage import (
     freeze_source,
     new_layer,
     open_source,
-    require,
+    require_prim,
     roots_of,
     save,
     show,
@@ -133,7 +133,7 @@ class CacheWriter:
         stage = open_source(source_path)
         self._clock = clock(stage, info.settings)
         home = find_home(stage, asset, choices)
-        prims = [require(stage, source_path, s.path) for s in asset.surfaces]
+        prims = [require_prim(stage, source_path, s.path) for s in asset.surfaces]
         self._layer = _new_layer(
             self.path, source_path, stage, asset, info, home, start=self._clock.start
         )

@@ -262,7 +262,7 @@ def _unsaved(layer: Sdf.Layer) -> BakeError:
     )
 
 
-def require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
+def require_prim(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
     """The prim at a path of the source; BakeError where it no longer exists."""
     prim = stage.GetPrimAtPath(path)
     if not prim:

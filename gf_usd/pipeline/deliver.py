@@ -104,7 +104,7 @@ class Delivery:
         return (*root.notes, *notes)
 
 
-def sweep(files: Outputs, resume: Resume) -> set[Path]:
+def delete_interrupted_clips(files: Outputs, resume: Resume) -> set[Path]:
     """Delete the clips of an interrupted bake of these names that is not resumed.
 
     Returns the folders of clips that a finished bake refers to: they are kept until the new bake is

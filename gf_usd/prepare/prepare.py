@@ -88,7 +88,7 @@ def prepare(
     """
     from gf_usd.system import usd_schema
 
-    usd_schema.require()
+    usd_schema.require_registered()
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
     source = Path(path)

@@ -96,7 +96,7 @@ except SchemaTooLate as error:
     LATE = error
 
 
-def require() -> None:
+def require_registered() -> None:
     """Raise SchemaTooLate where USD had read its definitions before this module was imported."""
     if LATE is not None:
         raise LATE

@@ -208,7 +208,7 @@ def test_registration_after_the_first_use_of_schemas_says_what_to_do() -> None:
         "from gf_usd.core.errors import GfUsdError\n"
         "try:\n"
         "    from gf_usd.system import usd_schema\n"
-        "    usd_schema.require()\n"
+        "    usd_schema.require_registered()\n"
         "except GfUsdError as error:\n"
         "    print(error)\n"
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
 from gf_usd.api.drawing.options import FILMS, Options, joined, read_options
-from gf_usd.api.host.guest import here_or_away
+from gf_usd.api.host.guest import run_here_or_separately
 from gf_usd.core.errors import UsageError
 from gf_usd.core.scene import Camera, Quantity, Scene
 from gf_usd.prepare.options import values
@@ -92,8 +92,10 @@ def compare(
             "size": None if size is None else joined("size", size, "x", (2,)),
             "fps": fps,
         }
-        progress = values.listener("progress", progress)
-        return here_or_away("gf_usd.api.drawing.compare:run", arguments, progress, schema=False)[0]
+        progress = values.progress_callback("progress", progress)
+        return run_here_or_separately(
+            "gf_usd.api.drawing.compare:run", arguments, progress, schema=False
+        )[0]
 
 
 def run(

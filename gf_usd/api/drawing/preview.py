@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
 from gf_usd.api.drawing.options import Options, joined, read_options, time_codes
-from gf_usd.api.host.guest import here_or_away
+from gf_usd.api.host.guest import run_here_or_separately
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
@@ -148,8 +148,8 @@ def preview(
             "color": color, "variant": variant, "write": target is not None,
         }  # fmt: skip
         task = "gf_usd.api.drawing.preview:draw"
-        progress = values.listener("progress", progress)
-        return here_or_away(task, arguments, progress, schema=False)[0]
+        progress = values.progress_callback("progress", progress)
+        return run_here_or_separately(task, arguments, progress, schema=False)[0]
 
 
 def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:

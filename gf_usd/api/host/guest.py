@@ -32,7 +32,7 @@ def guest() -> Iterator[None]:
         yield
 
 
-def why_away(*, schema: bool = True) -> str:
+def why_separate(*, schema: bool = True) -> str:
     """Text on why a call cannot run in this process; "" if it can.
 
     schema : it applies or checks the APIs of gaussianFlesh.
@@ -49,7 +49,7 @@ def why_away(*, schema: bool = True) -> str:
     return ""
 
 
-def here_or_away(
+def run_here_or_separately(
     task: str,
     options: Mapping[str, Any],
     progress: Callable[[int, int], None] | None = None,
@@ -61,7 +61,7 @@ def here_or_away(
     task : the function, as "module:name"; it takes `progress` where that is given.
     """
     with guest():
-        why = why_away(schema=schema)
+        why = why_separate(schema=schema)
         if not why:
             module, name = task.split(":")
             more = {} if progress is None else {"progress": progress}
@@ -71,7 +71,7 @@ def here_or_away(
     return call(task, options, progress), why
 
 
-def require_here(what: str) -> None:
+def require_this_process(what: str) -> None:
     """Raise UsageError where a function that returns its solver cannot run in this process."""
     if is_forked():
         raise UsageError(f"{FORKED}: {what} needs it", SPAWN)

@@ -18,7 +18,7 @@ from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
 
-def carried_meshes(skeleton: Skeleton) -> dict[str, int]:
+def single_joint_meshes(skeleton: Skeleton) -> dict[str, int]:
     """The bone of each mesh all of whose points are bound to one joint, by prim path.
 
     Empty where every mesh is bound to a single joint, as in a character of rigid parts: none of
@@ -33,15 +33,15 @@ def carried_meshes(skeleton: Skeleton) -> dict[str, int]:
     return found if len(found) < len(skeleton.weights) else {}
 
 
-def named_carried_meshes(
-    names: Sequence[str], carried: Mapping[str, int], paths: Sequence[str]
+def named_single_joint_meshes(
+    names: Sequence[str], bound: Mapping[str, int], paths: Sequence[str]
 ) -> list[str]:
-    """The names that are prim paths of carried meshes, or of prims with carried meshes only.
+    """The names that are prim paths of single-joint meshes, or of prims with such meshes only.
 
     paths : of all meshes.
     """
     below = {n: [p for p in paths if p == n or p.startswith(f"{n}/")] for n in names}
-    return [n for n, found in below.items() if found and all(p in carried for p in found)]
+    return [n for n, found in below.items() if found and all(p in bound for p in found)]
 
 
 # [cells] from the flesh, beyond which a mesh shares no grid nodes with it that could carry it.
@@ -49,14 +49,14 @@ APART = 2.0
 
 
 def meshes_apart(
-    paths: Sequence[str], carried: Mapping[str, int], solid: Solid, cores: Cores, cell: float
+    paths: Sequence[str], bound: Mapping[str, int], solid: Solid, cores: Cores, cell: float
 ) -> list[str]:
-    """Those of some carried meshes that neither the flesh nor a core holds: they would fall.
+    """Those of some single-joint meshes that neither the flesh nor a core holds: they would fall.
 
     cell : [m] edge of a cell.
     """
     filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
-    flesh = [(p, Shape(p, t)) for path, (p, t) in filled.items() if path not in carried]
+    flesh = [(p, Shape(p, t)) for path, (p, t) in filled.items() if path not in bound]
     return [
         path
         for path in paths
@@ -87,7 +87,7 @@ REACH = 1.0
 
 
 def loose_meshes(
-    skeleton: Skeleton, carried: Mapping[str, int], solid: Solid, cores: Cores, cell: float
+    skeleton: Skeleton, bound: Mapping[str, int], solid: Solid, cores: Cores, cell: float
 ) -> tuple[list[str], dict[str, float]]:
     """Meshes bound to several joints that neither a core nor flesh with a core holds, and the share
     of the points of each other one without a core that is near the flesh that holds it.
@@ -97,7 +97,7 @@ def loose_meshes(
     shapes = {
         s.path: (s.points, Shape(s.points, t))
         for s, t in zip(solid.surfaces, solid.triangles, strict=True)
-        if s.path in skeleton.weights and s.path not in carried
+        if s.path in skeleton.weights and s.path not in bound
     }
     inner = np.concatenate([core.points[core.radius > 0.0] for core in cores.cores])
     held = [path for path, (_, shape) in shapes.items() if shape.encloses(inner).any()]
@@ -126,19 +126,19 @@ def _near_share(mesh: tuple[Floats, Shape], other: tuple[Floats, Shape], reach: 
     return max(float(near.mean()), 1.0 / len(a)) if any_near else 0.0
 
 
-def carried_pins(
-    names: Sequence[str], carried: Mapping[str, int], skeleton: Skeleton, solid: Solid, cell: float
+def single_joint_pins(
+    names: Sequence[str], bound: Mapping[str, int], skeleton: Skeleton, solid: Solid, cell: float
 ) -> tuple[Pin, ...]:
-    """A pin for each carried mesh at or below one of the names; cell : [m] edge of a cell."""
-    mine = [p for p in carried if any(p == n or p.startswith(f"{n}/") for n in names)]
+    """A pin for each single-joint mesh at or below one of the names; cell : [m] edge of a cell."""
+    mine = [p for p in bound if any(p == n or p.startswith(f"{n}/") for n in names)]
     filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
     return tuple(
         Pin(
             name=path,
             inside=_around(Shape(*filled[path]), WIDER * cell) if path in filled else _nothing,
             nearest=lambda X: X,
-            anchors=skeleton.bones[carried[path]].anchors,
-            path=skeleton.bones[carried[path]].path,
+            anchors=skeleton.bones[bound[path]].anchors,
+            path=skeleton.bones[bound[path]].path,
             sharp=False,
             meshes=frozenset([path]),
         )

@@ -122,7 +122,7 @@ class HealthTrack:
         self._cache, self._layer = cache, None
         prim = cache.OverridePrim(path)
         prim.ApplyAPI(usd_schema.HEALTH_API)
-        si = sizes(units)
+        si = si_factors(units)
         watched = FRAME | (FLOW if flows else {}) | (SETTLING if settles else {})
         self._rows = [
             (prim.CreateAttribute(PREFIX + name, kind, False), field, si[unit])
@@ -160,7 +160,7 @@ def author_totals(
     names = Sdf.TokenListOp()
     names.prependedItems = [usd_schema.HEALTH_API]
     spec.SetInfo("apiSchemas", names)
-    si = sizes(units)
+    si = si_factors(units)
     for name, (kind, key, unit) in TOTAL.items():
         if health.get(key) is not None:
             _author(spec, f"total:{name}", kind, _value(health[key], si[unit]))
@@ -219,7 +219,7 @@ def _value(value: Any, size: float) -> Any:
     return Gf.Vec3d(*(float(part) / size for part in value))
 
 
-def sizes(units: StageUnits) -> dict[str, float]:
+def si_factors(units: StageUnits) -> dict[str, float]:
     """One unit of the stage in SI; seconds are seconds."""
     return {
         "": 1.0,

@@ -90,7 +90,7 @@ class ParticleTrack:
         self._body, self._waiting = particles.body_of, {body for _, body in choices.converting}
         self._flow = None
         if self._grains is not None:
-            grains = some(particles, self._grains)
+            grains = subset(particles, self._grains)
             self._flow = _grain_track(cache, home.scope, grains, self._unit, choices)
         self._flows = _flow_tracks(cache, home.scope, asset, choices, self._origin)
         materials = write_materials(
@@ -270,7 +270,7 @@ def particles_shown_with_meshes(
     return np.flatnonzero(moved_as_flow(particles, info.materials))
 
 
-def some(particles: Particles, rows: Ints) -> Particles:
+def subset(particles: Particles, rows: Ints) -> Particles:
     """A subset of the particles, for a `PointsTrack`."""
     return replace(
         particles,

@@ -26,7 +26,7 @@ from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.continuity import EASE
 from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.physics.updated_lagrangian.planes import Faced
+from gf_usd.physics.updated_lagrangian.planes import SolidContact
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
@@ -57,7 +57,7 @@ class SolidBodies:
         members = [m for m in self._pairs.members if len(m)]
         return [(x[m].min(0), x[m].max(0), fastest(v[m])) for m in members]
 
-    def faces(self, x: Floats, face: Ints, gap: Floats, reach: float) -> list[Faced]:
+    def faces(self, x: Floats, face: Ints, gap: Floats, reach: float) -> list[SolidContact]:
         """See `planes.Solids`."""
         now = self._solver.state.view()
         place = self._pairs.motion(now)[0]
@@ -79,7 +79,7 @@ class SolidBodies:
                 k, x[rows], known, now.nodes[0], now.offset, reach
             )
             out.append(
-                Faced(
+                SolidContact(
                     body=k,
                     rows=rows[seen.rows],
                     gap=seen.gap,

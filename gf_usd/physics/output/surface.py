@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.errors import BakeError
 from gf_usd.core.neighbors import components
-from gf_usd.physics.output.surface_kernels import BLOCK, NODES, carried, field
+from gf_usd.physics.output.surface_kernels import BLOCK, NODES, field, interpolated
 from gf_usd.system.taichi_runtime import ensure_running
 
 DEPTH = 63.0 / 256.0  # Beta(2, 4) / (2 Beta(3/2, 4)), the two integrals
@@ -59,7 +59,7 @@ class ParticleSurface:
     points: NDArray[np.float64]  # (V, 3) [m]
     triangles: NDArray[np.int64]  # (T, 3)
     normals: NDArray[np.float64]  # (V, 3) unit, outward
-    carried: NDArray[np.float64]  # (V, c) weighted means of particle values
+    interpolated: NDArray[np.float64]  # (V, c) weighted means of particle values
 
 
 def reach(V0: Floats) -> float:
@@ -85,7 +85,7 @@ def surface(x: Floats, V0: Floats, values: Floats) -> ParticleSurface:
     found = blocks.carry(np.asarray(values, np.float32), points)
     points = _smoothed(points, triangles) * h
     return ParticleSurface(
-        points=points, triangles=triangles, normals=_normals(points, triangles), carried=found
+        points=points, triangles=triangles, normals=_normals(points, triangles), interpolated=found
     )
 
 
@@ -140,7 +140,9 @@ class _Blocks:
         at = (points - BLOCK * block).astype(np.float32)
         number = _found(self.keys, _keys(block)).astype(np.int32)
         out = np.empty((len(points), values.shape[1]), np.float32)
-        carried(self._x, values[self._order], self._first, self._around, at, number, out, BLOCK)
+        interpolated(
+            self._x, values[self._order], self._first, self._around, at, number, out, BLOCK
+        )
         return out.astype(np.float64)
 
 

@@ -109,7 +109,7 @@ def field(x: Floats2, r: Floats1, first: Ints1, around: Ints2, phi: Floats2, rea
 
 
 @ti.kernel
-def carried(
+def interpolated(
     x: Floats2, values: Floats2, first: Ints1, around: Ints2,
     at: Floats2, block: Ints1, out: Floats2, reach: ti.f32
 ):  # fmt: skip

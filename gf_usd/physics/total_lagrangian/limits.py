@@ -36,7 +36,7 @@ class Options:
     anchored: bool = False  # F = F0 + G u with an F0 per particle, instead of F0 = I
     clamped: bool = False
     capped: bool = False
-    meets: bool = False  # contact between bodies, self-contact, or contact with obstacles
+    pair_contact: bool = False  # contact between bodies, self-contact, or contact with obstacles
     coupled: bool = True  # the mass matrix has off-diagonal entries (`grid.mass`)
     plain: bool = False  # one thread per particle (`kernels.scalar`): the reference implementation
     cells: bool = False  # one thread per cell (`kernels.cell`): for GPUs
@@ -51,7 +51,7 @@ DEFAULT = Options()
 
 def options_of(
     settings: Settings,
-    meets: bool = False,
+    pair_contact: bool = False,
     plain: bool = False,
     cells: bool = False,
     slides: bool = False,
@@ -64,7 +64,7 @@ def options_of(
         anchored=settings.wls,
         clamped=settings.clamp is not None,
         capped=settings.stress_cap is not None,
-        meets=meets,
+        pair_contact=pair_contact,
         coupled=settings.mass != LUMPED,
         plain=plain,
         cells=cells,

@@ -200,15 +200,15 @@ def build_body(
         ways = (rows.spread,) if stencil.factors is None else axis_spreads(stencil)
         frequency = highest_frequency(rows, ways, mass, stiffest, h, regions)
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
-    meets = contact_setup is not None and contact_setup.any
+    pair_contact = contact_setup is not None and contact_setup.any
     contact = surface_contact(
         samples, particles, stencil, settings, stiffest, pins,
-        meets=meets,
+        pair_contact=pair_contact,
         datum=contact_setup.lowest(settings.normal) if contact_setup else np.inf,
         speed=fastest(start), mass=mass,
         colliders=contact_setup.colliders if contact_setup else (),
     )  # fmt: skip
-    if not (meets and contact):
+    if not (pair_contact and contact):
         contact_setup = None
     cells = not plain and (settings.device != "cpu" if cells is None else cells)
     springs = limits.LIMITED if goals and goals.limits else limits.SPRINGS
@@ -380,7 +380,7 @@ def surface_contact(
     per: Mapping[str, Floats],
     pins: Sequence[Pin] = (),
     *,
-    meets: bool = False,
+    pair_contact: bool = False,
     datum: float = np.inf,
     speed: float = 0.0,
     mass: NodalMass | None = None,
@@ -391,18 +391,18 @@ def surface_contact(
 
     Samples inside a pin are left out.
 
-    meets : there is contact besides that with the floor.
+    pair_contact : there is contact besides that with the floor.
     datum : [m] lowest point of the obstacles along the floor's normal.
     speed : [m/s] of the fastest body at the start; mass : of the nodes, None: lumped.
     colliders : obstacles whose edges and corners are contact samples, too.
     carried : see `build_contact`.
     """
-    if samples is None or (settings.floor is None and not meets):
+    if samples is None or (settings.floor is None and not pair_contact):
         return None
     free = boundary_held(pins, samples.X).pin < 0
     if not free.any():
         return None
-    samples = samples.some(free)
+    samples = samples.subset(free)
     bodies = bodies_of(particles, per["density"])
     body = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
     near = bodies.nearest(samples.X, particles.X, body)
@@ -567,5 +567,5 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
             body.converged,
             max(stencil.node_count, contact.count if contact else 0),
         ),
-        **pack_arrays(contact.count if contact and body.options.meets else 0),
+        **pack_arrays(contact.count if contact and body.options.pair_contact else 0),
     }

@@ -75,11 +75,13 @@ def distinct_works(table: tuple[Stage, ...]) -> tuple[tuple[Part, tuple[int, ...
     return tuple(found.values())
 
 
-def stages(plain: bool, meets: bool, coupled: bool, rigid: bool = False) -> tuple[Stage, ...]:
+def stages(
+    plain: bool, pair_contact: bool, coupled: bool, rigid: bool = False
+) -> tuple[Stage, ...]:
     """The stages of a substep.
 
     plain : one thread per particle; the items of `groups` are then particles.
-    meets : bodies are in contact with each other or with obstacles.
+    pair_contact : bodies are in contact with each other or with obstacles.
     coupled : the mass matrix couples neighboring nodes.
     rigid : some regions move as rigid bodies.
     """
@@ -89,9 +91,9 @@ def stages(plain: bool, meets: bool, coupled: bool, rigid: bool = False) -> tupl
 
     summed = [stage(("node force", NODES))] if plain else []
     gathered = [stage(("node momentum", NODES), when=FILTERING)] if plain else []
-    motion = [("sample motion", PAIRED)] if meets else []
-    pairs = [("pair contact", PAIRED)] if meets else []
-    totals = [stage(("pair total", PAIRED), when=TOUCHING)] if meets else []
+    motion = [("sample motion", PAIRED)] if pair_contact else []
+    pairs = [("pair contact", PAIRED)] if pair_contact else []
+    totals = [stage(("pair total", PAIRED), when=TOUCHING)] if pair_contact else []
     lost = [stage(("filter lumped", FREE), when=FILTERING)] if coupled else []
     pushed = [stage(("move lumped", FREE))] if coupled else []
 

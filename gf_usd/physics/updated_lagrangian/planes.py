@@ -46,7 +46,7 @@ ARRAYS = ("face", "carriers", "weights", "normal", "point", "velocity", "gap", "
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faced:
+class SolidContact:
     """Contact of some samples with one solid body."""
 
     body: int
@@ -76,7 +76,7 @@ class Solids(Protocol):
         """
         ...
 
-    def faces(self, x: Floats, face: Ints, gap: Floats, reach: float) -> list[Faced]:
+    def faces(self, x: Floats, face: Ints, gap: Floats, reach: float) -> list[SolidContact]:
         """Contact of points x (n, 3) [m] with each body within reach [m].
 
         face, gap : (n,) at the previous detection, the body's number and the signed distance [m].

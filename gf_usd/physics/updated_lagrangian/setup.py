@@ -58,7 +58,7 @@ class Body:
     step: StableStep
     law: ParticleLaws
     walls: Planes | None
-    meets: bool  # samples may have contact planes of obstacles and of solid bodies
+    pair_contact: bool  # samples may have contact planes of obstacles and of solid bodies
     kernels: SimpleNamespace
     pack_type: Any  # of the kernels' arguments
 
@@ -92,7 +92,7 @@ def build_body(
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     at_rest = build_stencil(particles.X, m, h, particles.corner, free_mass=0.0)
     law = particle_laws(materials, particles.material, per)
-    ride = attach if law.unbounded.any() or particles.conversions else embed
+    embed_samples = attach if law.unbounded.any() or particles.conversions else embed
     stiffest = stiffest_by_conversion(per, particles, materials)
     start = start_motion(velocity, particles.X, at_rest, particles.body)
     # all flowing particles are one body, whichever body they belonged to
@@ -100,12 +100,14 @@ def build_body(
     samples = None if samples is None else replace(samples, body=None)
     setup = contact_setup
     contact, embedding = floor_contact(
-        samples, particles, at_rest, settings, stiffest, ride,
-        meets=setup is not None and (setup.flows or bool(setup.colliders)),
+        samples, particles, at_rest, settings, stiffest, embed_samples,
+        pair_contact=setup is not None and (setup.flows or bool(setup.colliders)),
         datum=setup.lowest(settings.normal) if setup is not None else np.inf,
         speed=fastest(start["v"]),
     )  # fmt: skip
-    meets = contact is not None and setup is not None and (setup.flows or bool(setup.colliders))
+    pair_contact = (
+        contact is not None and setup is not None and (setup.flows or bool(setup.colliders))
+    )
     center = m @ particles.X / m.sum()
     damped = bool((stiffest["damping_time"] > 0).any())
     clamp, cap = settings.clamp is not None, settings.stress_cap is not None
@@ -127,8 +129,8 @@ def build_body(
         step=largest_step(particles, h, contact, settings, stiffest),
         law=law,
         walls=planes(walls, particles.X + lift, at_rest.origin + lift, h) if walls else None,
-        meets=meets,
-        kernels=build(law.set, damped, clamp, cap, bool(walls), kind, epoch(), meets),
+        pair_contact=pair_contact,
+        kernels=build(law.set, damped, clamp, cap, bool(walls), kind, epoch(), pair_contact),
         pack_type=pack_type(kind, epoch()),
     )
 
@@ -189,27 +191,28 @@ def floor_contact(
     stencil: Stencil,
     settings: Settings,
     per: dict[str, Floats],
-    ride: Callable[[Floats, Floats], EmbeddedPoints] = embed,
+    embed_samples: Callable[[Floats, Floats], EmbeddedPoints] = embed,
     *,
-    meets: bool = False,
+    pair_contact: bool = False,
     datum: float = np.inf,
     speed: float = 0.0,
 ) -> tuple[FloorContact | None, EmbeddedPoints | None]:
     """Contact with stiffness and damping as for the Total Lagrangian solver, on embedded samples.
 
-    ride : how the samples are embedded in the particles at rest, `embed` or `attach`.
-    meets, datum, speed : as for `surface_contact`; without contact, only the fall speed matters.
+    embed_samples : how the samples are embedded in the particles at rest, `embed` or `attach`.
+    pair_contact, datum, speed : as for `surface_contact`; without contact, only the fall speed
+        matters.
     """
-    if samples is None or (settings.floor is None and not meets):
+    if samples is None or (settings.floor is None and not pair_contact):
         return None, None
-    embedding = ride(samples.X, particles.X)
+    embedding = embed_samples(samples.X, particles.X)
     used, within = np.unique(embedding.particle, return_inverse=True)
     some = replace(embedding, particle=within.reshape(embedding.particle.shape))
     # attached points need no gradients
     B = some.rows(stencil.rows(particles.X[used], gradients=not embedding.single))
     contact = surface_contact(
         samples, particles, stencil, settings, per,
-        meets=meets, datum=datum, speed=speed if meets else 0.0, carried=B,
+        pair_contact=pair_contact, datum=datum, speed=speed if pair_contact else 0.0, carried=B,
     )  # fmt: skip
     return contact, embedding
 
@@ -234,12 +237,12 @@ def arrays(body: Body) -> dict[str, Floats]:
         "wall_impulse": np.zeros(3),
         "grid": np.zeros(6, int),  # see `kernels.sorting`
         **whole,
-        **_contact_arrays(body.contact, body.embedding, n, body.meets),
+        **_contact_arrays(body.contact, body.embedding, n, body.pair_contact),
     }
 
 
 def _contact_arrays(
-    contact: FloorContact | None, embedding: EmbeddedPoints | None, n: int, meets: bool
+    contact: FloorContact | None, embedding: EmbeddedPoints | None, n: int, pair_contact: bool
 ) -> dict[str, Floats]:
     """The arrays of contact; without contact, one sample that is never active."""
     if contact is None or embedding is None:
@@ -262,7 +265,7 @@ def _contact_arrays(
         "sample_active": np.zeros(count, int),
         "sample_capped": np.zeros(count, int),
         "sample_plane": np.full(count, -1),
-        "plane": np.zeros(ROW * (count if meets else 1)),
+        "plane": np.zeros(ROW * (count if pair_contact else 1)),
         "support_particle": support.ravel(),
         "support_weight": weight.ravel(),
         "support_arm": arm.ravel(),

@@ -91,7 +91,7 @@ class UpdatedLagrangian(Solver):
         # largest ratio of the stiffness of planes to that of the floor
         self._stiffness_ratio = body.contact.pair_ratio if body.contact else 1.0
         self._launcher: tuple[Any, Launcher] | None = None  # for the current arrays
-        if contact_setup is not None and contact_setup.colliders and body.meets:
+        if contact_setup is not None and contact_setup.colliders and body.pair_contact:
             passing = {c for _, c in contact_setup.through_colliders}
             count = len(body.contact.mass) if body.contact else 0
             self.face(contact_setup, through={c: np.full(count, True) for c in passing})

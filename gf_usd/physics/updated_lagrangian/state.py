@@ -168,7 +168,7 @@ class State(DeviceState):
         Both ascending; plane k is that of the k-th of `planes`.
         """
         active = near
-        if self._body.meets:
+        if self._body.pair_contact:
             active = np.union1d(near, planes)
             self.clear("sample_force")
             of = np.full(len(self._body.contact.mass) if self._body.contact else 1, -1)

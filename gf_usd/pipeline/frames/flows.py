@@ -46,8 +46,8 @@ class FlowSurfaces:
         found = surface(pose.x[mine], self._volumes[mine], values)
         return SurfacePose(
             points=found.points,
-            velocities=found.carried[:, :3],
+            velocities=found.interpolated[:, :3],
             normals=found.normals,
-            colors=found.carried[:, 3:],
+            colors=found.interpolated[:, 3:],
             triangles=found.triangles,
         )

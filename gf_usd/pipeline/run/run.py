@@ -20,7 +20,7 @@ from gf_usd.core.frames import sampled
 from gf_usd.pipeline.checkpoint import CheckpointWriter, remove_checkpoints
 from gf_usd.pipeline.cost.budget import require_affordable, require_resources
 from gf_usd.pipeline.cost.forecast import CHECKING, WRITING, Forecast, Stages, Watch
-from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
+from gf_usd.pipeline.deliver import Delivery, delete_interrupted_clips, output_lock
 from gf_usd.pipeline.failure import locate_failure, write_failure
 from gf_usd.pipeline.prepared import Prepared, identity_of
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
@@ -164,7 +164,7 @@ def _run_locked(prepared: Prepared, control: Control, warned: Warned) -> BakeRes
         files=plan.outputs, asset=plan.asset, source=plan.source, choices=plan.choices,
         converted=prepared.converted,
     )  # fmt: skip
-    earlier = sweep(plan.outputs, prepared.resume)
+    earlier = delete_interrupted_clips(plan.outputs, prepared.resume)
     create_output_folder(plan.outputs)
     session = Session(
         prepared=prepared, control=control, delivery=delivery, warned=warned, earlier=earlier,

@@ -105,7 +105,7 @@ def _ask(asset: Asset, subjects: tuple[Subject, ...], auto: Auto, draw: Draw) ->
         from gf_usd.prepare.advice.names import by_names
 
         return [by_names(subject, asset.facts.path.stem) for subject in subjects]
-    from gf_usd.prepare.advice.advisors import ask
+    from gf_usd.prepare.advice.advisors import ask_advisor
 
     question = Question(
         file=asset.facts.path,
@@ -113,7 +113,7 @@ def _ask(asset: Asset, subjects: tuple[Subject, ...], auto: Auto, draw: Draw) ->
         presets=described(),
         picture=picture(asset, draw),
     )
-    return ask(auto.advisor, question)
+    return ask_advisor(auto.advisor, question)
 
 
 def described() -> dict[str, str]:

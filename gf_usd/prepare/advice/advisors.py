@@ -39,7 +39,7 @@ def find_advisor(name: str) -> EntryPoint:
     return found[0]
 
 
-def ask(name: str, question: Question) -> tuple[Advice, ...]:
+def ask_advisor(name: str, question: Question) -> tuple[Advice, ...]:
     """An advisor's answer, in the order of the subjects; rubber where its confidence is low.
 
     Raises

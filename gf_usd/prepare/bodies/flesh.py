@@ -111,7 +111,7 @@ def flesh_of(
     for k, paths in enumerate(character_paths(bodies)):
         own = replace(asset, surfaces=tuple(s for s in asset.surfaces if s.path in paths))
         part = solid.part(np.flatnonzero(bodies.of_surface == k))
-        near = samples.some(np.flatnonzero(samples.body == k))
+        near = samples.subset(np.flatnonzero(samples.body == k))
         every.append(_of_character(own, part, X, near, settings, animation, file, **options))
     goals = None
     if any(one.goals for one in every):
@@ -242,23 +242,23 @@ def _pin_to_bones(
 
     Raises InputError where nothing is pinned.
     """
-    from gf_usd.geometry.flesh.carried import (
-        carried_meshes,
-        carried_pins,
-        meshes_apart,
-        named_carried_meshes,
-    )
     from gf_usd.geometry.flesh.cores import bone_pins
+    from gf_usd.geometry.flesh.single_joint import (
+        meshes_apart,
+        named_single_joint_meshes,
+        single_joint_meshes,
+        single_joint_pins,
+    )
 
     bones = skeleton.bones
     pins = bone_pins(bones, cores)
-    carried = carried_meshes(skeleton)
-    kept = named_carried_meshes(rigid, carried, [s.path for s in asset.surfaces])
-    pins += carried_pins(kept, carried, skeleton, solid, cell)
+    bound = single_joint_meshes(skeleton)
+    kept = named_single_joint_meshes(rigid, bound, [s.path for s in asset.surfaces])
+    pins += single_joint_pins(kept, bound, skeleton, solid, cell)
     taken = {path for pin in pins for path in pin.meshes}
-    soft = [path for path in carried if path not in taken]
-    apart = meshes_apart(soft, carried, solid, cores, cell)
-    pins += carried_pins(apart, carried, skeleton, solid, cell)
+    soft = [path for path in bound if path not in taken]
+    apart = meshes_apart(soft, bound, solid, cores, cell)
+    pins += single_joint_pins(apart, bound, skeleton, solid, cell)
     if not pins:
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
@@ -282,7 +282,7 @@ def _goal_weights(
     where neither these nor a frequency are given, those of meshes that no flesh holds.  The
     frequency is None where there are no springs.
     """
-    from gf_usd.geometry.flesh.carried import carried_meshes, loose_meshes
+    from gf_usd.geometry.flesh.single_joint import loose_meshes, single_joint_meshes
     from gf_usd.readers.usd_bake.settings import read_goals
 
     painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
@@ -291,7 +291,7 @@ def _goal_weights(
     if painted:
         note = f"painted goals are springs of {GOAL_FREQUENCY:g} Hz: --goal-frequency"
         return painted, GOAL_FREQUENCY, (note,)
-    loose, near = loose_meshes(skeleton, carried_meshes(skeleton), solid, cores, cell)
+    loose, near = loose_meshes(skeleton, single_joint_meshes(skeleton), solid, cores, cell)
     notes = (*_loose_meshes(loose), *_hanging_meshes(near))
     if loose:
         return _held(asset.surfaces, loose), GOAL_FREQUENCY, notes

@@ -451,7 +451,7 @@ def taken(given: Mapping[str, Any], function: str) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name, value in given.items():
         if name == PROGRESS:
-            out[name] = values.listener(name, value)
+            out[name] = values.progress_callback(name, value)
         elif name in OPTIONS:
             out[name] = OPTIONS[name].take(value)
             if name not in PLANNED:  # `Request.check` judges the others

@@ -435,7 +435,7 @@ def checked_material(given: Any) -> Any:
     return given
 
 
-def listener(name: str, value: Any) -> Any:
+def progress_callback(name: str, value: Any) -> Any:
     """A function of two numbers; None: no listener."""
     if value is None:
         return None

@@ -182,7 +182,7 @@ def require_sound(file: MeshFile) -> MeshFile:
     return file
 
 
-def tidy(values: Floats, indices: Ints) -> tuple[Floats, Ints]:
+def used_rows(values: Floats, indices: Ints) -> tuple[Floats, Ints]:
     """The rows of `values` that `indices` use, in order, and the indices into these."""
     used, new = np.unique(indices, return_inverse=True)
     return values[used], new.reshape(-1)

@@ -28,7 +28,7 @@ from gf_usd.readers.mesh.data import (
     MeshFile,
     refuse_pointer,
     require_sound,
-    tidy,
+    used_rows,
 )
 from gf_usd.readers.mesh.mtl import read_libraries
 from gf_usd.readers.notes import Notes
@@ -358,7 +358,7 @@ def _uvs(tables: Tables, mine: Ints, name: str, notes: Notes) -> tuple[Floats | 
         )
         corners = np.where(missing, len(table), corners)
         table = np.vstack([table, [[0.0, 0.0]]])
-    return tidy(table, corners)
+    return used_rows(table, corners)
 
 
 def _normals(
@@ -374,7 +374,7 @@ def _normals(
                 name,
             )
         return None, None
-    return tidy(tables.normals, corners)
+    return used_rows(tables.normals, corners)
 
 
 def _name(thing: str, group: str) -> str:

@@ -16,7 +16,7 @@ from gf_usd.readers.mesh.data import (
     load,
     refuse_pointer,
     require_sound,
-    tidy,
+    used_rows,
 )
 from gf_usd.readers.notes import Notes
 
@@ -34,7 +34,7 @@ def read_stl(path: Path) -> MeshFile:
     loaded = load(path, _stl_body(path, data, notes), "stl")
     nodes = []
     for name, points, triangles in loaded:
-        joined, indices = tidy(points, weld(points, 0.0)[0][triangles.reshape(-1)])
+        joined, indices = used_rows(points, weld(points, 0.0)[0][triangles.reshape(-1)])
         mesh = FileMesh(
             name=name, points=joined, counts=np.full(len(triangles), 3), indices=indices
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gf_usd.core.asset import Splats, tidy
+from gf_usd.core.asset import Splats, valid_gaussians
 from gf_usd.core.errors import InputError
 from gf_usd.readers.formats import MESH, SPLATS, Format, format_of
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
@@ -37,13 +37,14 @@ def read_splat_file(path: Path, notes: Notes) -> Splats:
     Raises InputError for a damaged file and for one without valid Gaussians.
     """
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # `tidy` counts what comes of it
+        # `valid_gaussians` counts what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):
             splats: Splats = _format(path).function(path)
     except OSError as error:
         raise InputError(
             f"{path} cannot be read: {error}", "check the permissions of the file"
         ) from error
-    return tidy(splats, str(path), notes.add)
+    return valid_gaussians(splats, str(path), notes.add)
 
 
 def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | None) -> MeshSource:

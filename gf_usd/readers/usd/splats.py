@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdVol, Vt
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.asset import Splats, tidy
+from gf_usd.core.asset import Splats, valid_gaussians
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
@@ -67,7 +67,7 @@ def read_captured(
         half=half,
         labels=_labels(prim, time, count),
     )
-    whole = tidy(splats, where, lambda text: notes.add(text, where))
+    whole = valid_gaussians(splats, where, lambda text: notes.add(text, where))
     if len(whole) != count:
         # The cache layer overrides this prim, so that its arrays must keep their length.
         raise InputError(

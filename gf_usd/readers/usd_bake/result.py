@@ -206,7 +206,7 @@ class BakedArrays:
             if attribute.GetNumTimeSamples():
                 values = self._values(name, code)
                 if values is not None:
-                    found[snake(name)] = values
+                    found[snake_case(name)] = values
         return found
 
     def mesh_points(self, path: str, code: float) -> Array:
@@ -262,6 +262,6 @@ class BakedArrays:
         return None if values is None or not len(values) else np.array(values, np.float64)
 
 
-def snake(name: str) -> str:
+def snake_case(name: str) -> str:
     """plasticStrain -> plastic_strain."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()

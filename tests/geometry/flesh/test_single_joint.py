@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from gf_usd.geometry.flesh.carried import loose_meshes
 from gf_usd.geometry.flesh.cores import Core, Cores
+from gf_usd.geometry.flesh.single_joint import loose_meshes
 
 CELL = 0.25
 # heights [m] of the lower and the upper end of boxes, the first of which has the core

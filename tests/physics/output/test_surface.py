@@ -105,9 +105,9 @@ def test_nothing_is_drawn_between_drops(apart: float, count: int) -> None:
 def test_vertices_carry_the_means_of_values_around_them() -> None:
     x = lattice()
     found = drawn(x, np.concatenate([np.full((len(x), 1), 0.3), x], axis=1))
-    assert found.carried[:, 0] == pytest.approx(0.3, rel=1e-6)
+    assert found.interpolated[:, 0] == pytest.approx(0.3, rel=1e-6)
     # The mean of places is r away from where phi is 0; smoothing moves vertices by less than a cell
-    away = np.linalg.norm(found.carried[:, 1:] - found.points, axis=1)
+    away = np.linalg.norm(found.interpolated[:, 1:] - found.points, axis=1)
     r = DEPTH * reach(np.full(1, S**3))
     assert away == pytest.approx(np.full(len(away), r), abs=reach(np.full(1, S**3)) / BLOCK)
 
@@ -115,7 +115,7 @@ def test_vertices_carry_the_means_of_values_around_them() -> None:
 def test_the_same_particles_have_the_same_surface_to_the_bit() -> None:
     x = lattice(jitter=1.0)
     one, other = drawn(x), drawn(x.copy())
-    for name in ("points", "triangles", "normals", "carried"):
+    for name in ("points", "triangles", "normals", "interpolated"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 

@@ -11,7 +11,7 @@ import pytest
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.stage import Advice, Subject
 from gf_usd.prepare.advice import Question, advisors
-from gf_usd.prepare.advice.advisors import GROUP, ask, find_advisor
+from gf_usd.prepare.advice.advisors import GROUP, ask_advisor, find_advisor
 
 PLUGIN = """
 from gf_usd.prepare.advice import Advice
@@ -75,13 +75,16 @@ QUESTION = Question(
 def test_the_answer_comes_in_the_order_of_the_subjects_with_the_advisors_name(installed):
     installed(PLUGIN, mine="good")
     answer = {"material": "jelly", "confidence": 0.9, "reason": "x", "by": "mine"}
-    assert ask("mine", QUESTION) == (Advice(path="/a", **answer), Advice(path="/b", **answer))
+    assert ask_advisor("mine", QUESTION) == (
+        Advice(path="/a", **answer),
+        Advice(path="/b", **answer),
+    )
 
 
 def test_an_unsure_answer_becomes_rubber(installed):
     installed(PLUGIN, mine="unsure")
-    assert [a.material for a in ask("mine", QUESTION)] == ["rubber", "rubber"]
-    assert "jelly is too unsure, 0.10 < 0.3" in ask("mine", QUESTION)[0].note
+    assert [a.material for a in ask_advisor("mine", QUESTION)] == ["rubber", "rubber"]
+    assert "jelly is too unsure, 0.10 < 0.3" in ask_advisor("mine", QUESTION)[0].note
 
 
 def test_an_unknown_name_lists_those_that_are_there(installed):
@@ -116,7 +119,7 @@ def test_two_advisors_of_one_name_are_refused(installed):
 def test_a_failing_advisor_is_an_error_in_words(installed, entry, message):
     installed(PLUGIN, mine=entry)
     with pytest.raises(BakeError) as error:
-        ask("mine", QUESTION)
+        ask_advisor("mine", QUESTION)
     assert message in error.value.message
     assert error.value.hint == "wake it" or "--material auto" in error.value.hint
 
@@ -139,7 +142,7 @@ WRONG = {
 def test_a_wrong_answer_is_an_error_in_words(installed, answer):
     installed(f"{PLUGIN}\ndef wrong(question):\n    return {answer}\n", mine="wrong")
     with pytest.raises(BakeError, match="gave a wrong answer") as error:
-        ask("mine", QUESTION)
+        ask_advisor("mine", QUESTION)
     assert WRONG[answer] in error.value.message
 
 
@@ -149,5 +152,5 @@ def test_an_advisor_that_hangs_is_given_up(installed, monkeypatch):
     monkeypatch.setattr(sys, "gate_of_the_test", gate, raising=False)
     installed("import sys\ndef hang(question):\n    sys.gate_of_the_test.wait(60)\n", mine="hang")
     with pytest.raises(BakeError, match=r"gave no answer in 0\.05 s"):
-        ask("mine", QUESTION)
+        ask_advisor("mine", QUESTION)
     gate.set()

@@ -135,7 +135,7 @@ def build(
     has one thread.
     """
     Body = pack_type(real, epoch)
-    table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
+    table = stages(options.plain, options.pair_contact, options.coupled, options.rigid > 0)
     plan, act = _plan(table, options), _item(laws, damped, options)
     return SimpleNamespace(
         queued=_queued(Body, real, plan, act),

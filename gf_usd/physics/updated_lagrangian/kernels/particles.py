@@ -79,10 +79,10 @@ def clamp_gradient(body: ti.template(), p, gradients: ti.template(), o, low, hig
 
 
 @ti.func
-def sample_force(body: ti.template(), s, up, lift, dt, meets: ti.template()):
+def sample_force(body: ti.template(), s, up, lift, dt, pair_contact: ti.template()):
     """Force of the floor on sample s, by the formulas of `contact.kernels`, and of its plane.
 
-    lift : [m] height of the moving frame's origin above the floor; meets : there are planes.
+    lift : [m] height of the moving frame's origin above the floor; pair_contact : there are planes.
     """
     x = up * 0.0
     v = up * 0.0
@@ -93,7 +93,7 @@ def sample_force(body: ti.template(), s, up, lift, dt, meets: ti.template()):
         x += w * (vector(body.x, 3 * p) + d)
         v += w * (vector(body.v, 3 * p) + turned(body.L, p, d))
     floor_force(body, s, 0.0 - (lift + x.dot(up)), v, up, dt)
-    if ti.static(meets):
+    if ti.static(pair_contact):
         plane_force(body, s, planes.ROW * body.sample_plane[s], x, v, dt)
 
 

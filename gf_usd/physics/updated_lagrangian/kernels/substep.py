@@ -88,11 +88,11 @@ def pack_type(real, epoch: int):
 @cache
 def build(
     laws, damped: bool, clamp: bool, capped: bool, walled: bool, real, epoch: int,
-    meets: bool = False,
+    pair_contact: bool = False,
 ) -> SimpleNamespace:  # fmt: skip
     """The kernels for a set of laws, with or without viscosity, clamp, stress cap and walls.
 
-    laws : `registry.LawSet`; real : f32 or f64; meets : samples may have contact planes.
+    laws : `registry.LawSet`; real : f32 or f64; pair_contact : samples may have contact planes.
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
@@ -126,7 +126,7 @@ def build(
             for p in range(n):
                 place_particle(body, p)
             for k in range(active):
-                sample_force(body, body.sample_active[k], up, lift, dt, meets)
+                sample_force(body, body.sample_active[k], up, lift, dt, pair_contact)
             if active > 0:
                 for p in range(n):
                     push_particle(body, p)
@@ -181,7 +181,7 @@ def build(
         for cell in range(body.grid[CELLS]):
             sort_cell(body, cell)
         for k in range(active):
-            sample_force(body, body.sample_active[k], up, lift, dt, meets)
+            sample_force(body, body.sample_active[k], up, lift, dt, pair_contact)
         for p in range(n * ti.min(active, 1)):
             push_particle(body, p)
         for z in range(body.grid[CELLS] * STRIDE):

@@ -150,14 +150,14 @@ def scatter_cell(
         volume = live(alive, pick(body.V0, ids, 0))
         F = admissible(body, ids, laws, dt, converged, True)
         P = piola(body, ids, F, laws, damped, capped, cap, dt, converged)
-        moments = carried(body, ids, m, (0.0 - dt * ih) * volume, ih, P, F)
+        moments = particle_moments(body, ids, m, (0.0 - dt * ih) * volume, ih, P, F)
         if contact > 0:
             add_contact_forces(body, ids, alive, dt, ih, moments)
         deposit(body, cell, b, m, moments, axes)
 
 
 @unrolled
-def carried(body, ids, m, s, ih, P, F):
+def particle_moments(body, ids, m, s, ih, P, F):
     """Along each axis the momentum m v, its slope m C / ih and -dt ih V0 tau, in cells: 3 x 7."""
     row, affine = rows(ids, 3), rows(ids, 9)
     r = let(m / ih)
@@ -172,7 +172,7 @@ def carried(body, ids, m, s, ih, P, F):
 
 @unrolled
 def add_contact_forces(body, ids, alive, dt, ih, moments):
-    """Add the contact forces on the particles to the result of `carried`."""
+    """Add the contact forces on the particles to the result of `particle_moments`."""
     row = rows(ids, 12)
     for d in range(3):
         o = 7 * d

@@ -96,7 +96,7 @@ class Rigs:
         )
         return replace(mesh, skin=skin)
 
-    def carried(self, node: int, mesh: FileMesh) -> FileMesh | None:
+    def bound_rigidly(self, node: int, mesh: FileMesh) -> FileMesh | None:
         """A mesh bound rigidly to the joint that its node descends from; None where none does."""
         chain = self._nodes.chain(node)
         for above, joint in enumerate(chain):

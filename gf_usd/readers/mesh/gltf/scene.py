@@ -126,8 +126,8 @@ class _Scene:
             return self._skins.posed(row["skin"], name, mesh, primitives, self._notes)
         if "skin" in row:
             return FileNode(name=name, mesh=self.rigs.skinned(row["skin"], name, mesh, primitives))
-        carried = self.rigs.carried(index, mesh)
-        return None if carried is None else FileNode(name=name, mesh=carried)
+        bound = self.rigs.bound_rigidly(index, mesh)
+        return None if bound is None else FileNode(name=name, mesh=bound)
 
     def _of_mesh(self, number: Any) -> list[Primitive]:
         self._gltf.row("meshes", number)

@@ -23,7 +23,7 @@ from gf_usd.readers.mesh.data import (
     Slot,
     refuse_pointer,
     require_sound,
-    tidy,
+    used_rows,
 )
 from gf_usd.readers.mesh.ply.tables import Ragged, header, read_body
 from gf_usd.readers.notes import Notes
@@ -149,7 +149,7 @@ def _uvs(
     if isinstance(texcoord, Ragged) and (texcoord.counts == 2 * faces.counts).all():
         values = texcoord.values.astype(np.float64).reshape(-1, 2)
         uvs, inverse = np.unique(values, axis=0, return_inverse=True)
-        uvs, indices = tidy(uvs, inverse.reshape(-1))
+        uvs, indices = used_rows(uvs, inverse.reshape(-1))
     else:
         for names in UV_NAMES:
             uvs = _columns(vertex, names) if uvs is None else uvs
