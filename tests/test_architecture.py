@@ -326,7 +326,7 @@ def test_no_module_imports_itself_through_others() -> None:
     assert circles(inside) == []
 
 
-def test_every_package_says_in_a_sentence_what_it_is() -> None:
+def test_every_package_has_a_one_sentence_docstring() -> None:
     for folder in {path.parent for path in python_files(PACKAGE)}:
         text = ast.get_docstring(parsed(folder / "__init__.py"))
         assert (text or "").split("\n")[0].endswith("."), folder

@@ -56,7 +56,7 @@ def test_free_fall_is_exact_at_every_frame(real, tolerance):
         )
 
 
-def test_drag_slows_a_fall_as_its_formula_says():
+def test_a_fall_with_drag_follows_its_closed_form():
     # dv/dt = g - k v: the splitting (kick, then exp(-k dt)) is first order in k dt = 0.5 / 150.
     body, _ = ball(300)
     s = settings(frames=13, gravity=(0.0, -9.81, 0.0), drag=0.5)

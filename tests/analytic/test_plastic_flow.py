@@ -153,7 +153,7 @@ def test_energy_that_flow_takes_is_its_plastic_work(family):
 
 @pytest.mark.slow
 @families
-def test_a_body_at_rest_stays_and_says_so(family):
+def test_a_body_at_rest_has_no_energy_and_no_plastic_flow(family):
     body = block((0.0, 0.0, 0.0), (2, 2, 2), 0.5)
     solver = made(family, body, (soft(),), settings("cpu", frames=4, substeps=20))
     for frame in solver.frames():
@@ -424,7 +424,7 @@ def test_laws_that_share_cells_stand_in_batches_of_their_own():
 
 
 @pytest.mark.slow  # compiles kernels of its own
-def test_the_patch_test_knows_its_reference():
+def test_the_patch_test_passes_with_flowing_laws():
     figures = list(patch(np.float64, 1e-12, (ROW.token,))("cpu"))
     mine = [m for m in figures if m.name.startswith(ROW.token)]
     assert len(mine) == 2

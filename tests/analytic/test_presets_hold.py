@@ -11,7 +11,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 
 def drop(name: str, **changes) -> tuple[int, int, float]:
-    """Inverted particles at most, frames recomputed and least J of an octopus dropped by 3 radii."""
+    """Most inverted particles, recomputed frames and least J of an octopus dropped by 3 radii."""
     body, samples = fill(solid(*(surface(*mesh) for mesh in octopus())), 1500)
     T = time_scale(body.radius)
     s = settings(

@@ -40,7 +40,7 @@ def test_free_fall_is_exact_at_every_frame(real, tolerance):
 
 
 @pytest.mark.slow
-def test_drag_slows_a_fall_as_its_formula_says():
+def test_a_fall_with_drag_follows_its_closed_form():
     # dv/dt = g - k v: the splitting (kick, then exp(-k dt)) is first order in k dt = 0.5 / 150.
     body, _ = ball(300)
     s = settings(frames=13, gravity=(0.0, -9.81, 0.0), drag=0.5)
@@ -121,7 +121,7 @@ def test_a_body_that_outgrows_its_grid_gets_a_larger_one():
 
 
 @pytest.mark.slow
-def test_viscosity_takes_what_its_formula_says():
+def test_the_viscous_dissipation_is_that_of_its_formula():
     # At F = I the power is -V 2 mu tau D:D, D the symmetric rate.  Over one step of 1e-7 s the
     # elastic stress and the change of D are smaller by 1e-5 each.
     body, _ = ball(300)

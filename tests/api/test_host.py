@@ -211,7 +211,7 @@ print(results, bake().frames)
     assert output.splitlines() == ["interrupted", "[3, 3] 3"]
 
 
-def test_what_a_crash_of_the_other_process_says(tmp_path: Path) -> None:
+def test_a_crash_of_the_separate_process_is_a_bake_error(tmp_path: Path) -> None:
     lines = run(
         tmp_path,
         """

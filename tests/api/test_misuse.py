@@ -111,7 +111,7 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
 
 @pytest.mark.parametrize("function", [gf_usd.bake])
 @pytest.mark.parametrize(("options", "message", "hint"), MISUSES, ids=named)
-def test_a_misuse_is_answered_in_our_words(
+def test_a_misuse_is_a_usage_error_that_names_keywords(
     function: Any, options: dict[str, Any], message: str, hint: str, tmp_path: Path
 ) -> None:
     with pytest.raises(gf_usd.UsageError) as caught:
@@ -203,7 +203,7 @@ def test_every_text_option_takes_values_of_python() -> None:
     assert plain == set()
 
 
-def test_python_values_bake_and_the_command_says_them(tmp_path: Path) -> None:
+def test_python_values_are_baked_and_recorded_in_the_command(tmp_path: Path) -> None:
     done: list[int] = []
     result = gf_usd.bake(
         SPHERE, material=["jelly", material()], drop=1.0, floor=0, range=(1, 3),

@@ -368,7 +368,7 @@ def test_a_simulation_that_was_closed_before_its_first_frame_has_no_state() -> N
         simulation.save()
 
 
-def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
+def test_a_simulation_whose_taichi_was_restarted_is_a_usage_error() -> None:
     one = gf_usd.simulate(alone(), frames=3, particles=100, threads=1)
     next(one)
     other = gf_usd.simulate(alone(), frames=3, particles=100, threads=2)

@@ -12,7 +12,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, time_scale
 from gf_usd.core.materials.laws import LAWS, check_law, law_parameters
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.physical import PHYSICAL, Physical
+from gf_usd.core.materials.physical import PHYSICAL, PhysicalPreset
 from gf_usd.core.materials.presets import Fixed, find_preset, presets
 
 G0 = 9.81
@@ -171,7 +171,7 @@ def test_the_document_of_materials_has_every_preset_that_flows(name: str) -> Non
     if made.law == "fluid":
         keys = ("viscosity", "cavitation")
     own = [made.parameters.get(key, 0.0) for key in keys]
-    if isinstance(made, Physical):
+    if isinstance(made, PhysicalPreset):
         numbers = [made.density, made.youngs_modulus, made.poissons_ratio, *own]
         numbers.append(made.material(1.0).wave_speed)
         shown = [float(cell.replace(",", "") or 0) for cell in cells[1 : 1 + len(numbers)]]

@@ -82,7 +82,7 @@ def sphere(rings: int, sides: int) -> tuple[np.ndarray, list[list[int]]]:
 
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 @pytest.mark.parametrize("suffix", [".usda", ".usdz"])
-def test_usd_is_where_it_says_by_an_independent_reader(
+def test_usd_positions_read_independently_are_within_the_stated_error(
     ball: Path, tmp_path: Path, kind: str, suffix: str
 ) -> None:
     before = ball.read_bytes()
@@ -102,7 +102,7 @@ def test_usd_is_where_it_says_by_an_independent_reader(
 
 
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
-def test_gltf_is_where_it_says_by_an_independent_reader(
+def test_gltf_positions_read_independently_are_within_the_stated_error(
     ball: Path, tmp_path: Path, kind: str
 ) -> None:
     done = deliver(ball, tmp_path / "out.glb", error=TOLERANCE, kind=kind)
@@ -224,7 +224,7 @@ def test_the_box_is_that_of_the_pose_that_is_delivered(tmp_path: Path) -> None:
         assert mesh.GetExtentAttr().Get() == computed
 
 
-def test_the_file_says_of_the_variants_that_it_has_only(tmp_path: Path) -> None:
+def test_the_metadata_list_only_the_variants_of_the_file(tmp_path: Path) -> None:
     root, *_ = bake(PAINTED.asset(tmp_path), tmp_path, looks=("rubber", "jelly"))
     done = deliver(root.path, tmp_path / "out.usda", error=TOLERANCE, variant="jelly")
     metadata = Sdf.Layer.FindOrOpen(str(done.path)).customLayerData["gaussianFlesh"]

@@ -49,7 +49,7 @@ def measured(source: Path, done: Delivered, name: str, radius: float) -> tuple[f
 
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 @pytest.mark.parametrize("source", ["over_mesh", "alone"])
-def test_gltf_is_where_it_says_and_shaped_as_it_says(
+def test_gltf_positions_and_covariances_are_within_the_stated_errors(
     source: str, kind: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     path: Path = request.getfixturevalue(source)
@@ -196,7 +196,7 @@ def test_which_gaussians_are_written(over_mesh: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdz"])
-def test_usd_holds_samples_that_are_where_they_say(
+def test_usd_samples_are_within_the_stated_error(
     over_mesh: Path, tmp_path: Path, suffix: str
 ) -> None:
     done = deliver(over_mesh, tmp_path / f"out{suffix}", error=ERROR)

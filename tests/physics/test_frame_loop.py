@@ -247,7 +247,7 @@ def test_a_state_that_blew_up_does_not_set_the_substeps_of_the_next_attempt(
     assert tried == [tried[0], 2 * GROWTH * tried[0]]
 
 
-def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_ends_with_an_error_message(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Guard, "judge", lambda self, *frame: (7, "it looks odd"))
     solver = dropped()
     frames = solver.frames()

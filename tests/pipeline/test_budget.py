@@ -144,7 +144,7 @@ def test_the_papers_skin_costs_every_vertex_with_every_particle(plan: Plan) -> N
     assert more(2 * anew) == pytest.approx(2.0 * more(anew), rel=0.01)
 
 
-def test_the_solver_that_was_asked_is_the_one_that_bakes(plan: Plan) -> None:
+def test_the_requested_solver_is_used(plan: Plan) -> None:
     made = []
 
     def build(variant: Variant) -> Any:

@@ -120,7 +120,7 @@ def test_curves_that_part_are_known_until_they_do():
     assert "no less than" in found.reason
 
 
-def test_a_band_that_is_too_wide_says_nothing():
+def test_a_band_ends_where_it_is_too_wide():
     found = band(curves(lambda t, e: 20.0 * e * t), 1.0)
     assert 0 < found.until < 50
     assert found.half[: found.until].max() <= WIDEST

@@ -134,7 +134,7 @@ def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path, becom
     ],
     ids="-".join,
 )
-def test_it_goes_with_what_else_is_asked_of_the_output(
+def test_it_can_be_combined_with_other_output_options(
     blocks: Path, tmp_path: Path, options: dict[str, Any]
 ) -> None:
     name = "out.usdc" if options.get("flatten") else "out.usda"

@@ -235,7 +235,7 @@ def test_flow_over_another_energy_leaves_the_same_dent(
     assert taken[token] == pytest.approx(taken["vonMises"], rel=0.05)
 
 
-def test_an_elastic_body_remembers_nothing_and_says_so(tmp_path: Path) -> None:
+def test_an_elastic_body_has_no_internal_variables_and_a_note(tmp_path: Path) -> None:
     made = gf_usd.bake(
         str(SPHERE), material="rubber", output=f"{tmp_path}/", particles=100, frames=2,
         internal=True,

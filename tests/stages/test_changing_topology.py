@@ -51,7 +51,7 @@ def Mesh "Blob"
 """
 
 
-def test_what_counts_elements_is_held_and_the_rest_goes_on(tmp_path: Path) -> None:
+def test_arrays_of_element_counts_are_held_and_others_interpolated(tmp_path: Path) -> None:
     source = tmp_path / "blob.usda"
     head = 'defaultPrim = "Blob"\n metersPerUnit = 0.01\n upAxis = "Y"\n startTimeCode = 10'
     source.write_text(f"#usda 1.0\n(\n {head}\n endTimeCode = 14\n)\n{growing()}")

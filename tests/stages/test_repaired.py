@@ -119,7 +119,7 @@ def test_flesh_counts_once(bake, mesh, volume: float, alone: bool, note: str, ce
             bake(mesh(), repair=False)
 
 
-def test_a_plane_is_refused_in_words_and_baked_with_repair(bake) -> None:
+def test_a_plane_is_refused_with_a_hint_and_baked_with_repair(bake) -> None:
     with pytest.raises(InputError, match="the surface is open: 4 boundary edges") as refused:
         bake(plane(), repair=False)
     assert "repair=True" in refused.value.hint

@@ -284,7 +284,7 @@ def test_a_bake_that_does_not_rest_in_time_is_complete_up_to_there(tmp_path: Pat
 FEW: dict[str, Any] = {"material": "clay", "particles": 60}
 
 
-def test_where_nothing_says_how_long_rest_does() -> None:
+def test_without_a_stated_length_a_bake_ends_at_rest() -> None:
     shot = gf_usd.inspect(SPHERE, range=(1, None), **FEW).plan.settings.frames
     open_end = gf_usd.inspect(SPHERE, **FEW).plan
     assert open_end.choices.until_rest
@@ -300,7 +300,7 @@ def test_where_nothing_says_how_long_rest_does() -> None:
         {"preset": "paper"}, {"no_settling": True},
     ],
 )  # fmt: skip
-def test_what_holds_pushes_or_says_how_long_ends_without_rest(more: dict[str, Any]) -> None:
+def test_pins_fields_and_stated_lengths_end_without_rest(more: dict[str, Any]) -> None:
     assert not gf_usd.inspect(SPHERE, **(FEW | more)).plan.choices.until_rest
 
 
@@ -333,7 +333,7 @@ def test_the_cache_of_a_shot_is_split_by_its_own_size(monkeypatch, clips: bool) 
 
 
 @pytest.mark.slow
-def test_a_bake_ends_at_rest_and_says_what_that_took(tmp_path: Path) -> None:
+def test_a_bake_ends_at_rest_and_reports_the_frame(tmp_path: Path) -> None:
     done = gf_usd.bake(SPHERE, output=tmp_path / "s.usda", only="mesh", **SMALL)
     (bake,) = done.bakes
     assert bake.at_rest == bake.frames < settled_frames(105)

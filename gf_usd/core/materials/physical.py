@@ -9,7 +9,7 @@ from gf_usd.core.materials.material import Material, scaled_parameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class Physical:
+class PhysicalPreset:
     """An absolute preset: the values of a real material."""
 
     name: str
@@ -44,9 +44,9 @@ ASHBY = "Ashby, Materials Selection in Mechanical Design, appendix A: geometric 
 
 def _paste(
     name: str, *, density: float, E: float, tau: float, k: float, n: float = 1.0, source: str
-) -> Physical:
+) -> PhysicalPreset:
     """What bears tau + k D^n [Pa] sheared at a rate D [1/s]: Herschel and Bulkley 1926."""
-    return Physical(
+    return PhysicalPreset(
         name=name, density=density, youngs_modulus=E, poissons_ratio=0.45, friction=0.9,
         restitution=0.0, damping_time=0.0, law="paste", source=source,
         parameters={
@@ -57,40 +57,40 @@ def _paste(
 
 
 # Incompressible elastomers are given nu = 0.47: what a displacement method carries without locking.
-PHYSICAL: dict[str, Physical] = {
+PHYSICAL: dict[str, PhysicalPreset] = {
     p.name: p
     for p in (
-        Physical(
+        PhysicalPreset(
             name="gelatin", density=1020.0, youngs_modulus=1e3, poissons_ratio=0.47,
             damping_time=2e-3, restitution=0.5,
             source="a soft dessert gel, to an order of magnitude",
         ),
-        Physical(
+        PhysicalPreset(
             name="soft-silicone", density=1070.0, youngs_modulus=69e3, poissons_ratio=0.47,
             source="Smooth-On technical bulletin, Ecoflex 00-30: 100 % modulus 10 psi, 1.07 g/cc",
         ),
-        Physical(
+        PhysicalPreset(
             name="silicone", density=1030.0, youngs_modulus=2.0e6, poissons_ratio=0.47,
             source="PDMS 10:1, E = 20 MPa / ratio: J. Appl. Polym. Sci. 2014, 131, 41050",
         ),
-        Physical(
+        PhysicalPreset(
             name="neoprene", density=1240.0, youngs_modulus=1.2e6, poissons_ratio=0.47,
             source=f"{ASHBY} 0.7-2 MPa",
         ),
-        Physical(
+        PhysicalPreset(
             name="natural-rubber", density=925.0, youngs_modulus=1.9e6, poissons_ratio=0.47,
             source=f"{ASHBY} 1.5-2.5 MPa",
         ),
-        Physical(
+        PhysicalPreset(
             name="hard-rubber", density=1150.0, youngs_modulus=1e7, poissons_ratio=0.47,
             source="a filled, hard elastomer such as a tyre's tread, to an order of magnitude",
         ),
-        Physical(
+        PhysicalPreset(
             name="foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,
             damping_time=3e-5, restitution=0.5,
             source=f"{ASHBY} 1-3 MPa (flexible polymer foam, low density)",
         ),
-        Physical(
+        PhysicalPreset(
             name="polyurethane-foam", density=60.0, youngs_modulus=1.5e7, poissons_ratio=0.3,
             restitution=0.2, damping_time=5e-6, law="crushable",
             parameters={"yield_stress": 4e5, "hardening": 4e5, "cap_shape": 1.5},
@@ -98,31 +98,31 @@ PHYSICAL: dict[str, Physical] = {
             " Ashby, Cellular Solids, E = E_s (f^2 R^2 + (1 - f) R) and plateau 0.3 sigma_s R^1.5"
             " with E_s = 1.6 GPa, sigma_s = 127 MPa and f = 0.85 of the solid in the edges",
         ),
-        Physical(
+        PhysicalPreset(
             name="aluminium", density=2700.0, youngs_modulus=68.9e9, poissons_ratio=0.33,
             friction=0.5, restitution=0.6, damping_time=0.0, law="vonMises",
             parameters={"yield_stress": 2.76e8, "hardening": 6e8},
             source="6061-T6, MIL-HDBK-5: yield 276 MPa, ultimate 310 MPa at some 6 % of strain",
         ),
-        Physical(
+        PhysicalPreset(
             name="mild-steel", density=7850.0, youngs_modulus=2.0e11, poissons_ratio=0.29,
             friction=0.5, restitution=0.6, damping_time=0.0, law="vonMises",
             parameters={"yield_stress": 2.5e8, "hardening": 1.0e9},
             source="ASTM A36: yield 250 MPa; hardening to 400 MPa at 15 % of strain",
         ),
-        Physical(
+        PhysicalPreset(
             name="copper", density=8930.0, youngs_modulus=1.17e11, poissons_ratio=0.35,
             friction=0.5, restitution=0.5, damping_time=0.0, law="vonMises",
             parameters={"yield_stress": 4e8, "hardening": 1e8},
             source="the copper bar of Taylor tests: Wilkins and Guinan 1973; Kamoulakos 1990",
         ),
-        Physical(
+        PhysicalPreset(
             name="lead", density=11340.0, youngs_modulus=1.6e10, poissons_ratio=0.44,
             friction=0.6, restitution=0.2, damping_time=0.0, law="vonMises",
             parameters={"yield_stress": 1.2e7, "hardening": 1.2e7},
             source="pure lead: ASM Metals Handbook, tensile strength 12 to 17 MPa, E = 16 GPa",
         ),
-        Physical(
+        PhysicalPreset(
             name="modelling-clay", density=1850.0, youngs_modulus=3.0e6, poissons_ratio=0.45,
             friction=0.9, restitution=0.1, law="vonMises",
             parameters={
@@ -134,39 +134,39 @@ PHYSICAL: dict[str, Physical] = {
             " point, and E and the yield stress are fitted, not measured, such that it hardly"
             " bounces",
         ),
-        Physical(
+        PhysicalPreset(
             name="wet-clay", density=1900.0, youngs_modulus=5.0e6, poissons_ratio=0.45,
             friction=0.9, restitution=0.05, law="vonMises",
             parameters={"yield_stress": 4.3e4, "flow_viscosity": 1e3},
             source="soft saturated clay, undrained: shear strength 25 kPa, E = 200 times it"
             " (Terzaghi, Peck and Mesri 1996), yield stress sqrt(3) times it",
         ),
-        Physical(
+        PhysicalPreset(
             name="dough", density=1200.0, youngs_modulus=2.5e4, poissons_ratio=0.45,
             friction=0.9, restitution=0.05, damping_time=5e-4, law="vonMises",
             parameters={"yield_stress": 1.5e3, "hardening": 1e3, "flow_viscosity": 1e3},
             source="wheat dough: G' of 5 to 10 kPa, flow from some hundreds of Pa of shear, to an"
             " order of magnitude",
         ),
-        Physical(
+        PhysicalPreset(
             name="dry-sand", density=1600.0, youngs_modulus=1e6, poissons_ratio=0.3,
             friction=0.6, restitution=0.0, damping_time=0.0, law="druckerPrager",
             parameters={"internal_friction": 0.6},
             source="angle of repose 31 degrees (Lube et al. 2004); softer than sand under load",
         ),
-        Physical(
+        PhysicalPreset(
             name="wet-sand", density=1900.0, youngs_modulus=1e6, poissons_ratio=0.3,
             friction=0.6, restitution=0.0, damping_time=0.0, law="druckerPrager",
             parameters={"internal_friction": 0.65, "cohesion": 1000.0},
             source="capillary bridges give damp sand 0.5 to 2 kPa (Mitarai and Nori 2006)",
         ),
-        Physical(
+        PhysicalPreset(
             name="gravel", density=1700.0, youngs_modulus=2e6, poissons_ratio=0.25,
             friction=0.7, restitution=0.0, damping_time=0.0, law="druckerPrager",
             parameters={"internal_friction": 0.84},
             source="crushed rock: angle of repose about 40 degrees; as soft as dry-sand is",
         ),
-        Physical(
+        PhysicalPreset(
             name="powder-snow", density=120.0, youngs_modulus=4.8e4, poissons_ratio=0.2,
             friction=0.4, restitution=0.0, damping_time=0.0, law="snow",
             parameters={
@@ -176,7 +176,7 @@ PHYSICAL: dict[str, Physical] = {
             source="the small critical stretches and E of dry, powdery snow in Stomakhin et al."
             " 2013; new snow has 50 to 200 kg/m^3 (Fierz et al. 2009)",
         ),
-        Physical(
+        PhysicalPreset(
             name="wet-snow", density=400.0, youngs_modulus=1.4e5, poissons_ratio=0.2,
             friction=0.6, restitution=0.0, damping_time=0.0, law="snow",
             parameters={
@@ -205,7 +205,7 @@ PHYSICAL: dict[str, Physical] = {
             source="at 20 C: 10 Pa s of shear (Yanniotis et al. 2006); it yields so that a heap"
             " can rest",
         ),
-        Physical(
+        PhysicalPreset(
             name="wax", density=900.0, youngs_modulus=2.0e8, poissons_ratio=0.4,
             friction=0.5, restitution=0.3, damping_time=5e-6, law="vonMises",
             parameters={"yield_stress": 1.5e6, "hardening": 1e6},

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, DimensionlessPreset
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.physical import PHYSICAL, Physical
+from gf_usd.core.materials.physical import PHYSICAL, PhysicalPreset
 
-Preset = DimensionlessPreset | Physical
+Preset = DimensionlessPreset | PhysicalPreset
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def test_a_cap_that_is_never_met_changes_nothing():
 
 
 @pytest.mark.slow
-def test_riders_come_with_every_frame():
+def test_every_frame_has_the_embedded_points():
     body, _ = ball(300)
     made = preset_material("rubber", body, damping_time=0.0)
     points = np.array([[0.0, 1.0, 0.0], [0.5, 0.0, 0.2]])
@@ -187,7 +187,7 @@ def bursting() -> UpdatedLagrangian:
 
 
 @pytest.mark.slow
-def test_what_needs_more_nodes_than_memory_has_ends_in_words():
+def test_more_nodes_than_memory_allows_is_a_solver_error():
     solver = bursting()
     solver.state._most_nodes = solver.state.node_capacity
     with pytest.raises(SolverError, match="occupy more than") as caught:

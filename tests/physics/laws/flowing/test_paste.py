@@ -90,7 +90,7 @@ def test_in_no_time_nothing_flows() -> None:
 
 
 @pytest.mark.parametrize("name", ["toothpaste", "mud", "cream", "honey"])
-def test_presets_bear_in_shear_what_their_source_says(name) -> None:
+def test_the_shear_stress_of_presets_is_that_of_their_source(name) -> None:
     """tau_y + k D^n of pure shear at 1/s: sigma = sqrt(3) tau at a' = D / sqrt(3)."""
     own, n = PHYSICAL[name].parameters, PHYSICAL[name].parameters["flow_exponent"]
     source = {
