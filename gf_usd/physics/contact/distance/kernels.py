@@ -243,9 +243,14 @@ def closest_points(
         near = box_distance(boxes, root + 1, p) < best
         while near and node < leaves:
             node *= 2
-            if box_distance(boxes, root + node + 1, p) < box_distance(boxes, root + node, p):
+            one, other = (
+                box_distance(boxes, root + node, p),
+                box_distance(boxes, root + node + 1, p),
+            )
+            if other < one:
                 node += 1
-        first_leaf = node
+            near = ti.min(one, other) < best
+        first_leaf = node * near  # 0: none
         if near:
             leaf = first + node
             best, at, w = nearest_in_leaf(
