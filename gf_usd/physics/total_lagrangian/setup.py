@@ -195,10 +195,14 @@ def build_body(
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
     rows = particle_rows(stencil, particles.X)
-    frequency = None
+    frequency = rate = None
     if not lumped:
         ways = (rows.spread,) if stencil.factors is None else axis_spreads(stencil)
-        frequency = highest_frequency(rows, ways, mass, stiffest, h, regions)
+        V0, mu, lam, tau = (stiffest[name] for name in ("V0", "mu", "lam", "damping_time"))
+        w2 = largest_rate(rows, ways, mass, V0, mu, lam, regions)
+        frequency = float(np.sqrt(w2) * h / stiffest["wave_speed"].max())
+        if tau.any() and any(np.ptp(one) > 0.0 for one in (tau, mu, lam, stiffest["density"])):
+            rate = largest_rate(rows, ways, mass, V0, mu * tau, 0.0, regions)
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     pair_contact = contact_setup is not None and contact_setup.any
     contact = surface_contact(
@@ -218,7 +222,7 @@ def build_body(
         driven=contact is not None and pin_constraint is not None and pin_constraint.moving,
         rigid=regions.count if regions else 0,
     )  # fmt: skip
-    step = largest_step(particles, h, contact, settings, stiffest, frequency)
+    step = largest_step(particles, h, contact, settings, stiffest, frequency, rate)
     law = particle_laws(materials, particles.material, per)
     damped = bool((stiffest["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -448,14 +452,23 @@ def largest_step(
     settings: Settings,
     per: Mapping[str, Floats],
     frequency: float | None = None,
+    rate: float | None = None,
 ) -> StableStep:
-    """The stable step of the stiffest material with this contact; frequency : see `Body`."""
+    """The stable step of the stiffest material with this contact.
+
+    frequency : see `Body`; rate : of damping, by `largest_rate`; None: the bound by the longest
+        damping time and the stiffness of the stiffest, which may be of different materials.
+    """
     share = 2.0 * per["mu"] / (per["lam"] + 2.0 * per["mu"])
+    fastest_wave = float(per["wave_speed"].max())
+    viscous_time = float((per["damping_time"] * share).max())
+    if frequency and rate is not None:
+        viscous_time = min(viscous_time, rate * (h / (frequency * fastest_wave)) ** 2)
     return stable_step(
-        wave_speed=float(per["wave_speed"].max()),
+        wave_speed=fastest_wave,
         h=h,
         per_cell=per_cell(particles, h),
-        viscous_time=float((per["damping_time"] * share).max()),
+        viscous_time=viscous_time,
         contact_omega2=contact.omega2 if contact else 0.0,
         contact_damping=contact.damping_rate if contact else 0.0,
         safety=settings.safety,
@@ -468,18 +481,20 @@ def axis_spreads(stencil: Stencil) -> list[sparse.csr_matrix]:
     return [stencil.along(axis).extension(np.zeros((0, 3), int)) for axis in range(3)]
 
 
-def highest_frequency(
+def largest_rate(
     rows: SplineRows,
     spreads: Sequence[sparse.csr_matrix],
     mass: NodalMass,
-    per: Mapping[str, Floats],
-    h: float,
+    V0: Floats,
+    mu: Floats,
+    lam: Floats | float,
     regions: RigidRegions | None = None,
 ) -> float:
-    """The highest frequency of the body at rest, in units of c/h of its fastest material.
-
-    It is that of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, with
+    """Largest eigenvalue of M~^-1 and the forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, with
     e the symmetric part of sum_i u_i (x) G_ip.
+
+    Of the moduli: w^2 of the fastest vibration of the body at rest. Of mu tau in place of mu, and
+    lam = 0: the rate [1/s] at which Kelvin-Voigt damping stops the motion that it damps most.
 
     rows : of the particles; spreads : S of `SplineRows`, one for all axes of u or one for each.
     regions : the rigid regions: u has two rows for each, its translation and its rotation.
@@ -488,7 +503,7 @@ def highest_frequency(
     columns = spreads[0].shape[1] if regions else n
     onto = [one[:, :columns] for one in spreads]
     back = [one.T.tocsr() for one in onto]
-    shear, bulk = (per["V0"] * per[name] for name in ("mu", "lam"))
+    shear, bulk = V0 * mu, V0 * lam
 
     def over(operators: list[sparse.csr_matrix], u: Floats) -> Floats:
         if len(operators) == 1:
@@ -510,8 +525,7 @@ def highest_frequency(
         return np.concatenate([mass.acceleration(f[:n]), regions.accelerated(f[n:])])
 
     start = np.random.default_rng(0).normal(size=(n + 2 * regions.count if regions else n, 3))
-    w2 = largest_eigenvalue(acceleration, stiffness, start)
-    return float(np.sqrt(w2) * h / per["wave_speed"].max())
+    return largest_eigenvalue(acceleration, stiffness, start)
 
 
 def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
