@@ -60,7 +60,7 @@ def require(plan: Plan, hours: float) -> None:
     """See `require_affordable`."""
     require_affordable(
         cost(plan), hours, path=plan.asset.facts.path, settings=plan.settings,
-        materials=plan.materials, particles=len(plan.particles), drop=plan.drop,
+        materials=plan.materials, tables=plan.tables, particles=len(plan.particles), drop=plan.drop,
     )  # fmt: skip
 
 
@@ -230,6 +230,26 @@ def test_too_long_is_refused_with_the_numbers(plan: Plan) -> None:
     assert f"need {substeps} substeps of {1 / 24 / substeps:.2g} s in each of 31 frames" in message
     allowed = float(caught.value.hint.split("--max-hours ")[1].split()[0])
     require(hard, allowed)
+
+
+def test_too_long_by_one_of_several_materials_names_the_stiffest(plan: Plan) -> None:
+    """It named the values of the first: "Young's modulus 1e+03 Pa" of gelatin under aluminium."""
+    main = replace(plan.materials[0], name="authored")
+    metal = stiff(plan, 1e12)
+    table = (replace(plan.materials[0], name="rubber"), metal)
+    with pytest.raises(InputError) as caught:
+        require_affordable(
+            {**cost(replace(plan, materials=(metal,))), "per_material": [
+                {"name": "authored", "seconds": 1e9, "substeps_per_frame": 10**6}
+            ]},
+            1.0, path=Path("ball.usda"), settings=plan.settings, materials=[main], tables=[table],
+            particles=1000, drop=1.0,
+        )  # fmt: skip
+    young = f"{metal.youngs_modulus:.3g}"
+    assert (
+        f"1000 particles of authored (stiff, the stiffest of 2: Young's modulus {young} Pa, damping"
+        " time 0 s), dropped 1 m" in caught.value.message
+    )
 
 
 def test_first_contact_is_a_fall(plan: Plan) -> None:

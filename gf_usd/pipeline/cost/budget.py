@@ -299,20 +299,27 @@ def require_affordable(
     path: Path,
     settings: Settings,
     materials: Sequence[Material],
+    tables: Sequence[Sequence[Material]] = (),
     particles: int,
     drop: float,
 ) -> None:
-    """Raise InputError where a bake is estimated to take longer than max_hours [h]."""
+    """Raise InputError where a bake is estimated to take longer than max_hours [h].
+
+    tables : see `estimate`.
+    """
     hours = cost["estimated_seconds"] / 3600.0
     if hours <= max_hours:
         return
     row = max(cost["per_material"], key=lambda row: row["seconds"])
-    material = next(m for m in materials if m.name == row["name"])
+    number = next(k for k, m in enumerate(materials) if m.name == row["name"])
+    table = tables[number] if tables else materials[number : number + 1]
+    stiffest = max(table, key=lambda one: one.wave_speed)  # that needs the substeps
+    which = f"{stiffest.name}, the stiffest of {len(table)}: " if len(table) > 1 else ""
     dt = settings.time_scale / settings.fps / row["substeps_per_frame"]
     raise InputError(
         f"{path}: the bake would take about {duration(cost['estimated_seconds'])}:"
-        f" {particles} particles of {material.name} (Young's modulus"
-        f" {material.youngs_modulus:.3g} Pa, damping time {material.damping_time:.3g} s), dropped"
+        f" {particles} particles of {row['name']} ({which}Young's modulus"
+        f" {stiffest.youngs_modulus:.3g} Pa, damping time {stiffest.damping_time:.3g} s), dropped"
         f" {drop:.3g} m, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
         f" {counted(settings.frames, 'frame')}",
         "use a softer or less damped material, fewer --particles or --frames, or a lower --drop;"

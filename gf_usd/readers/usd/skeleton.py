@@ -167,9 +167,9 @@ class Skins:
         self._populate(prim)
         bound = self._bound.get(prim.GetPath())
         if bound is None:
-            if UsdSkel.BindingAPI(prim).GetJointIndicesPrimvar().HasAuthoredValue():
+            if has_influences(prim):
                 self._notes.add(
-                    f"has joint influences but no skeleton poses it ({_unposed(prim)}): it is read"
+                    f"has joint influences but no skeleton poses it ({unposed(prim)}): it is read"
                     " without a pose",
                     str(prim.GetPath()),
                 )
@@ -281,7 +281,12 @@ class Skins:
                 self._bound[skin.GetPrim().GetPath()] = (binding.GetSkeleton().GetPrim(), skin)
 
 
-def _unposed(prim: Usd.Prim) -> str:
+def has_influences(prim: Usd.Prim) -> bool:
+    """Whether a mesh has joint influences, bound to a skeleton or not."""
+    return bool(UsdSkel.BindingAPI(prim).GetJointIndicesPrimvar().HasAuthoredValue())
+
+
+def unposed(prim: Usd.Prim) -> str:
     """The reason why a mesh with joint influences is not bound to a skeleton."""
     above, between = prim.GetParent(), None
     while above and not above.IsA(UsdSkel.Root):

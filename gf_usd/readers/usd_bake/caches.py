@@ -19,6 +19,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.readers.usd.bones import lead_in
 from gf_usd.readers.usd.mesh import posed_points
 from gf_usd.readers.usd.select import named_prim
+from gf_usd.readers.usd.skeleton import has_influences, unposed
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.motion import bare_reading
 
@@ -38,10 +39,13 @@ def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[fl
     transforms.  Raises InputError where nothing is animated.
     """
     codes: set[float] = set()
+    why = ""  # of the first mesh, where it has joint influences
     with reading(file):
         stage = open_stage(file)
         for path in paths:
             prim = named_prim(stage, facts.path, path)
+            if path == paths[0] and has_influences(prim):
+                why = f" ({unposed(prim)})"
             if points := UsdGeom.PointBased(prim):
                 codes.update(points.GetPointsAttr().GetTimeSamples())
             while prim and not prim.IsPseudoRoot():
@@ -51,7 +55,8 @@ def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[fl
     if len(codes) < 2:
         here = f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
         raise InputError(
-            f"{facts.path}: --flesh: no skeleton poses {here}, and its points have no animation",
+            f"{facts.path}: --flesh: no skeleton poses {here}{why}, and its points have no"
+            " animation",
             "bind the mesh to a Skeleton under a SkelRoot (UsdSkel), with joint indices and"
             " weights, give it time samples, or bake it without --flesh",
         )

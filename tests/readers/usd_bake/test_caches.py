@@ -65,6 +65,16 @@ def test_a_mesh_that_nothing_moves_is_refused(tmp_path: Path) -> None:
         cache_range(path, ["/World/Block"], read_asset(path).facts)
 
 
+def test_a_skinned_mesh_without_a_skel_root_is_told_so(tmp_path: Path) -> None:
+    """As where a shot says `def Xform` of the prim at which it references a character."""
+    path = written(tmp_path, arm().replace("def SkelRoot", "def Xform"))
+    with pytest.raises(
+        InputError,
+        match=r"poses </Arm/Skin> \(it is not below a SkelRoot\), and its points have no",
+    ):
+        cache_range(path, SKIN, read_asset(path).facts)
+
+
 def test_points_that_come_and_go_are_refused(tmp_path: Path) -> None:
     text = cached(write(tmp_path, arm()), every=12)
     head, _, last = text.partition(f"{LAST}: [")
