@@ -227,6 +227,9 @@ class Settings:
 
     def time_code(self, index: float) -> float:
         """Time code of a frame."""
+        step = self.time_codes_per_second / self.fps
+        if step.is_integer():  # 47 * 23.976 / 23.976 is not 47
+            return self.start + index * step
         return self.start + index * self.time_codes_per_second / self.fps
 
     @property

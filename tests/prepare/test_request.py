@@ -136,6 +136,16 @@ def test_frames_of_playback_lie_time_codes_apart() -> None:
     assert settled(stage_facts=stage_facts, fps=48.0).fps == 48.0
 
 
+@pytest.mark.parametrize(("codes", "frames", "step"), [(23.976, 23.976, 1), (59.94, 29.97, 2)])
+def test_time_codes_of_film_rates_are_whole(codes: float, frames: float, step: int) -> None:
+    """47 * 23.976 / 23.976 is 46.99999999999999: the last sample was before endTimeCode."""
+    stage_facts = facts(
+        time_codes_per_second=codes, frames_per_second=frames, start_time_code=-10.0
+    )
+    s = settled(stage_facts=stage_facts)
+    assert [s.time_code(k) for k in range(240)] == [-10.0 + step * k for k in range(240)]
+
+
 def test_options_win_over_the_stage() -> None:
     stage_facts = facts(time_codes_per_second=48.0, start_time_code=101.0)
     s = settled(
