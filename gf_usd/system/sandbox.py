@@ -250,9 +250,10 @@ def serve(request: str) -> NoReturn:
         os.dup2(quiet, standard)
 
     def failed(kind: type[BaseException], error: BaseException, at: TracebackType | None) -> None:
-        if sys._getframe().f_back is not None:
+        said = _message(error)
+        if sys._getframe().f_back is not None and said != NO_MEMORY:
             return  # printed by a native parser, which continues: the task is still running
-        os.write(stderr, _message(error).encode(errors="replace"))
+        os.write(stderr, said.encode(errors="replace"))
         os._exit(FAILED)
 
     sys.excepthook = failed

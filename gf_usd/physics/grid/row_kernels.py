@@ -141,7 +141,7 @@ def multiply(start: Whole, node: Whole, W: Numbers, u: Lanes, x: Rows):
     start (n + 1,), node (nnz,), W : rows and values of a CSR matrix with n rows.
     """
     for p in range(x.shape[0]):
-        zero = 0.0 * W[0]
+        zero = ti.f64(0.0)
         row = ti.Vector([zero, zero, zero, zero])
         for e in range(start[p], start[p + 1]):
             row += W[e] * u[node[e]]

@@ -201,9 +201,13 @@ def strained_substeps(
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
     damping = stretch[:, 2] ** 2 * plastic
+    if body.damped is None:
+        more = largest_mean(damping, nodes.order, nodes.cell_start)
+    else:  # the rate at rest is exact, and may be that of the most stretched of them
+        more = float(damping[body.damped].max())
     rest = pressed_step(body.contact, body.step, depth)
     dt = strained_step(
         rest, speed, body.h, per_cell(body.particles, body.h), body.frequency,
-        damping=max(1.0, largest_mean(damping, nodes.order, nodes.cell_start)),
+        damping=max(1.0, more),
     )  # fmt: skip
     return substeps_of(body.settings.frame_time, dt)

@@ -42,7 +42,7 @@ from gf_usd.physics.grid.reference import Stencil, build_stencil
 from gf_usd.physics.grid.rigid import RigidRegions, rigid_regions
 from gf_usd.physics.grid.spectrum import largest_eigenvalue
 from gf_usd.physics.laws.registry import MODULI, ParticleLaws, convergence, particle_laws
-from gf_usd.physics.time_step import StableStep, per_cell, stable_step
+from gf_usd.physics.time_step import StableStep, per_cell, stable_step, wave_speed
 from gf_usd.physics.total_lagrangian import layout, limits
 from gf_usd.physics.total_lagrangian.stages import QUEUE
 
@@ -76,7 +76,8 @@ class Body:
     contact_setup: ContactSetup | None  # contact besides that with the floor; None: there is none
     start: Floats  # (M, 3) [m/s] velocity of the nodes at the start
     step: StableStep
-    frequency: float | None  # [c/h] highest of the body at rest; None: by `grid_frequency`
+    frequency: float | None  # [c/h] highest at rest, c by `wave_speed`; None: by `grid_frequency`
+    damped: Ints | None  # (N,) whether particles are damped; None: all alike
     layout: layout.Batches  # order of cells and particles in the kernels' arrays
     options: limits.Options
     law: ParticleLaws
@@ -195,12 +196,15 @@ def build_body(
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
     rows = particle_rows(stencil, particles.X)
-    frequency = rate = None
+    frequency = strained = rate = None
     if not lumped:
         ways = (rows.spread,) if stencil.factors is None else axis_spreads(stencil)
         V0, mu, lam, tau = (stiffest[name] for name in ("V0", "mu", "lam", "damping_time"))
         w2 = largest_rate(rows, ways, mass, V0, mu, lam, regions)
         frequency = float(np.sqrt(w2) * h / stiffest["wave_speed"].max())
+        strained = float(np.sqrt(w2) * h) / wave_speed(
+            lam + 2.0 * mu, stiffest["density"], stencil.order, stencil.cell_start
+        )
         if tau.any() and any(np.ptp(one) > 0.0 for one in (tau, mu, lam, stiffest["density"])):
             rate = largest_rate(rows, ways, mass, V0, mu * tau, 0.0, regions)
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
@@ -245,7 +249,8 @@ def build_body(
         contact_setup=contact_setup,
         start=start,
         step=step,
-        frequency=frequency,
+        frequency=strained,
+        damped=None if rate is None else stiffest["damping_time"] > 0.0,
         layout=(
             layout.single_particles(stencil)
             if plain

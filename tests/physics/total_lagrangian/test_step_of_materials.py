@@ -63,3 +63,32 @@ def test_a_soft_body_with_strong_damping_still_limits_the_step():
     assert alone.damping_ratio > 3.0
     # The rate of a body alone is bounded by its frequency, that of both is found: 1.31 here.
     assert both.dt < 1.4 * alone.dt
+
+
+LAYOUTS = {
+    "layer": lambda X: X[:, 0] > 0.05,  # half a cell of the soft one on the stiff one
+    "halves": lambda X: X[:, 0] > 0.2,
+    "mixed": lambda X: np.random.default_rng(2).integers(0, 2, len(X)),
+}
+
+
+@pytest.mark.parametrize("layout", list(LAYOUTS))
+def test_the_step_that_damping_limits_is_stable_where_the_damped_part_is_stretched(layout):
+    """Cells hold both: the mean of a cell says too little about the part that is damped."""
+    particles = pair(0)
+    which = LAYOUTS[layout](particles.X).astype(int)
+    thick, stiff = replace(SOFT, damping_time=5.0), elastic(E=1e6, nu=0.3, density=1000.0)
+    solver = TotalLagrangian(
+        replace(particles, material=which), [thick, stiff], settings("cpu", frames=4, fps=2000.0),
+        real=np.float64,
+    )  # fmt: skip
+    assert solver.body.step.damping_ratio > 3.0
+    at_rest = solver.substeps
+    X = solver.body.stencil.node_X
+    stretched = np.zeros_like(X)
+    stretched[:, 0] = -20.0 * np.maximum(0.1 - X[:, 0], 0.0) ** 2  # up to 4 times
+    solver.state.put("u", stretched)
+    health = [frame.health for frame in solver.frames()]
+    assert max(h.max_stretch for h in health) > 2.0
+    assert sum(h.rollbacks for h in health) == solver.guard.halvings == 0
+    assert max(h.substeps for h in health) > 2 * at_rest
