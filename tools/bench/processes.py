@@ -62,6 +62,7 @@ PEERS = {
 # BLAS threads spin for 25 ms after a product that one alone does as fast: CPU time of no use.
 ALONE = {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 ALIKE = {"taichi": "taichi", "genesis": "genesis", "vbd": "newton", "implicit": "newton"}
+MEGABYTES = {"taichi": 280, "genesis": 8_640, "newton": 720}  # of their environments
 
 
 def interpreter(key: str, into: Path) -> str:
@@ -72,8 +73,11 @@ def interpreter(key: str, into: Path) -> str:
     peer = PEERS[key]
     if not peer.requirements:
         return sys.executable
-    name = f"bench-{ALIKE[key]}"
-    clients.CLIENTS[name] = clients.Client(peer.requirements, f"import {ALIKE[key]}")
+    package = ALIKE[key]
+    name = f"bench-{package}"
+    clients.CLIENTS[name] = clients.Client(
+        peer.requirements, f"import {package}", MEGABYTES[package]
+    )
     print(f"{key}: {clients.set_up(name, into, [])}", file=sys.stderr, flush=True)
     return str(into.resolve() / name / "bin" / "python")
 
