@@ -13,6 +13,9 @@ from pxr import Sdf, Usd
 from small_bakes import BLOCK
 
 import gf_usd
+from gf_usd.api import deliver as api
+from gf_usd.delivery import deliver
+from gf_usd.delivery.splats.clouds import CHOICES
 from gf_usd.prepare.options.table import OPTIONS, taken
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
@@ -304,3 +307,10 @@ def test_the_word_default_is_the_same_as_leaving_an_option_out() -> None:
         name: row.default for name, row in OPTIONS.items() if name != "output"
     }
     assert taken({"output": "default"}, "gf_usd.bake") == {"output": "default"}
+
+
+def test_deliver_of_python_has_the_choices_of_the_command_line() -> None:
+    """It cannot import them: in a host with an OpenUSD of its own they are in another process."""
+    assert api.KINDS == deliver.KINDS
+    assert set(api.SPLATS) == set(CHOICES)
+    assert api.BINDINGS == deliver.BINDINGS

@@ -196,17 +196,19 @@ def build_body(
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
     rows = particle_rows(stencil, particles.X)
-    frequency = strained = rate = None
+    frequency = strained = viscous_time = None
+    damped = stiffest["damping_time"] > 0.0
     if not lumped:
         ways = (rows.spread,) if stencil.factors is None else axis_spreads(stencil)
         V0, mu, lam, tau = (stiffest[name] for name in ("V0", "mu", "lam", "damping_time"))
+        density = stiffest["density"]
         w2 = largest_rate(rows, ways, mass, V0, mu, lam, regions)
         frequency = float(np.sqrt(w2) * h / stiffest["wave_speed"].max())
         strained = float(np.sqrt(w2) * h) / wave_speed(
-            lam + 2.0 * mu, stiffest["density"], stencil.order, stencil.cell_start
+            lam + 2.0 * mu, density, stencil.order, stencil.cell_start
         )
-        if tau.any() and any(np.ptp(one) > 0.0 for one in (tau, mu, lam, stiffest["density"])):
-            rate = largest_rate(rows, ways, mass, V0, mu * tau, 0.0, regions)
+        if w2 and damped.any() and any(np.ptp(one) > 0.0 for one in (tau, mu, lam, density)):
+            viscous_time = largest_rate(rows, ways, mass, V0, mu * tau, 0.0, regions) / w2
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     pair_contact = contact_setup is not None and contact_setup.any
     contact = surface_contact(
@@ -226,9 +228,8 @@ def build_body(
         driven=contact is not None and pin_constraint is not None and pin_constraint.moving,
         rigid=regions.count if regions else 0,
     )  # fmt: skip
-    step = largest_step(particles, h, contact, settings, stiffest, frequency, rate)
+    step = largest_step(particles, h, contact, settings, stiffest, frequency, viscous_time)
     law = particle_laws(materials, particles.material, per)
-    damped = bool((stiffest["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
     return Body(
         particles=particles,
@@ -250,7 +251,7 @@ def build_body(
         start=start,
         step=step,
         frequency=strained,
-        damped=None if rate is None else stiffest["damping_time"] > 0.0,
+        damped=None if viscous_time is None else damped,
         layout=(
             layout.single_particles(stencil)
             if plain
@@ -258,7 +259,7 @@ def build_body(
         ),
         options=options,
         law=law,
-        kernels=build(law.set, damped, kind, epoch(), options, resident_blocks()),
+        kernels=build(law.set, bool(damped.any()), kind, epoch(), options, resident_blocks()),
         pack_type=pack_type(kind, epoch()),
     )
 
@@ -457,23 +458,20 @@ def largest_step(
     settings: Settings,
     per: Mapping[str, Floats],
     frequency: float | None = None,
-    rate: float | None = None,
+    viscous_time: float | None = None,
 ) -> StableStep:
     """The stable step of the stiffest material with this contact.
 
-    frequency : see `Body`; rate : of damping, by `largest_rate`; None: the bound by the longest
-        damping time and the stiffness of the stiffest, which may be of different materials.
+    frequency : see `stable_step`; viscous_time : [s] see there, of particles that differ; at most,
+        and where it is None, the longest of a particle, which may not be one of the stiffest.
     """
     share = 2.0 * per["mu"] / (per["lam"] + 2.0 * per["mu"])
-    fastest_wave = float(per["wave_speed"].max())
-    viscous_time = float((per["damping_time"] * share).max())
-    if frequency and rate is not None:
-        viscous_time = min(viscous_time, rate * (h / (frequency * fastest_wave)) ** 2)
+    longest = float((per["damping_time"] * share).max())
     return stable_step(
-        wave_speed=fastest_wave,
+        wave_speed=float(per["wave_speed"].max()),
         h=h,
         per_cell=per_cell(particles, h),
-        viscous_time=viscous_time,
+        viscous_time=longest if viscous_time is None else min(longest, viscous_time),
         contact_omega2=contact.omega2 if contact else 0.0,
         contact_damping=contact.damping_rate if contact else 0.0,
         safety=settings.safety,

@@ -9,7 +9,17 @@ dome (ambient occlusion).
 """
 
 from gf_usd.system.taichi_runtime import import_taichi
-from gf_usd.view.render.raster import F32_1, F32_2, F32_3, row, to_shadow_map, vec2, vec3, vector_at
+from gf_usd.view.render.raster import (
+    F32_1,
+    F32_2,
+    F32_3,
+    in_light_axes,
+    row,
+    to_shadow_map,
+    vec2,
+    vec3,
+    vector_at,
+)
 
 ti = import_taichi()
 
@@ -48,8 +58,7 @@ def key_visibility(p, n, frames: ti.template(), key_count, depth: ti.template(),
     visible, count = 0.0, 0.0
     biased = p + 1.6 * texel * n
     for light in range(key_count):
-        cosine = frames[light, 6] * n[0] + frames[light, 7] * n[1] + frames[light, 8] * n[2]
-        if cosine > 0.0:
+        if in_light_axes(frames, light, n)[2] > 0.0:
             q = to_shadow_map(frames, light, biased, radius, size)
             z = q[2] - 0.8 * texel
             fx, fy = ti.floor(q[0] - 0.5), ti.floor(q[1] - 0.5)
@@ -77,16 +86,15 @@ def dome_visibility(p, n, frames: ti.template(), key_count, depth: ti.template()
     visible, count = 0.0, 0.0
     biased = p + 1.6 * texel * n
     for light in range(key_count, frames.shape[0]):
-        cosine = frames[light, 6] * n[0] + frames[light, 7] * n[1] + frames[light, 8] * n[2]
+        normal = in_light_axes(frames, light, n)
+        cosine = normal[2]
         if cosine > 0.0:
             q = to_shadow_map(frames, light, biased, radius, size)
-            right = frames[light, 0] * n[0] + frames[light, 1] * n[1] + frames[light, 2] * n[2]
-            above = frames[light, 3] * n[0] + frames[light, 4] * n[1] + frames[light, 5] * n[2]
             slope = texel / ti.max(cosine, STEEPEST)  # depth of the plane per texel
             seen = 0.0
             for a, b in ti.static(TAPS):
                 x, y = ti.cast(ti.floor(q[0] + a), ti.i32), ti.cast(ti.floor(q[1] + b), ti.i32)
-                z = q[2] - 0.8 * texel + ti.min(slope * (a * right + b * above), 0.0)
+                z = q[2] - 0.8 * texel + ti.min(slope * (a * normal[0] + b * normal[1]), 0.0)
                 seen += texel_visibility(depth, light - key_count, x, y, z)
             weight = cosine * frames[light, 9]
             visible += weight * seen / ti.static(len(TAPS))

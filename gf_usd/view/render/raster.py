@@ -178,12 +178,21 @@ def draw_ellipsoids(
 
 
 @ti.func
+def in_light_axes(frames: ti.template(), light, p):
+    """Components of p to the right, up and towards the light of one light direction."""
+    return vec3(
+        frames[light, 0] * p[0] + frames[light, 1] * p[1] + frames[light, 2] * p[2],
+        frames[light, 3] * p[0] + frames[light, 4] * p[1] + frames[light, 5] * p[2],
+        frames[light, 6] * p[0] + frames[light, 7] * p[1] + frames[light, 8] * p[2],
+    )
+
+
+@ti.func
 def to_shadow_map(frames: ti.template(), light, p, radius, size):
     """Texel coordinates and depth of p in the shadow map of one light direction."""
-    u = (frames[light, 0] * p[0] + frames[light, 1] * p[1] + frames[light, 2] * p[2]) / radius
-    v = (frames[light, 3] * p[0] + frames[light, 4] * p[1] + frames[light, 5] * p[2]) / radius
-    z = frames[light, 6] * p[0] + frames[light, 7] * p[1] + frames[light, 8] * p[2]
-    return vec3(0.5 * size * (1.0 + u), 0.5 * size * (1.0 + v), -z)
+    q = in_light_axes(frames, light, p)
+    u, v = q[0] / radius, q[1] / radius
+    return vec3(0.5 * size * (1.0 + u), 0.5 * size * (1.0 + v), -q[2])
 
 
 @ti.kernel
