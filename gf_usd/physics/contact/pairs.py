@@ -534,14 +534,16 @@ class BodyContact:
         point = found.point + sunk[mine, None] * found.normal
         search.offer(mine, found.gap, found.normal, point, velocity=plane.velocity, obstacle=which)
         near = mine[found.gap < ABOUT * self._spacing]
-        for body in np.unique(self._of[near]).tolist() if self.contact.points else ():
-            surface = partial(
+        if not self.contact.points:
+            return
+        self._edges.search(
+            search, which,
+            {body: near[self._of[near] == body] for body in np.unique(self._of[near]).tolist()},
+            lambda body: partial(
                 self._skins[body].near, u=now.nodes[0], offset=now.offset, reach=search.reach
-            )
-            self._edges.search(
-                search, body, which, near[self._of[near] == body], surface, self.planes, self._gap,
-                frame, span / self._body.settings.frame_time,
-            )  # fmt: skip
+            ),
+            self.planes, self._gap, frame, span / self._body.settings.frame_time,
+        )  # fmt: skip
 
     def _upload(
         self,

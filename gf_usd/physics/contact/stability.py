@@ -25,7 +25,7 @@ from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.contact.narrow_phase import CLOSER, TRAVEL
 from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
-from gf_usd.physics.contact.self_contact.patches import CHANGE
+from gf_usd.physics.contact.self_contact.patch_tables import CHANGE
 from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass

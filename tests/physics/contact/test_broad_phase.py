@@ -46,6 +46,35 @@ def test_a_distance_shrinks_by_no_more_than_the_bound():
     np.testing.assert_allclose(bound, np.maximum(rate, 0.0) + 0.5 * speed, atol=1e-5)
 
 
+def test_gaps_and_rates_are_those_of_bounding_spheres_of_all_samples():
+    patches, samples = made()
+    random = np.random.default_rng(1)
+    x = samples.X + SPACING * random.normal(size=samples.X.shape)
+    v = random.normal(size=samples.X.shape)
+    patch_pairs = patches.pairs(x, v)
+    members = [np.flatnonzero(patches._of == k) for k in range(patches._of.max() + 1)]
+    spheres = []
+    for m in members:
+        c, mean = x[m].mean(0), v[m].mean(0)
+        radius = np.linalg.norm(x[m] - c, axis=1).max()
+        spheres.append((c, radius, mean, np.linalg.norm(v[m] - mean, axis=1).max()))
+    for k, (i, j) in enumerate(zip(patches._a, patches._b)):
+        (c, r, mean, spread), (d, s, other, far) = spheres[i], spheres[j]
+        away, relative = d - c, other - mean
+        distance = np.linalg.norm(away)
+        rate = max(-away @ relative / distance, 0.0) + 0.5 * np.linalg.norm(relative)
+        assert patch_pairs.gap[k] == pytest.approx(distance - r - s, abs=1e-12)
+        assert patch_pairs.rate[k] == pytest.approx(rate + 1.5 * (spread + far), rel=1e-12)
+
+
+def test_a_surface_of_one_patch_has_no_pairs():
+    X = SPACING * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    patches = Patches(X, np.tile([0.0, 0.0, 1.0], (3, 1)), SPACING, see=4.0, thick=4.0)
+    patch_pairs = patches.pairs(X, np.ones_like(X))
+    assert len(patch_pairs.near) == 0
+    assert patch_pairs.fold == np.inf
+
+
 def test_patches_that_are_apart_wait_until_they_may_meet():
     patches, samples = made()
     x = samples.X

@@ -30,7 +30,7 @@ from gf_usd.physics.contact.obstacles.edge_search import (
 )
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 from gf_usd.physics.contact.obstacles.piercing import STEP
-from gf_usd.physics.contact.obstacles.sharp import SharpFeatures
+from gf_usd.physics.contact.obstacles.sharp import SharpFeatures, SharpPoints
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes
 from gf_usd.physics.contact.planes.continuity import EASE
 
@@ -128,17 +128,25 @@ class EdgePoints:
         self.key[places], self.sunk[places] = -1, 0.0
 
     def search(
-        self, search: ContactSearch, body: int, which: int, samples: Ints, near: Near,
+        self, search: ContactSearch, which: int, samples: Mapping[int, Ints],
+        near: Callable[[int], Near], before: ContactPlanes, gap: Floats, frame: float, ahead: float,
+    ) -> None:  # fmt: skip
+        """Find the points of one obstacle that bodies face.  A call of `offer` must follow.
+
+        samples : by body, those within ABOUT of the obstacle; before, gap : planes and gaps
+        (n + m,) [m] of the last detection; near : of each body, and frame, ahead : see
+        `EdgeSearch.contacts`.
+        """
+        about = [search.x[some] for some in samples.values()]
+        for body, found in zip(samples, self._search.near(about, which, frame)):
+            if len(found[0]):
+                self._face(body, which, found, near(body), before, gap, frame, ahead)
+
+    def _face(
+        self, body: int, which: int, found: tuple[Ints, SharpPoints, Floats], near: Near,
         before: ContactPlanes, gap: Floats, frame: float, ahead: float,
     ) -> None:  # fmt: skip
-        """Find the points of one obstacle that a body faces.  A call of `offer` must follow.
-
-        samples : those of the body that are within ABOUT of the obstacle; before, gap : planes and
-        gaps (n + m,) [m] of the last detection; near, frame, ahead : see `EdgeSearch.contacts`.
-        """
-        found = self._search.near(search.x[samples], which, frame)
-        if not len(found[0]):
-            return
+        """Note those of the points found that a body faces."""
         place = self._places(found[0])
         row = np.where(place >= 0, self._first + place, 0)
         inside = (place >= 0) & (gap[row] < 0.0) & (before.partner[row] >= 0)

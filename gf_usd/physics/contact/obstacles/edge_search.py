@@ -78,18 +78,28 @@ class EdgeSearch:
         self._start: dict[tuple[int, int], tuple[Ints, Floats]] = {}  # keys, and `sunk`
         self._all: dict[int, tuple[SharpPoints, Floats]] = {}  # points of what does not move
 
-    def near(self, about: Floats, which: int, frame: float) -> tuple[Ints, SharpPoints, Floats]:
-        """Keys (k,) of points of an obstacle within ABOUT of places about (n, 3) [m], the points
-        and where they are (k, 3) [m] at a frame.
+    def near(
+        self, about: Sequence[Floats], which: int, frame: float
+    ) -> list[tuple[Ints, SharpPoints, Floats]]:
+        """Keys (k,) of points of an obstacle within ABOUT of places about[i] (n, 3) [m], the points
+        and where they are (k, 3) [m] at a frame; for each i.
         """
+        if not about:
+            return []
         margin = ABOUT * self._spacing
-        low, high = corners(about)
-        points, x = self._within(which, low - margin, high + margin, frame)
-        if len(x):
-            distance = kd_tree(about).query(x, 1, distance_upper_bound=margin)[0]
-            close = np.flatnonzero(np.isfinite(distance))
-            points, x = points.of(close), x[close]
-        return which * OBSTACLE_KEYS + points.key, points, x
+        boxes = [corners(places) for places in about]
+        low = np.min([box[0] for box in boxes], axis=0) - margin
+        high = np.max([box[1] for box in boxes], axis=0) + margin
+        points, x = self._within(which, low, high, frame)
+        found = []
+        for places, (first, last) in zip(about, boxes):
+            close = np.flatnonzero(((x >= first - margin) & (x <= last + margin)).all(1))
+            if len(close):
+                distance = kd_tree(places).query(x[close], 1, distance_upper_bound=margin)[0]
+                close = close[np.isfinite(distance)]
+            some = points.of(close)
+            found.append((which * OBSTACLE_KEYS + some.key, some, x[close]))
+        return found
 
     def _within(
         self, which: int, low: Floats, high: Floats, frame: float

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, Segments, lengths
+from gf_usd.core.arrays import Floats, Ints, Segments, lengths, row_dots
 from gf_usd.physics.contact.broad_phase import Boxes
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 
@@ -219,7 +219,8 @@ class Persistence:
         of = planes.bodies(self._of)
         mine = np.isin(of, bodies)
         place = planes.point + planes.interpolated(now.x)
-        below = planes.below(now.x)
+        below, rows = np.zeros(len(place)), planes.facing
+        below[rows] = row_dots(place[rows] - now.x[rows], planes.normal[rows])
         offset = gap + below
         stay = CREEP * self._spacing + RISE * np.maximum(-below, 0.0)
         for array, new in (

@@ -13,15 +13,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
+from gf_usd.physics.contact.self_contact.patch_tables import (
+    CHANGE,
+    COSINE,
+    FOLD_TIME,
+    FOLDS,
+    GAP,
+    MEAN,
+    NEIGHBORS,
+    NORMAL,
+    OPPOSED,
+    PAIR_COLUMNS,
+    PATCH_COLUMNS,
+    RATE,
+    UNTIL,
+)
+from gf_usd.system.taichi_runtime import ensure_running
 
 PATCH = 48  # samples of a patch, about
-OPPOSED = 0.5  # cosine above which two patches, or two walls of a gap, face each other
-FOLD = 0.25  # increase of that cosine above which neighboring patches count as folded
-CREASE = 0.75  # increase of that cosine up to which a fold may close before the next detection
-CHANGE = 0.5  # of a relative speed: how much a velocity may change before the next detection
 MOST = 16_000  # pairs of parts of patches that are compared
 STIR = 1e-3  # [spacings] step of the finite difference for the rate at which patches turn
-
 
 Columns = Sequence[Floats]  # x, y and z of vectors: rows of three are several times as slow
 
@@ -130,54 +141,49 @@ class Patches:
         scale = np.where(flat, 1.0 / np.where(flat, determinant, 1.0), 0.0)
         first = (bb[self._of] * a - ab[self._of] * b) * scale[self._of]
         second = (aa[self._of] * b - ab[self._of] * a) * scale[self._of]
-        self._mean = mean
+        self._samples = self._order.astype(np.int32)
+        self._starts = np.append(self._start, len(X)).astype(np.int32)
+        self._slopes = np.stack([first[columns], second[columns]], 1)
         self._parts = _Parts(X, self._of, 0.5 * edge)
-        self._first = csr_matrix((first[columns], (rows, columns)))
-        self._second = csr_matrix((second[columns], (rows, columns)))
         self._a, self._b = np.triu_indices(len(self._count), 1)
         self._spacing, self._see = spacing, see * spacing
-        c, n, r = self._shape(X)
-        gap, cosine = (
-            self._gap(differences(c, self._a, self._b), r),
-            self._facing_cosine(c, n, None),
-        )
-        self.adjacent = gap < (see + thick) * spacing  # (P,) neighbors at rest
+        self._members = np.stack([self._a, self._b], 1).astype(np.int32)
+        self._kind = np.zeros(len(self._a), np.int32)
+        self._cosine_at_rest = np.zeros(len(self._a))
+        patches, pairs, _ = self._compared(X, np.zeros_like(X))
+        n, cosine = patches[:, NORMAL:MEAN], pairs[:, COSINE]
+        self.adjacent = pairs[:, GAP] < (see + thick) * spacing  # (P,) neighbors at rest
         opposed = np.einsum("na,na->n", n[self._a], n[self._b]) < -OPPOSED
         walls = opposed & (cosine > OPPOSED)  # of a gap: they may close at any time
-        self._folds = np.flatnonzero(self.adjacent & ~walls)
-        self._cosine_at_rest = np.maximum(cosine, 0.0)[self._folds]
+        self._kind[self.adjacent] = NEIGHBORS
+        self._kind[self.adjacent & ~walls] |= FOLDS
+        self._cosine_at_rest = np.maximum(cosine, 0.0)
 
     def pairs(self, x: Floats, v: Floats) -> PatchPairs:
         """All pairs of patches with samples at x (n, 3) [m] and velocities v (n, 3) [m/s]."""
-        a, b, s = self._a, self._b, self._spacing
-        c, n, r = self._shape(x)
-        away = differences(c, a, b)
-        distance = np.sqrt(dot(away, away))
-        gap = distance - r.take(a) - r.take(b)
-        mean = self._mean @ v
-        spread = self._farthest(v - mean[self._of])
-        rate = spread_closing(away, distance, mean, spread, a, b)
-        cosine = self._facing_cosine(c, n, self._folds)
-        flat = cosine <= self._cosine_at_rest + FOLD
-        unfolded = np.zeros(len(a), bool)
-        unfolded[self._folds] = flat
-        close = gap < self._see
-        near = close & ~unfolded
-        rest = np.flatnonzero(near & ~self.adjacent)
-        near[rest] = self._facing_cosine(c, n, rest) > -OPPOSED
-        until = np.maximum(gap - 0.5 * self._see, 0.5 * self._see) / np.maximum(rate, 1e-30)
-        until[near], until[unfolded] = 0.0, np.inf
-        fold = np.inf
+        _, pairs, near = self._compared(x, v)
+        return PatchPairs(
+            near=near, gap=pairs[:, GAP], until=pairs[:, UNTIL], rate=pairs[:, RATE],
+            fold=float(pairs[:, FOLD_TIME].min(initial=np.inf)),
+        )  # fmt: skip
+
+    def _compared(self, x: Floats, v: Floats) -> tuple[Floats, Floats, Ints]:
+        """The tables of patches (p, `PATCH_COLUMNS`) and of pairs (P, `PAIR_COLUMNS`), and (P,)
+        whether samples of the two may be in contact."""
+        ensure_running()
+        from gf_usd.physics.contact.self_contact.patch_kernels import compare_patches
+
+        x, v = np.ascontiguousarray(x, np.float64), np.ascontiguousarray(v, np.float64)
         fastest = float(np.sqrt(np.einsum("na,na->n", v, v).max()))
-        if (some := np.flatnonzero(flat & close[self._folds])).size and fastest > 0.0:
-            step = STIR * s / fastest
-            later = self._facing_cosine(
-                c + step * mean, self._normal(x + step * v), self._folds[some]
-            )
-            left = self._cosine_at_rest[some] + CREASE - cosine[some]
-            turn = np.maximum(later - cosine[some], 1e-30) / step
-            fold = float((left / turn).min()) / (1.0 + CHANGE)
-        return PatchPairs(near=near, gap=gap, until=until, rate=rate, fold=fold)
+        time = STIR * self._spacing / fastest if fastest > 0.0 else 0.0
+        patches = np.empty((len(self._count), PATCH_COLUMNS))
+        pairs = np.empty((len(self._kind), PAIR_COLUMNS))
+        near = np.empty(len(self._kind), np.int32)
+        compare_patches(
+            x, v, self._samples, self._starts, self._slopes, self._members, self._kind,
+            self._cosine_at_rest, self._see, time, patches, pairs, near,
+        )  # fmt: skip
+        return patches, pairs, near != 0
 
     def unseen(self, pairs: PatchPairs, x: Floats, v: Floats, span: float, clear: float) -> Floats:
         """(P,) [s] for which the detection of now misses no contact of each pair.
@@ -224,38 +230,6 @@ class Patches:
         """All pairs of samples (m,), (m,) of pairs (k,) of patches; those of each begin at (k,)."""
         i, j, start = each_with_each(self._start, self._count, self._a[pairs], self._b[pairs])
         return self._order[i], self._order[j], start
-
-    def _shape(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Center (p, 3) [m], normal (p, 3) and radius (p,) [m] of each patch."""
-        c = self._mean @ x
-        return c, self._normal(x), self._farthest(x - c[self._of])
-
-    def _normal(self, x: Floats) -> Floats:
-        # t1 x t2 = n0 (t2 = n0 x t1 gives t1 x t2 = n0).
-        n = cross(self._first @ x, self._second @ x)
-        length = np.linalg.norm(n, axis=1, keepdims=True)
-        return n / np.where(length > 0.0, length, 1.0)
-
-    def _farthest(self, away: Floats) -> Floats:
-        return farthest(away, self._order, self._start)
-
-    def _gap(self, away: Columns, r: Floats) -> Floats:
-        """(P,) [m] between bounding spheres of radii r (p,) [m]; away : from center to center."""
-        return np.sqrt(dot(away, away)) - r.take(self._a) - r.take(self._b)
-
-    def _facing_cosine(self, c: Floats, n: Floats, pairs: Ints | None) -> Floats:
-        """(k,) cosine between normals and the line of centers, the lesser of both patches.
-
-        c, n : (p, 3) centers [m] and normals; pairs : (k,) of all pairs; None: all.  1: the two
-        patches face each other.
-        """
-        a = self._a if pairs is None else self._a[pairs]
-        b = self._b if pairs is None else self._b[pairs]
-        along = differences(c, a, b)
-        columns = np.ascontiguousarray(n.T)
-        one = dot(along, tuple(q.take(a) for q in columns))
-        other = dot(along, tuple(q.take(b) for q in columns))
-        return np.minimum(one, -other) / np.maximum(np.sqrt(dot(along, along)), 1e-30)
 
 
 class _Parts:
