@@ -20,7 +20,7 @@ while all its samples are skipped.
 Bodies and obstacles. A sample s has at most one plane, chosen by `pairs` between substeps. Points
 of obstacles in front of bodies are samples, too, that no node moves (`obstacles.edge_points`). The
 plane belongs to an obstacle (point q, velocity v_q), or to a body and is then carried by three of
-its samples (`planes.carriers`), with which it rotates at omega,
+its samples (`planes.support_triangles`), with which it rotates at omega,
 
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
@@ -38,7 +38,6 @@ import taichi as ti
 
 from gf_usd.physics.contact import floor
 from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, K_T, LINEAR, M_S, MU, C, K
-from gf_usd.physics.contact.planes.carriers import FLAT
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE
 from gf_usd.physics.contact.planes.layout import (
     DAMPING,
@@ -64,6 +63,7 @@ from gf_usd.physics.contact.planes.layout import (
     WEIGHT,
     WORK,
 )
+from gf_usd.physics.contact.planes.support_triangles import FLAT
 from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL, SLACK
 
 INDEX = (1 << 30) - 1  # all bits of the index of a component

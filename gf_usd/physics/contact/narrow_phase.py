@@ -17,13 +17,17 @@ from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.distance.tree import SurfaceTree
 from gf_usd.physics.contact.distance.winding import outside_by_winding, shell
 from gf_usd.physics.contact.floor import FloorContact, damping_coefficient
-from gf_usd.physics.contact.planes.carriers import NEAR, Triples, chosen
 from gf_usd.physics.contact.planes.contact_planes import (
     ARRAYS,
     NOBODY,
     OBSTACLE,
     ContactPlanes,
     nothing,
+)
+from gf_usd.physics.contact.planes.support_triangles import (
+    NEAR,
+    SupportTriangles,
+    choose_support_triangles,
 )
 from gf_usd.physics.grid.embedding import product
 from gf_usd.physics.grid.reference import Stencil
@@ -162,7 +166,7 @@ class ContactSearch:
         for body in np.unique(owner):
             some = owner == body
             near[some] = skins[body].nearest(rest[some])
-        who, w = chosen(X, rest, near)
+        who, w = choose_support_triangles(X, rest, near)
         f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
         f.point[rows] -= np.einsum("nk,nka->na", w, self.x[who])
         self._owner[rows] = -1
@@ -195,7 +199,7 @@ def pair_values(
     k, m, mu, e = (
         np.array(v[of], float) for v in (contact.pair_stiffness, mass, friction, restitution)
     )
-    a = planes.carried
+    a = planes.on_bodies
     a = a[a < n]
     b = planes.partner[a]
     k[a] = np.minimum(contact.pair_stiffness[a], contact.pair_stiffness[b])
@@ -255,7 +259,7 @@ class BodySkin:
         self.skin, self.samples = skin, samples
         of = np.full(len(skin.points), body)
         self._W = stencil.rows(skin.points, of, skin.cell_copy, gradients=False).W
-        self._triples = Triples(X)
+        self._triples = SupportTriangles(X)
         self.tree = SurfaceTree(skin.points, skin.triangles)
         self._shell = shell(skin.points, skin.triangles)
 
@@ -298,7 +302,7 @@ class BodySkin:
     def carriers(self, places: Floats) -> tuple[Ints, Floats]:
         """Contact samples (k, 3) and weights (k, 3) that carry points (k, 3) [m] at rest.
 
-        The weights sum to 1, the largest first: see `Triples`.
+        The weights sum to 1, the largest first: see `SupportTriangles`.
         """
         if len(places) == 0:
             return np.zeros((0, 3), np.int64), np.zeros((0, 3))

@@ -581,7 +581,7 @@ class BodyContact:
             v,
             0.5 * dt if closed else dt,
         )
-        others = np.setdiff1d(f.carried, who, assume_unique=True)
+        others = np.setdiff1d(f.on_bodies, who, assume_unique=True)
         new.normal[others], new.point[others] = f.turned(others, self._x, x)
         self.planes = new
         missed = new.depth(x, self._span) > 0.0

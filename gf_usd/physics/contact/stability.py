@@ -23,8 +23,8 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints, cross, row_dots
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.contact.narrow_phase import CLOSER, TRAVEL
-from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
+from gf_usd.physics.contact.planes.support_triangles import turn
 from gf_usd.physics.contact.self_contact.patch_tables import CHANGE
 from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
@@ -183,8 +183,8 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats, samples: int) -> Floats
     """(m,) >= 1: ratio of |G|^2 of the planes of `rows` to its value without rotation.
 
     G n = (n, -w_k n + alpha x r_k) is the force on a sample and on its carriers for a unit normal
-    force: see `planes.carriers`. x : (n + m, 3) [m], of which the first n are `samples` and the
-    others points of obstacles, which do not move.
+    force: see `planes.support_triangles`. x : (n + m, 3) [m], of which the first n are `samples`
+    and the others points of obstacles, which do not move.
     """
     out = np.ones(len(rows))
     carried = np.flatnonzero(planes.partner[rows] >= 0)

@@ -22,8 +22,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.physics.contact.narrow_phase import TRAVEL
-from gf_usd.physics.contact.planes.carriers import turn
 from gf_usd.physics.contact.planes.continuity import EASE
+from gf_usd.physics.contact.planes.support_triangles import turn
 from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.planes import SolidContact

@@ -3,7 +3,7 @@
 A sample has at most one plane, tangent to the nearest surface at the last detection. A detection
 holds until a relative motion of half a sample spacing is possible. The plane of an obstacle moves
 with the obstacle. The plane of a solid body is carried by three of its contact samples, as between
-solid bodies (`contact.planes.carriers`):
+solid bodies (`contact.planes.support_triangles`):
 
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
@@ -31,9 +31,9 @@ from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
 from gf_usd.physics.contact.narrow_phase import FACING, TRAVEL
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle, obstacles
-from gf_usd.physics.contact.planes.carriers import spin
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
+from gf_usd.physics.contact.planes.support_triangles import spin
 
 # Layout of a plane in the kernels' array: springs; position and motion; accumulated results.
 STIFFNESS, DAMPING, FRICTION, HARDENING = range(4)

@@ -120,7 +120,7 @@ def test_planes_of_coarse_meshes_are_carried_beside_their_place(
     most, step = [1.0], PairSprings.step
 
     def watched(springs: PairSprings, *arguments: Any) -> StableStep:
-        x, faces = springs.x, springs.planes.carried
+        x, faces = springs.x, springs.planes.on_bodies
         touching = faces[springs.planes.depth(x, 0.0)[faces] > 0.0]
         most.append(float(levers(springs.planes, touching, x, len(x)).max(initial=1.0)))
         return step(springs, *arguments)

@@ -16,7 +16,7 @@ from gf_usd.core.arrays import Floats, Ints, cross
 
 ON_SURFACE = 1e-6  # of the reach: at a smaller distance the direction is rounding
 
-# Columns of the results of `faced_kernels` per sample: reals, and integers.
+# Columns of the results of `self_contact.search_kernels` per sample: reals, and integers.
 NORMAL, WEIGHTS, PSEUDO, LEAST, FOUND = 0, 3, 6, 9, 10
 SEED, TRIANGLE, TIES, WHICH = 0, 1, 2, 3
 LOOKS, WANTED = 0, 1  # and columns of its flags

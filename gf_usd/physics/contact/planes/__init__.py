@@ -1,1 +1,1 @@
-"""Contact planes: their data, their carriers, and continuity between detections."""
+"""Contact planes: their data, their support triangles, and continuity between detections."""

@@ -1,7 +1,7 @@
 """The contact plane of each sample until the next detection.
 
-A plane belongs to an obstacle, with its own velocity, or to a body, three of whose samples carry it
-(`carriers`).
+A plane belongs to an obstacle, with its own velocity, or to a body. A plane of a body moves with
+three of its samples, the carriers (`support_triangles`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross, lengths, nonzero_rows, row_dots
-from gf_usd.physics.contact.planes.carriers import spin
+from gf_usd.physics.contact.planes.support_triangles import spin
 
 ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
 NOBODY = -1  # as a partner: no plane
@@ -23,7 +23,7 @@ class ContactPlanes:
     """The contact planes of n samples, in world coordinates."""
 
     partner: Ints  # (n,) the first of the samples that carry the plane, NOBODY or OBSTACLE
-    carriers: Ints  # (n, 3) all of them: see `carriers`
+    carriers: Ints  # (n, 3) all of them: see `support_triangles`
     weights: Floats  # (n, 3) of the carriers
     obstacle: Ints  # (n,) which obstacle; -1: none
     normal: Floats  # (n, 3) outward unit normal of the partner
@@ -32,15 +32,15 @@ class ContactPlanes:
     spring: Floats  # (n, 3) [m] xi of friction, tangential
 
     @property
-    def carried(self) -> Ints:
-        """Samples whose plane is carried by a body."""
+    def on_bodies(self) -> Ints:
+        """(k,) samples whose plane belongs to a body."""
         return np.flatnonzero(self.partner >= 0)
 
     @property
     def active(self) -> Ints:
         """Samples that have a plane or carry one."""
         found = self.partner != NOBODY
-        found[self.carriers[self.carried]] = True
+        found[self.carriers[self.on_bodies]] = True
         return np.flatnonzero(found)
 
     @property
@@ -79,7 +79,7 @@ class ContactPlanes:
         """(n + 1,) and (3 m,): for each sample the 3 s + k of the planes s of which it is carrier
         k, in order.
         """
-        who = self.carried
+        who = self.on_bodies
         entries = (3 * who[:, None] + np.arange(3)).ravel()
         carriers = self.carriers[who].ravel()
         order = np.argsort(carriers, kind="stable")
@@ -99,7 +99,7 @@ class ContactPlanes:
         """Values (n, 3) of all samples, interpolated to the planes by sum_k w_k; 0 for
         obstacles.
         """
-        out, who = np.zeros((len(self.partner), 3)), self.carried
+        out, who = np.zeros((len(self.partner), 3)), self.on_bodies
         out[who] = self.interpolated_to(who, values)
         return out
 
@@ -157,7 +157,7 @@ def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPl
 
     x [m], v [m/s] : (n, 3) of the samples. Friction springs advance with the slip of their samples.
     """
-    p, who = planes, planes.carried
+    p, who = planes, planes.on_bodies
     normal, point, spring = p.normal.copy(), p.point.copy(), p.spring.copy()
     stuck = nonzero_rows(spring)
     turn = np.zeros_like(x) if len(stuck) else None

@@ -68,9 +68,9 @@ class RestGaps:
         out = np.zeros(len(partner))
         n = len(self._body)
         out[n:] = np.where(partner[n:] >= 0, self._edges.sunk, 0.0)
-        carried = planes.carried
-        carried = carried[carried < n]
-        out[carried] = self.from_bodies(carried, self._body[partner[carried]])
+        rows = planes.on_bodies
+        rows = rows[rows < n]
+        out[rows] = self.from_bodies(rows, self._body[partner[rows]])
         for which in np.unique(obstacle[obstacle >= 0]):
             rows = np.flatnonzero(obstacle == which)
             out[rows] = self.from_obstacle(int(which))[rows]

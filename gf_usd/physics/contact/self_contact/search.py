@@ -201,14 +201,14 @@ class SelfContact:
     def _closest(
         self, x: Floats, searching: Ints, known: Ints, reach: float
     ) -> tuple[Floats, Ints]:
-        """(n, 10), (n, 3) closest places, the results of `faced_kernels.find_faced`.
+        """(n, 10), (n, 3) closest places, the results of `search_kernels.find_opposite`.
 
         searching : (n,) samples that search in front of them for samples that are not near at rest;
         known : (n,) samples that faced something and get a closest place in any case; reach : [m]
         to the nearest sample that is faced.
         """
         ensure_running()
-        from gf_usd.physics.contact.distance.faced_kernels import find_faced
+        from gf_usd.physics.contact.self_contact.search_kernels import find_opposite
 
         mesh, neighbors = self._mesh
         s, n = self._spacing, len(x)
@@ -219,7 +219,7 @@ class SelfContact:
         size = size.astype(int)
         flags = np.stack([searching, known], 1).astype(np.int32)
         found, which = np.empty((n, FOUND)), np.empty((n, WHICH), np.int32)
-        find_faced(
+        find_opposite(
             x, mesh.triangles, mesh.around, neighbors.lists, flags,
             np.empty(size.prod() + 1 + 2 * n, np.int32), np.empty((n, 6)),
             np.empty((len(mesh.triangles), 6)),

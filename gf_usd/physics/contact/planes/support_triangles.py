@@ -1,8 +1,8 @@
-"""The three samples of a surface that carry a contact plane, and the rotation of the plane.
+"""Support triangles: the samples of a body that carry a contact plane, and the plane's rotation.
 
-A plane moves with three samples k of its body, with w_k the barycentric weights of its point in
-their triangle. With r_k relative to their centroid, the angular velocity is that of the least
-squares rigid motion,
+A plane moves with three samples k of its body, its carriers, with w_k the barycentric weights of
+its point in their triangle. With r_k relative to their centroid, the angular velocity is that of
+the least squares rigid motion,
 
     J omega = sum_k r_k x v_k,        J = sum_k (r_k^2 I - r_k r_k^T)
 
@@ -32,8 +32,8 @@ FAT = 0.3
 SPREAD = 0.1  # weight of the triangle's size relative to the distance of its point
 
 
-class Triples:
-    """Triangles of samples X (n, 3) [m] at rest that carry points of the surface."""
+class SupportTriangles:
+    """Finds the triangles of samples X (n, 3) [m] at rest that carry points of the surface."""
 
     def __init__(self, X: Floats) -> None:
         self._X, self._tree = X, kd_tree(X)
@@ -48,10 +48,10 @@ class Triples:
 
     def __call__(self, places: Floats) -> tuple[Ints, Floats]:
         """Samples (k, 3) and weights (k, 3), the largest first, for points (k, 3) [m] at rest."""
-        return chosen(self._X, places, self.near(places))
+        return choose_support_triangles(self._X, places, self.near(places))
 
 
-def chosen(X: Floats, places: Floats, near: Ints) -> tuple[Ints, Floats]:
+def choose_support_triangles(X: Floats, places: Floats, near: Ints) -> tuple[Ints, Floats]:
     """Samples (k, 3) of X (n, 3) [m] and weights (k, 3), the largest first, for points (k, 3) [m].
 
     near : (k, NEAR) the samples nearest to each; -1: no more. The triangle of these with the least
@@ -59,12 +59,12 @@ def chosen(X: Floats, places: Floats, near: Ints) -> tuple[Ints, Floats]:
     than three samples, one is the only carrier.
     """
     ensure_running()
-    from gf_usd.physics.contact.distance.triple_kernels import choose_triples
+    from gf_usd.physics.contact.planes.support_kernels import choose_triangles
 
     samples, weights = np.empty((len(places), 3), np.int32), np.empty((len(places), 3))
     if len(places):
         X, places = (np.ascontiguousarray(a, np.float64) for a in (X, places))
-        choose_triples(X, places, near, FAT, SPREAD, samples, weights)
+        choose_triangles(X, places, near, FAT, SPREAD, samples, weights)
     return samples.astype(np.int64), weights
 
 

@@ -1,4 +1,6 @@
-"""Search for opposite places of the same surface, per sample: see `SelfContact.find`.
+"""Kernel that searches, for each sample, the opposite place of the same surface.
+
+See `SelfContact.find`.
 
 The values of a sample stay in registers, and neighbors are found in a uniform grid; NumPy would
 need some hundred passes over memory, and SciPy a new tree for every detection.
@@ -123,7 +125,7 @@ def opposite_seeds(
 
 
 @ti.func
-def faces_it(triangles: ti.template(), faces: ti.template(), seeds, m, t, n, aside):
+def is_unsearched_opposite(triangles: ti.template(), faces: ti.template(), seeds, m, t, n, aside):
     """Whether triangle t, at seed m, faces a sample with the normal n, and has no earlier seed as a
     corner, whose triangles were already searched.
     """
@@ -146,7 +148,7 @@ def any_listed(lists: ti.template(), i, triangles: ti.template(), t):
 
 @on_arrays
 @ti.kernel
-def find_faced(
+def find_opposite(
     x: ti.types.ndarray(dtype=ti.f64, ndim=2),
     triangles: ti.types.ndarray(dtype=ti.i32, ndim=2),
     around: ti.types.ndarray(dtype=ti.i32, ndim=2),
@@ -267,7 +269,7 @@ def find_faced(
                     t = -1
                     if seed >= 0:
                         t = around[seed, e % around.shape[1]]
-                    if t >= 0 and faces_it(triangles, faces, seeds, m, t, n, aside):
+                    if t >= 0 and is_unsearched_opposite(triangles, faces, seeds, m, t, n, aside):
                         a, b = vector(x, triangles[t, 0]), vector(x, triangles[t, 1])
                         c = vector(x, triangles[t, 2])
                         weights = closest_on_triangle(p, a, b, c)

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from gf_usd.core.arrays import Floats
-from gf_usd.physics.contact.planes.carriers import FAT, NEAR, SPREAD, Triples, spin
+from gf_usd.physics.contact.planes.support_triangles import (
+    FAT,
+    NEAR,
+    SPREAD,
+    SupportTriangles,
+    spin,
+)
 
 
 def sheet(seed: int = 0) -> Floats:
@@ -20,7 +26,7 @@ def sheet(seed: int = 0) -> Floats:
 def test_weights_are_barycentric_and_the_largest_comes_first() -> None:
     X = sheet()
     places = np.random.default_rng(1).random((50, 3)) * [1.0, 1.0, 0.0]
-    samples, weights = Triples(X)(places)
+    samples, weights = SupportTriangles(X)(places)
     np.testing.assert_allclose(weights.sum(1), 1.0, atol=1e-12)
     np.testing.assert_allclose(np.einsum("nk,nka->na", weights, X[samples]), places, atol=1e-12)
     assert (np.diff(weights, axis=1) <= 0.0).all()
@@ -34,7 +40,7 @@ def test_weights_are_barycentric_and_the_largest_comes_first() -> None:
 def test_of_the_six_nearest_the_triangle_that_costs_least_carries() -> None:
     rng = np.random.default_rng(4)
     X, places = rng.normal(size=(40, 3)), rng.normal(size=(30, 3))
-    samples, weights = Triples(X)(places)
+    samples, weights = SupportTriangles(X)(places)
     for place, got, w in zip(places, samples, weights):
         near = np.argsort(np.linalg.norm(X - place, axis=1))[:NEAR]
         least = np.inf
@@ -58,13 +64,13 @@ def test_of_the_six_nearest_the_triangle_that_costs_least_carries() -> None:
 
 def test_a_sample_carries_its_own_place() -> None:
     X = sheet()
-    samples, weights = Triples(X)(X[:20])
+    samples, weights = SupportTriangles(X)(X[:20])
     np.testing.assert_array_equal(samples[:, 0], np.arange(20))
     np.testing.assert_allclose(weights, np.tile([1.0, 0.0, 0.0], (20, 1)), atol=1e-12)
 
 
 def test_two_samples_let_one_carry() -> None:
-    samples, weights = Triples(np.eye(3)[:2])(np.array([[0.9, 0.2, 0.0]]))
+    samples, weights = SupportTriangles(np.eye(3)[:2])(np.array([[0.9, 0.2, 0.0]]))
     np.testing.assert_array_equal(samples, [[0, 0, 0]])
     np.testing.assert_array_equal(weights, [[1.0, 0.0, 0.0]])
 

@@ -1,4 +1,4 @@
-"""Choice of the three samples that carry a point, in a kernel: see `carriers.Triples`."""
+"""Kernel that chooses the support triangle of each point: see `support_triangles`."""
 
 import taichi as ti
 
@@ -30,7 +30,7 @@ def weigh(a, b, c):
 
 @on_arrays
 @ti.kernel
-def choose_triples(
+def choose_triangles(
     X: ti.types.ndarray(dtype=ti.f64, ndim=2),
     places: ti.types.ndarray(dtype=ti.f64, ndim=2),
     near: ti.types.ndarray(dtype=ti.i32, ndim=2),
@@ -43,7 +43,7 @@ def choose_triples(
     largest weight first.
 
     near : (k, 6) samples near each point; -1: no more. With fewer than three, the first is the only
-    carrier. fat, spread : FAT and SPREAD of `carriers`.
+    carrier. fat, spread : FAT and SPREAD of `support_triangles`.
     """
     for i in range(places.shape[0]):
         p = vector(places, i)
