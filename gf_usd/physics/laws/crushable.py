@@ -22,30 +22,12 @@ until the elastic forces have restored the particle.
 import taichi as ti
 
 from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
-    LEAST_J,
-    cayley,
-    deviator_of_series,
-    exp,
-    exponential,
-    gram,
+    bulk_modulus,
     moduli,
-    near,
     pk1,
     psi,
-    size_squared,
-    spectral,
+    return_strain,
     stored,
-    strains,
-)
-from gf_usd.physics.laws.neo_hookean import J_EXTENSION
-from gf_usd.physics.laws.simd3x3 import (
-    assign,
-    choose,
-    cofactor,
-    determinant,
-    log,
-    product,
-    scaled,
 )
 
 ITERATIONS = 20
@@ -55,37 +37,26 @@ CLOSE = 1e-6  # residual relative to Q; quadratic convergence squares it in one 
 @ti.func
 def flow(F, q, a, dt, converged):
     """The return mapping of the module; arguments and results as in `registry`."""
-    D, C = gram(F)
-    Z = cayley(D, C)
-    E = F
-    lost = a[0] * 0.0
-    work = lost
-    J = determinant(F, cofactor(F))
-    if near(Z, converged) and J.min() > LEAST_J:
-        X = deviator_of_series(Z)
-        size = ti.sqrt(size_squared(X))
-        trace = log(J)
-        y, s, p = excess(q, a[0], size, trace)
-        if y.max() > 0.0:
-            m, lost = multiplier(q, a[0], y, s, p, ti.max(0.0 - trace, 0.0))
-            work = dissipated(q, m, s, p)
-            k = 1.0 / (1.0 + 3.0 * m) - 1.0
-            t = exp(trace * (1.0 / (1.0 + slope(q, p) * m) - 1.0) / 3.0)
-            assign(X, scaled(k, X))
-            choose(E, y, scaled(t, product(F, exponential(X))))
-    else:
-        d, trace, V, least = strains(F)
-        size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        y, s, p = excess(q, a[0], size, trace)
-        y = ti.select(least > J_EXTENSION, y, 0.0)
-        if y.max() > 0.0:
-            m, lost = multiplier(q, a[0], y, s, p, ti.max(0.0 - trace, 0.0))
-            work = dissipated(q, m, s, p)
-            k = 1.0 / (1.0 + 3.0 * m) - 1.0
-            t = trace * (1.0 / (1.0 + slope(q, p) * m) - 1.0) / 3.0
-            back = [exp(k * d[0] + t), exp(k * d[1] + t), exp(k * d[2] + t)]
-            choose(E, y, product(F, spectral(back, V)))
-    return E, [a[0] + lost], work
+    return return_strain(F, q, a, dt, converged, trial, mapped)
+
+
+@ti.func
+def trial(q, a, dt, square, trace):
+    """Q* - Y(c) [Pa]; sigma* and -p* [Pa] of a trial strain with |dev e|^2 = square."""
+    s = ti.sqrt(6.0) * q[0] * ti.sqrt(square)
+    p = bulk_modulus(q) * trace
+    Q = ti.sqrt((s * s + cap(q, p) * p * p) / (1.0 + q[4] * q[4] / 9.0))
+    return Q - q[2] - q[3] * a, [s, p]
+
+
+@ti.func
+def mapped(q, a, excess, square, trace, values):
+    """The return of `hencky.return_strain`; excess : Q* - Y(c) [Pa]; values : of `trial`."""
+    s, p = values[0], values[1]
+    m, compaction = multiplier(q, a, excess, s, p, ti.max(0.0 - trace, 0.0))
+    k = 1.0 / (1.0 + 3.0 * m) - 1.0
+    mean = trace * (1.0 / (1.0 + slope(q, p) * m) - 1.0) / 3.0
+    return k, mean, a + compaction, dissipated(q, m, s, p)
 
 
 @ti.func
@@ -94,7 +65,7 @@ def dissipated(q, m, stress, pressure):
     u = 1.0 / (1.0 + 3.0 * m)
     w = 1.0 / (1.0 + slope(q, pressure) * m)
     shear = stress * stress * u * (1.0 - u) / (3.0 * q[0])
-    return shear + pressure * pressure * w * (1.0 - w) / (q[1] + q[0] * (2.0 / 3.0))
+    return shear + pressure * pressure * w * (1.0 - w) / bulk_modulus(q)
 
 
 @ti.func
@@ -107,15 +78,6 @@ def cap(q, pressure):
 def slope(q, pressure):
     """b = alpha^2 K / mu."""
     return cap(q, pressure) * (q[1] / q[0] + 2.0 / 3.0)
-
-
-@ti.func
-def excess(q, a, size, trace):
-    """Q* - Y(c), sigma* and -p* [Pa] of a trial strain with |dev e| = size."""
-    s = ti.sqrt(6.0) * q[0] * size
-    p = (q[1] + q[0] * (2.0 / 3.0)) * trace
-    Q = ti.sqrt((s * s + cap(q, p) * p * p) / (1.0 + q[4] * q[4] / 9.0))
-    return Q - q[2] - q[3] * a, s, p
 
 
 @ti.func

@@ -14,7 +14,7 @@ number c,
     1/2 ln (c C) = Z + Z^3/3 + Z^5/5 + ...,   Z = A (2 + A)^-1
 
 has the deviator of E; tr E = ln J. The truncation error of three terms is 2 |Z|^7 / 7, which `NEAR`
-bounds by rounding.
+bounds by rounding. Return mappings evaluate the strain in the same two ways: see `return_strain`.
 """
 
 import numpy as np
@@ -23,12 +23,14 @@ import taichi as ti
 from gf_usd.physics.laws.neo_hookean import J_EXTENSION, log_extended, log_extended_slope
 from gf_usd.physics.laws.simd3x3 import (
     assign,
+    choose,
     cofactor,
     determinant,
     let,
     log,
     product,
     put,
+    scaled,
     unrolled,
 )
 
@@ -194,6 +196,54 @@ def near(Z, converged):
     return size_squared(Z).max() < most
 
 
+@unrolled
+def bulk_modulus(q):
+    """K = lam + 2 mu / 3 [Pa]; q of kernels or of NumPy."""
+    return q[1] + q[0] * (2.0 / 3.0)
+
+
+@ti.func
+def return_strain(
+    F, q, a, dt, converged, trial: ti.template(), mapped: ti.template()
+):  # fmt: skip
+    """`flow` of the registry for a law that scales dev e and shifts tr e,
+
+        dev e = (1 + k) dev e*,   tr e = tr e* + 3 m
+
+    trial(q, a, dt, square, trace) : a number > 0 in lanes that flow, and values for `mapped`, of
+    the internal variable a, square = |dev e*|^2 and trace = tr e*.
+    mapped(q, a, acts, square, trace, values) : k, m, the internal variable and the work [J/m^3];
+    acts : > 0 in lanes that flow.
+
+    Where a stretch of F is below J_EXTENSION or F is inverted no flow occurs.
+    """
+    D, C = gram(F)
+    Z = cayley(D, C)
+    E = F
+    internal = a[0]
+    work = a[0] * 0.0
+    J = determinant(F, cofactor(F))
+    if near(Z, converged) and J.min() > LEAST_J:
+        X = deviator_of_series(Z)
+        square = size_squared(X)
+        trace = log(J)
+        acts, values = trial(q, a[0], dt, square, trace)
+        if acts.max() > 0.0:
+            k, m, internal, work = mapped(q, a[0], acts, square, trace, values)
+            assign(X, scaled(k, X))
+            choose(E, acts, scaled(exp(m), product(F, exponential(X))))
+    else:
+        d, trace, V, least = strains(F)
+        square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+        acts, values = trial(q, a[0], dt, square, trace)
+        acts = ti.select(least > J_EXTENSION, acts, 0.0)
+        if acts.max() > 0.0:
+            k, m, internal, work = mapped(q, a[0], acts, square, trace, values)
+            back = [exp(k * d[0] + m), exp(k * d[1] + m), exp(k * d[2] + m)]
+            choose(E, acts, product(F, spectral(back, V)))
+    return E, [internal], work
+
+
 @ti.func
 def psi(F, q, converged):
     """psi = mu sum e_i^2 + lam/2 (sum e_i)^2."""
@@ -225,7 +275,7 @@ def small_pk1(P, q, cof, J, d, trace):
     """P = cof(F) / J (2 mu d + (lam + 2 mu / 3) tr(E) 1), in place; d the deviator of E."""
     r = let(1.0 / J)
     m = let(2.0 * q[0] * r)
-    pressure = let((q[1] + q[0] * (2.0 / 3.0)) * trace * r)
+    pressure = let(bulk_modulus(q) * trace * r)
     a, b, c = let([m * d[i] + pressure for i in range(3)])
     x, y, z = let([m * d[i] for i in range(3, 6)])
     assign(P, product(cof, [a, z, y, z, b, x, y, x, c]))

@@ -22,28 +22,8 @@ import numpy as np
 import taichi as ti
 
 from gf_usd.physics.laws import hencky
-from gf_usd.physics.laws.hencky import (
-    LEAST_J,
-    cayley,
-    deviator_of_series,
-    exp,
-    exponential,
-    gram,
-    near,
-    size_squared,
-    spectral,
-    strains,
-)
-from gf_usd.physics.laws.simd3x3 import (
-    assign,
-    choose,
-    cofactor,
-    combination,
-    determinant,
-    log,
-    product,
-    scaled,
-)
+from gf_usd.physics.laws.hencky import bulk_modulus, exp, return_strain
+from gf_usd.physics.laws.simd3x3 import cofactor, combination, determinant, log
 
 GAMMA = 7
 J_TANGENT = 0.5
@@ -53,45 +33,34 @@ LEAST = 1e-6  # lower bound of 1 - gamma cavitation / K
 @ti.func
 def flow(F, q, a, dt, converged):
     """The return mapping of the module; arguments and results as in `registry`."""
-    D, C = gram(F)
-    Z = cayley(D, C)
-    E = F
-    loose = a[0]
-    work = a[0] * 0.0
-    J = determinant(F, cofactor(F))
-    k = q[2] / ti.max(q[2] + q[0] * dt, 1e-30)
-    if near(Z, converged) and J.min() > LEAST_J:
-        X = deviator_of_series(Z)
-        trace = log(J)
-        t = returned(q, a[0], trace)
-        acts = (1.0 - k) * size_squared(X) + ti.max(t - trace, trace - t)
-        if acts.max() > 0.0:
-            loose = ti.max(a[0] + (trace - t), 0.0)
-            work = dissipated(q, size_squared(X), trace, k, t)
-            assign(X, scaled(k - 1.0, X))
-            choose(E, acts, scaled(exp((t - trace) / 3.0), product(F, exponential(X))))
-    else:
-        d, trace, V, least = strains(F)
-        square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-        t = returned(q, a[0], trace)
-        acts = (1.0 - k) * square + ti.max(t - trace, trace - t)
-        acts = ti.select(least > hencky.J_EXTENSION, acts, 0.0)
-        if acts.max() > 0.0:
-            loose = ti.select(acts > 0.0, ti.max(a[0] + (trace - t), 0.0), a[0])
-            work = ti.select(acts > 0.0, dissipated(q, square, trace, k, t), 0.0)
-            m = (t - trace) / 3.0
-            n = k - 1.0
-            back = [exp(n * d[0] + m), exp(n * d[1] + m), exp(n * d[2] + m)]
-            choose(E, acts, product(F, spectral(back, V)))
-    return E, [loose], work
+    return return_strain(F, q, a, dt, converged, trial, mapped)
 
 
 @ti.func
-def returned(q, loose, trace):
+def trial(q, loosening, dt, square, trace):
+    """Positive where the trial strain changes; k of the module, and the admissible tr e.
+
+    square, trace : |dev e|^2 and tr e of the trial.
+    """
+    k = q[2] / ti.max(q[2] + q[0] * dt, 1e-30)
+    t = admissible_trace(q, loosening, trace)
+    return (1.0 - k) * square + ti.max(t - trace, trace - t), [k, t]
+
+
+@ti.func
+def mapped(q, loosening, acts, square, trace, values):
+    """The return of `hencky.return_strain`; values : of `trial`."""
+    k, t = values[0], values[1]
+    gained = ti.select(acts > 0.0, ti.max(loosening + (trace - t), 0.0), loosening)
+    work = ti.select(acts > 0.0, dissipated(q, square, trace, k, t), 0.0)
+    return k - 1.0, (t - trace) / 3.0, gained, work
+
+
+@ti.func
+def admissible_trace(q, loosening, trace):
     """tr e after closing the volume gained by separation and bounding tension."""
-    t = ti.select(trace < 0.0, ti.min(trace + loose, 0.0), trace)
-    K = q[1] + q[0] * (2.0 / 3.0)
-    borne = ti.max(1.0 - GAMMA * q[3] / K, LEAST)
+    t = ti.select(trace < 0.0, ti.min(trace + loosening, 0.0), trace)
+    borne = ti.max(1.0 - GAMMA * q[3] / bulk_modulus(q), LEAST)
     return ti.min(t, (0.0 - log(borne)) / GAMMA)
 
 
@@ -99,7 +68,7 @@ def returned(q, loose, trace):
 def dissipated(q, square, trace, k, t):
     """tau : (e* - e) [J/m^3] of the final stress: deviatoric part and pressure part."""
     J = exp(t)
-    K = q[1] + q[0] * (2.0 / 3.0)
+    K = bulk_modulus(q)
     return 2.0 * q[0] * k * (1.0 - k) * square + J * slope(J, K) * (trace - t)
 
 
@@ -116,7 +85,7 @@ def slope(J, K):
 def psi(F, q, converged):
     """psi = mu |dev e|^2 + U(J)."""
     J = determinant(F, cofactor(F))
-    K = q[1] + q[0] * (2.0 / 3.0)
+    K = bulk_modulus(q)
     r = 1.0 / ti.max(J, J_TANGENT)
     r2 = r * r
     r6 = r2 * r2 * r2
@@ -132,14 +101,14 @@ def pk1(F, q, converged):
     """P = F V diag(2 mu dev e_i / s_i) V^T - p cof F."""
     cof = cofactor(F)
     J = determinant(F, cof)
-    K = q[1] + q[0] * (2.0 / 3.0)
+    K = bulk_modulus(q)
     shear = hencky.pk1(F, [q[0], q[0] * (-2.0 / 3.0)], converged)
     return combination(J * 0.0 + 1.0, shear, slope(J, K), cof)
 
 
 def stored(s, J, q):
     """psi of signed stretches."""
-    K = q[1] + q[0] * (2.0 / 3.0)
+    K = bulk_modulus(q)
     at, t = np.maximum(J, J_TANGENT), np.minimum(J - J_TANGENT, 0.0)
     U = ((at ** (1 - GAMMA) - 1.0) / (GAMMA - 1) + at - 1.0) / GAMMA
     U = U + t * ((1.0 - at**-GAMMA) / GAMMA + 0.5 * t * at ** (-GAMMA - 1))
@@ -160,5 +129,5 @@ def moduli(s, J, q):
     pressed = 2.0 * mu * (2.0 / 3.0 * slope**2 + d[:, 0] * curvature)
     pulled = 2.0 * mu[:, None] * d / np.maximum(s, hencky.J_EXTENSION) ** 2
     shear = np.maximum(np.maximum(pressed, pulled.max(1)), 0.0)
-    K = q[1] + mu * (2.0 / 3.0)
+    K = bulk_modulus(q)
     return shear, K * np.maximum(J, J_TANGENT) ** (-GAMMA - 1.0)
