@@ -35,8 +35,10 @@ def values(array: Any) -> Floats:
     return array.to_numpy() if seen is None else seen.copy()
 
 
-def look(array: Any) -> Floats:
-    """A view of a ti.ndarray: read-only, and valid until the next launch."""
+def host_view(array: Any) -> Floats:
+    """The values of a ti.ndarray, to be read before the next launch: its memory on the CPU,
+    a copy on a GPU.
+    """
     seen = _memory(array)
     return array.to_numpy() if seen is None else seen[...]
 
@@ -151,7 +153,7 @@ def _memory(array: Any) -> Any:
     """The array's memory; None where neither the CPU nor the CUDA driver can access it."""
     seen = getattr(array, SEEN, None)
     if seen is None:
-        seen = _look(array)
+        seen = _mapped(array)
         if seen is None:
             return None
         # The address is constant during the lifetime of the array.
@@ -160,7 +162,8 @@ def _memory(array: Any) -> Any:
     return seen
 
 
-def _look(array: Any) -> Any:
+def _mapped(array: Any) -> Any:
+    """The memory of an array as a NumPy array or an `_OnGpu`; None for other devices."""
     import taichi as ti
     from taichi.lang import impl
     from taichi.lang.util import to_numpy_type
@@ -281,13 +284,13 @@ class DeviceState:
         kind = np.int32 if np.issubdtype(new.dtype, np.integer) else self.real
         put(array, new.astype(kind).reshape(_shape(array)))
 
-    def put_first(self, name: str, new: Any) -> None:
+    def put_padded(self, name: str, new: Any) -> None:
         """Fill the beginning of a flat array, and the rest with zeros."""
         whole = np.zeros(self.arrays[name].shape, np.asarray(new).dtype)
         whole[: len(new)] = new
         self.put(name, whole)
 
-    def put_head(self, name: str, new: Any) -> None:
+    def put_first(self, name: str, new: Any) -> None:
         """Fill the beginning of a flat array; the rest, which is not read, is unchanged."""
         put_first(self.arrays[name], new)
 

@@ -95,7 +95,7 @@ def on_gpu(monkeypatch: pytest.MonkeyPatch):
 def test_the_driver_copies_what_is_on_a_gpu(on_gpu) -> None:
     array, there, driver = on_gpu
     driver.current = 0  # as in another thread
-    np.testing.assert_array_equal(taichi_arrays.look(array), there)
+    np.testing.assert_array_equal(taichi_arrays.host_view(array), there)
     assert driver.current == 7
     seen = taichi_arrays.values(array)
     np.testing.assert_array_equal(seen, there)
@@ -135,6 +135,6 @@ def test_parts_of_rows_are_read_and_written(monkeypatch, reached) -> None:
     seen[:] = -1.0
     with state.written("rows", 4) as rows:
         rows[:, 1] = 0.0
-    state.put_head("rows", np.array([7.0]))
+    state.put_first("rows", np.array([7.0]))
     whole = state.arrays["rows"].to_numpy()
     np.testing.assert_array_equal(whole, [7, 0, 2, 3, 4, 0, 6, 7, 8, 0, 10, 11])

@@ -28,7 +28,7 @@ from gf_usd.core.frames import Particles, Pose
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.skinning import NEIGHBORS, SKINS, InverseDistance, Skin
 from gf_usd.geometry.solid import build_solid
-from gf_usd.physics.grid.embedding import pose
+from gf_usd.physics.grid.embedding import embedded_pose
 from gf_usd.physics.grid.reference import build_stencil
 from gf_usd.physics.total_lagrangian.setup import CELL_PER_LATTICE
 from gf_usd.readers import read_asset
@@ -173,13 +173,13 @@ class Body:
 
         def at_nodes(motion: Motion) -> Callable[[], Pose]:
             u, v = motion.x(X) - X, motion.v(X)
-            return lambda: pose(vertices, u, v, np.zeros(3))
+            return lambda: embedded_pose(vertices, np.concatenate([u, v], 1), np.zeros(3))
 
         def at_particles(motion: Motion) -> Callable[[], Pose]:
             exact = motion.pose(p.X)
             u = fit(exact.x - p.X, exact.F - np.eye(3))
             v = fit(exact.v, motion.dF(p.X))
-            return lambda: pose(vertices, u, v, np.zeros(3))
+            return lambda: embedded_pose(vertices, np.concatenate([u, v], 1), np.zeros(3))
 
         return {"embed, u at nodes": at_nodes, "embed, u from particles": at_particles}
 

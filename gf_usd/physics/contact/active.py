@@ -106,7 +106,7 @@ class ActiveSamples:
         state.clear("sample_force")
         numbers = state.get("numbers")[: CLEARANCE + 1]
         numbers[FALL], numbers[CLEARANCE] = self._fall, self._body.particles.spacing
-        state.put_first("numbers", numbers)  # every slack is 0: all samples are tested at first
+        state.put_padded("numbers", numbers)  # every slack is 0: all samples are tested at first
         if self._body.options.driven and self._body.settings.floor is not None:
             self._drive(state, dt)
         samples = np.union1d(near, paired) if len(paired) else near
@@ -117,9 +117,9 @@ class ActiveSamples:
             self._active = samples, paired
             held, weight, start = self._of_nodes(samples)
             others = np.setdiff1d(samples, paired, assume_unique=True) if len(paired) else samples
-            state.put_head("sample_active", np.concatenate([[len(paired)], paired, others]))
-            state.put_head("node_sample", held)
-            state.put_head("node_sample_weight", weight)
+            state.put_first("sample_active", np.concatenate([[len(paired)], paired, others]))
+            state.put_first("node_sample", held)
+            state.put_first("node_sample_weight", weight)
             state.put("node_sample_start", start)
         return len(samples)
 

@@ -29,7 +29,7 @@ from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass, lumped_mass
 from gf_usd.physics.grid.reference import Rows, Stencil
-from gf_usd.physics.taichi_arrays import DeviceState, look
+from gf_usd.physics.taichi_arrays import DeviceState, host_view
 from gf_usd.physics.time_step import StableStep
 
 # Of E* / (rho s^2). The grid of quadratic B-splines already has a part of the compliance of a half
@@ -313,7 +313,7 @@ def move_springs(
     velocity : of samples (k,), (k, 3) [m/s]. Forces are evaluated half a substep after the start of
     a frame and half a substep before its end; frames and restarts refer to the end.
     """
-    held = nonzero_rows(look(state.arrays["sample_spring"]).reshape(-1, 3))
+    held = nonzero_rows(host_view(state.arrays["sample_spring"]).reshape(-1, 3))
     if len(held):
         xi, v = state.rows("sample_spring"), velocity(held)
         xi[held] += time * (v - np.outer(v @ normal, normal))

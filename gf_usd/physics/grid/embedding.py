@@ -85,7 +85,7 @@ class SplineRows:
         return sparse.csr_matrix(sparse.vstack(self.G, format="csr"))
 
     @property
-    def many(self) -> bool:
+    def uses_kernels(self) -> bool:
         """Whether there are enough points, or particles, for kernels, which take time to load."""
         return max(len(self.X), self.particles) >= FEW and not resident_blocks()
 
@@ -102,26 +102,22 @@ class SplineRows:
         return sparse.csr_matrix((values.ravel(), places, start), shape=shape, copy=False)
 
 
-def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
+def embedded_pose(rows: Rows | SplineRows, motion: Floats, offset: Floats) -> Pose:
     """x = X + offset + W u,  v = W v_i,  F = I + sum_i u_i (x) grad w_i  (docs/physics.md).
 
-    u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
+    motion : (M, 6) u [m] and v [m/s] of nodes, in columns of one array that many sets of points
+    may share; offset : (3,) [m] rigid translation.
     """
-    return pose_by_motion(rows, np.concatenate([u, v], 1), offset)
-
-
-def pose_by_motion(rows: Rows | SplineRows, motion: Floats, offset: Floats) -> Pose:
-    """`pose` by u and v side by side, (M, 6), which many sets of points may share."""
     motion = rows.nodes(motion)
     u, v = motion[:, :3], motion[:, 3:]
-    if isinstance(rows, SplineRows) and rows.many:
+    if isinstance(rows, SplineRows) and rows.uses_kernels:
         return _pose_by_kernel(rows, u, v, offset)
     x, v = placed(rows, u, v)
     return Pose(x=rows.X + offset + x, v=v, F=_gradient(rows, u))
 
 
 def _pose_by_kernel(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:
-    """`pose` by a kernel, equal to rounding, in a third of the time."""
+    """`embedded_pose` by a kernel, equal to rounding, in a third of the time."""
     ensure_running()
     from gf_usd.physics.grid.row_kernels import LANES, embed
 
@@ -135,7 +131,7 @@ def _pose_by_kernel(rows: SplineRows, u: Floats, v: Floats, offset: Floats) -> P
 
 def placed(rows: Rows | SplineRows, u: Floats, v: Floats) -> tuple[Floats, Floats]:
     """W u and W v of `Rows.nodes`, in one pass over W where no kernel computes them."""
-    if by_kernel(rows.W, u):
+    if uses_kernel(rows.W, u):
         return product(rows.W, u), product(rows.W, v)
     both = product(rows.W, np.concatenate([u, v], 1))
     return both[:, :3], np.ascontiguousarray(both[:, 3:])
@@ -155,7 +151,7 @@ def _gradient(rows: Rows | SplineRows, u: Floats) -> Floats:
 def stretches(rows: Rows | SplineRows, u: Floats) -> Floats:
     """sum_i u_i (x) grad w_i (n, 3, 3) of `Rows.nodes`."""
     n = len(rows.X)
-    if isinstance(rows, SplineRows) and rows.many:
+    if isinstance(rows, SplineRows) and rows.uses_kernels:
         ensure_running()
         from gf_usd.physics.grid.row_kernels import LANES, stretch
 
@@ -174,7 +170,7 @@ def stretches(rows: Rows | SplineRows, u: Floats) -> Floats:
 def gathered(rows: SplineRows, P: Floats) -> Floats:
     """sum_p P_p grad w_ip (M, 3) of P (n, 3, 3): the transpose of `stretches`."""
     n, count = len(rows.X), rows.spread.shape[0]
-    if rows.many:
+    if rows.uses_kernels:
         ensure_running()
         from gf_usd.physics.grid.row_kernels import LANES, gather
 
@@ -252,7 +248,7 @@ def embedded_rows(
 
 def product(M: Any, u: Floats) -> NDArray[np.float64]:
     """M u of a sparse M (n, m) in CSR format and u (m, k); bit-identical however it is computed."""
-    if by_kernel(M, u):
+    if uses_kernel(M, u):
         return _multiplied(M, u)
     count = M.shape[0]
     parts = min(threads(), count // FEW)
@@ -268,10 +264,14 @@ def product(M: Any, u: Floats) -> NDArray[np.float64]:
     return out
 
 
-def by_kernel(M: Any, u: Floats) -> bool:
+def uses_kernel(M: Any, u: Floats) -> bool:
     """Whether `product` launches a kernel."""
-    many = M.nnz >= MANY and M.indices.dtype == np.int32 and u.shape[1:] == (3,)
-    return many and not resident_blocks()
+    return M.nnz >= MANY and kernel_supports(M, u)
+
+
+def kernel_supports(M: Any, u: Floats) -> bool:
+    """Whether the kernels of CSR matrices can multiply a sparse M and u: vectors, on the CPU."""
+    return M.indices.dtype == np.int32 and u.shape[1:] == (3,) and not resident_blocks()
 
 
 def _multiplied(M: Any, u: Floats) -> NDArray[np.float64]:

@@ -34,10 +34,11 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.grid.embedding import kernel_supports
 from gf_usd.physics.grid.reference import CHUNK, Stencil, bspline
 from gf_usd.physics.grid.spectrum import ACCURACY, largest_eigenvalue
 from gf_usd.physics.taichi_arrays import widened
-from gf_usd.system.taichi_runtime import ensure_running, resident_blocks
+from gf_usd.system.taichi_runtime import ensure_running
 
 WEAK = 5e-3  # of sqrt(M_i M_j): weaker springs are omitted
 SOLVED = 1e-13  # residual of M~ v, relative
@@ -148,8 +149,7 @@ def _iterated(
     S: sparse.csr_matrix, shrink: Floats, grow: Floats, *fields: Floats
 ) -> tuple[Floats, ...]:
     """Residual r, direction d and solution z (n, ...) after steps of the Chebyshev iteration."""
-    many = len(fields[0]) >= MANY and fields[0].shape[1:] == (3,)
-    if many and S.indices.dtype == np.int32 and not resident_blocks():
+    if len(fields[0]) >= MANY and kernel_supports(S, fields[0]):
         return _iterated_by_kernel(S, shrink, grow, fields)
     r, d, z = fields
     for a, b in zip(shrink, grow):

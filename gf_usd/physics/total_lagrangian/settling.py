@@ -49,7 +49,7 @@ from gf_usd.core.matrices import across
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import OBSTACLE
 from gf_usd.physics.grid.bodies import bodies_of, node_sums
-from gf_usd.physics.taichi_arrays import look
+from gf_usd.physics.taichi_arrays import host_view
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.rest_and_flight import presses
 from gf_usd.physics.total_lagrangian.setup import Body
@@ -200,7 +200,7 @@ class Settling:
         """(B,) whether a contact force acts on a sample of each body now."""
         assert self._body.contact is not None
         of = self._body.contact.samples.body
-        forces = look(state.arrays["sample_force"]).reshape(-1, 3)
+        forces = host_view(state.arrays["sample_force"]).reshape(-1, 3)
         pushed = nonzero_rows(forces[: len(self._body.contact.samples.X)])
         out = np.zeros(len(self._mass), bool)
         out[0 if of is None else of[pushed]] = len(pushed) > 0

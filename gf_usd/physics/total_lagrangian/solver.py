@@ -26,7 +26,7 @@ from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.contact.planes.intervals import Lateness
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.grid.bodies import bodies_of
-from gf_usd.physics.grid.embedding import pose_by_motion
+from gf_usd.physics.grid.embedding import embedded_pose
 from gf_usd.physics.grid.fields import Fields
 from gf_usd.physics.total_lagrangian.energies import measure, strain_energy, von_mises
 from gf_usd.physics.total_lagrangian.launch import Launches
@@ -336,7 +336,7 @@ class TotalLagrangian(Solver):
             particles=particles,
             embedded={
                 name: body.constrained(
-                    name, rows, pose_by_motion(rows, now.node_motion, now.offset), index, now.offset
+                    name, rows, embedded_pose(rows, now.node_motion, now.offset), index, now.offset
                 )
                 for name, rows in body.embedded.items()
             },

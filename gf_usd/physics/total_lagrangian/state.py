@@ -17,11 +17,11 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
 from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.bodies import node_sums
-from gf_usd.physics.grid.embedding import gradient, pose_by_motion
+from gf_usd.physics.grid.embedding import embedded_pose, gradient
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
-from gf_usd.physics.taichi_arrays import DeviceState, look
+from gf_usd.physics.taichi_arrays import DeviceState, host_view
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.layout import ANCHOR, PIN_RATE, PIN_WORK
 from gf_usd.physics.total_lagrangian.setup import Body, arrays, viscosities
@@ -208,7 +208,7 @@ class State(DeviceState):
         names = (*names, "sample_spring")
         if self._body.law.set.flows:
             names = (*names, "history")
-        seen = (*(look(self.arrays[name]) for name in names), self.offset)
+        seen = (*(host_view(self.arrays[name]) for name in names), self.offset)
         if self._view is None or not self._view.is_of(seen):
             given = tuple(a.copy() for a in seen)
             self._view = StateView(self._body, self.rest, self._body_forces, given)
@@ -370,7 +370,7 @@ class StateView:
     @cached_property
     def particles(self) -> Pose:
         """Pose of the particles by interpolation alone, without F0 and without pins."""
-        found = pose_by_motion(self._body.rows, self.node_motion, self.offset)
+        found = embedded_pose(self._body.rows, self.node_motion, self.offset)
         self.__dict__.setdefault("F", found.F)
         return found
 

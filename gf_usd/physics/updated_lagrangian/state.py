@@ -175,7 +175,7 @@ class State(DeviceState):
             of[planes] = np.arange(len(planes))
             self.put("sample_plane", of)
         if self._body.embedding is not None:
-            self.put_first("sample_active", active)
+            self.put_padded("sample_active", active)
         return len(active)
 
     def sample_motion(self) -> tuple[Floats, Floats]:

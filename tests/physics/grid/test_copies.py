@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from embedded import pose
 from solids import solid, surface
 
 from gf_usd.core.frames import CellCopies
@@ -15,7 +16,7 @@ from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.grid.copies import SharedNodes
 from gf_usd.physics.grid.dependent_nodes import affine_fit
-from gf_usd.physics.grid.embedding import embedded_rows, pose
+from gf_usd.physics.grid.embedding import embedded_rows
 from gf_usd.physics.grid.reference import build_stencil
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, block, comb, elastic, set_state, settings

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from embedded import pose
 from random_turns import random_turns
 from scipy import sparse
 from solids import ball
@@ -15,7 +16,6 @@ from gf_usd.physics.grid.embedding import (
     embedded_rows,
     gathered,
     particle_rows,
-    pose,
     stretches,
 )
 from gf_usd.physics.grid.reference import build_stencil
@@ -156,9 +156,9 @@ def test_many_points_are_embedded_in_one_pass(spline_rows, nodal, monkeypatch):
     """The kernel and SciPy's products: sums of 27 terms below 1 / h in another order."""
     offset = np.array([0.1, -2.0, 3.0])
     plain = pose(spline_rows, *nodal, offset)
-    assert not spline_rows.many
+    assert not spline_rows.uses_kernels
     monkeypatch.setattr(embedding, "FEW", 1)
-    assert spline_rows.many
+    assert spline_rows.uses_kernels
     once = pose(spline_rows, *nodal, offset)
     most = np.abs(spline_rows.nodes(nodal[0])).max()
     for name in ("x", "v", "F"):
@@ -200,9 +200,9 @@ def test_products_are_the_same_bits_by_the_kernel():
     M.data[M.indptr[5] : M.indptr[6]] = 0.0  # a sum of zeros has a sign, too
     u = rng.normal(size=(120, 3)) * 10.0 ** rng.uniform(-9.0, 9.0, (120, 1))
     assert np.diff(M.indptr).min() < np.diff(M.indptr).max()
-    assert embedding.by_kernel(M, u) is False
+    assert embedding.uses_kernel(M, u) is False
     plain = embedding.product(M, u)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(embedding, "MANY", 1)
-        assert embedding.by_kernel(M, u)
+        assert embedding.uses_kernel(M, u)
         assert embedding.product(M, u).tobytes() == plain.tobytes()

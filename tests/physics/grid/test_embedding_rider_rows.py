@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from embedded import pose
 from solids import ball, preset_material, settings
 
 from gf_usd.core.stage import Pin
 from gf_usd.physics.grid import embedding
-from gf_usd.physics.grid.embedding import embedded_rows, pose
+from gf_usd.physics.grid.embedding import embedded_rows
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 
