@@ -71,7 +71,7 @@ CLIENTS = {
 }
 
 
-SPACE = 1.5  # times the size of an environment: pip unpacks its packages beside it
+SPACE = 1.5  # times the size of an environment: pip unpacks its packages next to it
 
 
 class NotInstalled(Exception):

@@ -255,7 +255,7 @@ def tongs():
 
 
 @pytest.mark.parametrize(("material", "rate"), [("rubber", 1.0), ("jelly", 0.5)])
-def test_a_body_that_closes_meets_itself_if_asked(material, rate):
+def test_a_body_that_closes_has_self_contact_on_request(material, rate):
     body = tongs()
     left = (body.points[:, 0] < 0.0) & (body.points[:, 1] > 0.5)
     right = (body.points[:, 0] > 0.0) & (body.points[:, 1] > 0.5)

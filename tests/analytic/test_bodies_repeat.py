@@ -55,7 +55,7 @@ def test_reruns_threads_and_launches_agree_to_the_bit(first, way, threads, monke
 
 
 @pytest.mark.slow
-def test_a_kept_state_goes_on_to_the_bit():
+def test_a_kept_state_continues_bit_identically():
     solver = falling()
     last, kept, strained, ends = Health(), {}, 1, []
     for frame in solver.frames():
@@ -87,7 +87,7 @@ def closing(frames: int = 10):
     return contact_solver(body, particles=300, self_contact=True, velocity=[close], frames=frames)
 
 
-def test_a_body_that_meets_itself_goes_on_to_the_bit():
+def test_a_body_in_self_contact_continues_bit_identically():
     solver, last, kept, met, ends = closing(), Health(), {}, 9, []
     assert solver.pairs is not None
     for frame in solver.frames():

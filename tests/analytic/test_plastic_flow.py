@@ -339,7 +339,7 @@ def test_a_frame_that_the_guard_refuses_leaves_no_history(family, monkeypatch):
 
 
 @families
-def test_another_solver_goes_on_from_a_checkpoint_to_the_bit(family, tmp_path):
+def test_another_solver_continues_a_checkpoint_bit_identically(family, tmp_path):
     through, first, second = (thrown(family) for _ in range(3))
     healths = [frame.health for frame in through.frames()]
     frame = next(frame for frame in first.frames() if frame.index == 3)

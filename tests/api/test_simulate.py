@@ -145,7 +145,7 @@ def test_what_flows_takes_velocities_and_refuses_forces(materials: tuple[str, ..
         assert "gravity" in str(raised.value.hint)
 
 
-def test_a_saved_state_goes_on_to_the_bit() -> None:
+def test_a_saved_state_continues_bit_identically() -> None:
     scene = gf_usd.Scene(floor=0.9)
     scene.add_body(UNIT, FACES, material="jelly", velocity=(0.0, -1.0, 0.0))
     simulation = gf_usd.simulate(scene, frames=8, particles=100)

@@ -73,7 +73,7 @@ def wanting(workers: dict[str, dict[str, float]], **amounts: float) -> str:
     return _missing_resources(Cluster(workers), "tcp://here", amounts)  # type: ignore[arg-type]
 
 
-def test_what_the_jobs_wait_for_is_told() -> None:
+def test_what_the_jobs_wait_for_is_reported() -> None:
     assert "has no worker" in wanting({})
     assert wanting({"a": {}}) == ""
     assert wanting({"a": {"memory": 1e9}, "b": {"memory": 2e9}}, memory=2e9) == ""
@@ -82,7 +82,7 @@ def test_what_the_jobs_wait_for_is_told() -> None:
     assert "no worker" in wanting(apart, memory=1e9, seats=1.0)
 
 
-def test_workers_that_are_gone_for_long_are_told_once_each_time() -> None:
+def test_workers_that_are_gone_for_long_are_reported_once_each_time() -> None:
     absence = Absence(emitted=True)  # as at the start of a batch
     assert [absence.message("none", now) for now in (0.0, 2.0 * ALONE)] == ["", ""]
     assert absence.message("", 70.0) == ""

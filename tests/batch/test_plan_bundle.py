@@ -148,7 +148,7 @@ def test_chunks_grow_only_where_tasks_have_no_bound(tmp_path: Path) -> None:
     assert target(limited) == target(endless, slice=1) == 0
 
 
-def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     table = InputTable(Children())
     with pytest.raises(BakeError, match="cannot be created") as refused:

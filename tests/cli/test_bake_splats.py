@@ -243,7 +243,7 @@ def test_a_box_pins_a_capture(gf_usd, here, tmp_path):
     assert (first - last)[rest[:, 1] < -0.2, 1].min() > 1e-4
 
 
-def test_a_box_beside_a_capture_is_refused_by_its_name(gf_usd, here, tmp_path):
+def test_a_box_next_to_a_capture_is_refused_by_its_name(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
     done = gf_usd("bake", path, "--material", "jelly", *SMALL, "--pin", "box:5,5,5,6,6,6")
     assert done.status == 3

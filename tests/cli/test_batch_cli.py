@@ -112,7 +112,7 @@ def running(here: Path, block: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.mark.slow
-def test_sigterm_ends_the_bakes_and_says_how_to_go_on(
+def test_sigterm_ends_the_bakes_and_says_how_to_resume(
     running: subprocess.Popen[str], here: Path
 ) -> None:
     running.send_signal(signal.SIGTERM)
@@ -142,7 +142,7 @@ def test_kill_9_leaves_no_bake_and_no_lock(running: subprocess.Popen[str], here:
 
 
 @pytest.mark.slow
-def test_an_interrupted_job_with_clips_goes_on(gf_usd: Call, here: Path, block: Path) -> None:
+def test_an_interrupted_job_with_clips_continues(gf_usd: Call, here: Path, block: Path) -> None:
     arguments = ("--particles", "150", "--frames", "5")
     cut = gf_usd("bake", block, "-m", "rubber", *arguments, "--clip-frames", "1", "--slice", "2",
                  "-o", "out/block.rubber.usda", "-q")  # fmt: skip

@@ -163,7 +163,7 @@ def test_a_result_lost_with_its_worker_is_computed_again(
     assert [end["state"] for end in ends] == ["refused"]
 
 
-def test_a_task_that_is_canceled_is_told(
+def test_a_task_that_is_canceled_is_reported(
     cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:
     from distributed import Client, Future
@@ -182,7 +182,7 @@ def test_a_task_that_is_canceled_is_told(
     assert (end["state"], end["message"]) == ("crashed", "its task was canceled on the scheduler")
 
 
-def test_jobs_that_no_worker_can_do_are_told_and_can_be_stopped(
+def test_jobs_that_no_worker_can_do_are_reported_and_can_be_stopped(
     cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:
     children = Children()
@@ -194,7 +194,7 @@ def test_jobs_that_no_worker_can_do_are_told_and_can_be_stopped(
     assert (end["state"], end["message"]) == ("stopped", "interrupted before it started")
 
 
-def test_a_scheduler_that_dies_is_told(
+def test_a_scheduler_that_dies_is_reported(
     cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:
     from distributed import Client

@@ -16,8 +16,8 @@ from resumed import require_same
 
 from gf_usd.layers.check.run import check_file
 
-BESIDE = Path(sys.executable).with_name("openjd")
-OPENJD = str(BESIDE) if BESIDE.is_file() else shutil.which("openjd")
+INSTALLED = Path(sys.executable).with_name("openjd")
+OPENJD = str(INSTALLED) if INSTALLED.is_file() else shutil.which("openjd")
 NOTICE = 30.0  # [s] that the template grants to a task that is to end
 
 pytestmark = [

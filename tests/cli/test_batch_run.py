@@ -85,7 +85,7 @@ def test_without_a_page_the_failed_jobs_are_still_known(
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no such files")
-def test_what_a_pattern_matches_and_is_no_file_is_told(
+def test_what_a_pattern_matches_and_is_no_file_is_reported(
     gf_usd: Call, here: Path, block: Path
 ) -> None:
     models = here / "models"

@@ -103,7 +103,7 @@ def test_a_file_descriptor_takes_them(gf_usd, here: Path, block: Path) -> None:
 
 
 @pytest.mark.slow
-def test_notes_and_warnings_are_told(gf_usd, here: Path, tmp_path: Path) -> None:
+def test_notes_and_warnings_are_reported(gf_usd, here: Path, tmp_path: Path) -> None:
     path = tmp_path / "duck.usda"
     text = (SAMPLES / "duck.usda").read_text(encoding="utf-8")
     assert "metersPerUnit = 0.01" in text
@@ -124,7 +124,7 @@ def test_notes_and_warnings_are_told(gf_usd, here: Path, tmp_path: Path) -> None
     assert found[-1]["hint"].endswith("without --strict this is not an error")
 
 
-def test_an_error_is_told_with_its_status_and_hint(gf_usd, here: Path, tmp_path: Path) -> None:
+def test_an_error_is_reported_with_its_status_and_hint(gf_usd, here: Path, tmp_path: Path) -> None:
     path = tmp_path / "bad.obj"
     path.write_text("v 0 0 0\nf 1 2 3\n", encoding="utf-8")
     done = gf_usd("bake", path, *SMALL, "--events", "-")
@@ -159,7 +159,7 @@ def test_a_full_disk_ends_the_bake_in_words(gf_usd, here: Path, block: Path) -> 
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no SIGTERM")
-def test_a_signal_is_told(here: Path, block: Path) -> None:
+def test_a_signal_is_reported(here: Path, block: Path) -> None:
     arguments = (
         "--particles", "200", "--frames", "100000", "--drop", "150", "--max-hours", "1000",
         "--clip-frames", "1", "-q", "--events", "events.ndjson",

@@ -82,7 +82,7 @@ def test_a_cache_gives_back_its_material(
 
 
 @pytest.mark.slow
-def test_density_and_stiffness_are_told_as_one(tmp_path: Path) -> None:
+def test_density_and_stiffness_are_reported_as_one(tmp_path: Path) -> None:
     truth = cache_of_truth(tmp_path, 16)
     found = gf_usd.fit(SPHERE, truth, unknowns=["E", "rho"], damping_time=6.4e-3, **SMALL)
     # gravity and inertia grow alike: only E / rho moves the ball

@@ -134,7 +134,7 @@ def test_a_failure_leaves_the_layers_it_worked_on(
 
 
 @pytest.mark.slow
-def test_a_report_of_one_file_knows_its_look(gf_usd, here: Path, block: Path) -> None:
+def test_a_report_of_one_file_names_its_variant(gf_usd, here: Path, block: Path) -> None:
     from gf_usd.readers.pictures.recording import BakedMotion
 
     assert gf_usd("bake", block, *SMALL, "-q", "-o", "a.usdz").status == 0

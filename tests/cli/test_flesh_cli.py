@@ -346,7 +346,7 @@ def test_an_animation_that_does_not_close_is_no_cycle(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_capture_beside_a_skeleton_follows_its_bones(tmp_path: Path) -> None:
+def test_a_capture_next_to_a_skeleton_follows_its_bones(tmp_path: Path) -> None:
     path = captured(tmp_path)
     out = tmp_path / "out.usda"
     result = gf_usd.bake(path, flesh=True, output=out, material="rubber", **FEW)

@@ -35,7 +35,7 @@ def test_flesh_that_its_bones_carry_spreads_on_no_floor(tmp_path: Path) -> None:
     assert note not in " ".join(plan_of(path, **options).notes)
 
 
-def test_an_animation_that_is_followed_is_not_told_as_left(tmp_path: Path) -> None:
+def test_an_animation_that_is_followed_is_not_reported_as_left(tmp_path: Path) -> None:
     source = write(tmp_path, arm())
     path = tmp_path / "cache.usda"
     path.write_text(cached(source), encoding="utf-8")
@@ -74,7 +74,7 @@ def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
         assert "none, first" not in loose.out
 
 
-def test_frames_before_the_animation_are_told_apart(
+def test_frames_before_the_animation_are_distinguished(
     gf_usd: Callable[..., Done], here: Path
 ) -> None:
     path = write(here, arm())
@@ -83,7 +83,7 @@ def test_frames_before_the_animation_are_told_apart(
     assert " particles, 8 frames (the first 6 are pre-roll and are not written), " in done.err
 
 
-def test_nobody_is_told_to_lower_a_drop_that_is_not_there(tmp_path: Path) -> None:
+def test_no_hint_to_lower_a_drop_where_there_is_none(tmp_path: Path) -> None:
     path = write(tmp_path, arm())
     assert "--drop" not in solver(plan_of(path))._hint()
     falls = prepare(path, particles=300, output=tmp_path / "out.usda").plan

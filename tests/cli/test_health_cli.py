@@ -107,7 +107,7 @@ def test_the_report_and_the_stage_agree_frame_by_frame(gf_usd, here: Path, block
     assert bake["per_frame"][-1]["elastic"] > 0.0, "it has landed"
 
 
-def test_the_cost_is_told_before_it_is_spent(gf_usd, here: Path, block: Path) -> None:
+def test_the_cost_is_reported_before_it_is_spent(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "-m", "rubber,metal")
     first = done.err.splitlines()[0]
     assert re.fullmatch(
@@ -154,7 +154,7 @@ def test_nothing_falls_without_gravity(gf_usd, here: Path, block: Path) -> None:
     assert health["energy_end_J"] == health["energy_start_J"] == 0.0
 
 
-def test_an_odd_size_is_told(gf_usd, here: Path, block: Path) -> None:
+def test_an_odd_size_is_reported(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--meters-per-unit", "1", "--dry-run")
     assert "warning: the asset is 30 m wide" not in done.out, "30 m is the limit"
     done = gf_usd("bake", block, *SMALL, "--meters-per-unit", "2", "--dry-run")

@@ -133,7 +133,7 @@ def test_bakes_that_a_program_follows_do_not_read_it(gf_usd, here: Path, block: 
     assert done.status == 0, done.err
 
 
-def test_a_shell_is_told_what_a_choice_may_be(gf_usd, monkeypatch) -> None:
+def test_a_shell_completes_the_values_of_a_choice(gf_usd, monkeypatch) -> None:
     monkeypatch.setenv("_GF_USD_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", "gf-usd bake x.usda --device c")
     monkeypatch.setenv("COMP_CWORD", "4")

@@ -120,7 +120,7 @@ def test_a_rigid_end_turns_and_keeps_its_shape(arm: Path) -> None:
     np.testing.assert_allclose(away[1], away[0], atol=1e-3)
 
 
-def test_a_rigid_region_beside_the_body_is_refused(arm: Path) -> None:
+def test_a_rigid_region_next_to_the_body_is_refused(arm: Path) -> None:
     with pytest.raises(gf_usd.InputError, match="rigid box:900") as caught:
         gf_usd.bake(arm, output=arm.with_name("out.usda"), rigid="box:900,0,0,901,1,1")
     assert caught.value.hint

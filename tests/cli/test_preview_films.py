@@ -174,7 +174,7 @@ def test_a_still_makes_no_film(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_bake_in_colors_has_a_legend_beside_the_body(gf_usd, here, block):
+def test_a_bake_in_colors_has_a_legend_next_to_the_body(gf_usd, here, block):
     done = gf_usd("bake", block, "--particles", 300, "--frames", 8, "--drop", 0, "--stress", "-q")
     assert done.status == 0, done.err
     pictures = {}

@@ -41,7 +41,7 @@ def data(page: Path) -> dict:
 
 
 @pytest.mark.slow
-def test_a_bake_becomes_one_page_of_all_its_looks(gf_usd, work):
+def test_a_bake_becomes_one_page_of_all_its_variants(gf_usd, work):
     inputs = {path.name: path.read_bytes() for path in work.iterdir()}
     done = gf_usd("report", "block.soft.usda")
     assert (done.status, done.out) == (0, "")
@@ -130,7 +130,7 @@ def test_the_input_is_never_replaced(gf_usd, work):
     assert Path("page.html").read_bytes() == before
 
 
-def test_a_page_of_splats_shows_the_particles_of_every_look(gf_usd, work):
+def test_a_page_of_splats_shows_the_particles_of_every_variant(gf_usd, work):
     inputs = {path.name: path.read_bytes() for path in work.iterdir()}
     done = gf_usd("report", "--splats", "block.soft.usda", "--max-splats", "200")
     assert (done.status, done.out) == (0, "")

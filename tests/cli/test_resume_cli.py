@@ -89,7 +89,7 @@ def Xform "World"
 
 
 @pytest.mark.slow
-def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
+def test_bodies_in_contact_continue_identically(gf_usd, here: Path, tmp_path: Path) -> None:
     scene = tmp_path / "two.usda"
     scene.write_text(TWO, encoding="utf-8")
     arguments = (
@@ -117,7 +117,7 @@ def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> No
         pytest.param(20, 61, marks=pytest.mark.acceptance),
     ],
 )
-def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(
+def test_killed_at_any_moment_it_leaves_whole_files_and_continues(
     gf_usd, here: Path, block: Path, kills: int, frames: int
 ) -> None:
     arguments = (
@@ -143,7 +143,7 @@ def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_a_signal_says_how_to_go_on(gf_usd, here: Path, block: Path) -> None:
+def test_a_signal_says_how_to_resume(gf_usd, here: Path, block: Path) -> None:
     arguments = (
         "bake", block, "--particles", "200", "--frames", "100000", "--drop", "150",
         "--max-hours", "1000", "--clip-frames", "1", "-q",
@@ -247,7 +247,7 @@ def test_without_a_checkpoint_it_begins_anew_and_says_so(gf_usd, here: Path, blo
 
 
 @pytest.mark.slow
-def test_a_new_bake_removes_what_it_does_not_go_on_with(gf_usd, here: Path, block: Path) -> None:
+def test_a_new_bake_removes_what_it_does_not_resume(gf_usd, here: Path, block: Path) -> None:
     arguments = ("bake", block, *SMALL, "-q")
     assert gf_usd(*arguments, "--slice", "1").status == 5
     assert gf_usd("bake", block, "--particles", "200", "--frames", "3", "-q").status == 0
@@ -275,7 +275,7 @@ def test_a_bake_cut_between_its_last_files_is_resumed(
 
 
 @pytest.mark.slow  # a capture takes long to fill
-def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
+def test_captured_gaussians_continue_identically(gf_usd, here: Path, tmp_path: Path) -> None:
     path = write_ply(tmp_path / "block.ply", ball(300, degree=1))
     arguments = ("bake", path, *SMALL, "-q")
     assert gf_usd(*arguments, "-o", "one/", "--export-ply", "all").status == 0
@@ -299,7 +299,7 @@ def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> N
         ("--squish", "0.6", "--stretch", "0.3", "--field", "noise:9:length=0.5:rate=2"),
     ],
 )
-def test_flesh_goes_on_alike(gf_usd, here: Path, more: tuple[str, ...]) -> None:
+def test_flesh_continues_identically(gf_usd, here: Path, more: tuple[str, ...]) -> None:
     write(here, arm())
     arguments = (
         "bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "400", "--preroll", "6",
@@ -312,7 +312,7 @@ def test_flesh_goes_on_alike(gf_usd, here: Path, more: tuple[str, ...]) -> None:
 
 
 @pytest.mark.slow
-def test_a_cycle_that_ends_by_itself_goes_on_alike(gf_usd, here: Path) -> None:
+def test_a_cycle_that_ends_by_itself_continues_identically(gf_usd, here: Path) -> None:
     write(here, swinging())
     arguments = (
         "bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "300", "--preroll", "12",

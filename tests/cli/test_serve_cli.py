@@ -66,7 +66,7 @@ def test_without_a_server_it_is_refused(gf_usd: Call, block: Path, path: Path) -
         (1, "", "ended with status 1: it says nothing"),
     ],
 )
-def test_a_bake_that_dies_is_told_without_its_notes(status: int, log: str, told: str) -> None:
+def test_a_bake_that_dies_is_reported_without_its_notes(status: int, log: str, told: str) -> None:
     text = failure({"timed_out": False, "status": status, "log": log}, {})
     assert text.startswith(f"error: the process of the bake {told}")
     assert "note" not in text

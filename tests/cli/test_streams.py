@@ -38,7 +38,7 @@ def test_what_is_said_on_the_way_ends_nothing(here: Path, block: Path, where: st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("where", ["2>&-", "2>/dev/full", ">&- 2>&-"])
-def test_a_bake_goes_on(here: Path, block: Path, where: str) -> None:
+def test_a_bake_continues(here: Path, block: Path, where: str) -> None:
     assert run(here, f"GF bake {block} --particles 100 --frames 2 {where}").returncode == 0
     kinds = ("cache.usdc", "report.json", "usda")
     assert set(names(here)) == {f"block.rubber.{kind}" for kind in kinds}

@@ -118,7 +118,7 @@ def test_a_range_alone_says_how_long_is_simulated(baked) -> None:
     assert list(positions(open_start)) == [101.0, 102.0, 103.0]
 
 
-def test_handles_hold_before_and_go_on_after(baked) -> None:
+def test_handles_hold_before_and_continue_after(baked) -> None:
     longer, _ = baked("longer", "--frames", "8")
     handled, result = baked("handled", "--frames", "6", "--handles", "2")
     all_of, some = positions(longer), positions(handled)

@@ -201,7 +201,7 @@ def test_errors_are_in_the_words_of_gf_usd(drive: Callable[[str], Any]) -> None:
     assert result["left"] == []
 
 
-def test_a_bake_runs_beside_the_window(drive: Callable[[str], Any]) -> None:
+def test_a_bake_runs_in_parallel_to_the_window(drive: Callable[[str], Any]) -> None:
     result = drive("modal")
     assert result["started"] == ["RUNNING_MODAL"]
     assert not result["free"]

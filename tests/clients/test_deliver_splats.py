@@ -52,17 +52,17 @@ def test_the_validator_knows_not_the_extension_and_finds_nothing_else(
     path = request.getfixturevalue(name)
     done = deliver(path, tmp_path / "out.glb", error=ERROR, kind=kind, bind_splats=bind)
     # a joint that no Gaussian follows is a remark
-    beside = {"UNSUPPORTED_EXTENSION"} | ({"NODE_EMPTY"} if bind == "nodes" else set())
+    expected = {"UNSUPPORTED_EXTENSION"} | ({"NODE_EMPTY"} if bind == "nodes" else set())
     messages = validated(done.path)["messages"]
     # the release of npm is older than the extension: it has none of its attributes
-    assert {row["code"] for row in messages} <= {"MESH_PRIMITIVE_INVALID_ATTRIBUTE", *beside}
+    assert {row["code"] for row in messages} <= {"MESH_PRIMITIVE_INVALID_ATTRIBUTE", *expected}
     named = {row["pointer"].rpartition("/")[2] for row in messages if row["severity"] == 0}
     assert named
     assert all(one.startswith(f"{KHR}:") for one in named)
     # with the names that an application may choose, the same arrays are attributes without fault
     data = done.path.read_bytes().replace(f"{KHR}:".encode(), b"_HR_gaussian_splatting_")
     done.path.write_bytes(data)
-    assert {row["code"] for row in validated(done.path)["messages"]} <= beside
+    assert {row["code"] for row in validated(done.path)["messages"]} <= expected
 
 
 def validated(path: Path) -> dict:

@@ -187,7 +187,7 @@ def test_a_picture_and_a_plot_jump_to_their_frame(browser: Browser) -> None:
     assert page.locator(".plot").count() == 5
 
 
-def test_another_look_keeps_the_camera_and_the_frame(browser: Browser) -> None:
+def test_another_variant_keeps_the_camera_and_the_frame(browser: Browser) -> None:
     page = browser.page
     page.fill("#slider", "4")
     box = page.locator("#canvas").bounding_box()

@@ -35,7 +35,7 @@ def test_the_rows_are_left_as_they_are() -> None:
     np.testing.assert_array_equal(rows, [[3.0, 4.0, 12.0]])
 
 
-def test_rows_of_zeros_are_told_from_those_with_one_number() -> None:
+def test_rows_of_zeros_are_distinguished_from_those_with_one_number() -> None:
     rows = np.zeros((4, 3))
     rows[1, 2], rows[3, 0] = 1e-300, -2.0
     np.testing.assert_array_equal(nonzero_rows(rows), [1, 3])

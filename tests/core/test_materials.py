@@ -29,7 +29,7 @@ each_preset = pytest.mark.parametrize("preset", presets().values(), ids=lambda p
 
 @each_look
 @pytest.mark.parametrize("radius", [0.025, 1.0, 5.0])
-def test_a_look_is_its_numbers_times_rho_g0_r(look, radius: float) -> None:
+def test_a_preset_is_its_numbers_times_rho_g0_r(look, radius: float) -> None:
     made = look.material(radius)
     unit = look.density * G0 * radius
     # E and nu are made of mu and lam, and read back: rounding of a few operations.
@@ -54,7 +54,7 @@ def test_a_wave_crosses_the_body_in_the_same_part_of_its_time(look) -> None:
     assert ratios == pytest.approx([math.sqrt(look.lam + 2.0 * look.mu)] * 3, rel=1e-12)
 
 
-def test_looks_in_known_numbers() -> None:
+def test_presets_in_known_numbers() -> None:
     # docs/physics.md: rubber's nu comes out as .17; mu = 26.1 of rho g0 r = 10791 Pa at one meter.
     rubber = DIMENSIONLESS["rubber"].material(1.0)
     assert rubber.poissons_ratio == pytest.approx(0.167, abs=0.0005)
@@ -115,7 +115,7 @@ def test_a_material_that_is_given_stays_as_it_is() -> None:
     assert Fixed(given).material(7.0, "corotated").law == "corotated"
 
 
-def test_names_lead_to_presets_looks_first() -> None:
+def test_names_lead_to_presets_dimensionless_ones_first() -> None:
     assert list(presets()) == CHOICES.split(", ")
     assert all(find_preset(name).name == name for name in presets())
 

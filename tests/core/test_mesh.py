@@ -138,7 +138,7 @@ def test_weld_default_closes_a_soup_of_triangles():
     assert len(boundary_edges(welded)) == 0
 
 
-def test_weld_of_a_cluster_beside_a_far_point_stays_small_work():
+def test_weld_of_a_cluster_and_a_far_point_stays_small_work():
     # 20,000 points within the tolerance of each other would be 2e8 pairs.
     cluster = np.random.default_rng(2).uniform(0, 1e-3, (20000, 3))
     _, unique = weld(np.concatenate([cluster, [[1e6, 0, 0]]]))

@@ -1,4 +1,4 @@
-"""Deliveries of instances, which a bake makes ordinary prims, and beside a PointInstancer."""
+"""Deliveries of instances, which a bake makes ordinary prims, and next to a PointInstancer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A delivered body beside obstacles: these stay themselves."""
+"""A delivered body next to obstacles, which stay separate prims."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def Xform "World" (kind = "assembly")
     }
 }
 """
-# Beside the soft box below the same prim, without an authored extent.
+# Next to the soft box below the same prim, without an authored extent.
 FLAG = """def Mesh "flag" (prepend apiSchemas = ["PhysicsCollisionAPI"])
         {
             int[] faceVertexCounts = [3]

@@ -43,7 +43,7 @@ def test_a_box_of_balls_holds_them_where_one_flies_out_of_it() -> None:
     assert (low <= (between - radii[:, None]).min(0)).all()
 
 
-def test_points_whose_number_changes_go_on_along_their_velocities() -> None:
+def test_points_whose_number_changes_continue_along_their_velocities() -> None:
     stage = Usd.Stage.CreateInMemory()
     stage.SetTimeCodesPerSecond(2.0)
     mesh = UsdGeom.Mesh.Define(stage, "/Surface")

@@ -44,7 +44,7 @@ def Xform "duck"
 """,
     PLAIN.head,
 )
-"""A body, and beside it what only the source animates."""
+"""A body, and a prim that only the source animates."""
 
 GROWS = f"points.timeSamples = {{ 1: {CUBE_POINTS}, 9: {CUBE_POINTS.replace('1', '9')} }}"
 BLOB = Source(

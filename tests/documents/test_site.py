@@ -68,7 +68,7 @@ def test_every_page_has_its_place_in_the_site() -> None:
     assert sorted(listed) == sorted(pages | set(site_hooks.ROOT_PAGES.values()))
 
 
-def test_no_row_of_a_table_goes_on_in_the_next_line() -> None:
+def test_no_row_of_a_table_continues_in_the_next_line() -> None:
     """It would end there, and the rest would stand below the table."""
     cut = [
         f"{page.relative_to(ROOT)}:{number}"

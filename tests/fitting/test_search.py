@@ -97,7 +97,7 @@ def test_errors_that_last_count_once() -> None:
     assert (alike.half[:2] > 1.4 * apart.half[:2]).all()  # root 5 where errors were equal in share
 
 
-def test_two_that_act_alike_are_told_as_one_combination() -> None:
+def test_two_that_act_alike_are_reported_as_one_combination() -> None:
     def evaluate(points: Sequence[Floats], late: bool) -> list[Floats | None]:
         target = motion(TRUTH)
         return [((motion([z[0] - z[1] + 0.5, z[2]]) - target) / NOISE).ravel() for z in points]

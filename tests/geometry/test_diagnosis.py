@@ -71,7 +71,7 @@ def test_holes_belong_to_their_shells():
         (np.array([[0, 1, 2], [0, 2, 1]]), "flat"),
     ],
 )
-def test_how_a_shell_is_wound(triangles, winding):
+def test_the_orientation_of_a_shell(triangles, winding):
     assert diagnose(surface(CUBE_POINTS, triangles)).shells[0].winding == winding
 
 
@@ -87,7 +87,7 @@ def test_a_cavity_is_taken_off_the_volume():
     assert tolerated_defects(seen) == ""
 
 
-def test_faults_are_told_in_words():
+def test_faults_are_reported_in_words():
     triangles = np.concatenate([CUBE_TRIANGLES[2:11], CUBE_TRIANGLES[11:, ::-1]])
     seen = diagnose(surface(CUBE_POINTS, np.concatenate([triangles, triangles[:2]])))
     assert "2 duplicate triangles" in faults(seen)

@@ -60,7 +60,7 @@ def test_the_authored_mesh_stays_as_it_is():
         assert getattr(mended, name) is getattr(body, name)
 
 
-def test_a_cap_takes_color_uv_and_material_from_what_is_beside_it():
+def test_a_cap_takes_color_uv_and_material_from_its_neighbors():
     whole = sphere()
     body = without(whole, around(whole, 20))
     corners = body.triangles.reshape(-1)

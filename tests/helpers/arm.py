@@ -170,7 +170,7 @@ def drawn(stage: Usd.Stage, code: float, path: str = "/Arm/Skin") -> NDArray[np.
 
 
 def captured(folder: Path) -> Path:
-    """The arm as captured Gaussians without joint weights, beside its skeleton: person.usda."""
+    """The arm as captured Gaussians without joint weights, next to its skeleton: person.usda."""
     import trimesh
     from captures import define, facing
 

@@ -1,4 +1,4 @@
-"""Stages with bodies that flow beside bodies that do not."""
+"""Stages with bodies that flow and bodies that do not."""
 
 from __future__ import annotations
 

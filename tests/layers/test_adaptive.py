@@ -65,7 +65,7 @@ def test_points_are_within_the_error_at_every_frame(
     assert found[0] == found[1]
 
 
-def test_the_error_that_is_told_is_the_largest_that_is_read(tmp_path: Path) -> None:
+def test_the_error_that_is_reported_is_the_largest_that_is_read(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     (tmp_path / "all").mkdir()
     write_cache(tmp_path / "all" / "c.usdc", asset, frames=FRAMES)
@@ -107,7 +107,7 @@ def test_prims_of_the_particles_have_their_samples_together(tmp_path: Path) -> N
     assert len(sampled) == 1
 
 
-def test_the_bytes_that_are_told_are_those_of_the_other_bake(tmp_path: Path) -> None:
+def test_the_bytes_that_are_reported_are_those_of_the_other_bake(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     choices = Choices(precision=COARSE, adaptive=True, velocities=False)
     (tmp_path / "all").mkdir()
@@ -133,7 +133,7 @@ def test_another_run_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
 
 
-def test_a_writer_goes_on_from_a_full_clip_with_the_same_bytes(tmp_path: Path) -> None:
+def test_a_writer_continues_after_a_full_clip_with_the_same_bytes(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     choices = Choices(precision=COARSE, adaptive=True, velocities=False, clip_frames=6)
     info, particles = info_of(asset, frames=FRAMES), particles_of(asset)

@@ -176,7 +176,7 @@ def test_a_failure_leaves_the_frames_so_far_under_the_partial_name(tmp_path: Pat
     assert stage.GetEndTimeCode() == 11
 
 
-def test_a_save_goes_on_beside_what_comes_next(
+def test_a_save_runs_in_parallel_to_the_next_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The writer is back while layers are saved, and touches them only when they are."""
@@ -208,7 +208,7 @@ def test_a_save_goes_on_beside_what_comes_next(
     assert stage.GetEndTimeCode() == 12
 
 
-def test_a_save_that_failed_is_told_by_what_comes_next_and_the_layer_left_alone(
+def test_a_failed_save_is_reported_by_the_next_call_and_the_layer_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asset, particles, info, frames = PLAIN.scene(tmp_path)

@@ -16,7 +16,7 @@ def writer_of(tmp_path: Path, frames: int, **options: object) -> tuple[CacheWrit
     return CacheWriter(tmp_path / "a.cache.usdc", asset, particles, info, **options), made
 
 
-def test_a_stage_is_told_of_a_frame_once(tmp_path: Path) -> None:
+def test_a_stage_is_notified_of_a_frame_once(tmp_path: Path) -> None:
     writer, frames = writer_of(tmp_path, 3, save_every=10)
     changes: list[int] = []
     listener = Tf.Notice.RegisterGlobally(

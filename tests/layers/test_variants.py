@@ -31,7 +31,7 @@ def test_each_display_shows_one_shape(display: str, shown: set[str], tmp_path: P
     assert visible == shown
 
 
-def test_looks_are_variants_of_one_root_layer(tmp_path: Path) -> None:
+def test_materials_are_variants_of_one_root_layer(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     root, _, _ = bake(asset, tmp_path, looks=("rubber", "jelly"))
     stage = open_with(root.path, "jelly")
@@ -44,7 +44,7 @@ def test_looks_are_variants_of_one_root_layer(tmp_path: Path) -> None:
     assert selected.GetVariantSelection() == "rubber"
 
 
-def test_a_root_prim_that_is_a_mesh_has_its_particles_beside_it(tmp_path: Path) -> None:
+def test_a_root_prim_that_is_a_mesh_has_its_particles_next_to_it(tmp_path: Path) -> None:
     root, _, _ = bake(ROOT_MESH.asset(tmp_path), tmp_path)
     assert root.switches == ("/blob", "/blob_GaussianFlesh")
     stage = Usd.Stage.Open(str(root.path))

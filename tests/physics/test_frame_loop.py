@@ -89,7 +89,7 @@ def test_new_inversions_are_worth_one_try() -> None:
     assert message(guard, health(inverted=2), health(inverted=4)) != ""
 
 
-def test_its_state_goes_on() -> None:
+def test_its_state_continues() -> None:
     guard = Guard(SCALE, 1.0)
     guard.refine()
     guard.passed()

@@ -102,7 +102,9 @@ def test_a_limit_that_nothing_passes_is_warned_of(blocks: Path, tmp_path: Path) 
 @pytest.mark.parametrize(
     "becomes", ["dry-sand", pytest.param("powder-snow", marks=pytest.mark.slow)]
 )
-def test_a_bake_that_was_ended_goes_on_alike(blocks: Path, tmp_path: Path, becomes: str) -> None:
+def test_a_bake_that_was_ended_continues_identically(
+    blocks: Path, tmp_path: Path, becomes: str
+) -> None:
     options = {"conversions": f"/World/Block={becomes}@time:4", "frames": 8, "clip_frames": 3}
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     whole.mkdir()

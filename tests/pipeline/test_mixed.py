@@ -136,7 +136,7 @@ def test_a_tray_moves_sand_and_rubber_and_the_result_is_checked(tmp_path: Path) 
     stage = Usd.Stage.Open(str(done.root))
     flow = stage.GetPrimAtPath("/World/GaussianFlesh/Flow")
     image = UsdGeom.Imageable(flow)
-    assert image.ComputeVisibility(8.0) != "invisible", "sand is shown beside the mesh"
+    assert image.ComputeVisibility(8.0) != "invisible", "sand is shown next to the mesh"
     hidden = UsdGeom.Imageable(stage.GetPrimAtPath("/World/Sand"))
     assert hidden.ComputeVisibility(8.0) == "invisible"
     grains = np.asarray(UsdGeom.Points(flow).GetPointsAttr().Get(16.0))

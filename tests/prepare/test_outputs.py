@@ -185,7 +185,7 @@ def test_a_folder_that_cannot_be_written_to(sealed: Path) -> None:
     assert hint == "choose another folder with -o, or change its permissions"
 
 
-def test_a_mesh_file_becomes_a_layer_beside_the_root() -> None:
+def test_a_mesh_file_becomes_a_layer_next_to_the_root() -> None:
     files = outputs(Path("models/toy.OBJ"), ["rubber"], "out/")
     assert files.source == Path("out/toy.source.usdc")
     assert files.own == (files.root, *files.caches, files.report)
@@ -252,7 +252,7 @@ def test_any_other_report_is_kept(tmp_path: Path, text: str) -> None:
     assert files.report.read_text(encoding="utf-8") == text
 
 
-def test_what_cannot_be_cleared_away_is_told(tmp_path: Path) -> None:
+def test_what_cannot_be_cleared_away_is_reported(tmp_path: Path) -> None:
     files = outputs(Path("duck.usda"), ["rubber"], f"{tmp_path}/")
     partial_path(files.root).mkdir()
     with pytest.raises(UsageError, match=r"duck\.rubber\.partial\.usda of an earlier bake cannot"):

@@ -135,7 +135,7 @@ def test_cloth_is_refused_in_the_words_of_bake(stage, tmp_path, monkeypatch):
     )
 
 
-def test_cloth_on_a_body_rides_along_and_says_why(stage):
+def test_cloth_on_a_body_is_embedded_and_a_note_says_why(stage):
     seen = inspect(stage(CLOTH, ball()), **FEW)
     fill = {m["path"]: (m["fill"], m["reason"]) for m in seen.as_json()["meshes"]}
     assert fill["/Root/Ball"] == ("filled", "")
@@ -269,7 +269,7 @@ def test_the_suggested_unit_removes_the_warning(stage):
     assert out["size"] == pytest.approx([1.12] * 3, rel=0.02)
 
 
-def test_assumed_units_and_axis_are_told_from_authored_ones(stage):
+def test_assumed_units_and_axis_are_distinguished_from_authored_ones(stage):
     units = inspect(stage(ball(), unit=None, axis=None), **FEW).as_json()["units"]
     assert (units["meters_per_unit"], units["meters_per_unit_from"]) == (0.01, "assumed")
     assert (units["up_axis"], units["up_axis_from"]) == ("Y", "assumed")

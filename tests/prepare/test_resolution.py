@@ -43,7 +43,7 @@ def test_the_budget_ends_it_and_says_so() -> None:
     assert made.note.endswith("as long as 8000; --particles 220000 would put 3 across")
 
 
-def test_numbers_that_differ_by_nothing_are_not_told() -> None:
+def test_numbers_that_differ_by_nothing_are_not_reported() -> None:
     # 8101 particles would take "1.0 times as long"
     made = by_thickness(1.0, thick(3.0 / 8101 ** (1.0 / 3.0)))
     assert made.particles in (8101, 8102)
@@ -79,7 +79,7 @@ def test_where_nobody_says_anything_the_thickness_is_asked() -> None:
     assert resolution(None, None, StageSpec(), dict, None, paper=False).particles == 8000
 
 
-def test_thin_walls_that_take_more_particles_than_asked_for_are_told(plan) -> None:
+def test_thin_walls_that_take_more_particles_than_asked_for_are_reported(plan) -> None:
     """A plate of a tenth of a cell has eight particles in each cell, whatever its volume."""
     scaled = 'float3 xformOp:scale = (1, 0.01, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
     thin = plan(mesh("Plate", scaled), particles=200)

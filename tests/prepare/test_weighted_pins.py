@@ -58,7 +58,7 @@ def test_the_default_floor_does_not_cut_through_what_is_pinned(
 
 
 @pytest.mark.parametrize(("floor", "told"), [(0, True), (-0.5, True), (-0.95, False), (-1, False)])
-def test_a_floor_that_cuts_through_what_is_held_is_told_with_one_that_does_not(
+def test_a_floor_that_cuts_through_what_is_held_is_reported_with_one_that_does_not(
     floor: float, told: bool
 ) -> None:
     """It ended at the first frame: all nodes of the grid were no longer finite."""
@@ -74,7 +74,7 @@ def test_a_floor_that_cuts_through_what_is_held_is_told_with_one_that_does_not(
 
 
 def test_other_bodies_keep_the_floor_that_a_pinned_one_reaches_through(tmp_path: Path) -> None:
-    """They fell for ever beside it."""
+    """They fell without limit next to it."""
     path, sphere = tmp_path / "two.usda", SAMPLES / "sphere.usda"
     place = 'uniform token[] xformOpOrder = ["xformOp:translate"]\ndouble3 xformOp:translate'
     bodies = "".join(

@@ -117,7 +117,7 @@ def test_registry_does_not_import_usd():
 
 
 @pytest.mark.parametrize("row", FORMATS, ids=lambda row: row.name)
-def test_every_format_has_a_reader_and_is_told_of(row):
+def test_every_format_has_a_reader_and_is_documented(row):
     assert callable(row.function)
     page = (Path(__file__).parents[2] / "docs" / "guide" / "input-files.md").read_text("utf-8")
     for suffix in row.suffixes:

@@ -168,7 +168,9 @@ def test_a_bake_that_works_clears_away_what_failed(here: Path, fault: Fault) -> 
     assert "failed" not in report(here / f"{STEM}.report.json")
 
 
-def test_looks_that_were_finished_stay_beside_the_one_that_failed(here: Path, fault: Fault) -> None:
+def test_variants_that_were_finished_are_kept_when_another_one_fails(
+    here: Path, fault: Fault
+) -> None:
     fault.bake = 1  # the second look; the first has five frames after that at rest
     with pytest.raises(gf_usd.SolverError, match=r"sphere\.usda: jelly failed at frame 4"):
         bake(material="rubber,jelly,metal")
@@ -200,7 +202,7 @@ def test_a_fault_without_a_place(here: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert f"{SPHERE}: rubber failed at frame 1 (time code 2): it looks odd" in str(caught.value)
 
 
-def test_looks_before_are_published_only_with_the_rest(here: Path, fault: Fault) -> None:
+def test_variants_are_published_only_together(here: Path, fault: Fault) -> None:
     """An old root layer must not come to refer to the cache of a bake that failed."""
     fault.stop()
     bake(material="rubber,jelly")

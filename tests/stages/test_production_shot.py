@@ -152,7 +152,7 @@ def test_every_part_starts_where_the_source_has_it(baked: Baked) -> None:
         np.testing.assert_allclose(knob.GetMidpoint(), (0.0, 70.0, 0.0), atol=2.5)
 
 
-def test_animation_goes_on_beneath_the_bake(baked: Baked) -> None:
+def test_animation_continues_beneath_the_bake(baked: Baked) -> None:
     source, result = baked.source, baked.stage()
     for code in (102.0, 103.0):
         for path in MESHES:

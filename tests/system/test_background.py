@@ -10,7 +10,7 @@ from gf_usd.core.errors import BakeError
 from gf_usd.system.background import BackgroundWriter, running_threads
 
 
-def test_work_goes_on_while_the_caller_does() -> None:
+def test_work_continues_while_the_caller_does() -> None:
     gate, done = threading.Event(), []
     writer = BackgroundWriter()
     before = running_threads()

@@ -223,7 +223,7 @@ def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
         os.kill(program, signal.SIGKILL)
 
 
-def test_many_at_once_with_threads_beside_them(tmp_path: Path) -> None:
+def test_many_at_once_while_threads_run(tmp_path: Path) -> None:
     """Nothing of this process's threads and locks reaches a child."""
     file = tmp_path / "a.usda"
     file.write_text(TETRAHEDRON)

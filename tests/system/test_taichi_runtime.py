@@ -114,7 +114,7 @@ def test_it_starts_without_a_home():
 
 
 @pytest.mark.parametrize("variable", ["HOME", "TI_OFFLINE_CACHE_FILE_PATH"])
-def test_without_a_folder_for_kernels_it_says_so_and_goes_on(variable, tmp_path):
+def test_without_a_folder_for_kernels_it_says_so_and_continues(variable, tmp_path):
     file = tmp_path / "file"
     file.write_text("")
     # even root can make no folder there

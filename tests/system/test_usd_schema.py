@@ -168,7 +168,7 @@ def test_particle_arrays_have_types_and_no_fallback() -> None:
     }
 
 
-def test_apis_go_on_the_types_they_are_made_for() -> None:
+def test_apis_are_applied_to_the_types_they_are_made_for() -> None:
     code = (
         "import gf_usd.system.usd_schema as schema\n"
         "from pxr import Usd\n"
@@ -188,7 +188,7 @@ def test_apis_go_on_the_types_they_are_made_for() -> None:
     ]
 
 
-def test_bake_settings_go_on_everything_that_is_baked() -> None:
+def test_bake_settings_apply_to_everything_that_is_baked() -> None:
     code = (
         "import gf_usd.system.usd_schema as schema\n"
         "from gf_usd.readers.usd.implicit import IMPLICIT\n"

@@ -220,7 +220,9 @@ def test_a_record_of_assets_has_no_paths() -> None:
     assert arguments_of("verify", options) == ([], [])
 
 
-def test_jittered_runs_go_on_from_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_jittered_runs_continue_from_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Only rows of the given seed are taken."""
     from dataclasses import asdict
 

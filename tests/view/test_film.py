@@ -100,7 +100,7 @@ def test_a_missing_ffmpeg_is_named(tmp_path, monkeypatch):
     assert "imageio[ffmpeg]" in caught.value.hint
 
 
-def test_a_gif_plays_for_ever_in_real_time(tmp_path):
+def test_a_gif_repeats_without_limit_in_real_time(tmp_path):
     path = tmp_path / "a.gif"
     write_gif(path, frames(24), 24.0, [picture(0), picture(12)])
     with Image.open(path) as film:

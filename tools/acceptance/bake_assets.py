@@ -30,7 +30,7 @@ from typing import Any
 
 from tools.acceptance.record import git
 
-BESIDE = (".png", ".jpg", ".jpeg", ".exr", ".mtl", ".bin", ".md", ".txt", ".json")
+SIDECARS = (".png", ".jpg", ".jpeg", ".exr", ".mtl", ".bin", ".md", ".txt", ".json")
 BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
 PATIENCE = 600.0  # [s] for one asset of few particles and frames
 REFUSED = 3  # the exit status of gf-usd for an input that it refuses
@@ -51,7 +51,7 @@ class Outcome:
 def assets(folder: Path) -> list[Path]:
     """Every file that could be meant to be baked, in order."""
     files = (path for path in folder.rglob("*") if path.is_file())
-    return sorted(path for path in files if path.suffix.lower() not in BESIDE)
+    return sorted(path for path in files if path.suffix.lower() not in SIDECARS)
 
 
 def cpu() -> float:

@@ -67,8 +67,8 @@ class Session:
 
 def program() -> str:
     """The openjd next to this Python, or on the path.  Raises SystemExit where there is none."""
-    beside = Path(sys.executable).with_name("openjd")
-    found = str(beside) if beside.is_file() else shutil.which("openjd")
+    installed = Path(sys.executable).with_name("openjd")
+    found = str(installed) if installed.is_file() else shutil.which("openjd")
     if found is None:
         raise SystemExit("openjd is not installed: pip install openjd-cli")
     return found

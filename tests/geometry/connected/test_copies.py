@@ -178,7 +178,7 @@ def test_what_floats_apart_and_what_touches_stays_with_its_body() -> None:
         assert filled(solid(surface(points, triangles)))[1] is None
 
 
-def test_points_ride_on_the_tooth_they_lie_on() -> None:
+def test_points_are_embedded_in_the_tooth_they_lie_on() -> None:
     gap = 0.01
     body, R = fork(gap, finer=3, degrees=20.0)
     particles, limbs = filled(solid(body))
@@ -194,7 +194,7 @@ def test_points_ride_on_the_tooth_they_lie_on() -> None:
         assert len(np.setdiff1d(np.intersect1d(mine, theirs), root)) == 0
 
 
-def test_bodies_are_told_apart_before_limbs_are() -> None:
+def test_bodies_are_distinguished_before_limbs_are() -> None:
     """Two forks that cross each other's gaps: each has the copies that it has alone."""
     one, _ = fork(0.06)
     other = replace(one, path="/Other", points=one.points + [0.0, 0.0, WIDTH + 0.03])

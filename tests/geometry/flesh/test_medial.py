@@ -75,7 +75,7 @@ def test_a_body_that_turns_turns_its_pieces_without_offsets(tmp_path: Path) -> N
     owner = cores.owner(X)
     assert set(owner.tolist()) == {-1, *range(len(skeleton.bones))}
     # a core has its share of the way to the skin, and what a cell needs, around points of
-    # a lattice which lie half an edge beside the axis
+    # a lattice which lie half an edge off the axis
     held = X[(owner >= 0) & (np.abs(X[:, 0] - 1.0) < 0.7)]
     assert np.abs(held[:, 1:]).max() < 0.2 * HALF + 0.71 * 2.0 * A + 0.5 * A
 

@@ -83,7 +83,7 @@ def test_points_of_other_faces_are_not_interpolated(stage: Usd.Stage) -> None:
         assert len(made.prim.GetAttribute(name).Get(3.0)) == 5
 
 
-def test_a_track_that_goes_on_writes_what_one_would(stage: Usd.Stage) -> None:
+def test_a_track_that_continues_writes_what_one_would(stage: Usd.Stage) -> None:
     made, _ = track(stage)
     made.write(pose(), 1.0)
     other, mesh = track(stage)

@@ -144,7 +144,7 @@ def test_no_motion_is_off_by_more_than_is_allowed(seed: int, window: int) -> Non
     assert found.keys() == kept(curve, window).keys()
 
 
-def test_it_goes_on_from_the_end_of_a_clip_as_if_it_had_not_ended() -> None:
+def test_it_continues_after_the_end_of_a_clip_as_if_it_had_not_ended() -> None:
     rng = np.random.default_rng(4)
     curve = np.cumsum(0.004 * rng.normal(size=(40, 3, 3)), axis=0)
     frames = [{PATH: Vt.Vec3fArray.FromNumpy(x.astype(np.float32))} for x in curve]

@@ -23,14 +23,14 @@ def search(before: float) -> ContactSearch:
     return ContactSearch(HERE, 2.0, np.array([before - CLOSER]))
 
 
-def test_the_deepest_is_faced() -> None:
+def test_a_sample_gets_the_plane_in_which_it_is_deepest() -> None:
     seen = search(0.0)
     for gap in (1.9, -0.4, 0.1):
         offer(seen, gap)
     assert (seen.planes.partner[0], seen.gap[0], seen.released) == (OBSTACLE, -0.4, 0)
 
 
-def test_what_is_out_of_reach_is_not_faced() -> None:
+def test_a_surface_out_of_reach_gives_no_plane() -> None:
     seen = search(2.0)
     offer(seen, 2.1)
     assert (seen.planes.partner[0], seen.gap[0], seen.released) == (NOBODY, 2.0, 0)
@@ -61,7 +61,7 @@ class Skin:
         return np.tile(self.samples, (len(places), 1))
 
 
-def test_places_are_carried_only_where_they_are_faced_in_the_end() -> None:
+def test_carriers_are_found_only_for_the_planes_that_are_selected() -> None:
     corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     X = np.array([*corners, [0.2, 0.2, 0.5], [0.3, 0.4, 0.5]])
     x, rows, up = X + [5.0, 0.0, 0.0], np.array([3, 4]), np.repeat(UP, 2, 0)

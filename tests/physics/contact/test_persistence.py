@@ -61,7 +61,7 @@ def test_a_stack_at_rest_is_searched_seldom_and_stays_where_it_is(monkeypatch) -
     assert abs(injected) < 1.1 * abs(usual) + 1e-4 * scale
 
 
-def test_a_state_with_kept_planes_goes_on_to_the_bit() -> None:
+def test_a_state_with_kept_planes_continues_bit_identically() -> None:
     solver, saved, last = stack(), {}, None
     for frame in solver.frames():
         if frame.index == 50:
@@ -239,7 +239,7 @@ def test_planes_of_an_obstacle_that_moved_are_found_anew() -> None:
 
 
 def test_a_body_that_slides_slowly_over_another_is_not_held_by_kept_planes(monkeypatch) -> None:
-    """Beside the edges of the upper one planes are tilted: kept for long, they were a wall."""
+    """Near the edges of the upper one planes are tilted: kept for long, they were a wall."""
 
     def way() -> float:
         low = cube((-1.5, -0.5, -0.5), edge=(3.0, 0.5, 1.0), path="/Low")

@@ -49,7 +49,7 @@ def test_nothing_is_near_a_body_at_rest():
 
 
 @pytest.mark.parametrize("left", [1.6, 1.8, 2.0, 2.2, 2.6, 3.2, 4.0])
-def test_what_is_not_faced_yet_is_searched_for_before_it_touches(left):
+def test_an_opposite_surface_is_searched_for_before_it_touches(left):
     """A leg that comes from 1.6 spacings was searched for 0.3 of them too late."""
     own, samples = made()
     X, left = samples.X, left * SPACING
@@ -193,7 +193,7 @@ def test_a_sample_is_inside_where_it_came_through():
 
 @pytest.mark.parametrize("gap", [0.05, GAP])
 def test_what_did_not_move_did_not_come_through_a_crumpled_surface(gap):
-    # Sharp folds have places on the outer side of one triangle and inside by those beside it.
+    # Sharp folds have places on the outer side of one triangle and inside by its neighbors.
     own, samples = made(gap)
     random = np.random.default_rng(4)
     for _ in range(3):

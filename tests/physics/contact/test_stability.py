@@ -94,14 +94,14 @@ def test_it_is_that_of_the_whole_matrix_or_a_little_more(alike: bool) -> None:
     assert found <= (1.35 + ACCURACY) * value
 
 
-def test_it_counts_places_far_beside_what_carries_them() -> None:
+def test_it_counts_places_far_outside_of_their_support_triangle() -> None:
     solver, x, planes, rows = crash()
     contact = solver.body.contact
     assert contact is not None
     assert contact.samples.body is not None
     rows = rows[contact.samples.body[rows] == 0]
-    beside = np.where((contact.samples.body == 0)[:, None], (0.0, 1.0, 0.0), 0.0)
-    x = x + beside  # of one body: its samples leave the carriers of their planes
+    shift = np.where((contact.samples.body == 0)[:, None], (0.0, 1.0, 0.0), 0.0)
+    x = x + shift  # of one body: its samples leave the carriers of their planes
     lever = levers(planes, rows, x, len(x))
     assert lever.max() > 10.0
     k = contact.pair_stiffness[rows]
@@ -111,7 +111,7 @@ def test_it_counts_places_far_beside_what_carries_them() -> None:
     assert value <= 1.001 * stiffest(B, solver.body.mass, k * lever)
 
 
-def test_planes_of_coarse_meshes_are_carried_beside_their_place(
+def test_planes_of_coarse_meshes_have_carriers_away_from_their_place(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Bars of twelve triangles bend around each other: in a flat face between their vertices the

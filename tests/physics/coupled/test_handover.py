@@ -159,7 +159,7 @@ def test_the_frame_says_what_the_change_of_solver_gave() -> None:
     assert [f.converted.sum() for f in seen] == [f.health.converted for f in seen]
 
 
-def test_what_stays_solid_goes_on_as_it_was() -> None:
+def test_what_stays_solid_continues_as_it_was() -> None:
     """Apart from the body that leaves, as if that had never been in its solver."""
     alone = converting(("rubber", "rubber"), {0: at(99.0)}, frames=6, stress=True)
     left = converting(("rubber", "rubber"), {0: at(2.0)}, frames=6, stress=True)
@@ -197,7 +197,7 @@ def test_bodies_leave_one_by_one_and_a_flow_is_joined(last: str) -> None:
     assert isinstance(run.now, UpdatedLagrangian)
 
 
-def test_a_checkpoint_goes_on_alike_before_and_after() -> None:
+def test_a_checkpoint_continues_identically_before_and_after() -> None:
     def made() -> Converting:
         return converting(("rubber", "rubber"), {0: at(2.0)}, 120, scatter=True, frames=7)
 

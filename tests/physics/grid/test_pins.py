@@ -116,7 +116,7 @@ def test_all_nodes_of_a_body_that_is_wholly_held_are_held() -> None:
     assert partly.pin.tolist() == [-1, -1, -1, 0, 1, -1]
 
 
-def test_a_body_may_be_held_wholly_beside_one_that_is_free() -> None:
+def test_a_body_may_be_pinned_wholly_next_to_a_free_one() -> None:
     free = bar(100)
     far = replace(free, X=free.X + [3.0, 0.0, 0.0])
     both = {
@@ -344,7 +344,7 @@ def core(name: str, low: float, high: float, path: Floats) -> Pin:
 def test_pins_work_against_the_filter_too() -> None:
     """Without damping the filter alone takes energy: what the body gains is less than the work.
 
-    Where a core turns against the other, the filter smooths the motion beside it, and the pins go
+    Where a core turns against the other, the filter smooths the motion next to it, and the pins go
     on.  Substeps of leapfrog are in error by the square of their length: 1e-4 of the work of a
     frame here.
     """

@@ -119,7 +119,7 @@ def test_a_region_at_the_surface_bounces_off_the_floor() -> None:
 
 
 @pytest.mark.slow
-def test_a_region_goes_on_from_what_was_saved() -> None:
+def test_a_region_continues_from_its_saved_state() -> None:
     def made() -> TotalLagrangian:
         body, _, center = bar()
         return TotalLagrangian(

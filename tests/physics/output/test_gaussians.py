@@ -240,7 +240,7 @@ def test_lanes_hold_what_they_are_given_and_begin_where_vectors_do():
         np.testing.assert_array_equal(from_lanes(lanes, count, 3, 3), given)
 
 
-def test_a_particle_does_not_depend_on_those_beside_it():
+def test_a_particle_does_not_depend_on_others_in_its_vector():
     # Some take other sweeps and steps than others, and those inverted or flat take the SVD.
     n = 61
     q, scale = quaternions(n, 11), np.random.default_rng(12).uniform(0.1, 1.0, (n, 3))

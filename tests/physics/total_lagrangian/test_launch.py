@@ -69,7 +69,7 @@ def test_the_rest_grows_while_cores_are_lacking_and_ends_when_they_are_back() ->
     assert machine.sizes[-1] == 2
 
 
-def test_work_beside_it_has_a_core_and_says_nothing_of_the_cores(
+def test_work_in_parallel_has_a_core_and_does_not_change_the_thread_count(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(thread_count, "cores", lambda: 4)

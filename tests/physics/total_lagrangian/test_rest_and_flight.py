@@ -203,7 +203,7 @@ def test_an_obstacle_that_comes_wakes_a_sleeper():
 
 
 @pytest.mark.parametrize("at", [4, 13])
-def test_resumed_in_flight_or_asleep_it_goes_on_to_the_bit(at):
+def test_resumed_in_flight_or_asleep_it_continues_bit_identically(at):
     def made():
         return contact_solver(
             ball(0.0, x=-1.5, path="/Sleeper"), ball(1.0, x=1.5, path="/Faller"), particles=400,

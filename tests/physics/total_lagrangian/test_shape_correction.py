@@ -175,7 +175,7 @@ def test_limits_that_are_not_met_change_nothing():
 
 
 @pytest.mark.slow  # compiles kernels of its own
-def test_what_is_saved_goes_on_to_the_bit():
+def test_what_is_saved_continues_bit_identically():
     def solver():
         return made(
             real=np.float32, wls=True, procrustes=0.02, clamp=(0.2, 5.0), stress_cap=1e5,

@@ -126,7 +126,7 @@ def test_the_step_follows_the_stiffest_moduli(body):
     assert early.body.step.dt == soft.body.step.dt
 
 
-def test_a_bake_goes_on_alike_from_a_checkpoint(body):
+def test_a_bake_continues_identically_from_a_checkpoint(body):
     particles = keyed(body, [1.0, 10.0], [1.0, 4.0])
     whole = solver(particles)
     frames = list(whole.frames())
@@ -249,7 +249,7 @@ def test_what_slides_is_braked_by_the_friction_of_the_moment(obstacle):
 
 
 @pytest.mark.slow
-def test_damping_and_friction_go_on_alike_from_a_checkpoint():
+def test_damping_and_friction_continue_identically_from_a_checkpoint():
     made = elastic(E=1e5, nu=0.3, density=1000.0, friction=0.1, restitution=0.1, damping_time=0.0)
     s = case_settings("cpu", frames=9, floor=0.0, gravity=(5.0, -8.0, 0.0))
     body = with_keys(

@@ -70,7 +70,7 @@ def test_the_two_paths_agree(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_saved_state_goes_on_to_the_bit():
+def test_a_saved_state_continues_bit_identically():
     whole, first, second = (dropped(frames=n) for n in (7, 4, 7))
     list(whole.frames())
     list(first.frames())

@@ -64,7 +64,7 @@ def test_nothing_is_said_where_nothing_is_repeated() -> None:
 
 
 @pytest.mark.parametrize("at", [LEAD + 2 * CYCLE + 3, FIRST + 2])
-def test_it_goes_on_alike(at: int) -> None:
+def test_it_continues_identically(at: int) -> None:
     whole, before = (Period(CYCLE, MOST - 1, FIRST, 1.0, until=True) for _ in range(2))
     seen = run(whole)
     simulated = seen[: seen.index(at) + 1] if at in seen else seen

@@ -32,7 +32,7 @@ def cage_note(path: Path, **options) -> list[str]:
     return [note for note in plan.notes if "is the cage" in note]
 
 
-def test_a_coarse_cage_is_told(cube: Path):
+def test_a_coarse_cage_is_reported(cube: Path):
     (note,) = cage_note(cube)
     assert note.startswith("</Cube> is the cage of a subdivision surface")
     assert "up to 0.866 m (4.3 spacings) away from them" in note, "spacing 2 m / 10"

@@ -46,7 +46,7 @@ def test_each_body_has_the_material_that_it_asks_for(plan) -> None:
     assert [m.law for m in of[1:]] == [DIMENSIONLESS["rubber"].law, DIMENSIONLESS["jelly"].law]
 
 
-def test_one_name_for_all_names_the_look(plan) -> None:
+def test_one_name_for_all_names_the_variant(plan) -> None:
     both = mesh("One", JELLY) + mesh("Two", JELLY, at(3.0))
     assert [m.name for m in plan(both).materials] == ["jelly"]
 
@@ -85,7 +85,7 @@ def test_a_mass_above_is_that_of_all_below_together(plan) -> None:
     assert mass(plan(car), 0) == pytest.approx(80.0)
 
 
-def test_a_stated_density_is_had_by_a_look_with_its_moduli(plan) -> None:
+def test_a_stated_density_applies_to_a_preset_with_its_moduli(plan) -> None:
     seen = plan(cubes("float physics:density = 500", apis=(MASS,)))
     light, other = (
         table(seen)[seen.particles.material[seen.particles.body == k][0]] for k in (0, 1)
@@ -143,7 +143,7 @@ def side(faces: str, bound_to: str) -> str:
     )  # fmt: skip
 
 
-def test_materials_of_subsets_name_the_look(plan) -> None:
+def test_materials_of_subsets_name_the_variant(plan) -> None:
     # All six faces of the cube, or one and five of rubber.
     seen = plan(material(), mesh("One", side("0, 1, 2, 3, 4, 5", "/Soft")))
     assert [m.name for m in seen.materials] == ["Soft"]

@@ -315,7 +315,7 @@ def normals(mesh: UsdGeom.Mesh) -> str:
         value("unset", "faceVarying", [1.0], [0, -1] * 12), normals,
     ],
 )  # fmt: skip
-def test_what_does_not_fit_a_mesh_is_left_out_and_told(tmp_path: Path, misfit, scheme):
+def test_what_does_not_fit_a_mesh_is_left_out_and_reported(tmp_path: Path, misfit, scheme):
     path = tmp_path / "cube.usda"
     stage = stage_of(path)
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Cube"))
@@ -350,7 +350,7 @@ def other(mesh: UsdGeom.Mesh) -> None:
         (other, "another number of points at some time"),
     ],
 )
-def test_a_cage_that_cannot_be_refined_stays_and_is_told(tmp_path: Path, change, why):
+def test_a_cage_that_cannot_be_refined_stays_and_is_reported(tmp_path: Path, change, why):
     path = tmp_path / "cube.usda"
     stage = stage_of(path)
     change(UsdGeom.Mesh(stage.GetPrimAtPath("/Cube")))

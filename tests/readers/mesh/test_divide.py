@@ -176,7 +176,7 @@ def loop(stage: Usd.Stage) -> None:
         (varying, "its topology changes"),
     ],
 )
-def test_a_mesh_that_cannot_be_divided_stays_and_is_told(tmp_path: Path, change, why):
+def test_a_mesh_that_cannot_be_divided_stays_and_is_reported(tmp_path: Path, change, why):
     path = tmp_path / "prism.usda"
     stage = stage_of(path)
     change(stage)

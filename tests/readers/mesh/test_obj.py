@@ -100,7 +100,7 @@ def test_bodies_apart_are_meshes_and_groups_of_one_body_stay_together(obj, tmp_p
     assert any("share points and are read as one mesh" in note for note in notes)
 
 
-def test_lines_that_go_on_comments_and_what_is_left_out(obj):
+def test_continued_lines_comments_and_what_is_left_out(obj):
     path = obj("# a comment\n" + cube_obj().replace("f 1 2 4 3", "f 1 2 \\\n 4 3") + "l 1 2\ns 1\n"
                "v 9 9 9\nf 1 2\ncurv 0 1\n")  # fmt: skip
     source = convert(path)

@@ -92,7 +92,7 @@ def write(folder: Path, selected: str = "hard", **changes: str) -> Path:
     return path
 
 
-def test_the_selected_look_is_read_in_meters(tmp_path):
+def test_the_selected_variant_is_read_in_meters(tmp_path):
     motion = BakedMotion(write(tmp_path))
     recording = motion.recording()
     assert (motion.variants, recording.variant, recording.name) == (
@@ -130,7 +130,7 @@ def test_gaussians_come_with_their_rest_and_their_axes(tmp_path):
     assert frame.measured["stress"] == pytest.approx([700.0])
 
 
-def test_another_look_is_chosen_in_the_session_only(tmp_path):
+def test_another_variant_is_chosen_in_the_session_only(tmp_path):
     path = write(tmp_path)
     before = path.read_bytes()
     soft = BakedMotion(path, "soft")

@@ -62,7 +62,7 @@ def Cube "box" {
 """.replace("SAMPLES", ", ".join(f"{k}: (0, {k}, 0)" for k in range(1, 101)))
 
 
-def test_a_mesh_in_meters_with_the_look_of_each_subset(tmp_path):
+def test_a_mesh_in_meters_with_the_shading_of_each_subset(tmp_path):
     scene = read_scene(write(tmp_path, BOX))
     (mesh,) = scene.meshes
     assert mesh.points.min(axis=0) == pytest.approx((0.0, 1.0, 0.0))
@@ -358,7 +358,7 @@ def test_show_switches_the_display_of_a_bake_and_leaves_the_file_alone(tmp_path)
     assert path.read_bytes() == before
 
 
-def test_gaussians_of_a_bake_are_drawn_beside_obstacles(tmp_path):
+def test_gaussians_of_a_bake_are_drawn_next_to_obstacles(tmp_path):
     """As what flows is shown: its own mesh is hidden, the obstacle's is not."""
     ours = "uniform point3f[] gaussianFlesh:restPositions = [(1, 0, 0), (0, 2, 0)]"
     path = write(tmp_path, BOX + splats(extra=ours))

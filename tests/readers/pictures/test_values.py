@@ -98,7 +98,7 @@ def test_a_sheet_of_particles_is_fitted_within_its_plane():
 
 
 @pytest.mark.parametrize("gradients", [True, False])
-def test_strain_of_particles_and_of_the_mesh_that_rides_on_them(tmp_path, gradients):
+def test_strain_of_particles_and_of_the_mesh_embedded_in_them(tmp_path, gradients):
     path = bake(tmp_path / "box.usda", gradients=gradients)
     for show in ("gaussians", "ellipsoids", "points"):
         source = PictureStage(path, show, color="strain")

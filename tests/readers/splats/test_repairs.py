@@ -16,7 +16,7 @@ from gf_usd.readers.splats.write import ply_bytes
 NAMES = ("positions", "orientations", "scales", "opacities", "harmonics")
 
 
-def test_broken_gaussians_are_left_out_and_told(tmp_path):
+def test_broken_gaussians_are_left_out_and_reported(tmp_path):
     rest = ball(20)
     spoiled = {name: np.array(getattr(rest, name)) for name in NAMES}
     spoiled["positions"][3, 1] = np.nan
@@ -31,7 +31,7 @@ def test_broken_gaussians_are_left_out_and_told(tmp_path):
 
 
 @pytest.mark.parametrize("value", [1e5, -1e30])
-def test_coefficients_that_half_precision_cannot_hold_are_clipped_and_told(tmp_path, value):
+def test_coefficients_that_half_precision_cannot_hold_are_clipped_and_reported(tmp_path, value):
     """The cache writes turned coefficients as halves, which end at 65504."""
     harmonics = np.array(ball(20, degree=1).harmonics)
     harmonics[4, 2, 1] = value
@@ -57,7 +57,7 @@ def test_coefficients_that_half_precision_cannot_hold_are_clipped_and_told(tmp_p
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_what_single_precision_cannot_hold_is_left_out_and_told(tmp_path, column, value, note):
+def test_what_single_precision_cannot_hold_is_left_out_and_reported(tmp_path, column, value, note):
     """USD holds floats, and an extent of three standard deviations around them."""
     data = bytearray(ply_bytes(ball(20)))
     start = data.index(b"end_header\n") + 11

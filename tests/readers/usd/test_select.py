@@ -283,7 +283,7 @@ def test_nothing_to_make_soft_says_what_was_found(read, body, message, hint, cap
     assert capfd.readouterr().err == ""
 
 
-def test_a_missing_reference_beside_a_mesh_is_a_note(write, capfd):
+def test_a_missing_reference_next_to_a_mesh_is_a_note(write, capfd):
     asset = read_asset(write('def Cube "A" {}\ndef Xform "B" (payload = @gone.usda@) {}'))
     assert len(asset.surfaces) == 1
     assert "does not compose" in asset.facts.notes[0]

@@ -65,7 +65,7 @@ def test_a_mesh_that_nothing_moves_is_refused(tmp_path: Path) -> None:
         cache_range(path, ["/World/Block"], read_asset(path).facts)
 
 
-def test_a_skinned_mesh_without_a_skel_root_is_told_so(tmp_path: Path) -> None:
+def test_a_skinned_mesh_without_a_skel_root_is_reported_so(tmp_path: Path) -> None:
     """As where a shot says `def Xform` of the prim at which it references a character."""
     path = written(tmp_path, arm().replace("def SkelRoot", "def Xform"))
     with pytest.raises(

@@ -255,7 +255,7 @@ def test_what_a_bake_writes_is_read_back(tmp_path: Path, name: str) -> None:
             assert made.values[parameter] == pytest.approx(value, rel=REL), parameter
 
 
-def test_newton_is_told_of_flow_in_its_words(tmp_path: Path) -> None:
+def test_newton_gets_the_attributes_of_flow_by_its_own_names(tmp_path: Path) -> None:
     """A stage with Newton's words alone, as it would write them, is the same material."""
     clay = PHYSICAL["modelling-clay"].material(1.0)
     stage = Usd.Stage.CreateInMemory()

@@ -204,6 +204,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert refusal(text) == (" cannot be read as USD", "check it with usdcat or gf-usd check")
 
 
-def test_a_file_is_told_from_a_preset_by_its_suffix() -> None:
+def test_a_file_is_distinguished_from_a_preset_by_its_suffix() -> None:
     assert all(is_material_file(f"a/soft{s}") for s in (".usd", ".usda", ".USDC", ".usdz"))
     assert not any(is_material_file(name) for name in ("rubber", "soft-silicone", "usda", "a.obj"))

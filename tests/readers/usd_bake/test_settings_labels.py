@@ -41,7 +41,7 @@ def test_labels_that_are_not_applied_are_none(subjects):
     assert one.labels == ()
 
 
-def test_bound_materials_of_looks_of_physics_and_from_above(subjects):
+def test_bound_materials_of_shading_of_physics_and_from_above(subjects):
     looks = prim("Material", "Steel") + prim("Material", "Contact")
     part = mesh("Part", bound("/Contact"), apis=["MaterialBindingAPI"])
     body = looks + prim("Xform", "Top", bound("/Steel", ""), part, apis=["MaterialBindingAPI"])

@@ -162,7 +162,7 @@ def test_the_physics_purpose_goes_before_all_purposes_and_above_before_nothing(
     assert path(pond(duck())) == ""
 
 
-def test_a_look_material_has_no_physics(read_physics) -> None:
+def test_a_shading_material_has_no_physics(read_physics) -> None:
     paint = prim("Material", "Paint", "token outputs:surface")
     (body,) = read_physics(paint, duck(bound("/Paint", ""))).bodies
     assert (body.spec.path, body.material) == ("/Paint", None)

@@ -178,7 +178,7 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
     assert f"line {line}" in message
 
 
-def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
+def test_a_function_in_a_class_is_still_distinguished_from_one_in_a_module() -> None:
     taichis = sys.modules["taichi.lang.kernel_impl"]
     levels: list[int] = []
     patterns = tuple(taichis._KERNEL_CLASS_STACKFRAME_STMT_RES)

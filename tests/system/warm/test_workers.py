@@ -69,7 +69,7 @@ def test_events_end_also_where_the_command_never_opened_them(workers: Workers) -
     assert run(workers, "well")[0].status == 0
 
 
-def test_a_crash_is_told_and_harms_no_other(workers: Workers) -> None:
+def test_a_crash_is_reported_and_harms_no_other(workers: Workers) -> None:
     _, one = run(workers, "well")
     crashed, two = run(workers, "kill")
     after, three = run(workers, "well")
@@ -79,7 +79,7 @@ def test_a_crash_is_told_and_harms_no_other(workers: Workers) -> None:
     assert after.status == 0
 
 
-def test_an_error_that_nobody_expected_is_told_with_its_traceback(workers: Workers) -> None:
+def test_an_error_that_nobody_expected_is_reported_with_its_traceback(workers: Workers) -> None:
     ended, _ = run(workers, "raise")
     assert ended.status == 1
     assert "KeyError: 'unforeseen'" in ended.err

@@ -41,7 +41,7 @@ ABOUT = {
 }
 
 
-def test_the_report_beside_the_root_layer_is_read(tmp_path):
+def test_the_report_next_to_the_root_layer_is_read(tmp_path):
     root = tmp_path / "box.rubber.usda"
     assert report_path(root).name == "box.rubber.report.json"
     assert load_report(root) == ({}, "there is no box.rubber.report.json next to the file")
@@ -138,7 +138,7 @@ def test_every_setting_has_words():
     assert {field.name for field in fields(Material)} - {"name", "parameters"} <= set(MATERIAL)
 
 
-def test_warnings_of_this_look_are_taken():
+def test_warnings_of_this_variant_are_taken():
     warning = {"about": "inside-out", "message": "inside out", "hint": "lower it"}
     report = report_of(
         warnings=[

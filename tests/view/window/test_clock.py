@@ -26,7 +26,7 @@ def test_it_plays_in_real_time_and_starts_again():
     assert not clock.tick()
 
 
-def test_it_pauses_steps_and_goes_on_from_there():
+def test_it_pauses_steps_and_continues_from_there():
     now = Now()
     clock = Clock([0.0, 0.1, 0.2], now)
     clock.step(-1)

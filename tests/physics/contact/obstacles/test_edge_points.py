@@ -131,7 +131,7 @@ def test_a_saved_state_has_the_points() -> None:
         health = frame.health
 
 
-def test_points_for_which_there_is_no_room_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_points_beyond_the_capacity_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The deepest have a plane."""
     monkeypatch.setattr(setup, "capacity", lambda *_: 2)
     solver = contact_solver(
@@ -144,7 +144,7 @@ def test_points_for_which_there_is_no_room_are_counted(monkeypatch: pytest.Monke
     assert (solver.pairs._edges.key >= 0).sum() == 2
 
 
-def test_there_is_room_for_the_edges_that_a_body_can_meet() -> None:
+def test_the_capacity_suffices_for_the_edges_that_a_body_can_touch() -> None:
     box = post(0.45, 0.2)
     assert capacity([], 1000, 0.1) == 0
     assert capacity([box], 10_000, 0.1) == 8 + np.ceil(0.5 * 12 * (0.8 + np.sqrt(0.32)) / 0.1)

@@ -61,7 +61,7 @@ def seeds_of(own: SelfContact, x: Floats, n: Floats, close: Ints, i: int) -> Int
 
 
 @pytest.mark.parametrize("left", [0.05, 0.2, -0.05])
-def test_the_closest_place_is_that_of_the_triangles_about_what_is_faced(
+def test_the_closest_place_is_on_a_triangle_at_the_opposite_samples(
     own: SelfContact, left: float
 ) -> None:
     x, close = folded(own, left), near(own)
@@ -95,7 +95,7 @@ def test_the_closest_place_is_that_of_the_triangles_about_what_is_faced(
     assert faced > 20
 
 
-def test_who_sees_something_ahead_is_asked_and_so_is_what_it_sees(own: SelfContact) -> None:
+def test_samples_with_an_opposite_one_ahead_search_and_so_do_these(own: SelfContact) -> None:
     x, close = folded(own, 0.1), near(own)
     every = np.ones(len(x), bool)
     which = own._closest(x, every, ~every, REACH)[1]

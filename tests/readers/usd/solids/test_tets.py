@@ -68,7 +68,7 @@ def test_outside_is_outside_whatever_the_orientation(read, handed: str, mirror: 
     assert not any("reversed" in note for note in asset.facts.notes)
 
 
-def test_all_wound_against_the_orientation_are_turned_round(read) -> None:
+def test_tetrahedra_of_the_opposite_orientation_are_reversed(read) -> None:
     asset = read(tet_mesh('uniform token orientation = "leftHanded"'))
     assert signed_volume(asset.surfaces[0].points, asset.surfaces[0].triangles) == pytest.approx(1)
     assert any("contradicts its orientation" in note for note in asset.facts.notes)
