@@ -205,7 +205,7 @@ class Settings:
     cell: float | None = None  # [m] grid spacing h; None: two strata
     contact_rate: float | None = None  # [1/s^2] contact stiffness per mass; None: by formula
     sampling: str = "strata"  # strata | rejection
-    followers: bool = True  # light nodes follow the others; False: every node is free
+    followers: bool = True  # light nodes are dependent nodes; False: every node is free
     mass: str = CONSISTENT  # tl: consistent | lumped (`physics.grid.mass`)
     deformation_gradients: bool = False  # write F of every particle
     stress: bool = False  # write the von Mises stress of every particle
@@ -459,8 +459,9 @@ class Choices:
 
     @property
     def particles(self) -> bool:
-        """Whether any form of the particles is written, or prims beside them: tetrahedra, and
-        flowing particles in addition to meshes."""
+        """Whether any form of the particles is written, or tetrahedra, or flowing particles in
+        addition to meshes.
+        """
         both = bool({"gaussians", "points"} & set(self.shapes))
         return both or self.tets or bool(self.flowing or self.converting or self.flows)
 

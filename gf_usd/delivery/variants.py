@@ -117,7 +117,7 @@ def read_variants(
             )
         )
         recordings.append(recording)
-        # a USD file also keeps prims beside the bake, such as instancers and curves
+        # a USD file also keeps prims that are not of the bake, such as instancers and curves
         every = [note for note in (*recording.notes, *cloud_notes) if not note.endswith(ONE_SET)]
         mine = [note for note in every if whole or f": {NOT_DRAWN}" not in note]
         notes |= dict.fromkeys(mine)

@@ -295,8 +295,8 @@ class _SheetPatch:
         along = edge - at
         if self._thickness > 0.0:  # the border may be on the other side of a plate
             along -= np.einsum("ni,ni->n", along, normal)[:, None] * normal
-        beside = at + along + np.einsum("ni,ni->n", X - at, normal)[:, None] * normal
-        return np.where(self._own.nearest(X)[:, None], beside, self._edges.nearest(X))
+        shifted = at + along + np.einsum("ni,ni->n", X - at, normal)[:, None] * normal
+        return np.where(self._own.nearest(X)[:, None], shifted, self._edges.nearest(X))
 
 
 def _thickness_at(region: Region, sheet: Surface) -> float:

@@ -3,7 +3,7 @@ shapes.
 
 A variant set acts on its own prim only.  A source with one root prim above its meshes has one.
 Several root prims with meshes have one each, which are switched separately; so has the scope of the
-particles beside a root prim that is itself a mesh.  The display sets are nested because two
+particles next to a root prim that is itself a mesh.  The display sets are nested because two
 independent sets could select nothing visible (none + gaussians).
 """
 

@@ -88,7 +88,7 @@ def plan_of(sources: Sequence[str], arguments: Arguments) -> BatchPlan:
 def _manifest_among(sources: Sequence[str]) -> Path | None:
     """The manifest that is given in place of assets; None: assets are given.
 
-    Raises UsageError for a manifest beside other files.
+    Raises UsageError for a manifest together with other files.
     """
     manifests = [source for source in sources if Path(source).suffix.lower() in SUFFIXES]
     if not manifests:

@@ -2,7 +2,7 @@
 
 Grid nodes in such a mesh, and up to `WIDER` cells around it, are constrained to the joint's motion
 like those of a bone core, and the points of the mesh follow the joint exactly.  Those that are
-apart from the flesh, such as a sword a little beside a hand, are always rigid.
+apart from the flesh, such as a sword next to a hand, are always rigid.
 """
 
 from __future__ import annotations

@@ -73,9 +73,8 @@ class FloorContact:
 
     samples: SurfaceSamples  # without pinned ones
     rows: Rows  # on the free nodes
-    constants: (
-        sparse.csr_matrix | None
-    )  # (n, followers) weights of the followers' constants, with pins
+    # (n, dependent) weights of the constants of dependent nodes; None: there are no pins
+    constants: sparse.csr_matrix | None
     driven: sparse.csr_matrix | None  # the same for prescribed nodes; None: there are none
     # (n + points, nodes) weights of free nodes, and of those of rigid regions
     nodes: sparse.csr_matrix

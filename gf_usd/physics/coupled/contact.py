@@ -164,7 +164,7 @@ class Exchange:
             many = int(np.clip(self._span / dt * (1.0 + 1e-9), 1, substeps))
         span = many * dt
         given = flow.march(span, self._dt)
-        self.full = flow.state.lacks_room
+        self.full = flow.state.grid_overflowed
         self._half = None
         if given is not None and len(at) and not self.full:
             J, L = given

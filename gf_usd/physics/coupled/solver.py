@@ -147,7 +147,7 @@ class Coupled(Solver):
         self.solid.on_launch = self.flow.on_launch = self.on_launch
         before = self.state.save()
         solid = self._frame(index, substeps)
-        while self.exchange.full and self.flow.state.make_room():
+        while self.exchange.full and self.flow.state.extend_grid():
             self.state.load(before)
             solid = self._frame(index, substeps)
         return merged_stats(solid, self.flow.finish(substeps))

@@ -124,7 +124,7 @@ def write_flow(flow: UpdatedLagrangian, bodies: Sequence[tuple[Ints, SolidState]
     if history is not None:
         state.put("history", history)
     state.recenter()
-    state.make_room()
+    state.extend_grid()
 
 
 def conserving_velocities(one: SolidState, m: Floats, h: float) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""Dependent nodes (followers): nodes whose motion is interpolated from free nodes.
+"""Dependent nodes: nodes whose motion is interpolated from free nodes.
 
 Nodes with very little mass and stiffness are not stable as unknowns: they move by hundreds of cells
 (measured) and spoil F of the particles at the surface. Such a light node is an affine fit of the

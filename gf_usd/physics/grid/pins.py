@@ -325,7 +325,7 @@ class PinConstraint:
     def constants(
         self, held: PinnedPoints, X: Floats, mirror: Floats, share: Floats, frame: float
     ) -> Floats:
-        """c (n, 3) [m] of followers at X: g(X), and of ghosts g(X) - e g(X'); 0 if free.
+        """c (n, 3) [m] of dependent nodes at X: g(X), and of ghosts g(X) - e g(X'); 0 if free.
 
         mirror : X' (n, 3) [m]; share : e (n,).
         """

@@ -61,7 +61,8 @@ def bspline(f: Floats) -> tuple[Floats, Floats]:
 class Rows:
     """Rows of W and G for a set of points: x = X + W u, F = I + sum_b (G_b u) e_b.
 
-    u stacks the free nodes' displacement and, where there are pins, the followers' constants c.
+    u stacks the free nodes' displacement and, where there are pins, the constants c of the
+    dependent nodes.
     """
 
     X: Floats  # (n, 3) [m]
@@ -91,9 +92,9 @@ class Stencil:
     cell_nodes: Ints  # (K, 27) nodes of each cell
     fx: Floats  # (N, 3) distance from the base node in cells, in `order`
     node_ijk: Ints  # (M, 3); the free nodes come first
-    mass: Floats  # (free,) [kg] sum_p w_ip m_p, with the contributions of followers
+    mass: Floats  # (free,) [kg] sum_p w_ip m_p, with the contributions of dependent nodes
     node_mass: Floats  # (M,) [kg] sum_p w_ip m_p of every node
-    follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
+    follow: sparse.csr_matrix  # (M - free, free) e: displacement of the dependent nodes
     shift: Floats  # (bodies, 3) [m] that separates the bodies on the grid: they share no node
     node_body: Ints  # (M,) the body of each node
     held: PinnedPoints  # pins of all nodes
@@ -139,8 +140,8 @@ class Stencil:
         return replace(self, follow=rows, factors=None)
 
     def slid(self, u: Floats) -> Floats:
-        """(M - free, 3) contribution of sliding pins to c of followers, for u (free, 3) of the free
-        nodes.
+        """(M - free, 3) contribution of sliding pins to c of dependent nodes, for u (free, 3) of
+        the free nodes.
         """
         assert self.factors is not None
         return (self.factors - 1.0) * (self.follow @ u)
@@ -163,7 +164,8 @@ class Stencil:
         *,
         gradients: bool = True,
     ) -> Rows:
-        """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c.
+        """W and G of any points (n, 3) on the free nodes; with pins, also on c of dependent
+        nodes.
 
         body : (n,) the body of each; None: the first.
         cell_copy : (n,) the cell copy of each, see `Particles.copies`; None: any.
@@ -283,7 +285,7 @@ def base_node(cells: Floats) -> tuple[Ints, Floats]:
 def renumbered(at: Ints, count: int) -> tuple[Ints, Ints]:
     """The numbers (m,) below `count` that occur in `at`, ascending, and `at` by their places.
 
-    Arrays of a few points then need no room, and no time, for the nodes of all bodies.
+    Arrays of a few points then take neither memory nor time for the nodes of all bodies.
     """
     occurs = np.zeros(count, bool)
     occurs[at] = True
@@ -327,8 +329,8 @@ def linear(ijk: Ints, dims: Ints) -> Ints:
 def apart(X: Floats, body: Ints, h: float, corners: Floats) -> Floats:
     """Shifts (bodies, 3) [m], along x, after which no two bodies share a node.
 
-    The distance between bodies is then beyond the reach of a fit for followers, and the corners
-    (bodies, 3) [m] of their cells are whole cells from the first one's.
+    The distance between bodies is then beyond the reach of a fit for dependent nodes, and the
+    corners (bodies, 3) [m] of their cells are whole cells from the first one's.
     """
     count = int(body.max()) + 1
     if count == 1:

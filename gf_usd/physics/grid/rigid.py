@@ -42,7 +42,7 @@ class RigidRegions:
     """The rigid regions of a body."""
 
     names: tuple[str, ...]
-    nodes: tuple[Ints, ...]  # followers of each region, counted from the first follower
+    nodes: tuple[Ints, ...]  # dependent nodes of each region, counted from the first dependent node
     mass: Floats  # (R,) [kg]
     center: Floats  # (R, 3) [m] at rest
     axes: Floats  # (R, 3, 3) principal axes, in columns
@@ -54,7 +54,7 @@ class RigidRegions:
         return len(self.names)
 
     def arrays(self, velocity: Floats) -> dict[str, Floats]:
-        """The arrays of the kernels; velocity : (followers, 3) [m/s] at the start."""
+        """The arrays of the kernels; velocity : (dependent, 3) [m/s] at the start."""
         from scipy.spatial.transform import Rotation
 
         rows, nodes = np.zeros((self.count, ROW)), []
@@ -78,15 +78,15 @@ class RigidRegions:
             "rigid_nodes": np.concatenate([first, *self.nodes]),
         }
 
-    def spread(self, motion: Floats, followers: int) -> Floats:
-        """c (followers, 3) for small motions (2 R, 3): V and omega of each region."""
-        out = np.zeros((followers, 3))
+    def spread(self, motion: Floats, dependent: int) -> Floats:
+        """c (dependent, 3) for small motions (2 R, 3): V and omega of each region."""
+        out = np.zeros((dependent, 3))
         for k, (of, arms) in enumerate(zip(self.nodes, self.arms)):
             out[of] = motion[2 * k] + np.cross(motion[2 * k + 1], arms)
         return out
 
     def gathered(self, f: Floats) -> Floats:
-        """F and T (2 R, 3) of forces (followers, 3): the transpose of `spread`."""
+        """F and T (2 R, 3) of forces (dependent, 3): the transpose of `spread`."""
         return np.concatenate(
             [
                 np.stack([f[of].sum(0), np.cross(arms, f[of]).sum(0)])
@@ -128,7 +128,7 @@ class RigidMotion:
         )  # fmt: skip
 
     def constants(self, regions: RigidRegions, into: Floats, rate: Floats) -> None:
-        """Write c [m] and its rate [m/s] of the regions' nodes to arrays (followers, 3)."""
+        """Write c [m] and its rate [m/s] of the regions' nodes to arrays (dependent, 3)."""
         for k, (of, arms) in enumerate(zip(regions.nodes, regions.arms)):
             arm = arms @ regions.axes[k] @ self.turn[k].T
             into[of] = (self.x[k] - regions.center[k]) + (arm - arms)

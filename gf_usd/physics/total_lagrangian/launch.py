@@ -97,8 +97,8 @@ class Launches:
 
     def _blocks(self, counts: tuple[int, ...]) -> int:
         """Number of thread blocks for these item counts: a barrier is faster with fewer blocks."""
-        groups, free, followers, active = counts
-        most = max(LANES * groups, free + followers, active)
+        groups, free, dependent, active = counts
+        most = max(LANES * groups, free + dependent, active)
         return min(self._body.kernels.held, -(-most // BLOCK))
 
     def _launch_resident(

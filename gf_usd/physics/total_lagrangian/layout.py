@@ -138,7 +138,7 @@ def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
     return start, material_parts.ravel()[order]
 
 
-# Layout of a follower in `anchor`: c, its rate, and the work of its pin.
+# Layout of a dependent node in `anchor`: c, its rate, and the work of its pin.
 ANCHOR, PIN_RATE, PIN_WORK = 7, 3, 6
 MASS, GROUND, INVERSE = 3, 1, 2  # stride of `node_mass`, and the indices of two of its values
 
@@ -146,8 +146,8 @@ MASS, GROUND, INVERSE = 3, 1, 2  # stride of `node_mass`, and the indices of two
 def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
     """Couplings between nodes as sparse rows (never empty), and nodal masses.
 
-    A row of `follow` is of a node: for a free node its springs of the mass matrix, for a follower
-    the free nodes it depends on. `share` is a node's contribution to others within a stage;
+    A row of `follow` is of a node: for a free node its springs of the mass matrix, for a dependent
+    node the free nodes it depends on. `share` is a node's contribution to others within a stage;
     `node_mass` has sum w m, the spring to the ground, and 1 / M.
     """
     up = stencil.follow.T.tocsr()
@@ -174,7 +174,7 @@ def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
 
 def sliding_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
     """Values per axis, for a body with sliding pins: for nodes the ground springs or the factors of
-    followers; for the springs of the mass matrix their strengths, in the order of `follow`.
+    dependent nodes; for the springs of the mass matrix their strengths, in the order of `follow`.
     """
     if stencil.factors is None:
         return {"slide": np.zeros(1), "springs": np.zeros(1)}

@@ -174,7 +174,7 @@ class Settling:
         of = np.zeros(n, int) if of is None else of
         of = np.append(of, of[np.maximum(partner[n:], 0)])
         # Not PLACE, which is relative to the offset during the frame: the first of the samples that
-        # carry the plane of a point is beside it.
+        # carry the plane of a point is next to it.
         place = state.view().samples
         place = np.append(place, place[np.maximum(partner[n:], 0)], axis=0)
         out = {}

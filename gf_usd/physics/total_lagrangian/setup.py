@@ -555,7 +555,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
     height = np.zeros(1)
     if contact:
         height = contact.rows.X @ body.settings.normal - floor_height(body.settings)
-    followers = max(1, stencil.node_count - stencil.free_count)
+    dependent = max(1, stencil.node_count - stencil.free_count)
     return {
         "fx": layout.lanes(batches, body.rows.fx, fill=True),
         "V0": layout.lanes(batches, per["V0"]),
@@ -566,7 +566,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
         "acceleration": acceleration.ravel(),
-        "anchor": np.zeros(layout.ANCHOR * followers),
+        "anchor": np.zeros(layout.ANCHOR * dependent),
         "goal": np.zeros(GOAL * stencil.free_count if body.goals else 1),
         **batches.arrays(stencil),
         **layout.node_arrays(stencil, body.mass),

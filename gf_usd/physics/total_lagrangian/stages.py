@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 # The entity of which a part processes one item each.
-FREE, FOLLOWERS, NODES, GROUPS, SAMPLES = "free", "followers", "nodes", "groups", "samples"
+FREE, DEPENDENT, NODES, GROUPS, SAMPLES = "free", "dependent", "nodes", "groups", "samples"
 REGIONS = "regions"  # rigid ones
 PAIRED = "paired"  # samples of contact pairs, with a body or an obstacle
 
@@ -34,7 +34,7 @@ GROUP_GRAIN = 4
 # Parts that share one implementation: with another drift time, or with the filter's momenta instead
 # of forces.
 SAME = {
-    "filtered followers": "follow", "loss": "share",
+    "filtered dependent nodes": "follow", "loss": "share",
     "filter lumped": "move lumped", "filter": "move",
 }  # fmt: skip
 
@@ -102,18 +102,18 @@ def stages(
 
     return (
         stage(("open", FREE), *regions("open"), when=OPENING),
-        stage(("open followers", FOLLOWERS), when=OPENING),
+        stage(("open dependent nodes", DEPENDENT), when=OPENING),
         stage(("momentum", GROUPS), when=FILTERING),
         *gathered,
-        stage(("loss", FOLLOWERS), when=FILTERING),
+        stage(("loss", DEPENDENT), when=FILTERING),
         *lost,
         stage(("filter", FREE), *regions("filter"), when=FILTERING),
-        stage(("filtered followers", FOLLOWERS), when=FILTERING),
+        stage(("filtered dependent nodes", DEPENDENT), when=FILTERING),
         stage(("stress", GROUPS), *motion, ("contact", SAMPLES)),
         *summed,
-        stage(("share", FOLLOWERS), *pairs),
+        stage(("share", DEPENDENT), *pairs),
         *totals,
         *pushed,
         stage(("move", FREE), *regions("move")),
-        stage(("follow", FOLLOWERS)),
+        stage(("follow", DEPENDENT)),
     )

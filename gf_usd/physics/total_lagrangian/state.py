@@ -330,7 +330,7 @@ class StateView:
 
     @property
     def constants(self) -> tuple[Floats, Floats]:
-        """c (followers, 3) [m] of held nodes, and its rate [m/s]; only of a body with pins."""
+        """c (dependent, 3) [m] of held nodes, and its rate [m/s]; only of a body with pins."""
         nodes = self._body.stencil
         count = nodes.node_count - nodes.free_count  # the kernels' arrays have at least one element
         rows = self._given[2].astype(float).reshape(-1, ANCHOR)[:count]
@@ -344,7 +344,7 @@ class StateView:
 
     @cached_property
     def nodes(self) -> tuple[Floats, Floats]:
-        """u and v as stacked by `Rows`: with pins, followed by the constants of the followers."""
+        """u and v as stacked by `Rows`: with pins, the constants of dependent nodes come last."""
         if self._body.pin_constraint is None:
             return self.u, self.v
         c, rate = self.constants

@@ -250,13 +250,13 @@ class FlowPlanes:
             u = v[rows] - self._moving(x)[1]
             hold = TRAVEL * self._spacing / float((np.linalg.norm(u, axis=1) + fall).max())
         far = np.flatnonzero(self.face == NOTHING)
-        room = max(self.reach - self._spacing, self._spacing)
+        margin = max(self.reach - self._spacing, self._spacing)
         endless = max((o.speed(frame) for o in self._obstacles if o.endless), default=None)
         if endless is not None and len(far):
-            hold = min(hold, room / max(float(speed[far].max()) + endless + fall, 1e-30))
+            hold = min(hold, margin / max(float(speed[far].max()) + endless + fall, 1e-30))
         for low, high, fastest in boxes if len(far) else ():
             apart = np.linalg.norm(np.maximum(np.maximum(low - x[far], x[far] - high), 0.0), axis=1)
-            way = np.maximum(apart - self._spacing, room)
+            way = np.maximum(apart - self._spacing, margin)
             hold = min(hold, float((way / np.maximum(speed[far] + fastest + fall, 1e-30)).min()))
         return hold
 

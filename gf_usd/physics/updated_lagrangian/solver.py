@@ -139,7 +139,7 @@ class UpdatedLagrangian(Solver):
         """Advance by a frame, to frame `index`."""
         state = self.state
         before = state.save()
-        while not self._frame(index, substeps) and state.make_room():
+        while not self._frame(index, substeps) and state.extend_grid():
             state.load(before)
         return self.finish(substeps)
 
@@ -149,15 +149,15 @@ class UpdatedLagrangian(Solver):
         self.begin(index)
         if planes is None:
             self.march(self.frame_time, dt)
-            return not self.state.lacks_room
+            return not self.state.grid_overflowed
         done = 0
-        while done < substeps and not self.state.lacks_room:
+        while done < substeps and not self.state.grid_overflowed:
             span = (substeps - done) * dt
             hold = self.detect(index - 1 + done / substeps, span)
             chunk = int(np.clip(hold / dt, 1, substeps - done))
             self.march(chunk * dt, dt)
             done += chunk
-        return not self.state.lacks_room
+        return not self.state.grid_overflowed
 
     def begin(self, index: int) -> None:
         """Begin the interval that ends at frame `index`."""

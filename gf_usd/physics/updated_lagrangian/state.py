@@ -41,7 +41,7 @@ class State(DeviceState):
         self._single = body.embedding is not None and body.embedding.single
         self.node_capacity = self.cell_capacity = 0
         self._most_nodes = max(LARGEST_GRID, 64 * self._occupied()[1])
-        self.make_room()
+        self.extend_grid()
         # one value per particle, written by kernels
         self.value = ti.ndarray(ti.f64 if body.real is np.float64 else ti.f32, len(body.m))
 
@@ -54,7 +54,7 @@ class State(DeviceState):
             nodes = np.unique(np.concatenate([nodes, nodes + step, nodes + 2 * step]))
         return len(cells), len(nodes)
 
-    def make_room(self) -> bool:
+    def extend_grid(self) -> bool:
         """Allocate arrays for more cells than are in use; False where these would be too large."""
         cells, nodes = (int(SPARE * n) for n in self._occupied())
         nodes = 1 << (nodes + 27 * 2 * FEW).bit_length()
@@ -72,7 +72,7 @@ class State(DeviceState):
         return True
 
     @property
-    def lacks_room(self) -> bool:
+    def grid_overflowed(self) -> bool:
         """Whether the last launch ended because the grid's arrays were too small."""
         return self.get("grid")[FAULT] == OVERFLOW
 

@@ -72,7 +72,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
     Raises UsageError for options that flowing bodies do not support.
     """
     names, paths = ", ".join(flow.names), listed(flow.paths)
-    beside = (
+    mixed = (
         f"{paths}: flows without limit ({names}; Updated Lagrangian solver, with contact at every"
         f" particle); the other bodies are solid (Total Lagrangian solver); the flowing meshes are"
         f" hidden, and "
@@ -80,7 +80,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
         + " shown with the other meshes"
     )
     if flow.later and request.solver is None:
-        return replace(request, solver=MIXED), (beside,) if flow.paths else ()
+        return replace(request, solver=MIXED), (mixed,) if flow.paths else ()
     if not flow.paths:
         return request, ()
     if request.solver == "tl":
@@ -96,7 +96,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
                     f" {paths} ({names})",
                     f"leave {option} out, or bake the bodies separately with --prim",
                 )
-        return replace(request, solver=MIXED), (beside,)
+        return replace(request, solver=MIXED), (mixed,)
     if flow.some:
         return request, (f"{paths}: flows without limit ({names}); all is one body (--solver ul)",)
     if request.only is None and not request.surface:

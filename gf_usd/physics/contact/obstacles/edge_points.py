@@ -1,14 +1,15 @@
 """Contact of edges and corners of obstacles with bodies, at points of the obstacles.
 
-Contact samples of a body are a spacing apart, and an edge or a corner could come in between them. A
+Contact samples of a body are a spacing apart, and an edge or a corner could pass between them. A
 point of a convex edge or corner (`sharp`) near a body is therefore a contact sample of its own,
-which the obstacle moves, in front of a plane of the body: the kernels treat it as any other sample
-(`kernels.pair_contact`), with the stiffness of the surface that it presses, but no node feels the
-force on it.
+which moves with the obstacle and whose plane belongs to the body. The kernels treat it as any other
+sample (`kernels.pair_contact`), with the stiffness of the surface that it presses on, but its force
+acts on no node.
 
-There are places for a limited number of points. Points that are nearer to each other than APART are
-thinned, those in contact come first, and then the deepest. A point for which nothing is found any
-more, as beyond the side of a body, keeps its plane while it is not to the side of it.
+The arrays have places for a limited number of points. Of points that are nearer to each other than
+APART one is kept; points in contact come first, then the deepest. A point for which the search no
+longer finds a place, for example beyond the side of a body, keeps its plane until it has left the
+plane sideways by STAY.
 """
 
 from __future__ import annotations
@@ -75,11 +76,11 @@ class EdgePoints:
         self._search = EdgeSearch(obstacles, features, rest, spacing)
         self.key = np.full(count, -1)  # (m,) of the point at each place; -1: none
         self.x, self.v = np.zeros((count, 3)), np.zeros((count, 3))  # [m], [m/s] at a detection
-        # (m,) [m] <= 0: depth, negative, in the body that it faces at the start
+        # (m,) [m] <= 0: depth, negative, in the opposite body at the start
         self.sunk = np.zeros(count)
         self._held = np.zeros(count, bool)  # places whose points are in contact
         self._found: list[EdgeContacts] = []  # of the present detection
-        self.left_out = 0  # points in bodies that there was no place for at the last detection
+        self.left_out = 0  # points in bodies without a place at the last detection
 
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
@@ -131,7 +132,7 @@ class EdgePoints:
         self, search: ContactSearch, which: int, samples: Mapping[int, Ints],
         near: Callable[[int], Near], before: ContactPlanes, gap: Floats, frame: float, ahead: float,
     ) -> None:  # fmt: skip
-        """Find the points of one obstacle that bodies face.  A call of `offer` must follow.
+        """Find the points of one obstacle in contact with bodies.  A call of `offer` must follow.
 
         samples : by body, those within ABOUT of the obstacle; before, gap : planes and gaps
         (n + m,) [m] of the last detection; near : of each body, and frame, ahead : see
@@ -140,13 +141,13 @@ class EdgePoints:
         about = [search.x[some] for some in samples.values()]
         for body, found in zip(samples, self._search.near(about, which, frame)):
             if len(found[0]):
-                self._face(body, which, found, near(body), before, gap, frame, ahead)
+                self._note_contacts(body, which, found, near(body), before, gap, frame, ahead)
 
-    def _face(
+    def _note_contacts(
         self, body: int, which: int, found: tuple[Ints, SharpPoints, Floats], near: Near,
         before: ContactPlanes, gap: Floats, frame: float, ahead: float,
     ) -> None:  # fmt: skip
-        """Note those of the points found that a body faces."""
+        """Note those of the points found that are in contact with a body."""
         place = self._places(found[0])
         row = np.where(place >= 0, self._first + place, 0)
         inside = (place >= 0) & (gap[row] < 0.0) & (before.partner[row] >= 0)

@@ -1,9 +1,10 @@
-"""Points of edges and corners of obstacles that are near bodies, and the places that they face.
+"""Points of edges and corners of obstacles that are near bodies, and the opposite places there.
 
-The body's surface faces the obstacle there. A force on an edge has no component along it: the
-normal at a point of an edge is the body's without that component, and a surface that looks along
-the edge is not in contact with it. The nearest place of a thin body is on its other side once a
-point is past its middle: such a point is searched from further back.
+The body's normal is opposite to the direction into the obstacle. A force on an edge has no
+component along it: the normal at a point of an edge is the body's without that component, and a
+surface whose normal is along the edge is not in contact with it. Once a point has passed the middle
+of a thin body, the nearest place is on the other side of the body: the search for such a point
+begins further back.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ Near = Callable[[Floats, Floats], tuple[Closest, Floats]]
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeContacts:
-    """k points of obstacles, and the places of bodies that they face."""
+    """k points of obstacles, and the opposite places of bodies."""
 
     key: Ints  # (k,) number of the point among those of all obstacles
     obstacle: Ints  # (k,)
@@ -76,7 +77,9 @@ class EdgeSearch:
         self._obstacles, self._features = obstacles, features
         self._rest, self._spacing = rest, spacing
         self._start: dict[tuple[int, int], tuple[Ints, Floats]] = {}  # keys, and `sunk`
-        self._all: dict[int, tuple[SharpPoints, Floats]] = {}  # points of what does not move
+        self._all: dict[
+            int, tuple[SharpPoints, Floats]
+        ] = {}  # points of obstacles that do not move
 
     def near(
         self, about: Sequence[Floats], which: int, frame: float

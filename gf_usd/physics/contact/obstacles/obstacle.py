@@ -12,7 +12,7 @@ from gf_usd.core.stage import Collider
 from gf_usd.physics.contact.distance.closest import Closest, above_plane
 from gf_usd.physics.contact.distance.tree import SurfaceTree
 
-KEPT = 4  # frames: a detection asks for the positions at a few, each some ten times
+KEPT = 4  # frames: a detection uses the positions at a few frames, some ten times each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +34,12 @@ class Obstacle:
         self.frame_time = frame_time
         self.endless = collider.shape == "plane"
         frames = [collider.positions(f) for f in range(collider.frames)]
-        self._positions: dict[float, Floats] = {}  # of the frames asked for at last
+        self._positions: dict[float, Floats] = {}  # of the frames last requested
         self._low = np.min([p.min(0) for p in frames], axis=0)
         self._high = np.max([p.max(0) for p in frames], axis=0)
         self._tree: SurfaceTree | None = None  # built on first use
         self._fitted: Floats | None = None  # the positions that it was last fitted to
-        self._near = np.zeros(0, np.int64)  # triangles that numbered points were near, see `planes`
+        self._near = np.zeros(0, np.int64)  # triangle near which each numbered point was found last
 
     @property
     def box(self) -> tuple[Floats, Floats]:

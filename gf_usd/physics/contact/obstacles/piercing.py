@@ -1,11 +1,12 @@
 """How deep edges and corners of obstacles are in bodies, or through them.
 
-Contact at points of obstacles (`edge_points`) holds bodies up, but a spike may go through a thin
-one. From a point of a convex edge or corner a line goes inward to the middle of the obstacle. The
-last place where it leaves the body is as far behind the point as the body would have to be moved,
-also where the point has come out of a thin body on the other side. Where it does not leave it, the
-distance to the surface counts. The line advances by the distance to the surface (sphere tracing;
-Hart 1996). What was so at the start does not count.
+Contact at points of obstacles (`edge_points`) supports bodies, but a spike may pierce a thin one.
+From each point of a convex edge or corner a line is traced inward to the middle of the obstacle.
+The depth is the distance from the point to the last place where the line leaves the body, the
+distance by which the body would have to be moved. It is defined also where the point has come out
+of a thin body on the other side. If the line does not leave the body, the depth is the distance
+from the point to the surface. The line advances by the distance to the surface (sphere tracing;
+Hart 1996). Depths at the start are subtracted.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Pierced:
     depth: float = 0.0  # [m]
     body: int = -1
     obstacle: int = -1
-    through: bool = False  # it has come out of the body, so that it is seen
+    through: bool = False  # it has come out of the body, and so is visible
 
     @property
     def weight(self) -> float:
@@ -65,7 +66,7 @@ class Piercing:
         self._last_frame = last
         self._obstacles, self._members = obstacles, members
         self._spacing, self._rest, self._setup = spacing, rest, setup
-        self._features: dict[int, SharpFeatures] = {}  # of obstacles that bodies came near
+        self._features: dict[int, SharpFeatures] = {}  # of obstacles near bodies
         self._start: dict[tuple[int, int], tuple[Ints, Floats]] = {}  # keys and depths [m] there
         self._known: dict[
             int, tuple[Ints, Floats]

@@ -49,8 +49,8 @@ class ContactPlanes:
         return bool((self.partner != NOBODY).any())
 
     def bodies(self, of: Ints) -> Ints:
-        """The body of each sample; of a point of an obstacle, behind the samples, the one that it
-        faces, -1: none.
+        """The body of each sample, and of each point of an obstacle, after the samples, the body
+        that it is in contact with; -1: none.
 
         of : (n,) the bodies of the samples.
         """

@@ -35,8 +35,8 @@ class EnergyBudget:
 
     The power is bounded for each pair.  Along a curved surface it is needed at every detection,
     since samples that follow their planes are found deeper than before.  In the contact of a body
-    with itself the energy is bounded in all, too: a sample between two sheets, whose plane changes
-    sides at every detection, would be given it for ever.
+    with itself the total energy is bounded, too: a sample between two sheets, whose plane changes
+    sides at every detection, would gain energy without limit.
 
     power : [W] for each pair; own : (B,) numbers of the pairs of a body with itself; reserve : (B,)
     [J] for each of these.
@@ -48,7 +48,7 @@ class EnergyBudget:
 
     @classmethod
     def of_mass(cls, mass: float, radius: float, g: float) -> EnergyBudget:
-        """For bodies that do not meet themselves.
+        """For bodies without self-contact.
 
         mass : [kg], radius : [m] of all together; g : [m/s^2] gravity.
         """
@@ -56,7 +56,7 @@ class EnergyBudget:
         return cls(power, np.zeros(0, np.int64), np.zeros(0))
 
     def with_own(self, own: Ints, mass: Floats, volume: Floats, g: float) -> EnergyBudget:
-        """The same for bodies that meet themselves, of masses [kg] and volumes [m^3] (B,)."""
+        """The same for bodies with self-contact, of masses [kg] and volumes [m^3] (B,)."""
         radius = (3.0 * volume / (4.0 * np.pi)) ** (1.0 / 3.0)
         return EnergyBudget(self._power, own, RESERVE * mass * g * radius)
 

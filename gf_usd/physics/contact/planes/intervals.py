@@ -28,13 +28,14 @@ def until_contact(planes: ContactPlanes, gap: Floats, v: Floats, growth: float) 
 
 
 def until_stopped(height: Floats, closing: Floats, pull: float, distance: float) -> float:
-    """[s] until what moves with one of these samples has moved on by a distance [m] after a stop.
+    """[s] until a body that moves with one of these samples has moved by a distance [m] since the
+    sample was stopped.
 
-    A floor stops a part of a body at once, and what moves along with it and has no velocity
-    relative to it goes on.
+    A floor stops a sample at once, while a body in contact that had no velocity relative to the
+    sample moves on: their relative velocity at the detection does not show that it will approach.
 
-    height : (n,) [m] above what stops the samples; closing : (n,) [m/s] at which they come nearer;
-    pull : [m/s^2] at which they may gain speed until then.
+    height : (n,) [m] of the samples above the surface that stops them; closing : (n,) [m/s] of
+    their approach to it; pull : [m/s^2] bound of their acceleration until then.
     """
     above, speed = np.maximum(height, 0.0), np.maximum(closing, 0.0)
     landing = np.sqrt(speed * speed + 2.0 * pull * above)  # [m/s]
@@ -49,8 +50,8 @@ def until_slid(planes: ContactPlanes, distance: Floats, v: Floats) -> float:
     return float((distance[rows] / np.maximum(speed, 1e-30)).min(initial=np.inf))
 
 
-LATE = 1.125  # times its way that what is not yet seen may go: `narrow_phase` then still takes it
-SOONEST = 0.25  # of the time between two detections, the least that a repetition may take instead
+LATE = 1.125  # of the time that a detection held, up to which the next one is not late
+SOONEST = 0.25  # least interval of detections in a repetition, relative to the first attempt
 REPEATS = 3  # of a frame
 
 
@@ -81,8 +82,8 @@ class Lateness:
         return self._repeats > 0
 
     def note(self, time: float, took: float, held: float, dt: float) -> None:
-        """A detection at a time [s] was the last for `took` [s], and by the way that the bodies
-        went in it, it held for `held` [s].
+        """A detection at a time [s] was the last for `took` [s], and by the motion of the bodies
+        since then it held for `held` [s].
 
         dt : [s] of a substep; detections are no sooner.
         """

@@ -1,20 +1,20 @@
 """Persistence: bodies from whose samples a detection need not search again.
 
-Bodies that rest on each other face the same places for many frames. The planes of all samples of a
-body are kept if, from the search that found them until the next detection,
+Bodies that rest on each other are in contact at the same places for many frames. The planes of all
+samples of a body are kept if, from the search that found them until the next detection,
 
-- no sample moves along its plane by more than `CREEP`, or `RISE` of its height above it: beside an
-  edge or a corner a plane is tilted, and a body that slid on would run into it as into a wall,
-- what is near has not approached by more than `APPROACH`, and cannot come within reach of a sample
-  that did not face it: the difference of the mean motions of two bodies, and the motions of their
-  samples relative to these means, add up to no more than the reach,
-- nothing comes near that was not, and no obstacle that was near has moved or will,
-- the body is not deformed by more than `DEFORMED`, and the time has not passed within which it
-  cannot come near itself.
+- no sample moves along its plane by more than `CREEP`, or `RISE` of its height above it: next to an
+  edge or a corner a plane is tilted, and would stop a body that slides on like a wall,
+- no body or obstacle nearby has approached by more than `APPROACH`, or can come within reach of a
+  sample that is not in contact with it: the difference of the mean motions of two bodies, and the
+  motions of their samples relative to these means, add up to no more than the reach,
+- no other body or obstacle comes near, and no obstacle that was near has moved or will move,
+- the body is not deformed by more than `DEFORMED`, and it cannot come near itself before the next
+  detection.
 
 The motion until now is known; that until the next detection follows from the present speeds, as do
 the intervals between detections. Planes that are still shifted from the true surface, to conserve
-the energy of the springs (`continuity`), are found anew at every detection, which reduces the
+the energy of the springs (`continuity`), are searched again at every detection, which reduces the
 shift.
 """
 
@@ -31,8 +31,8 @@ from gf_usd.physics.contact.broad_phase import Boxes
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 
 CREEP = 0.02  # [spacings] largest motion of a sample along a kept plane that it touches
-RISE = 0.25  # of its height above the plane, by which one that does not may move besides
-APPROACH = 0.5  # [spacings] largest motion of what is near
+RISE = 0.25  # of its height above the plane: additional motion of a sample that does not touch it
+APPROACH = 0.5  # [spacings] largest approach of a body or obstacle nearby
 DEFORMED = 0.5  # [spacings] largest motion of a sample relative to the mean of its body
 SHIFTED = 0.05  # [spacings] largest shift of a kept plane from the true surface
 
@@ -44,7 +44,7 @@ SAVED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Outlook:
-    """What moves from a detection until the next one."""
+    """The motion from a detection until the next one, as expected at the detection."""
 
     x: Floats  # (n + m, 3) [m] of samples and points of obstacles
     v: Floats  # (n + m, 3) [m/s]
@@ -57,7 +57,7 @@ class Outlook:
     span: float  # [s] until the next one, at most
 
     @property
-    def beside_moving(self) -> Ints:
+    def near_moving(self) -> Ints:
         """(B,) bodies that are near an obstacle that moves."""
         return np.asarray((self.near[:, : len(self.moving)] & self.moving).any(1))
 
@@ -85,7 +85,7 @@ class Persistence:
     """What the last search from each of B bodies found.
 
     members : the samples of each; obstacles : their number O; X : (n, 3) [m] of the samples at
-    rest, and of m points of obstacles; reach : [m] from where something is faced.
+    rest, and of m points of obstacles; reach : [m] within which contact is searched.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Persistence:
     def kept(self, planes: ContactPlanes, now: Outlook) -> Ints:
         """(B,) bodies whose planes may be kept until the next detection."""
         kept = self.valid & (self.own_until >= now.time + now.span)
-        kept &= ~(now.near & ~self.near).any(1) & ~now.beside_moving
+        kept &= ~(now.near & ~self.near).any(1) & ~now.near_moving
         own = self.way - self.path.diagonal()
         kept &= own + now.span * now.spread <= DEFORMED * self._spacing
         if kept.any():
@@ -232,4 +232,4 @@ class Persistence:
         self.mean[bodies], self.path[bodies] = self._samples.means(now.x), self.way
         self.own_until[bodies] = own_until[bodies]
         shifted = np.bincount(of[shift > SHIFTED * self._spacing], minlength=len(self.way))
-        self.valid[bodies] = ((shifted == 0) & ~now.beside_moving)[bodies]
+        self.valid[bodies] = ((shifted == 0) & ~now.near_moving)[bodies]

@@ -20,16 +20,16 @@ from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.self_contact.search import SelfContact
 
 # [spacings] offset in front of another body: as much as springs yield under what rests on them, so
-# that surfaces that are pressed together do not stand in each other.
+# that surfaces that are pressed together do not overlap.
 APART = 0.15
 
 
 class RestGaps:
-    """Offsets of contact samples from what they face; each is computed when it is first needed.
+    """Offsets of contact samples from opposite surfaces, each computed when it is first needed.
 
-    X : (n, 3) [m] samples at rest; body : (n,) the body of each; reach : [m] from where something
-    is faced; lift : (3,) [m] from rest to where the simulation begins; edges : points of obstacles,
-    which know their offsets.
+    X : (n, 3) [m] samples at rest; body : (n,) the body of each; reach : [m] within
+    which contact is searched; lift : (3,) [m] from rest to the initial position; edges : points of
+    obstacles, which have offsets of their own.
     """
 
     def __init__(
@@ -58,11 +58,11 @@ class RestGaps:
         self._last: tuple[Ints, Floats] | None = None  # partners, and their offsets
 
     def of_planes(self, planes: ContactPlanes) -> Floats:
-        """(n + m,) [m] offset of each sample and point of an obstacle from the plane it faces; 0
-        where it faces nothing.
+        """(n + m,) [m] offset of each sample and point of an obstacle from its plane; 0 where it
+        has none.
         """
         partner, obstacle = planes.partner, planes.obstacle[: len(self._body)]
-        # Planes that move on keep what they face, and this array of it.
+        # Planes that only move keep their partners, and this array of them.
         if self._last is not None and self._last[0] is partner:
             return self._last[1]
         out = np.zeros(len(partner))
@@ -78,7 +78,7 @@ class RestGaps:
         return out
 
     def forget_planes(self) -> None:
-        """Planes were changed in place: what they face is to be read again."""
+        """Planes were changed in place: their partners are read again."""
         self._last = None
 
     def from_bodies(self, rows: Ints, others: Ints) -> Floats:
@@ -108,7 +108,7 @@ class RestGaps:
     def from_obstacle(self, which: int) -> Floats:
         """(n,) [m] <= 0: depth, negative, of samples that are inside an obstacle at the start.
 
-        A spring that begins deep would throw out what the asset has there.
+        A spring that begins deep would expel what the asset has there.
         """
         if which not in self._from_obstacle:
             seen = self._obstacles[which].planes(self._X + self._lift, self._reach, 0.0, 0.0).seen

@@ -22,7 +22,7 @@ class OwnContacts:
     """Contact of each of some bodies with itself.
 
     bodies : by number; members : the samples of each of all B bodies; count : n of all samples;
-    reach : [m] from where something is faced; spacing : [m].
+    reach : [m] within which contact is searched; spacing : [m].
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class OwnContacts:
     ) -> None:  # fmt: skip
         self._bodies, self._members = bodies, members
         self._reach, self._spacing = reach, spacing
-        # (n,) [m] of the last detection, whatever else a sample faced
+        # (n,) [m] of the last detection, also of samples whose plane belongs to another body
         self.gap = np.full(count, reach)
         # (B,) [s] time until which a body cannot come near itself
         self.until = np.full(len(members), np.inf)
@@ -41,7 +41,7 @@ class OwnContacts:
         self._searched = np.zeros((count, 3))
 
     def forget(self, rows: Ints) -> None:
-        """Nothing is near samples `rows` (k,)."""
+        """Set the gaps of samples `rows` (k,) to the reach: nothing is near them."""
         self.gap[rows] = self._reach
 
     def imminent(

@@ -1,6 +1,6 @@
 """Update of one node in a substep: sum the blocks of its cells in a fixed order, and integrate.
 
-No atomics are used, so that the result does not depend on the number of threads. Followers
+No atomics are used, so that the result does not depend on the number of threads. Dependent nodes
 (`grid.dependent_nodes`, `grid.pins`) pass their forces to the free nodes they depend on, and are
 interpolated from their motion.
 
@@ -93,30 +93,30 @@ def entry(e, behind):
 
 
 @ti.func
-def follower_share(
-    body: ti.template(), follower, free, dt, alpha, filtering, options: ti.template()
+def dependent_share(
+    body: ti.template(), node, free, dt, alpha, filtering, options: ti.template()
 ):  # fmt: skip
-    """Store the sum of the cells' contributions to a follower, for the free nodes it depends on;
-    and count the work of a pin.
+    """Store the sum of the cells' contributions to a dependent node, for the free nodes it depends
+    on; and count the work of a pin.
 
-    filtering : 1: the sum is (B v - m v)_l, and the impulse on the follower is alpha times it.
+    filtering : 1: the sum is (B v - m v)_l, and the impulse on the node is alpha times it.
     """
-    f = block_sum(body, free + follower, options)
+    f = block_sum(body, free + node, options)
     impulse = dt
     if filtering > 0:
-        f = momentum_change(body, free + follower, f)
+        f = momentum_change(body, free + node, f)
         impulse = alpha
-    o = ANCHOR * follower
+    o = ANCHOR * node
     work = body.anchor[o + PIN_WORK]
     for d in ti.static(range(3)):
         work -= impulse * f[d] * body.anchor[o + PIN_RATE + d]
     body.anchor[o + PIN_WORK] = work
-    keep_share(body, free + follower, f, options.slides)
+    keep_share(body, free + node, f, options.slides)
 
 
 @ti.func
 def keep_share(body: ti.template(), node, f, slides: ti.template()):
-    """Store a follower's contribution, with the factors per axis where pins slide."""
+    """Store a dependent node's contribution, with the factors per axis where pins slide."""
     for d in ti.static(range(3)):
         if ti.static(slides):
             body.share[3 * node + d] = body.slide[3 * node + d] * f[d]
@@ -126,9 +126,9 @@ def keep_share(body: ti.template(), node, f, slides: ti.template()):
 
 @ti.func
 def node_sum(body: ti.template(), node, filtering, options: ti.template()):
-    """Sum of the cells' contributions to a free node and to its followers: (E^T f)_i.
+    """Sum of the cells' contributions to a free node and to its dependent nodes: (E^T f)_i.
 
-    filtering : 1: E^T (B - M) E v, from the stored values of the followers.
+    filtering : 1: E^T (B - M) E v, from the stored values of the dependent nodes.
     """
     f = block_sum(body, node, options)
     if filtering > 0:
@@ -145,7 +145,7 @@ def momentum_change(body: ti.template(), node, p):
 
 @ti.func
 def sum_of_followers(body: ti.template(), node, options: ti.template()):
-    """sum_l e_li of the stored contributions of the followers."""
+    """sum_l e_li of the stored contributions of the dependent nodes."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     first, behind = body.leader_start[node], body.leader_start[node + 1]
     if ti.static(options.cells):
@@ -163,7 +163,7 @@ def sum_of_followers(body: ti.template(), node, options: ti.template()):
 
 @ti.func
 def follow(
-    body: ti.template(), follower, free, drift, whole: ti.template(), options: ti.template()
+    body: ti.template(), node, free, drift, whole: ti.template(), options: ti.template()
 ):  # fmt: skip
     """u_l = sum_j e_lj u_j + c_l, and v likewise; c advances by drift at its rate.
 
@@ -172,17 +172,17 @@ def follow(
     whole : u is summed; otherwise the free nodes have drifted since then, and u_l += drift v_l is
     the same. The nodes of rigid regions turn as they drift: there it is summed always.
     """
-    a = ANCHOR * follower
+    a = ANCHOR * node
     rate = ti.Vector([body.anchor[a + 3], body.anchor[a + 4], body.anchor[a + 5]])
     u = ti.Vector([body.anchor[a], body.anchor[a + 1], body.anchor[a + 2]]) + drift * rate
     v = rate
     for d in ti.static(range(3)):
         body.anchor[a + d] = u[d]
     k = ti.Vector([drift * 0.0 + 1.0, drift * 0.0 + 1.0, drift * 0.0 + 1.0])
-    o = 3 * (free + follower)
+    o = 3 * (free + node)
     if ti.static(options.slides):
         k = ti.Vector([body.slide[o], body.slide[o + 1], body.slide[o + 2]])
-    first, behind = body.follow_start[free + follower], body.follow_start[free + follower + 1]
+    first, behind = body.follow_start[free + node], body.follow_start[free + node + 1]
     if ti.static(options.cells):
         for turn in range(turns(first, behind)):
             for m in ti.static(range(AHEAD)):

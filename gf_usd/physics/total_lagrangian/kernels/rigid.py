@@ -89,10 +89,10 @@ def pose_region(body: ti.template(), k, drift, regions: ti.template()):
         arm = turned(q, row(body.rigid, n + RHO))
         rate = row(body.rigid, o + V) + omega.cross(arm)
         c = row(body.rigid, o + D) + (arm - row(body.rigid, n + ARM)) - drift * rate
-        follower = ANCHOR * body.rigid_nodes[regions + 1 + e]
+        node = ANCHOR * body.rigid_nodes[regions + 1 + e]
         for a in ti.static(range(3)):
-            body.anchor[follower + a] = c[a]
-            body.anchor[follower + 3 + a] = rate[a]
+            body.anchor[node + a] = c[a]
+            body.anchor[node + 3 + a] = rate[a]
 
 
 @ti.func

@@ -29,10 +29,10 @@ from gf_usd.physics.total_lagrangian.kernels.cell import (
 )
 from gf_usd.physics.total_lagrangian.kernels.grid_barrier import item_of, wait_for_all
 from gf_usd.physics.total_lagrangian.kernels.nodes import (
+    dependent_share,
     drift_goal,
     drift_node,
     follow,
-    follower_share,
     force,
     goal_share,
     move_node,
@@ -76,8 +76,8 @@ from gf_usd.physics.total_lagrangian.limits import (
 from gf_usd.physics.total_lagrangian.stages import (
     BLOCK,
     CLOSES,
+    DEPENDENT,
     FILTERING,
-    FOLLOWERS,
     FREE,
     GROUPS,
     NODES,
@@ -150,15 +150,15 @@ def _plan(table, options: Options) -> SimpleNamespace:
     """Which stages run in a substep, and on how many items; table : of `stages.stages`."""
 
     @ti.func
-    def size(part: ti.template(), groups, free, followers, active, paired):
+    def size(part: ti.template(), groups, free, dependent, active, paired):
         """Number of items of a part; paired samples are the first of the active ones."""
         count = active
         if ti.static(part.items == FREE):
             count = free
-        elif ti.static(part.items == FOLLOWERS):
-            count = followers
+        elif ti.static(part.items == DEPENDENT):
+            count = dependent
         elif ti.static(part.items == NODES):
-            count = free + followers
+            count = free + dependent
         elif ti.static(part.items == GROUPS and options.cells):
             count = groups * LANES
         elif ti.static(part.items == GROUPS):
@@ -183,11 +183,11 @@ def _plan(table, options: Options) -> SimpleNamespace:
 
     @ti.func
     def way_of(stage: ti.template(), dt, drift):
-        """[s] drift time of followers in a stage."""
+        """[s] drift time of dependent nodes in a stage."""
         way = drift
-        if ti.static(stage.parts[0].name == "open followers"):
+        if ti.static(stage.parts[0].name == "open dependent nodes"):
             way = 0.5 * dt
-        elif ti.static(stage.parts[0].name == "filtered followers"):
+        elif ti.static(stage.parts[0].name == "filtered dependent nodes"):
             way = 0.0 * dt
         return way
 
@@ -228,7 +228,7 @@ def _item(laws, damped: bool, options: Options):
             drift_node(body, n, 0.5 * dt)
             if ti.static(options.goals > NO_GOALS):
                 drift_goal(body, n, 0.5 * dt, options.goals)
-        elif ti.static(part.name == "open followers"):
+        elif ti.static(part.name == "open dependent nodes"):
             follow(body, n, free, way, True, options)
         elif ti.static(part.work == "follow"):
             follow(body, n, free, way, False, options)
@@ -257,7 +257,7 @@ def _item(laws, damped: bool, options: Options):
         elif ti.static(part.name == "pair total"):
             pair_total(body, body.sample_active[1 + n], dt)
         elif ti.static(part.work == "share"):
-            follower_share(body, n, free, dt, alpha, filtering, options)
+            dependent_share(body, n, free, dt, alpha, filtering, options)
         elif ti.static(part.work == "move"):
             move_node(body, n, active, g, dt, drift, keep, alpha, filtering, options)
         elif ti.static(part.work == "move lumped"):
@@ -281,7 +281,7 @@ def _queued(Body, real, plan: SimpleNamespace, act):
 
     @ti.kernel
     def queued(
-        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        body: Body, groups: ti.i32, free: ti.i32, dependent: ti.i32, active: ti.i32,
         threads: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
         g: vec, up: vec, lift: real, dt: real, keep: real,
     ):  # fmt: skip
@@ -307,7 +307,7 @@ def _queued(Body, real, plan: SimpleNamespace, act):
                         for number, stage in ti.static(numbered):
                             if step == number:
                                 count = size(
-                                    stage.parts[0], groups, free, followers, active, paired
+                                    stage.parts[0], groups, free, dependent, active, paired
                                 )
                                 pieces = pieces_of(stage.parts[0], count, threads)
                                 pieces *= due(stage, s, ends, every, phase, paired)
@@ -318,11 +318,11 @@ def _queued(Body, real, plan: SimpleNamespace, act):
                             wait(body.queue, before)
                             for part, steps in ti.static(work):
                                 if is_in(step, steps):
-                                    many = size(part, groups, free, followers, active, paired)
+                                    many = size(part, groups, free, dependent, active, paired)
                                     first, behind = piece(many, work_item - before, pieces)
                                     for n in range(first, behind):
                                         act(
-                                            part, body, n, free, free + followers, active, alpha,
+                                            part, body, n, free, free + dependent, active, alpha,
                                             g, up, lift, dt, drift, way, keep, filtering,
                                         )  # fmt: skip
                             finish(body.queue)
@@ -340,7 +340,7 @@ def _resident(Body, real, plan: SimpleNamespace, act, held: int):
 
     @ti.kernel
     def resident(
-        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        body: Body, groups: ti.i32, free: ti.i32, dependent: ti.i32, active: ti.i32,
         blocks: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
         g: vec, up: vec, lift: real, dt: real, keep: real,
     ):  # fmt: skip
@@ -365,7 +365,7 @@ def _resident(Body, real, plan: SimpleNamespace, act, held: int):
                         for number, stage in ti.static(numbered):
                             if step == number:
                                 for part in ti.static(stage.parts):
-                                    some += size(part, groups, free, followers, active, paired)
+                                    some += size(part, groups, free, dependent, active, paired)
                                 some *= due(stage, s, ends, every, phase, paired)
                                 way = way_of(stage, dt, drift)
                                 if ti.static(stage.when == FILTERING):
@@ -374,9 +374,9 @@ def _resident(Body, real, plan: SimpleNamespace, act, held: int):
                             for part, steps in ti.static(work):
                                 if is_in(step, steps):
                                     n = item_of(z, blocks)
-                                    while n < size(part, groups, free, followers, active, paired):
+                                    while n < size(part, groups, free, dependent, active, paired):
                                         act(
-                                            part, body, n, free, free + followers, active, alpha,
+                                            part, body, n, free, free + dependent, active, alpha,
                                             g, up, lift, dt, drift, way, keep, filtering,
                                         )  # fmt: skip
                                         n += ti.max(1, blocks * BLOCK)

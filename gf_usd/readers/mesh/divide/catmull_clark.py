@@ -118,10 +118,10 @@ def refine(cage: Cage, *, bilinear: bool = False) -> Level:
     before = np.empty_like(after)
     before[after] = np.arange(n_corners)
     found = cage.edges()
-    edges, edge, beside = found.ends, found.of, found.faces
+    edges, edge, adjacent = found.ends, found.of, found.faces
     sharp = np.zeros(len(edges))
     np.maximum.at(sharp, edge, cage.edge_sharpness)
-    sharp[(beside != 2) | bilinear] = INFINITE
+    sharp[(adjacent != 2) | bilinear] = INFINITE
     point_sharp = np.full(cage.points, INFINITE) if bilinear else cage.point_sharpness
     middle = Weights(to=face, of=indices, weight=1.0 / counts[face], count=n_faces)
     moved = _joined(
