@@ -3,9 +3,8 @@
 SI, world frame of the source, row per point: as in `gf_usd.core.frames`.  A prim path names the
 source of a value; None: the stage does not state it.
 
-What the bodies of a bake may collide with besides the floor: obstacles, each other, themselves.
-
-Regions of the rest body, and pins: regions with prescribed motion.  SI, world, as `model`.
+Bodies may collide with the floor, with obstacles, with each other and with themselves.  Regions are
+parts of the body at rest; pins are regions with prescribed motion.
 """
 
 from __future__ import annotations

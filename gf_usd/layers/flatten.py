@@ -47,7 +47,7 @@ def write_flat(
     path : final name; .usdz becomes a package with every file it needs, anything else a layer
         that refers to textures by relative paths.
     root : the root layer over source and cache, with the bake selected.
-    asset, source, choices : of the bake, as for `layout.write_root`.
+    asset, source, choices : of the bake, as for `root.write_root`.
     moved : files that go with the result, from where they are now to where they will be.
 
     Returns

@@ -126,7 +126,7 @@ def stable_step(
 
     viscous_time : tau scaled to the pressure wave, tau * 2 mu / (lam + 2 mu) [s]: the damping of
         the stiffest grid vibration w is then viscous_time * w^2.
-    contact_omega2 : [1/s^2], contact_damping : [1/s], from `contact.build_contact`.
+    contact_omega2 : [1/s^2], contact_damping : [1/s], from `floor.build_contact`.
     frequency : the highest of the grid in units of c/h; None: `grid_frequency`.
     """
     highest = grid_frequency(per_cell) if frequency is None else frequency

@@ -30,7 +30,7 @@ class SplatTrack:
     ----------
     cache : stage whose root layer is the cache.
     prim : their prim in the source.
-    surface : their surface; `surface.splats` is not None.
+    surface : their surface, with `splats`.
     clock, meters_per_unit : of the bake.
     """
 

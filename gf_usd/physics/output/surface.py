@@ -15,9 +15,9 @@ ratio of the integrals of t^3 (1 - t^2)^3 and t^2 (1 - t^2)^3 over t in [0, 1]: 
 With R = r / DEPTH a flat surface is at the boundary of the material, and a drop of one particle has
 the volume of that particle. A boundary of curvature radius a is drawn
 
-    r^2 / a times DEPTH / 0.406                                                                (1)
+    r^2 / a times DEPTH / 0.406
 
-too far inside (`CURVED`): .6 of a squared spacing over a.
+too far inside: .6 of a squared spacing over a.
 
 The field is sampled at the nodes of cells of width R / 5, in blocks of 5 x 5 x 5 cells near
 particles; other blocks are not stored. Marching cubes (Lorensen and Cline 1987, from libigl)

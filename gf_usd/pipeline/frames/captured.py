@@ -165,7 +165,7 @@ class SplatDeformer:
     def _particles_in(self, frame: BakedFrame, turn: Floats) -> Splats:
         p = self._particles
         quaternions = np.asarray(frame.gaussians.orientations, float)
-        from scipy.spatial.transform import Rotation  # see `nearby`
+        from scipy.spatial.transform import Rotation  # takes long to import: see `core.neighbors`
 
         turned = Rotation.from_matrix(turn) * Rotation.from_quat(quaternions[:, [1, 2, 3, 0]])
         return Splats(

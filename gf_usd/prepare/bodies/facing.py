@@ -79,7 +79,7 @@ def _share_in(points: Floats, triangles: Ints, X: Floats) -> float:
 def _behind(points: Floats, triangles: Ints, X: Floats) -> bool:
     """Whether all points X (n, 3) [m] are behind an open surface: by its nearest triangle, and by
     the solid angle under which they see its back rather than its front."""
-    import igl  # see `nearby`
+    import igl  # takes long to import: see `core.neighbors`
 
     from gf_usd.geometry.winding import winding_numbers
 

@@ -1,4 +1,4 @@
-"""SPZ files (Niantic), versions 1 to 4: a block for each attribute; `spz_container` finds them.
+"""SPZ files (Niantic), versions 1 to 4: a block for each attribute, in a container.
 
     positions   3 signed 24-bit numbers, over 2^fractionalBits (half floats in version 1)
     alphas      a byte, over 255

@@ -285,7 +285,7 @@ def _approximation(prim: Usd.Prim, reading: Reading) -> str:
 
 def _hull(points: Floats) -> tuple[Ints, Ints] | None:
     """Corners (V,) of the convex hull, as indices, and its triangles (T, 3); None where flat."""
-    from scipy.spatial import ConvexHull, QhullError  # see `nearby`
+    from scipy.spatial import ConvexHull, QhullError  # takes long to import: see `core.neighbors`
 
     try:
         hull = ConvexHull(points)
