@@ -118,13 +118,13 @@ SUMMARY, PAGE = ".batch.json", ".batch.html"
 NAMES_IN_COMMAND = 20  # job names in a command; with more, the command reads the summary
 
 
-def ordered(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def by_urgency(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """Outcomes by urgency: failures first, each state by name."""
     ranks = {state: rank for rank, state in enumerate(reversed(STATES))}
     return sorted(outcomes, key=lambda o: (ranks.get(o.state, 0), o.job))
 
 
-def counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
+def state_counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
     """Number of outcomes in each state, without states that do not occur."""
     found = {state: sum(o.state == state for o in outcomes) for state in STATES}
     return {state: n for state, n in found.items() if n}
@@ -132,7 +132,7 @@ def counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
 
 def summary_line(outcomes: Sequence[Outcome]) -> str:
     """``2 failed, 1 crashed, 197 done``, on one line."""
-    found = counts(outcomes)
+    found = state_counts(outcomes)
     names = [state for state in reversed(STATES) if state in found and state not in GOOD]
     names += [state for state in GOOD if state in found]
     return ", ".join(f"{found[state]} {state}" for state in names) or "no jobs"
@@ -143,7 +143,7 @@ def rerun_command(arguments: Sequence[str], outcomes: Sequence[Outcome]) -> str:
 
     arguments : the arguments of the command, without ``--select`` and ``--failed``.
     """
-    names = [o.job for o in ordered(outcomes) if not o.good]
+    names = [o.job for o in by_urgency(outcomes) if not o.good]
     if not names:
         return ""
     if len(names) > NAMES_IN_COMMAND:
@@ -173,11 +173,11 @@ def write_summary(
             record = read_record(of_name[outcome.job]) if outcome.state in NOT_ATTEMPTED else None
             meanwhile = record is not None and str(record.get("finished", "")) >= began
             known[outcome.job] = Outcome.of(record["outcome"]) if meanwhile else outcome
-        rows = ordered([known[job.name] for job in jobs if job.name in known])
+        rows = by_urgency([known[job.name] for job in jobs if job.name in known])
         entry = {
             "finished": _utc(time.time()),
             "seconds": round(seconds, 3),
-            "counts": counts(rows),
+            "counts": state_counts(rows),
             "repeat": rerun_command(arguments, rows) if arguments else "",
             "program": program(),
             "jobs": [row.as_json() for row in rows],

@@ -37,7 +37,7 @@ LOCK_TIMEOUT = (
 CONNECT = 20.0  # [s] to find the scheduler
 RESULT = 1.0  # [s] timeout of one request for a result
 ANSWER = 5.0  # [s] for the workers to report whether they have gf-usd
-LOOK = 5.0  # [s] between two queries of the workers
+POLL_WORKERS = 5.0  # [s] between two queries of the workers
 ALONE = 30.0  # [s] without a worker until the note is repeated: a restart takes less
 END = GRACE + 5.0  # [s] for the workers to end their bakes, on request
 # A worker's results are lost with it; the scheduler then assigns its tasks to another worker.
@@ -179,7 +179,7 @@ def _watch(
 ) -> None:
     """Put a note into `events` when the workers have been missing for long; until `ended`."""
     with suppress(*CLOSED):
-        while not ended.wait(LOOK):
+        while not ended.wait(POLL_WORKERS):
             missing = _missing_resources(client, address, amounts)
             if message := absence.message(missing, time.monotonic()):
                 events.put({"event": "note", "message": message})

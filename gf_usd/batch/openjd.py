@@ -22,7 +22,7 @@ from typing import Any
 from gf_usd.batch.plan import BatchPlan, jobs_text
 from gf_usd.batch.record import InputTable, input_paths
 from gf_usd.batch.run import memory_of
-from gf_usd.batch.slices import Part, slices
+from gf_usd.batch.slices import Part, slice_count
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.system.atomic_files import publish_text
 
@@ -82,7 +82,7 @@ def write_bundle(
 
 def template(plan: BatchPlan, chunk: int, slice: int | None = None) -> dict[str, Any]:
     """The job template: one baking step, or one for each slice, and a step that makes the page."""
-    many = max(slices(job, slice) for job in plan.jobs) if slice else 1
+    many = max(slice_count(job, slice) for job in plan.jobs) if slice else 1
     parts = [Part(number=number, of=many) for number in range(1, many + 1)]
     names = [f"Bake {part.number} of {many}" if many > 1 else "Bake" for part in parts]
     steps: list[dict[str, Any]] = []

@@ -18,7 +18,7 @@ from typing import Any
 
 from PIL import Image
 
-from gf_usd.batch.board import ordered
+from gf_usd.batch.board import by_urgency
 from gf_usd.batch.job import NOT_FAILED, STATES, Job, Outcome
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.run import cores
@@ -77,7 +77,7 @@ def build_page(
     """The page as text, which loads no other file."""
     jobs = {job.name: job for job in plan.jobs}
     known = {outcome.job for outcome in outcomes}
-    rows = ordered(outcomes)
+    rows = by_urgency(outcomes)
     bad = [row for row in rows if row.state not in NOT_FAILED]
     unknown = [name for name in jobs if name not in known]
     folder = files("gf_usd.batch") / "page_parts"

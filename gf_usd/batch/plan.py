@@ -63,7 +63,7 @@ def _require_folder(out: Path) -> None:
         raise UsageError(f"{there} is not a folder", "choose a folder for the results: --output")
 
 
-def choose(plan: BatchPlan, patterns: Sequence[str]) -> tuple[Job, ...]:
+def jobs_matching(plan: BatchPlan, patterns: Sequence[str]) -> tuple[Job, ...]:
     """The jobs whose names match one of the patterns.  Raises UsageError for a pattern without a
     match.
     """

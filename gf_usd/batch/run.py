@@ -122,7 +122,7 @@ def memory_of(options: Mapping[str, Any]) -> float:
     return MARGIN * (PROCESS_MEMORY + each * (options.get("particles") or default))
 
 
-def processes(jobs: Sequence[Job], *, memory: float | None = None) -> int:
+def process_count(jobs: Sequence[Job], *, memory: float | None = None) -> int:
     """Number of concurrent jobs: one per core, as far as memory suffices for the largest.
 
     memory : [bytes] of a job, instead of the estimate.
@@ -131,7 +131,7 @@ def processes(jobs: Sequence[Job], *, memory: float | None = None) -> int:
     return max(1, min(cores(), len(jobs), int(free_memory() / most)))
 
 
-def threads(jobs: Sequence[Job], at_once: int) -> int:
+def threads_per_bake(jobs: Sequence[Job], at_once: int) -> int:
     """CPU threads of a bake without --threads: 1, or for large bodies its share of the cores."""
     largest = max((job.options.get("particles") or 0 for job in jobs), default=0)
     return max(1, cores() // at_once) if largest >= ONE_THREAD else 1

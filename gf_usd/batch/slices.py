@@ -65,7 +65,7 @@ def require_clips(jobs: Sequence[Job]) -> None:
             )
 
 
-def slices(job: Job, clips: int) -> int:
+def slice_count(job: Job, clips: int) -> int:
     """Number of runs of `clips` complete clips that complete a job, at most.
 
     With L variants, W frames written and n frames in a clip, L floor((W - 1) / n) clips are

@@ -20,7 +20,7 @@ HEALTH = (
     "rollbacks", "inverted_particle_frames", "deepest_penetration_spacings",
     "energy_gain_max_share", "restitution", "min_J", "max_J", "plastic_dissipation_J", "substeps",
 )  # fmt: skip
-GO_ON = "run the same command to continue"
+CONTINUE = "run the same command to continue"
 INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)
 # exit statuses of bake
 STATUS = {1: "failed", 2: "refused", 3: "refused", 4: "unsound", 5: "sliced"}
@@ -49,7 +49,7 @@ def attempt_outcome(
     if "finished" in events and ended.status in (0, 4):
         return _complete(outcome, ended, events["finished"], error)
     # a batch resumes by itself
-    message, hint = error.get("message", ""), error.get("hint", "").replace(RESUME, GO_ON)
+    message, hint = error.get("message", ""), error.get("hint", "").replace(RESUME, CONTINUE)
     state = STATUS.get(ended.status, "crashed")
     if ended.stopped:
         state, message, hint = "stopped", "interrupted before it ended", ""
@@ -60,7 +60,7 @@ def attempt_outcome(
             "raise --timeout",
         )
     elif state == "sliced":
-        message, hint = "a slice is done", GO_ON
+        message, hint = "a slice is done", CONTINUE
         if (slice := events.get("sliced")) is not None:
             message = "{look}: {done} of {frames} frames are done".format_map(slice)
     elif ended.status == 0:

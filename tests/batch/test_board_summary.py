@@ -9,12 +9,12 @@ import pytest
 from batch_jobs import job, outcome
 
 from gf_usd.batch.board import (
-    counts,
+    by_urgency,
     earlier_run,
     failed_in,
     not_run,
-    ordered,
     rerun_command,
+    state_counts,
     summary_line,
     write_summary,
 )
@@ -28,8 +28,8 @@ ENDS = [
 
 
 def test_what_needs_a_look_comes_first() -> None:
-    assert [o.job for o in ordered(ENDS)] == ["d", "c", "f b", "b", "a", "e"]
-    assert counts(ENDS) == {"done": 2, "kept": 1, "stopped": 1, "refused": 1, "crashed": 1}
+    assert [o.job for o in by_urgency(ENDS)] == ["d", "c", "f b", "b", "a", "e"]
+    assert state_counts(ENDS) == {"done": 2, "kept": 1, "stopped": 1, "refused": 1, "crashed": 1}
     assert summary_line(ENDS) == "1 crashed, 1 refused, 1 stopped, 2 done, 1 kept"
     assert summary_line([]) == "no jobs"
 

@@ -93,7 +93,7 @@ def test_workers_that_are_gone_for_long_are_reported_once_each_time() -> None:
 
 
 def test_the_workers_are_looked_at_until_the_batch_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "LOOK", 0.01)
+    monkeypatch.setattr(cluster, "POLL_WORKERS", 0.01)
     monkeypatch.setattr(cluster, "ALONE", 0.02)
     workers: dict[str, dict[str, float]] = {"a": {}}
     events: queue.Queue[Any] = queue.Queue()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gf_usd.batch.manifest import Group, Manifest
-from gf_usd.batch.plan import BatchPlan, choose, make_plan, with_output_folder
+from gf_usd.batch.plan import BatchPlan, jobs_matching, make_plan, with_output_folder
 from gf_usd.core.errors import UsageError
 
 PLY, SPZ = {"export_ply": "frames"}, {"export_spz": "frames"}
@@ -141,7 +141,7 @@ def test_sequences_of_splats_in_folders_or_forms_of_their_own_do_not_meet(tmp_pa
 
 def test_jobs_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:
     found = plan(tmp_path, {"files": ["a.usda", "b.usda"], "matrix": {"seed": [0, 1]}})
-    chosen = choose(found, ["b.*", "a.rubber.seed1"])
+    chosen = jobs_matching(found, ["b.*", "a.rubber.seed1"])
     assert [job.name for job in chosen] == ["a.rubber.seed1", "b.rubber.seed0", "b.rubber.seed1"]
     with pytest.raises(UsageError, match="no job matches c"):
-        choose(found, ["c*"])
+        jobs_matching(found, ["c*"])

@@ -194,12 +194,12 @@ def test_processes_fit_into_cores_and_memory(
     monkeypatch.setattr(resources, "cores", lambda: 8)
     monkeypatch.setattr(resources, "free_memory", lambda: 4e9)
     small = [job(tmp_path, f"a{i}", particles=1000) for i in range(20)]
-    assert resources.processes(small) == int(4e9 / resources.memory_of({"particles": 1000}))
-    assert resources.processes(small, memory=1.5e9) == 2
-    assert resources.processes(small, memory=9e9) == 1
-    assert resources.processes(small[:1], memory=1e6) == 1
-    assert resources.processes(small, memory=1e6) == 8
+    assert resources.process_count(small) == int(4e9 / resources.memory_of({"particles": 1000}))
+    assert resources.process_count(small, memory=1.5e9) == 2
+    assert resources.process_count(small, memory=9e9) == 1
+    assert resources.process_count(small[:1], memory=1e6) == 1
+    assert resources.process_count(small, memory=1e6) == 8
     large = [*small, job(tmp_path, "big", particles=100_000)]
-    assert resources.processes(large) < resources.processes(small)
-    assert resources.threads(small, 4) == 1
-    assert resources.threads(large, 4) == 2
+    assert resources.process_count(large) < resources.process_count(small)
+    assert resources.threads_per_bake(small, 4) == 1
+    assert resources.threads_per_bake(large, 4) == 2

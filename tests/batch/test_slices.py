@@ -16,7 +16,7 @@ from gf_usd.batch.slices import (
     failing_outcomes,
     final_outcome,
     parse_part,
-    slices,
+    slice_count,
     time_spent,
 )
 from gf_usd.core.errors import UsageError
@@ -44,7 +44,7 @@ from gf_usd.core.errors import UsageError
 def test_a_job_takes_so_many_runs(
     tmp_path: Path, options: dict[str, Any], clips: int, runs: int
 ) -> None:
-    assert slices(job(tmp_path, **options), clips) == runs
+    assert slice_count(job(tmp_path, **options), clips) == runs
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_what_cannot_be_counted_is_refused(
     tmp_path: Path, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(UsageError, match=rf"^a\.rubber: .*{message}"):
-        slices(job(tmp_path, **options), 1)
+        slice_count(job(tmp_path, **options), 1)
 
 
 def test_parts_are_counted_from_one() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import gf_usd
 from gf_usd.core.errors import InputError, SolverError, UsageError
-from gf_usd.pipeline.measures.certify import FEWEST, certify, coarser
+from gf_usd.pipeline.measures.certify import FEWEST, certify, coarser_runs
 from gf_usd.pipeline.measures.figures import Recorder
 from gf_usd.pipeline.measures.observe import Observed
 
@@ -100,7 +100,7 @@ def test_coarser_runs_of_no_use_say_why(count, volume, error, message) -> None:
             raise error
         return observed(spacing, count=count), volume
 
-    runs, why = coarser(0.05, 1.0, run)
+    runs, why = coarser_runs(0.05, 1.0, run)
     assert runs == ()
     assert message in why
     found = certify([observed(0.05)], held=False, single=True, reason=why)
@@ -109,7 +109,7 @@ def test_coarser_runs_of_no_use_say_why(count, volume, error, message) -> None:
 
 
 def test_coarser_runs_have_twice_and_four_times_the_spacing() -> None:
-    runs, why = coarser(0.05, 1.0, lambda spacing: (observed(spacing), 1.0))
+    runs, why = coarser_runs(0.05, 1.0, lambda spacing: (observed(spacing), 1.0))
     assert [one.spacing for one in runs] == [0.1, 0.2]
     assert why == ""
 

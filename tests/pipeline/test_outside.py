@@ -9,7 +9,7 @@ import pytest
 from solids import cube, sphere
 
 from gf_usd.core.frames import Pose
-from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, mesh_names
+from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse_meshes, mesh_names
 
 SPACING = 0.1
 MIDDLES = (np.arange(10) + 0.5) * SPACING
@@ -45,9 +45,9 @@ def test_particles_without_a_mesh_at_rest_do_not_count():
 
 def test_meshes_with_long_faces_are_named():
     box, ball = cube((0.0, 0.0, 0.0), path="/Box"), sphere(subdivisions=4, path="/Ball")
-    assert coarse([ball], SPACING) == {}
-    assert coarse([box], 0.5) == {}, "its diagonals are less than four spacings long"
-    found = coarse([ball, box], SPACING)
+    assert coarse_meshes([ball], SPACING) == {}
+    assert coarse_meshes([box], 0.5) == {}, "its diagonals are less than four spacings long"
+    found = coarse_meshes([ball, box], SPACING)
     assert found == {"/Box": pytest.approx(2.0**0.5)}
     assert mesh_names(found, SPACING) == "</Box> (edges up to 14 spacings of 0.1 m)"
     assert mesh_names({**found, "/Other": 1.0}, SPACING).startswith("</Box> and 1 more ")
@@ -60,4 +60,4 @@ def test_a_mesh_with_few_long_faces_is_fine_enough():
     points = np.concatenate([ball.points, long])
     triangles = np.concatenate([ball.triangles, [[0, 1, 2]] + np.array(len(ball.points))])
     both = replace(ball, points=points, triangles=triangles)
-    assert coarse([both], SPACING) == {}
+    assert coarse_meshes([both], SPACING) == {}

@@ -11,10 +11,10 @@ import typer
 from gf_usd.batch.board import (
     PAGE,
     SUMMARY,
-    counts,
+    by_urgency,
     earlier_run,
-    ordered,
     rerun_command,
+    state_counts,
     summary_line,
     write_summary,
 )
@@ -61,7 +61,7 @@ def show_results(plan: BatchPlan, ended: Ended, options: ResultOptions) -> None:
         _print_openjd_failure(ended, options.part)
     _print_outcomes(plan, ended, repeat)
     if options.as_json:
-        summary = {"event": "summary", "counts": counts(ended.outcomes),
+        summary = {"event": "summary", "counts": state_counts(ended.outcomes),
                    "seconds": round(ended.seconds, 3), "repeat": repeat}  # fmt: skip
         typer.echo(json.dumps(summary))
     if options.tasks and not options.report:
@@ -72,7 +72,7 @@ def show_results(plan: BatchPlan, ended: Ended, options: ResultOptions) -> None:
 
 def _print_openjd_failure(ended: Ended, part: Part | None) -> None:
     """The message of Open Job Description that fails a task."""
-    wrong = failing_outcomes(ordered(ended.outcomes), part)
+    wrong = failing_outcomes(by_urgency(ended.outcomes), part)
     if not wrong:
         return
     first, count = wrong[0], counted(len(ended.outcomes), "job")
@@ -82,7 +82,7 @@ def _print_openjd_failure(ended: Ended, part: Part | None) -> None:
 
 def _print_outcomes(plan: BatchPlan, ended: Ended, repeat: str) -> None:
     """The jobs that did not succeed, and the totals, on stderr."""
-    for outcome in ordered(ended.outcomes):
+    for outcome in by_urgency(ended.outcomes):
         if outcome.good:
             continue
         typer.echo(f"{outcome.state}: {outcome.job}: {outcome.message}", err=True)

@@ -60,7 +60,7 @@ def _run_jobs(plan: BatchPlan, jobs: Sequence[Job], options: RunOptions) -> int:
     if options.slice:
         require_clips(jobs)
     memory = None if options.memory is None else options.memory * 1e9
-    at_once = options.at_once or run.processes(jobs, memory=memory)
+    at_once = options.at_once or run.process_count(jobs, memory=memory)
     limits, results = _limits(plan, jobs, options, at_once), options.results
     children = Children()
     board = Board([job.name for job in jobs], at_once)
@@ -89,7 +89,7 @@ def _limits(plan: BatchPlan, jobs: Sequence[Job], options: RunOptions, at_once: 
     part = options.results.part
     return Limits(
         timeout=plan.timeout, retries=plan.retries, overwrite=options.overwrite,
-        threads=run.threads(jobs, at_once), slice=options.slice,
+        threads=run.threads_per_bake(jobs, at_once), slice=options.slice,
         continues=part is not None and part.number > 1,
     )  # fmt: skip
 

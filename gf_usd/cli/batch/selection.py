@@ -9,7 +9,7 @@ import typer
 
 from gf_usd.batch.board import SUMMARY, earlier_run, failed_in, not_run
 from gf_usd.batch.job import Job
-from gf_usd.batch.plan import BatchPlan, choose, parse_task_range
+from gf_usd.batch.plan import BatchPlan, jobs_matching, parse_task_range
 from gf_usd.core.errors import counted
 
 # options that select jobs
@@ -27,7 +27,7 @@ class Selection:
 
 def selected_jobs(plan: BatchPlan, selection: Selection) -> tuple[Job, ...]:
     """The selected jobs.  Raises UsageError for a name or number without a job."""
-    jobs = choose(plan, selection.names) if selection.names else plan.jobs
+    jobs = jobs_matching(plan, selection.names) if selection.names else plan.jobs
     if selection.failed:
         jobs = _failed_jobs(plan, jobs)
     if selection.tasks is not None:

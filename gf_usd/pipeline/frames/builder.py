@@ -24,7 +24,7 @@ from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.measures.inside import Inside, InsideMeasure
-from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse, mesh_names
+from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse_meshes, mesh_names
 
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin
@@ -82,7 +82,7 @@ class FrameBuilder:
         if meshes:
             spacing = solver.particles.spacing
             self._inside = InsideMeasure(meshes, spacing, settings.frames, open_end=open_end)
-            if found := coarse(meshes, spacing):
+            if found := coarse_meshes(meshes, spacing):
                 self._coarse = mesh_names(found, spacing)
                 self._outside = OutsideMeasure(meshes, solver.particles.X, spacing)
         self._poses: Mapping[str, Pose] = {}  # pose of the last sample

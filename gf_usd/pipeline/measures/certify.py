@@ -113,7 +113,7 @@ def unknown_from(center: Band, contacts: Sequence[int]) -> str:
     return f"{how} from frame {center.until}{where}: {center.reason}"
 
 
-def coarser(
+def coarser_runs(
     spacing: float, volume: float, run: Callable[[float], tuple[Observed, float]]
 ) -> tuple[tuple[Observed, ...], str]:
     """The runs at twice and four times a spacing [m], or () and why they cannot be used.

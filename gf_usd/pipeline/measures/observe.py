@@ -51,7 +51,7 @@ class Observer:
             np.concatenate([poses[path].v for path in self._paths]),
             center=health.center,
             velocity=tuple(p / health.mass for p in health.momentum),
-            volume=float(self._volumes @ ratios(frame.particles.F) / self._volumes.sum()),
+            volume=float(self._volumes @ volume_ratios(frame.particles.F) / self._volumes.sum()),
             strain=max(health.max_stretch - 1.0, 1.0 - health.min_stretch),
             kinetic=health.kinetic,
             touching=health.penetration > 0.0 or health.overlap > 0.0,
@@ -69,7 +69,7 @@ class Observer:
         )
 
 
-def ratios(F: Floats) -> Floats:
+def volume_ratios(F: Floats) -> Floats:
     """(N,) volume ratios J = det F of deformation gradients (N, 3, 3)."""
     a, b, c = (np.asarray(F)[:, k].T for k in range(3))
     return (

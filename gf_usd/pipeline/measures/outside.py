@@ -78,7 +78,7 @@ class OutsideMeasure:
         )
 
 
-def coarse(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
+def coarse_meshes(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
     """The longest edge [m] of meshes with many long faces, by path, longest first.
 
     surfaces : at rest; spacing : [m] of the particles.
@@ -94,7 +94,7 @@ def coarse(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
 
 
 def mesh_names(meshes: Mapping[str, float], spacing: float) -> str:
-    """Text that names the meshes of `coarse`."""
+    """Text that names the meshes of `coarse_meshes`."""
     path, edge = next(iter(meshes.items()))
     more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
     return f"<{path}>{more} (edges up to {edge / spacing:.2g} spacings of {spacing:.3g} m)"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from gf_usd.pipeline.cost.forecast import CERTIFYING, Stages
-from gf_usd.pipeline.measures.certify import Certificate, certify, coarser
+from gf_usd.pipeline.measures.certify import Certificate, certify, coarser_runs
 from gf_usd.pipeline.measures.observe import Observed
 from gf_usd.pipeline.prepared import Prepared, has_driven_motion, solver_of
 from gf_usd.pipeline.run.parts import observer_of, rest_of
@@ -49,5 +49,5 @@ def run_coarser(prepared: Prepared, number: int, stages: Stages) -> CoarseRuns:
         return observer.observed(), coarse.particles.volume
 
     stages.begin(CERTIFYING, plan.variants[number].name)
-    runs, reason = coarser(plan.particles.lattice, plan.particles.volume, run)
+    runs, reason = coarser_runs(plan.particles.lattice, plan.particles.volume, run)
     return CoarseRuns(runs=runs, reason=reason)

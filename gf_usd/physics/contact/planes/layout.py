@@ -33,7 +33,7 @@ def pack_arrays(n: int) -> dict[str, Floats]:
     }
 
 
-def links(planes: ContactPlanes) -> Ints:
+def link_rows(planes: ContactPlanes) -> Ints:
     """(n + 1, LINKS) the integers of n samples: see above."""
     start, order = planes.lists()
     out = np.full((len(start), LINKS), NOBODY)
@@ -81,7 +81,7 @@ def upload(
     with state.written("pair", ROW) as pair:
         write_rest(pair, X, drift)
         write_planes(pair, replace(f, point=point), values, hardening)
-    state.put("links", links(f))
+    state.put("links", link_rows(f))
 
 
 def origin_of(X: Floats) -> Floats:
