@@ -31,7 +31,7 @@ class GfUsdError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Exception gives its `args`, the message alone, to the class: a pool of processes whose
-        # worker raised this would wait for ever.
+        # worker raised this would never end.
         return _unpickled, (type(self), self.message), dict(self.__dict__)
 
 

@@ -98,7 +98,7 @@ class Collider:
     """
 
     path: str  # prim path
-    shape: str  # "mesh", or "plane": the half space behind its two triangles, without end
+    shape: str  # "mesh", or "plane": the infinite half space behind its two triangles
     points: Floats  # (V, 3) [m] at rest
     triangles: Ints  # (T, 3) into points, counter-clockwise seen from outside
     linear: Floats  # (F, 3, 3); F = 1: it stays where it is at rest

@@ -19,6 +19,7 @@ from gf_usd.physics.laws.simd3x3 import (
     let,
     product,
     put,
+    transposed,
     unrolled,
 )
 from gf_usd.physics.taichi_arrays import on_arrays
@@ -77,11 +78,6 @@ def keep(values, p, A):
     """Store A in the layout of `matrix`."""
     for a in range(9):
         put(at(values, 9 * p + a), A[a])
-
-
-@unrolled
-def transposed(A):
-    return [A[3 * b + a] for a in range(3) for b in range(3)]
 
 
 @on_arrays

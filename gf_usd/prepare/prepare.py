@@ -297,6 +297,7 @@ def reading(
 
 
 def would_fill(asset: Asset) -> bool:
+    """Whether the surfaces of an asset enclose a volume."""
     from gf_usd.geometry.solid import build_solid
 
     try:

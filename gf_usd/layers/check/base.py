@@ -73,12 +73,15 @@ class Reporter:
     prim_path: str
 
     def error(self, message: str, fix: str) -> Finding:
+        """A finding that makes the stage invalid; fix : what to do about it."""
         return self._finding("error", message, fix)
 
     def warning(self, message: str, fix: str) -> Finding:
+        """A finding that leaves the stage valid; fix : what to do about it."""
         return self._finding("warning", message, fix)
 
     def skip(self, reason: str) -> Skip:
+        """A record that the rule was not applied to the prim, and why."""
         return Skip(rule=self.rule, prim_path=self.prim_path, reason=reason)
 
     def _finding(self, severity: Severity, message: str, fix: str) -> Finding:

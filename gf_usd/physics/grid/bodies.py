@@ -23,6 +23,7 @@ class Bodies:
 
     @property
     def count(self) -> int:
+        """B, the number of bodies."""
         return len(self.mass)
 
     def nearest(self, X: Floats, particles: Floats, body: Ints) -> Ints:

@@ -83,6 +83,7 @@ class PinnedPoints:
 
     @property
     def any(self) -> bool:
+        """Whether a pin holds a point."""
         return bool((self.axes >= 0).any())
 
     @property

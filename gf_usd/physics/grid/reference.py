@@ -110,10 +110,12 @@ class Stencil:
 
     @property
     def node_count(self) -> int:
+        """M, the number of all nodes."""
         return len(self.node_ijk)
 
     @property
     def free_count(self) -> int:
+        """The number of free nodes, which come first."""
         return len(self.mass)
 
     @cached_property

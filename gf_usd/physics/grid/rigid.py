@@ -51,6 +51,7 @@ class RigidRegions:
 
     @property
     def count(self) -> int:
+        """R, the number of regions."""
         return len(self.names)
 
     def arrays(self, velocity: Floats) -> dict[str, Floats]:

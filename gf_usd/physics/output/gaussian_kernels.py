@@ -196,6 +196,7 @@ def diagonalize(S: ti.template()):
 
 @unrolled
 def identity(like):
+    """The unit matrix in lanes of the type of `like`."""
     zero = let(0.0 * like)
     return [let(zero + 1.0 if a % 4 == 0 else zero) for a in range(9)]
 

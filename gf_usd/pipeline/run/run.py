@@ -136,6 +136,7 @@ class Session:
 
     @property
     def plan(self) -> Plan:
+        """The plan of the prepared bake."""
         return self.prepared.plan
 
     @property
@@ -154,6 +155,7 @@ class Finished:
 
     @property
     def clips(self) -> list[Path]:
+        """The files next to the caches of all variants."""
         return [clip for one in self.results for clip in one.clips]
 
 

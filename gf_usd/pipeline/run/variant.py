@@ -71,6 +71,7 @@ class VariantRun:
 
     @property
     def samples_per_frame(self) -> int:
+        """The number of samples from one frame to the next."""
         return self.plan.settings.samples_per_frame
 
     @property

@@ -25,6 +25,10 @@ class FilledBodies(SampledBodies):
 
 
 def fill_bodies(inputs: Inputs) -> FilledBodies:
+    """The bodies of an asset with their particles, at the requested resolution.
+
+    Raises UsageError for options that only a single body supports.
+    """
     request, meshes, paper = inputs.request, inputs.meshes, inputs.paper
     asset, solid = inputs.asset, inputs.solid
 

@@ -70,6 +70,7 @@ def resolution_of(
 
 
 def resolution_function(request: Request, spec: StageSpec, unit: float) -> ResolutionOf:
+    """`resolution_of` as a function of the volumes, which are known later."""
     return lambda volumes: resolution_of(request, spec, unit, volumes)
 
 

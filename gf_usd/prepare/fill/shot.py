@@ -46,6 +46,10 @@ class Shot:
 def plan_shot(
     inputs: Inputs, filled: SampledBodies, gravity_keys: Sequence[tuple[float, Triple]]
 ) -> Shot:
+    """The settings of a bake and its notes: floor, drop, frames, animation.
+
+    gravity_keys : (time code, gravity [m/s^2]) of time-dependent gravity; empty: it is constant.
+    """
     request, asset, physics = inputs.request, inputs.asset, inputs.spec.physics
     floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, inputs.unit)
     # a sheet that was thickened reaches below what is drawn
@@ -121,9 +125,13 @@ class Length:
 def plan_length(
     inputs: Inputs, shot: Shot, pins: Sequence[Pin], changes: MaterialKeys | None
 ) -> Length:
+    """The number of frames, with the motion of the obstacles over them.
+
+    pins, changes : a driven motion, or one whose materials change, has no open end.
+    """
     request, asset, file = inputs.request, inputs.asset, inputs.file
     settings, physics = shot.settings, inputs.spec.physics
-    # Without anything below them bodies fall for ever.
+    # Without anything below them bodies fall without limit.
     falls = (settings.floor is None and not physics.colliders) or _weightless(settings)
     changing = changes is not None and bool(changes.codes)
     driven = bool(pins or shot.springs or settings.fields) or changing

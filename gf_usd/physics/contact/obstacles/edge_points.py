@@ -40,7 +40,7 @@ APART = 0.5  # [spacings] edge of the cells of which one point in contact with a
 # passes over all places for points.
 LEAST_CAPACITY, SHARE = 64, 8
 
-SAVED = ("key", "x", "v", "sunk")
+SAVED = ("key", "x", "v", "start_gap")
 
 
 def capacity(colliders: Sequence[Collider], samples: int, spacing: float) -> int:
@@ -77,7 +77,7 @@ class EdgePoints:
         self.key = np.full(count, -1)  # (m,) of the point at each place; -1: none
         self.x, self.v = np.zeros((count, 3)), np.zeros((count, 3))  # [m], [m/s] at a detection
         # (m,) [m] <= 0: depth, negative, in the opposite body at the start
-        self.sunk = np.zeros(count)
+        self.start_gap = np.zeros(count)
         self._held = np.zeros(count, bool)  # places whose points are in contact
         self._found: list[EdgeContacts] = []  # of the present detection
         self.left_out = 0  # points in bodies without a place at the last detection
@@ -126,7 +126,7 @@ class EdgePoints:
         self.left_out = 0
 
     def _free(self, places: Ints) -> None:
-        self.key[places], self.sunk[places] = -1, 0.0
+        self.key[places], self.start_gap[places] = -1, 0.0
 
     def search(
         self, search: ContactSearch, which: int, samples: Mapping[int, Ints],
@@ -164,11 +164,11 @@ class EdgePoints:
         place, new = self._placed(some.key)
         row = self._first + place
         self.x[place] = search.x[row] = some.x
-        self.v[place], self.sunk[place] = some.v, some.sunk
-        search.allow(row[new], some.sunk[new] - NEAR * self._spacing)
+        self.v[place], self.start_gap[place] = some.v, some.start_gap
+        search.allow(row[new], some.start_gap[new] - NEAR * self._spacing)
         for body, which in np.unique(np.stack([some.body, some.obstacle], 1), axis=0).tolist():
             at = np.flatnonzero((some.body == body) & (some.obstacle == which))
-            point = some.point[at] + some.sunk[at, None] * some.normal[at]
+            point = some.point[at] + some.start_gap[at, None] * some.normal[at]
             search.offer_places(
                 row[at], -some.depth[at], some.normal[at], point, body, some.rest[at], which
             )
@@ -185,7 +185,7 @@ class EdgePoints:
         order = order[np.sort(np.unique(found.key[order], return_index=True)[1])]
         count = int(held[order].sum())
         most = count + len(self.key) - int(self._held.sum())
-        deep = found.depth[order[most:]] + found.sunk[order[most:]] > EASE * self._spacing
+        deep = found.depth[order[most:]] + found.start_gap[order[most:]] > EASE * self._spacing
         self.left_out += int(deep.sum())
         return found.of(order[:most])
 
@@ -209,7 +209,7 @@ class EdgePoints:
         unseen[: self._first] = False
         rows = np.flatnonzero(unseen)
         far = STAY * self._spacing
-        search.keep_beside(rows, before, self.sunk[rows - self._first], depth[rows], far)
+        search.keep_beside(rows, before, self.start_gap[rows - self._first], depth[rows], far)
 
     def _places(self, keys: Ints) -> Ints:
         """(k,) places of points; -1: none yet."""

@@ -46,7 +46,7 @@ class EdgeContacts:
     x: Floats  # (k, 3) [m] of the point
     v: Floats  # (k, 3) [m/s]
     depth: Floats  # (k,) [m] in the body, negative outside
-    sunk: Floats  # (k,) [m] <= 0: the depth, negative, at the start
+    start_gap: Floats  # (k,) [m] <= 0: the depth, negative, at the start
     normal: Floats  # (k, 3) outward unit normal of the body
     point: Floats  # (k, 3) [m] the place
     rest: Floats  # (k, 3) [m] the same at rest
@@ -76,7 +76,7 @@ class EdgeSearch:
     ) -> None:  # fmt: skip
         self._obstacles, self._features = obstacles, features
         self._rest, self._spacing = rest, spacing
-        self._start: dict[tuple[int, int], tuple[Ints, Floats]] = {}  # keys, and `sunk`
+        self._start: dict[tuple[int, int], tuple[Ints, Floats]] = {}  # keys, and `start_gap`
         self._all: dict[
             int, tuple[SharpPoints, Floats]
         ] = {}  # points of obstacles that do not move
@@ -145,7 +145,7 @@ class EdgeSearch:
             x=x[rows],
             v=v,
             depth=row_dots(point - x[rows], normal),
-            sunk=self._at_start(body, which, keys[rows]),
+            start_gap=self._at_start(body, which, keys[rows]),
             normal=normal,
             point=point,
             rest=rest,

@@ -67,7 +67,7 @@ class RestGaps:
             return self._last[1]
         out = np.zeros(len(partner))
         n = len(self._body)
-        out[n:] = np.where(partner[n:] >= 0, self._edges.sunk, 0.0)
+        out[n:] = np.where(partner[n:] >= 0, self._edges.start_gap, 0.0)
         rows = planes.on_bodies
         rows = rows[rows < n]
         out[rows] = self.from_bodies(rows, self._body[partner[rows]])

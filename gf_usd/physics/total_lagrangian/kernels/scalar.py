@@ -31,6 +31,7 @@ def number(field: ti.template(), first, per, p, a):
 
 @ti.func
 def set_number(field: ti.template(), first, per, p, a, value):
+    """Set value a of particle or node p: see `number`."""
     field[first + per * (p >> LANE_BITS) + a][p & (LANES - 1)] = value
 
 

@@ -294,6 +294,7 @@ LINES = tuple(
 
 @ti.func
 def lane_sum(x):
+    """The sum of eight lanes, in a fixed order."""
     return ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]))
 
 

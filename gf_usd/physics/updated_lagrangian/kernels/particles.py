@@ -9,6 +9,7 @@ from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT
 
 @ti.func
 def vector(A: ti.template(), o):
+    """Three components of an array, starting at o."""
     return ti.Vector([A[o], A[o + 1], A[o + 2]])
 
 

@@ -160,7 +160,7 @@ def points_at(*keys: int) -> edge_points.EdgePoints:
         raise AssertionError
 
     points = edge_points.EdgePoints(2, len(keys), [], unused, unused, 0.1)
-    points.key[:], points.v[:], points.sunk[:] = keys, 1.0, -0.05
+    points.key[:], points.v[:], points.start_gap[:] = keys, 1.0, -0.05
     return points
 
 
@@ -176,7 +176,7 @@ def found(key: list[int], depth: list[float], x: list[float], body: int = 0) -> 
     return EdgeContacts(
         key=np.array(key), obstacle=np.zeros(n, int), body=np.full(n, body),
         x=np.column_stack([x, np.zeros((n, 2))]), v=np.zeros((n, 3)), depth=np.array(depth),
-        sunk=np.zeros(n), normal=np.tile([0.0, 1.0, 0.0], (n, 1)), point=np.zeros((n, 3)),
+        start_gap=np.zeros(n), normal=np.tile([0.0, 1.0, 0.0], (n, 1)), point=np.zeros((n, 3)),
         rest=np.zeros((n, 3)),
     )  # fmt: skip
 
@@ -186,7 +186,7 @@ def test_a_place_is_free_once_its_point_has_no_plane() -> None:
     depth = np.array([0.0, 0.0, 0.01, 0.0, 0.0])
     points.begin(0.5, planes_of([NOBODY, NOBODY, 0, NOBODY, 1]), depth, np.zeros(5, bool))
     assert points.key.tolist() == [7, -1, 9]
-    assert points.sunk.tolist() == [-0.05, 0.0, -0.05]
+    assert points.start_gap.tolist() == [-0.05, 0.0, -0.05]
     assert (points.x == 0.5).all()
     place, new = points._placed(np.array([7, 11]))
     assert place.tolist() == [0, 1]
