@@ -24,8 +24,8 @@ def check(
 ) -> None:
     """Validate a USD file with UsdValidation and additional rules; each finding has a fix.
 
-    The exit status is 1 if there is an error, else 0. Warnings do not count, and neither do errors
-    in the source of a bake, which are listed separately.
+    The exit status is 1 if there is an error, else 0. Warnings do not count, and neither do
+    findings in the source of a bake, which are listed separately.
     """
     from gf_usd.system.sandbox import parse_limits, run_isolated
 
@@ -48,14 +48,17 @@ def check(
             typer.echo(f"{finding.severity}: {finding.rule} <{finding.prim_path}>")
             typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
         for finding in result.inherited:
-            typer.echo(f"also in the source: {finding.rule} <{finding.prim_path}>")
+            severity = "" if finding.severity == "error" else f"{finding.severity}: "
+            typer.echo(f"also in the source: {severity}{finding.rule} <{finding.prim_path}>")
             typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
         for line in unchecked(result.skipped):
             typer.echo(line)
         for line in result.warned:
             typer.echo(f"note: {line}")
-        inherited = counted(len(result.inherited), "error") + " in the source"
-        theirs = f", {inherited}" if result.inherited else ""
+        theirs = ""
+        for severity in ("error", "warning"):
+            if count := sum(one.severity == severity for one in result.inherited):
+                theirs += f", {counted(count, severity)} in the source"
         typer.echo(
             f"{file}: {counted(result.errors, 'error')}, {counted(result.warnings, 'warning')}"
             f"{theirs} ({counted(result.rules, 'rule')}, {counted(result.prims, 'prim')},"

@@ -74,6 +74,37 @@ def test_warnings_do_not_count(gf_usd, mild: str) -> None:
     assert "mild.usda: 0 errors, 1 warning (" in done.out
 
 
+def test_findings_of_the_source_of_a_bake_are_apart(gf_usd, broken: str, here: Path) -> None:
+    (here / "shard.rubber.usda").write_text(
+        """#usda 1.0
+(
+    defaultPrim = "Shard"
+    endTimeCode = 1
+    metersPerUnit = 1
+    startTimeCode = 1
+    upAxis = "Y"
+)
+def "Shard" (
+    references = @shard.usda@
+    variants = { string gaussianFlesh = "rubber" }
+    prepend variantSets = "gaussianFlesh"
+)
+{
+    double late.timeSamples = { 1: 0, 9: 1 }
+    variantSet "gaussianFlesh" = { "none" {} "rubber" {} }
+}
+"""
+    )
+    done = gf_usd("check", "shard.rubber.usda")
+    assert done.status == 0
+    lines = done.out.splitlines()
+    assert not [line for line in lines if line.startswith(("error", "warning"))]
+    assert "also in the source: mesh-topology </Shard>" in lines
+    assert "also in the source: warning: time-range </Shard>" in lines
+    assert lines[-1].startswith("shard.rubber.usda: 0 errors, 0 warnings, ")
+    assert ", 1 warning in the source (" in lines[-1]
+
+
 @pytest.mark.parametrize("sound", [True, False])
 def test_json(gf_usd, block: Path, broken: str, sound: bool) -> None:
     file = str(block) if sound else broken

@@ -34,7 +34,7 @@ class CheckResult:
     path: str  # of the file
     findings: tuple[Finding, ...]  # errors first
     skipped: tuple[Skip, ...]  # checks that were not possible, and why
-    inherited: tuple[Finding, ...] = ()  # for a bake: errors that its source has too
+    inherited: tuple[Finding, ...] = ()  # for a bake: those that its source has too, errors first
     warned: tuple[str, ...] = ()  # USD's own warnings, counted
     layers: int  # number of layers that were read
     prims: int  # number of prims that were checked
@@ -84,16 +84,17 @@ def check_file(path: str | Path) -> CheckResult:
                 f"{file} cannot be opened as USD: {reason(error)}",
                 "export the file again; its content does not match its suffix",
             ) from error
-        result = _without_source_errors(check_stage(stage), stage)
+        result = _without_source_findings(check_stage(stage), stage)
     found = (finding.message for finding in (*result.findings, *result.inherited))
     return replace(result, warned=warned.lines(stated=found))
 
 
-def _without_source_errors(result: CheckResult, stage: Usd.Stage) -> CheckResult:
-    """Move errors that also occur with the source selected to `inherited`.
+def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResult:
+    """Move findings that also occur with the source selected to `inherited`.
 
-    A stage that is not a bake, or that shows the source already, is returned unchanged.  In a shot
-    over bakes, errors outside the baked prims are the shot's own and are not moved.
+    The result for a stage that is not a bake, or that shows the source already, is returned
+    unchanged.  In a shot over bakes, findings outside the baked prims are the shot's own and are
+    not moved.
     """
     baked = _looks(stage)
     sets = [prim.GetVariantSet(VARIANT_SET) for prim in baked]
@@ -101,7 +102,7 @@ def _without_source_errors(result: CheckResult, stage: Usd.Stage) -> CheckResult
     layer = stage.GetRootLayer()
     if any((spec := layer.GetPrimAtPath(p)) and VARIANT_SET in spec.variantSets for p in roots):
         roots = [Sdf.Path.absoluteRootPath]
-    if result.ok or not any(one.GetVariantSelection() != SOURCE_VARIANT for one in sets):
+    if not result.findings or not any(one.GetVariantSelection() != SOURCE_VARIANT for one in sets):
         return result
     stage.SetEditTarget(stage.GetSessionLayer())
     for one in sets:
@@ -109,7 +110,7 @@ def _without_source_errors(result: CheckResult, stage: Usd.Stage) -> CheckResult
     known = {_key(found) for found in check_stage(stage).findings}
     theirs = [
         f for f in result.findings
-        if f.severity == "error" and _key(f) in known
+        if _key(f) in known
         and any(Sdf.Path(f.prim_path).HasPrefix(root) for root in roots)
     ]  # fmt: skip
     return replace(
@@ -171,7 +172,8 @@ def _judge(rule: Rule, stage: Usd.Stage) -> Iterable[Finding | Skip]:
 def review(root: Path, source: Path) -> list[dict[str, str]]:
     """Errors in every variant of a root layer, except those that its source has too.
 
-    Findings with the same rule and prim are the same: the numbers in their texts may differ.
+    Findings with the same severity, rule and prim are the same: the numbers in their texts may
+    differ.
     """
     known = {_key(f) for f in check_file(source).findings}
     stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)
@@ -180,7 +182,7 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
     sets = [p.GetVariantSet(VARIANT_SET) for p in prims]
     names = sorted({name for s in sets for name in s.GetVariantNames()}) or [""]
     stage.SetEditTarget(stage.GetSessionLayer())
-    seen: dict[tuple[str, str], dict[str, str]] = {}
+    seen: dict[tuple[str, str, str], dict[str, str]] = {}
     for name in names:
         for prim in prims:
             prim.GetVariantSet(VARIANT_SET).SetVariantSelection(name)
@@ -190,8 +192,12 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
     return list(seen.values())
 
 
-def _key(finding: Finding) -> tuple[str, str]:
-    return finding.rule, str(finding.prim_path)
+def _key(finding: Finding) -> tuple[str, str, str]:
+    """What findings of a bake and of its source have in common.
+
+    With the severity: a mesh without an extent is a warning, a bake's wrong extent an error.
+    """
+    return finding.severity, finding.rule, str(finding.prim_path)
 
 
 def _plain(finding: Finding) -> dict[str, str]:

@@ -106,3 +106,43 @@ def test_a_fault_of_the_source_is_not_the_bake_s(tmp_path: Path) -> None:
     checked = check_file(root.path)
     assert not checked.ok
     assert ("finite", MESH) in {(f.rule, f.prim_path) for f in checked.findings}
+
+
+def _extent(path: Path, prim: str, values: list[tuple[float, float, float]] | None) -> None:
+    """Replace all samples of an extent; None: remove it."""
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    spec = layer.GetPrimAtPath(prim)
+    if values is None:
+        spec.RemoveProperty(spec.properties["extent"])
+    else:
+        for time in layer.ListTimeSamplesForPath(f"{prim}.extent"):
+            layer.SetTimeSample(f"{prim}.extent", time, [Gf.Vec3f(*value) for value in values])
+    layer.Save()
+
+
+def test_a_warning_of_the_source_is_not_the_bake_s(tmp_path: Path) -> None:
+    late = "double late.timeSamples = { 0: 1, 2000: 2 }\n    float3[] extentsHint"
+    asset = replace(PLAIN, body=PLAIN.body.replace("float3[] extentsHint", late)).asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path)
+    stage = Usd.Stage.Open(str(root.path))
+    assert stage.GetEndTimeCode() < 2000.0
+    checked = check_file(root.path)
+    assert checked.findings == ()
+    assert ("warning", "time-range", "/duck") in {
+        (f.severity, f.rule, f.prim_path) for f in checked.inherited
+    }
+
+
+def test_an_error_of_the_bake_is_not_hidden_by_a_warning_of_its_source(tmp_path: Path) -> None:
+    """Without an extent the source has a warning; a wrong extent of the bake is an error."""
+    asset = PLAIN.asset(tmp_path)
+    _extent(asset.facts.path, MESH, None)
+    source = {(f.severity, f.rule, f.prim_path) for f in check_file(asset.facts.path).findings}
+    assert ("warning", "extent", MESH) in source
+    root, _, _ = bake(asset, tmp_path)
+    assert check_file(root.path).findings == ()
+    _extent(tmp_path / "duck.rubber.cache.usdc", MESH, [(0, 0, 0), (1e-3, 1e-3, 1e-3)])
+    assert ("extent", MESH) in prims(review(root.path, asset.facts.path))
+    checked = check_file(root.path)
+    assert ("error", "extent", MESH) in {(f.severity, f.rule, f.prim_path) for f in checked.findings}  # fmt: skip
+    assert not checked.ok
