@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdUtils
+from pxr import Ar, Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.errors import UsageError
 from gf_usd.delivery.skeleton import bind_meshes, skel_roots
@@ -32,6 +32,7 @@ from gf_usd.system.atomic_files import same_place
 
 VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
 
+LAYERS = (".usd", ".usda", ".usdc", ".usdz")
 MOVING = ("points", "normals", "velocities", "accelerations", "extent")
 
 
@@ -308,30 +309,35 @@ class LayerPackage(Package):
         self._layers: dict[str, str] = {}  # layer -> name in the package
 
     def _name(self, file: Path) -> str:
-        numbers = list(dict.fromkeys([*self._names, file]))
-        return f"{numbers.index(file)}_{file.name}"
+        number = self._numbers.setdefault(file, len(self._numbers))
+        return f"{number}_{file.name}"
 
     def _placed(self, file: Path, inner: str) -> str:
-        if not inner and file.suffix.lower() in (".usd", ".usda", ".usdc", ".usdz"):
-            return f"./{self._layer(file)}"
+        path = Ar.JoinPackageRelativePath(str(file), inner) if inner else str(file)
+        last = Path(Ar.SplitPackageRelativePathInner(path)[1] if inner else file)
+        if last.suffix.lower() in LAYERS:
+            return f"./{self._layer(file, path, last)}"
         return f"./{super()._placed(file, inner)}"
 
-    def _layer(self, file: Path) -> str:
-        key = str(file)
+    def _layer(self, file: Path, key: str, last: Path) -> str:
+        """The name of a layer in the package, which is put there.
+
+        key : its path; file : of the outermost package, or of the layer; last : its own file name.
+        """
         if key in self._layers:
             return self._layers[key]
         if not file.exists():
-            return file.name  # it does not compose in the bake either, which is noted there
+            return last.name  # it does not compose in the bake either, which is noted there
         source = Sdf.Layer.FindOrOpen(key)
         if source is None:
-            self.notes[f"{file} could not be opened: it is not in the package"] = None
-            return file.name
-        name = f"layer{len(self._layers)}_{file.stem}.usdc"
+            self.notes[f"{key} could not be opened: it is not in the package"] = None
+            return last.name
+        name = f"layer{len(self._layers)}_{last.stem}.usdc"
         self._layers[key] = name
         copy = Sdf.Layer.CreateAnonymous(".usda")
         copy.TransferContent(source)
         UsdUtils.ModifyAssetPaths(copy, lambda path: self.place(absolute(source, path)))
         made = self._scratch / name
         export(copy, made)
-        self._names[made] = name
+        self._files[name] = made
         return name

@@ -7,11 +7,11 @@ the layer refers to stay where they are, or are copied into the package.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import tempfile
 import time
-import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
@@ -154,26 +154,27 @@ class Package(Files):
     def __init__(self, scratch: Path) -> None:
         super().__init__()
         self._scratch = scratch
-        self._names: dict[Path, str] = {}  # file -> name in the package
+        self._files: dict[str, Path] = {}  # name in the package -> file
+        self._numbers: dict[Path, int] = {}  # of folders, in names
 
     def _placed(self, file: Path, inner: str) -> str:
-        if inner:
-            file = self._extracted(file, inner)
-        if TILES in file.name:
-            pattern = re.escape(file.name).replace(re.escape(TILES), r"\d{4}")
-            tiles = sorted(p for p in file.parent.glob("*") if re.fullmatch(pattern, p.name))
+        found = self._extracted(file, inner) if inner else file
+        if found is not None and TILES in found.name:
+            pattern = re.escape(found.name).replace(re.escape(TILES), r"\d{4}")
+            tiles = sorted(p for p in found.parent.glob("*") if re.fullmatch(pattern, p.name))
+            name = self._name(found)
+            for tile in tiles:
+                self._add(tile, name.removesuffix(found.name) + tile.name)
             if tiles:
-                for tile in tiles:
-                    self._add(tile, file)
-                return self._name(file)
-        if not file.is_file():
-            self.notes[f"{file} could not be found: it is not in the package"] = None
-            return file.name
-        return self._add(file, file)
+                return name
+        if found is None or not found.is_file():
+            lost = Ar.JoinPackageRelativePath(str(file), inner) if inner else file
+            self.notes[f"{lost} could not be found: it is not in the package"] = None
+            return Path(inner.rstrip("]") or file).name
+        return self._add(found, self._name(found))
 
-    def _add(self, file: Path, named: Path) -> str:
-        name = self._name(named).removesuffix(named.name) + file.name
-        self._names[file] = name
+    def _add(self, file: Path, name: str) -> str:
+        self._files[name] = file
         if file.suffix.lower() not in ALLOWED:
             self.notes[
                 f"{file.name} is in the package, but AR clients do not allow this type of file"
@@ -182,19 +183,31 @@ class Package(Files):
 
     def _name(self, file: Path) -> str:
         """The name in the package: one folder per source folder keeps names unique."""
-        folders = list(dict.fromkeys([*(p.parent for p in self._names), file.parent]))
-        return f"{FOLDER}/{folders.index(file.parent)}/{file.name}"
+        number = self._numbers.setdefault(file.parent, len(self._numbers))
+        return f"{FOLDER}/{number}/{file.name}"
 
-    def _extracted(self, package: Path, inner: str) -> Path:
-        target = self._scratch / f"{package.stem}{len(self._names)}" / Path(inner).name
-        try:
-            with zipfile.ZipFile(package) as archive:
-                data = archive.read(inner)
-        except (OSError, KeyError, zipfile.BadZipFile):
-            return package / inner  # which is no file, and is reported
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(data)
-        return target
+    def _extracted(self, package: Path, inner: str) -> Path | None:
+        """The file, or the pattern of tiles, in a folder of scratch; None where there is none.
+
+        Each folder of a package is one of scratch.  USD reads the package: it also finds files in
+        packages within packages, and names that are not ASCII, which it stores as UTF-8 without the
+        flag of the zip format that says so.
+        """
+        path = Ar.JoinPackageRelativePath(str(package), inner)
+        within, name = Ar.SplitPackageRelativePathInner(path)
+        key = hashlib.sha256(f"{within}[{Path(name).parent}".encode()).hexdigest()
+        folder = self._scratch / key[:16]
+        tiles = UsdShade.UdimUtils.ResolveUdimTilePaths(path, None) if TILES in name else ()
+        for one in [tile for tile, _ in tiles] or [path]:
+            target = folder / Path(Ar.SplitPackageRelativePathInner(one)[1]).name
+            if target.exists():
+                continue
+            asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(one))
+            if not asset:
+                return None
+            folder.mkdir(exist_ok=True)
+            target.write_bytes(asset.GetBuffer())
+        return folder / Path(name).name
 
     def write(self, path: Path, layer: Path) -> None:
         """Write the package, uncompressed and aligned, with the layer as its first file.
@@ -205,13 +218,13 @@ class Package(Files):
         Raises BakeError where a file cannot be written.
         """
         made = time.mktime(MADE)
-        for file in (layer, *self._names):
+        for file in (layer, *self._files.values()):
             if file.is_relative_to(self._scratch):
                 os.utime(file, (made, made))
         try:
             writer = Sdf.ZipFileWriter.CreateNew(str(path))
             done = bool(writer) and writer.AddFile(str(layer), layer.name)
-            for file, name in self._names.items():
+            for name, file in self._files.items():
                 done = done and writer.AddFile(str(file), name)
             done = done and writer.Save()
         except Tf.ErrorException as error:
@@ -233,9 +246,22 @@ def anchor_tiles(stage: Usd.Stage, flat: Sdf.Layer) -> None:
             if value is None or spec is None or TILES not in value.path:
                 continue
             layers = (opinion.layer for opinion in attribute.GetPropertyStack())
-            found = (UsdShade.UdimUtils.ResolveUdimPath(value.path, layer) for layer in layers)
+            found = (_tiles(value.path, layer) for layer in layers)
             if path := next((path for path in found if path), ""):
                 spec.default = Sdf.AssetPath(path)
+
+
+def _tiles(path: str, layer: Sdf.Layer) -> str:
+    """The absolute path of the tiles of a UDIM path in a layer, "" where there are none.
+
+    ``UdimUtils.ResolveUdimPath`` finds none in packages.
+    """
+    found = UsdShade.UdimUtils.ResolveUdimTilePaths(path, layer)
+    if not found:
+        return ""
+    first, number = found[0]
+    before, after = first.rsplit(number + path.rsplit(TILES, 1)[1], 1)
+    return before + TILES + path.rsplit(TILES, 1)[1] + after
 
 
 def shorten_info(layer: Sdf.Layer) -> None:

@@ -6,8 +6,9 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
-from pxr import UsdUtils
+from pxr import Ar, UsdShade, UsdUtils
 
 SHOWN = 2  # kinds of warnings that a note quotes
 # parts of a warning that differ between stages with the same fault
@@ -21,6 +22,13 @@ MISSING = re.compile(
     r"|Could not open asset @(.+?)@ for "
 )
 FILE_AS_PRIM = "Ill-formed SdfPath <{}>"
+# USD looks for a file of the name of a UDIM pattern, which is none, and for one tile in a package,
+# which it does not recognize.
+TILES = "<UDIM>"
+PATTERN = re.compile(
+    r"Failed to resolve reference @.+?@ with computed asset path @(.+?)@ found in layer @(.+?)@"
+    r"|Resolution of first udim tile gave ambig.+? First tile for '(.+?)' is"
+)
 
 
 class Warned:
@@ -47,10 +55,11 @@ class Warned:
     def lines(self, reported: Collection[str] = (), stated: Iterable[str] = ()) -> tuple[str, ...]:
         """A note on the warnings that are not in `reported`; none where there are none.
 
-        stated : notes and findings; warnings of files that they name as missing are left out.
+        stated : notes and findings; warnings of files that they name as missing are left out, and
+        so are those of UDIM textures that have tiles.
         """
         counts = self.counts
-        known = set(reported) | set(_repeated(counts, "\n".join(stated)))
+        known = {*reported, *_repeated(counts, "\n".join(stated)), *filter(_of_tiles, counts)}
         kinds = sorted(text for text in counts if text not in known)
         if not kinds:
             return ()
@@ -72,6 +81,20 @@ def _repeated(warnings: Collection[str], stated: str) -> Iterator[str]:
                 yield text
     faults = tuple(FILE_AS_PRIM.format(name) for name in missing)
     yield from (text for text in warnings if text.startswith(faults))
+
+
+def _of_tiles(text: str) -> bool:
+    """Whether a warning is of a UDIM texture that has tiles."""
+    found = PATTERN.match(text)
+    if not found or TILES not in text:
+        return False
+    path, layer, whole = found.groups()
+    if not whole:
+        whole = path
+        if not Path(Ar.SplitPackageRelativePathOuter(path)[0]).is_absolute():
+            package = Ar.SplitPackageRelativePathInner(layer)[0] or layer
+            whole = Ar.JoinPackageRelativePath(package, path)
+    return bool(UsdShade.UdimUtils.ResolveUdimTilePaths(whole, None))
 
 
 @contextmanager

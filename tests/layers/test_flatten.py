@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdUtils
+from pxr import Ar, Sdf, Usd, UsdGeom, UsdUtils
 from small_sources import PLAIN, SOURCES, Source
 from small_stages import CUBE, asset_of, bake, write
 
@@ -276,6 +276,71 @@ def test_textures_inside_a_package_are_reached(suffix: str, tmp_path: Path) -> N
     with zipfile.ZipFile(one) as archive:
         assert {Path(f.filename).suffix for f in archive.infolist()} == {".usdc", ".png"}
         assert archive.read(found.path) == PNG + b"tex/skin.png"
+
+
+def zipped(folder: Path, name: str, files: list[str]) -> Path:
+    """`asset/duck.usda` and textures in a package, in which paths are UTF-8, as USD writes them."""
+    inner = folder / name
+    writer = Sdf.ZipFileWriter.CreateNew(str(inner))
+    for file in ("duck.usda", *files):
+        assert writer.AddFile(str(folder / "asset" / file), file)
+    assert writer.Save()
+    shutil.rmtree(folder / "asset")
+    return inner
+
+
+def file_in(path: Path) -> str:
+    stage = Usd.Stage.Open(str(path))
+    return stage.GetAttributeAtPath(FILE).Get().path
+
+
+@pytest.mark.parametrize("file", ["tex/tile.<UDIM>.png", "./tex/tile.<UDIM>.png"])
+@pytest.mark.parametrize("suffix", [".usdc", ".usdz"])
+def test_tiles_inside_a_package_are_reached(suffix: str, file: str, tmp_path: Path) -> None:
+    painted(tmp_path, file)
+    inner = zipped(tmp_path, "duck.usdz", ["tex/tile.1001.png", "tex/tile.1002.png"])
+    _, one = flat(asset_of(inner), tmp_path, suffix)
+    found = file_in(one)
+    if suffix == ".usdc":
+        assert found == "../duck.usdz[tex/tile.<UDIM>.png]"
+        return
+    with zipfile.ZipFile(one) as archive:
+        for tile in ("1001", "1002"):
+            data = archive.read(found.replace("<UDIM>", tile))
+            assert data == PNG + f"tex/tile.{tile}.png".encode()
+
+
+def test_a_texture_in_a_package_has_any_name(tmp_path: Path) -> None:
+    """USD writes names as UTF-8 without the flag that says so."""
+    painted(tmp_path, "./häute/skin é.png")
+    (tmp_path / "asset/häute").mkdir()
+    (tmp_path / "asset/tex/skin.png").rename(tmp_path / "asset/häute/skin é.png")
+    inner = zipped(tmp_path, "ente ü.usdz", ["häute/skin é.png"])
+    _, one = flat(asset_of(inner), tmp_path, ".usdz")
+    picture = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(f"{one}[{file_in(one)}]"))
+    assert picture.GetBuffer() == PNG + b"tex/skin.png"
+
+
+def test_a_texture_is_packed_once(tmp_path: Path) -> None:
+    painted(tmp_path, "tex/skin.png")
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "asset/duck.usda"))
+    assert Sdf.CopySpec(layer, "/duck/Paint/Picture", layer, "/duck/Paint/Again")
+    layer.Save()
+    _, one = flat(asset_of(zipped(tmp_path, "duck.usdz", ["tex/skin.png"])), tmp_path, ".usdz")
+    with zipfile.ZipFile(one) as archive:
+        assert [name for name in archive.namelist() if name.endswith(".png")] == [
+            "files/0/skin.png"
+        ]
+
+
+def test_a_texture_that_a_package_lacks_is_named(tmp_path: Path) -> None:
+    painted(tmp_path, "./tex/lost.png")
+    asset = asset_of(zipped(tmp_path, "duck.usdz", []))
+    root, _, _ = bake(asset, tmp_path)
+    target = tmp_path / "one.usdz"
+    notes = write_flat(target, root, asset, source=asset.facts.path, choices=ALL)
+    lost = f"{asset.facts.path}[tex/lost.png]"
+    assert notes == (f"{lost} could not be found: it is not in the package",)
 
 
 def test_a_texture_that_is_not_there_is_named(tmp_path: Path) -> None:

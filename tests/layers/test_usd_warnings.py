@@ -94,3 +94,38 @@ def test_findings_of_the_check_are_not_repeated(
         assert any(f"gone{k}.usda" in finding.message for finding in checked.findings)
     assert checked.warned == ()
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("tiles", [0, 2])
+@pytest.mark.parametrize("zipped", [False, True], ids=["folder", "package"])
+def test_tiles_of_a_udim_texture_are_not_missing(zipped: bool, tiles: int, tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "udim.usda",
+        """
+def Material "Paint"
+{
+    token outputs:surface.connect = </Paint/Picture.outputs:surface>
+    def Shader "Picture"
+    {
+        asset inputs:file = @./tex/tile.<UDIM>.png@
+        uniform token info:id = "UsdUVTexture"
+        token outputs:surface
+    }
+}
+""",
+    )
+    (tmp_path / "tex").mkdir()
+    names = [f"tex/tile.{1001 + k}.png" for k in range(tiles)]
+    for name in names:
+        (tmp_path / name).write_bytes(b"not looked into")
+    if zipped:
+        source, path = path, tmp_path / "udim.usdz"
+        writer = Sdf.ZipFileWriter.CreateNew(str(path))
+        assert writer.AddFile(str(source), source.name)
+        assert all(writer.AddFile(str(tmp_path / name), name) for name in names)
+        assert writer.Save()
+    with gathered() as warned:
+        for _ in run_validators(Usd.Stage.Open(str(path))):
+            pass
+    assert any("<UDIM>" in text for text in warned.counts)
+    assert bool(warned.lines()) == (tiles == 0)
