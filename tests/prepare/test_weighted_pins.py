@@ -87,15 +87,44 @@ def test_other_bodies_keep_the_floor_that_a_pinned_one_reaches_through(tmp_path:
     assert seen.plan.settings.floor == 0.0
 
 
-def test_a_weight_that_nobody_has_is_refused(plan) -> None:
+NONE = "1 mesh has no float primvar"
+
+
+@pytest.mark.parametrize(
+    ("written", "pin", "message", "hint"),
+    [
+        (PAINTED, "paint:heeld", f"{NONE} heeld on its points", "did you mean paint:held?"),
+        ("", "paint:held", f"{NONE} held on its points", "interpolation vertex"),
+        (
+            PAINTED.replace("vertex", "uniform").replace(", 0, 1]", "]"),
+            "paint:held",
+            "</One> has held as float[] with the interpolation uniform",
+            "interpolation vertex",
+        ),
+        (
+            PAINTED.replace("1,", "0.25,").replace("1]", "0.4]"),
+            "paint:held",
+            "no face of 1 mesh has a weight of at least 0.5 at each of its points: the largest"
+            " weight is 0.4",
+            "paint",
+        ),
+        ("", "joint:hips", "1 mesh has no weights of a joint hips", "no mesh has joints"),
+    ],
+)  # fmt: skip
+def test_a_weight_that_nobody_has_is_refused(
+    plan, written: str, pin: str, message: str, hint: str
+) -> None:
     with pytest.raises(InputError) as caught:
-        plan(mesh("One", PAINTED), pins=("paint:nothing",))
-    assert (
-        "--pin paint:nothing: no face of 1 mesh has a weight of at least 0.5"
-        in caught.value.message
-    )
-    with pytest.raises(InputError, match="joint:hips"):
-        plan(mesh("One"), pins=("joint:hips",))
+        plan(mesh("One", written), pins=(pin,))
+    assert f"--pin {pin}: {message}" in caught.value.message
+    assert hint in caught.value.hint
+
+
+def test_an_empty_pin_is_refused(plan) -> None:
+    """Of a variable of a script that is not set."""
+    with pytest.raises(InputError, match="the path of a prim is empty") as caught:
+        plan(mesh("One"), pins=("",))
+    assert "contains /One" in caught.value.hint
 
 
 def test_the_faces_that_follow_a_joint_are_held(tmp_path: Path) -> None:
@@ -109,5 +138,9 @@ def test_the_faces_that_follow_a_joint_are_held(tmp_path: Path) -> None:
     assert 0 < len(pin.anchors) < len(surface) / 2
     with pytest.raises(InputError) as caught:
         prepare(creature, pins=("joint:wing",), **options)
+    assert "has no weights of a joint wing" in caught.value.message
     assert "joints are " in caught.value.hint
     assert "Head" in caught.value.hint
+    with pytest.raises(InputError) as caught:
+        prepare(creature, pins=("joint:head",), **options)
+    assert caught.value.hint == "did you mean joint:Head?"

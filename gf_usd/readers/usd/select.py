@@ -220,7 +220,8 @@ def named_prim(
         names = ", ".join(sensible(parent.GetAllChildren())[:8])
         nothing = "nothing" if known is None else "nothing that can be baked"
         hint = f"{parent.GetPath()} exists and contains {names or nothing}"
-    raise InputError(f"{path}: there is no prim {name}", hint)
+    fault = f"there is no prim {name}" if name else "the path of a prim is empty"
+    raise InputError(f"{path}: {fault}", hint)
 
 
 def _nearest(stage: Usd.Stage, wanted: Sdf.Path | None) -> Usd.Prim:

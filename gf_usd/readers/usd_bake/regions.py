@@ -6,11 +6,12 @@ the faces all of whose points have a weight of at least `HALF`.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts, first_time_code
@@ -48,6 +49,8 @@ def read_regions(
 
 HALF = 0.5
 PAINT, JOINT = "paint:", "joint:"  # prefixes of names of primvars and joints
+ON_POINTS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+WEIGHTS = (Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Half)
 
 
 def read_weighted(
@@ -72,11 +75,14 @@ def read_weighted(
         stage = open_stage(file)
         first = Usd.TimeCode(first_time_code(facts, rest))
         made: list[Region] = []
-        known: list[str] = []
+        known: list[str] = []  # of all meshes: primvars on points, or joints
+        largest = -np.inf
         for path in meshes:
             prim = named_prim(stage, facts.path, path)
-            weight = _painted(prim, name, first) if name.startswith(PAINT) else None
-            if name.startswith(JOINT):
+            if name.startswith(PAINT):
+                weight = _painted(prim, name.removeprefix(PAINT), first)
+                known += _paintings(prim)
+            else:
                 weight, joints = _of_joint(prim, name.removeprefix(JOINT))
                 known += joints
             if weight is None:
@@ -88,6 +94,7 @@ def read_weighted(
                     f" {len(points)} points",
                     "paint a weight for each point",
                 )
+            largest = max(largest, float(weight.max(initial=-np.inf)))
             chosen = triangles[weight[triangles].min(1) >= HALF]
             if not len(chosen):
                 continue
@@ -106,24 +113,75 @@ def read_weighted(
                     body=path,
                 )
             )
+        if not made and largest == -np.inf:
+            every = [named_prim(stage, facts.path, path) for path in meshes]
+            raise _without_weights(f"{facts.path}: {label}", name, every, sorted({*known}))
     if not made:
-        what = "joints are " + ", ".join(dict.fromkeys(known)) if known else "no mesh has it"
         raise InputError(
             f"{facts.path}: {label}: no face of {counted(len(meshes), 'mesh', 'meshes')} has a"
-            f" weight of at least {HALF:g}",
-            f"name a float primvar on points, or a joint of the skeleton; {what}",
+            f" weight of at least {HALF:g} at each of its points: the largest weight is"
+            f" {largest:g}",
+            f"paint weights of {HALF:g} or more, or name another primvar or joint",
         )
     return tuple(made)
 
 
+def _without_weights(
+    where: str, name: str, meshes: Sequence[Usd.Prim], known: Sequence[str]
+) -> InputError:
+    """The error where no mesh has a weight map.
+
+    known : primvars on points, or joints, of the meshes.
+    """
+    kind = PAINT if name.startswith(PAINT) else JOINT
+    bare = name.removeprefix(kind).removeprefix("primvars:")
+    leaves = {one.rpartition("/")[2].lower(): one.rpartition("/")[2] for one in known}
+    close = difflib.get_close_matches(bare.lower(), leaves, n=1)
+    count = counted(len(meshes), "mesh has", "meshes have")
+    if kind == JOINT:
+        message = f"{count} no weights of a joint {bare}"
+        hint = (
+            f"joints are {', '.join(known)}"
+            if known
+            else "no mesh has joints: name a prim or a box"
+        )
+    else:
+        message = (
+            f"{count} no float primvar {bare} on {'its' if len(meshes) == 1 else 'their'} points"
+        )
+        hint = "paint the weights as a float primvar with the interpolation vertex"
+        if known:
+            hint += f"; primvars on points are {', '.join(known)}"
+        for prim in meshes:
+            other = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(bare)
+            if other and other.HasValue():
+                message = (
+                    f"<{prim.GetPath()}> has {bare} as {other.GetTypeName()} with the"
+                    f" interpolation {other.GetInterpolation()}"
+                )
+    if close and leaves[close[0]] != bare:
+        hint = f"did you mean {kind}{leaves[close[0]]}?"
+    return InputError(f"{where}: {message}", hint)
+
+
+def _paintings(prim: Usd.Prim) -> list[str]:
+    """The names of the primvars of a mesh that could be a weight map."""
+    found = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
+    return [
+        primvar.GetPrimvarName()
+        for primvar in found
+        if primvar.GetTypeName().scalarType in WEIGHTS and primvar.GetInterpolation() in ON_POINTS
+    ]
+
+
 def _painted(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats | None:
     """(V,) values of a primvar on points; None where the mesh has no such primvar."""
-    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name.removeprefix(PAINT))
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         return None
     values = np.atleast_1d(np.asarray(primvar.ComputeFlattened(time)))
     numeric = values.ndim == 1 and np.issubdtype(values.dtype, np.number)
-    on_points = primvar.GetInterpolation() in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+    on_points = primvar.GetInterpolation() in ON_POINTS
     return values.astype(np.float64) if numeric and on_points else None
 
 
