@@ -30,7 +30,7 @@ def show_plan(
     from gf_usd.prepare.plan import describe
 
     d = {**describe(prepared.plan), **prepared.cost}
-    saved = shortcuts(prepared.cost, prepared.plan.materials)
+    saved = shortcuts(prepared.cost, prepared.plan.materials, prepared.plan.used_tables)
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
@@ -80,7 +80,7 @@ def announce(prepared: Prepared) -> None:
     each = ", ".join(
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
     )
-    for note in (*plan.notes, *shortcuts(cost, plan.materials)):
+    for note in (*plan.notes, *shortcuts(cost, plan.materials, plan.used_tables)):
         typer.echo(_note_line(plan, note), err=True)
     forecast = {"frames": plan.settings.frames, **cost}
     first = plan.settings.first

@@ -228,7 +228,7 @@ def _notes(seen: Inspection) -> list[str]:
         elif odd:
             notes.append(f"<{mesh.path}> has {', '.join(odd)}, which do not affect the fill")
     if seen.plan is not None and seen.cost is not None:
-        notes += shortcuts(seen.cost, seen.plan.materials)
+        notes += shortcuts(seen.cost, seen.plan.materials, seen.plan.used_tables)
     return notes
 
 

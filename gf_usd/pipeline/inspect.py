@@ -22,6 +22,8 @@ parts       poorly filled: path, shell, kind (empty | few | thin | bare region |
 suggested_particles     a total that fills all parts that a sensible number fills
 materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
             substeps (expected in all), damping_ratio (of the grid's stiffest vibration),
+            critical_damping_time ([s] of all materials, with which that ratio is 1;
+            0: of a fluid),
             contact_factor (substeps with contact over those without), seconds (of all frames),
             usual_seconds (of a bake that ends at rest), flying_samples (without
             substeps), sample_seconds, moving_seconds (of a sample without and with substeps),

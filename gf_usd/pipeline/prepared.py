@@ -7,8 +7,6 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import MIXED, sampled, written
 from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
@@ -62,14 +60,13 @@ class Prepared:
         setup = plan.contact_setup
         samples = plan.settings.samples_per_frame
         surfaces = plan.asset.surfaces
-        present = np.unique(plan.particles.material)
         contact = None if has_driven_motion(plan) else first_contact(plan.settings, plan.drop)
         ends = plan.choices.until_rest or plan.choices.settled
         return estimate(
             plan.settings,
             plan.materials,
             [samples * self.solvers.substeps(variant) for variant in plan.variants],
-            tables=[[one.table[k] for k in present] for one in plan.variants],
+            tables=plan.used_tables,
             particles=len(plan.particles),
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             paired=len(plan.samples.X) if setup and setup.any else 0,

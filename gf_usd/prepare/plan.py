@@ -11,6 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gf_usd.core import __version__
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
@@ -101,6 +103,12 @@ class Plan:
             strict=True,
         )
         return tuple(Variant(*row) for row in rows)
+
+    @property
+    def used_tables(self) -> list[list[Material]]:
+        """The materials that particles have, for each variant."""
+        present = np.unique(self.particles.material)
+        return [[variant.table[k] for k in present] for variant in self.variants]
 
     @property
     def points(self) -> dict[str, Floats]:

@@ -295,6 +295,28 @@ def test_the_damping_ratio_is_that_of_the_step(plan: Plan) -> None:
     assert counts[1] / counts[0] == pytest.approx(step[0] / step[1], rel=0.05)
 
 
+def test_the_critical_damping_time_is_that_of_the_step(plan: Plan) -> None:
+    """tau / z, also where the damping is that of a material that has slower waves."""
+    rubber = replace(plan.materials[0], damping_time=0.05)
+    (row,) = cost(replace(plan, materials=(rubber,)))["per_material"]
+    critical = row["critical_damping_time"]
+    # the number of substeps is rounded up
+    assert critical == pytest.approx(0.05 / row["damping_ratio"], rel=0.02)
+    halves = np.arange(len(plan.particles)) % 2
+    soft = replace(rubber, name="soft", youngs_modulus=rubber.youngs_modulus / 1e3)
+    both = replace(plan, particles=replace(plan.particles, material=halves))
+    for tables in ((soft, rubber), (rubber, soft)):
+        used = replace(both, materials=tables[:1], tables=(tables,))
+        assert [[one.name for one in table] for table in used.used_tables] == [
+            [one.name for one in tables]
+        ]
+        (row,) = cost(used)["per_material"]
+        tau = row["critical_damping_time"]
+        again = tuple(replace(one, damping_time=tau) for one in tables)
+        (row,) = cost(replace(used, materials=again[:1], tables=(again,)))["per_material"]
+        assert row["damping_ratio"] == pytest.approx(1.0, rel=0.1)
+
+
 def test_bodies_in_flight_and_those_that_meet_only_themselves_are_cheap(plan: Plan) -> None:
     def seconds(**more: Any) -> float:
         known: dict[str, Any] = {

@@ -305,3 +305,38 @@ def test_a_damping_that_shortens_the_step_is_reported_with_one_that_does_not() -
     assert line.endswith("its damping time of 0.002 s takes 200000")
     for calm in ({"damping_ratio": 2.0}, {"seconds": 10.0}):
         assert shortcuts({"per_material": [{**row, **calm}]}, [made]) == ()
+
+
+def test_of_several_materials_the_damping_that_shortens_the_step_is_reported() -> None:
+    """The first one, after which the variant is named, may have none."""
+    first = replace(PHYSICAL["gelatin"].material(0.04), name="jelly", damping_time=0.0)
+    foam = replace(PHYSICAL["foam"].material(0.04), damping_time=0.002)
+    row = {
+        "name": "jelly", "seconds": 3600.0, "damping_ratio": 100.0, "substeps_per_frame": 200_000,
+        "critical_damping_time": 3e-5,
+    }  # fmt: skip
+    for table in ([first, foam], [foam, first]):
+        (line,) = shortcuts({"per_material": [row]}, [first], [table])
+        assert line.startswith("--damping-time 3e-05 for all 2 materials would bake jelly in 2414")
+        assert line.endswith("the damping time of foam, 0.002 s, takes 200000")
+    long = {**row, "critical_damping_time": 0.003}
+    assert shortcuts({"per_material": [long]}, [first], [[first, foam]]) == ()
+
+
+def test_of_several_materials_the_stiff_metal_is_offered_mass_scaling() -> None:
+    soft, steel, lead = (PHYSICAL[n].material(1.0) for n in ("gelatin", "mild-steel", "lead"))
+    rows = {"per_material": [{"name": "gelatin", "seconds": 3600.0}]}
+    (line,) = shortcuts(rows, [soft], [[soft, steel]])
+    assert line.startswith(
+        f"--mass-scaling 16 would bake gelatin, in the mild-steel of which waves run at"
+        f" {steel.wave_speed:.3g} m/s, in about 15 minutes"
+    )
+    # lead yields later than steel does: the factor is that of the later one, for both
+    strains = [one.yield_strain or 0.0 for one in (steel, lead)]
+    (line,) = shortcuts(rows, [soft], [[soft, lead, steel]])
+    factor = float(line.split()[1])
+    assert 0.018 <= factor * max(strains) <= 0.02
+    assert line.endswith(f"instead of {100.0 * max(strains):.2g} %")
+    # nothing is gained where an elastic material has the fastest waves
+    stiff = replace(soft, name="glass", youngs_modulus=7e10, density=2500.0)
+    assert shortcuts(rows, [soft], [[soft, stiff, steel]]) == ()

@@ -109,7 +109,7 @@ def _require_budget(prepared: Prepared, max_hours: float) -> None:
     path, settings = plan.asset.facts.path, plan.settings
     require_affordable(
         prepared.cost, max_hours, path=path, settings=settings, materials=plan.materials,
-        tables=plan.tables, particles=len(plan.particles), drop=plan.drop,
+        tables=plan.used_tables, particles=len(plan.particles), drop=plan.drop,
     )  # fmt: skip
     samples = settings.frames * settings.samples_per_frame
     since = [prepared.resume.of(number) for number in range(len(plan.materials))]
