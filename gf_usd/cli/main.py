@@ -134,6 +134,13 @@ def run() -> NoReturn:
     leave(execute(sys.argv[1:]))
 
 
+# of errors of the system, of a path that a user gave
+PATH_HINTS = {
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.EACCES: "change the permissions of the file, or of a folder above it",
+}
+
+
 def execute(arguments: Sequence[str]) -> int:
     """Run the command line with these arguments; returns the exit status.
 
@@ -143,11 +150,10 @@ def execute(arguments: Sequence[str]) -> int:
         try:
             return _execute(arguments)
         except OSError as error:
-            if error.errno == errno.ENAMETOOLONG:
-                shown = str(error.filename)[:60]
-                typer.echo(
-                    f"error: {shown}...: {error.strerror}\n\nhint: give a shorter name", err=True
-                )
+            if hint := PATH_HINTS.get(error.errno or 0) if error.filename else "":
+                name = str(error.filename)
+                shown = f"{name[:60]}..." if error.errno == errno.ENAMETOOLONG else name
+                typer.echo(f"error: {shown}: {error.strerror}\n\nhint: {hint}", err=True)
                 return UsageError.exit_status
             if error not in broken:
                 raise

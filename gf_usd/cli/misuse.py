@@ -34,6 +34,8 @@ def usage_message(error: Any) -> str:
                 message = message.replace(wrong, f"is not a {noun}")
                 hint = f"give a {noun}. {hint}"
         reason = message.partition(": ")[2] or message
+        if "is not readable" in reason:
+            hint = "change the permissions of the file"
         return f"{name}: {reason}\n\nhint: {hint}"
     message, _, meant = message.partition(" Did you mean ")
     meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""

@@ -25,7 +25,7 @@ from gf_usd.core.frames import Choices
 from gf_usd.layers.root import RootSummary
 from gf_usd.layers.stage import find_home, open_source
 from gf_usd.layers.variants import hidden
-from gf_usd.system.atomic_files import asset_path, partial_path
+from gf_usd.system.atomic_files import asset_path, is_astray, partial_path
 
 PACKAGE = ".usdz"
 NOWHERE = "nowhere"
@@ -140,7 +140,13 @@ class FolderFiles(Files):
         self._folder, self._moved = folder, moved
 
     def _placed(self, file: Path, inner: str) -> str:
-        placed = asset_path(self._moved.get(file, file), self._folder)
+        target = self._moved.get(file, file)
+        placed = asset_path(target, self._folder)
+        if is_astray(target, self._folder):
+            self.notes[
+                f"{self._folder} is reached through a symbolic link: {target} is referred to by its"
+                " absolute path"
+            ] = None
         return Ar.JoinPackageRelativePath(placed, inner) if inner else placed
 
 

@@ -53,7 +53,13 @@ from gf_usd.layers.variants import (
     free_display_set,
 )
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
-from gf_usd.system.atomic_files import asset_path, dropped_on_failure, partial_path, publish
+from gf_usd.system.atomic_files import (
+    asset_path,
+    dropped_on_failure,
+    is_astray,
+    partial_path,
+    publish,
+)
 
 # metadata of the source that is not copied to the root layer
 OWN = {
@@ -127,6 +133,12 @@ def write_root(
                 *notes,
                 f"the asset already has a variant set {DISPLAY_SET!r}: that of gf-usd is named"
                 f" {display_set!r}",
+            )
+        if is_astray(source_path, path.parent):
+            notes = (
+                *notes,
+                f"{path.parent} is reached through a symbolic link: {path.name} refers to"
+                f" {source_path.name} by its absolute path, which is the same by any path to it",
             )
         save(layer)
         del layer

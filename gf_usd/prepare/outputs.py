@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -172,6 +173,11 @@ def require_free(files: Outputs, overwrite: bool, *, resume: bool = False) -> No
         )
     parent = files.root.parent
     while not parent.exists() and parent != parent.parent:
+        if parent.is_symlink():
+            raise UsageError(
+                f"{parent} is a symbolic link to {os.readlink(parent)}, which does not exist",
+                "make that folder, or choose another with -o",
+            )
         parent = parent.parent
     if not parent.is_dir():
         raise UsageError(f"{parent} is not a folder", "choose a folder to write to with -o")

@@ -171,7 +171,24 @@ def require_utf8(path: Path) -> None:
         )
 
 
-def asset_path(target: Path, folder: Path) -> str:
-    """The reference to ``target`` in a layer of ``folder``: relative, except for another drive."""
+def is_astray(target: Path, folder: Path) -> bool:
+    """Whether the relative path leads elsewhere from where the folder is without symbolic links.
+
+    USD finds a layer by the path by which it is opened, and takes ".." as text.  A folder that is
+    a link to one elsewhere has other folders above it by its other path.
+    """
     name = relative(target, folder)
+    if not name.startswith("../"):
+        return False
+    there = os.path.normpath(os.path.join(os.path.realpath(folder), name))
+    return os.path.realpath(there) != os.path.realpath(target)
+
+
+def asset_path(target: Path, folder: Path) -> str:
+    """The reference to ``target`` in a layer of ``folder``: relative, except for another drive and
+    where it depends on a symbolic link (`is_astray`).
+    """
+    name = relative(target, folder)
+    if is_astray(target, folder):
+        return target.absolute().as_posix()
     return name if name.startswith("../") or Path(name).is_absolute() else f"./{name}"

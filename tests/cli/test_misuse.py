@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -212,3 +214,26 @@ def test_a_batch_says_how_it_takes_an_option_of_bake(gf_usd, block, words: str, 
     assert done.status == 2
     assert done.err.startswith(f"error: gf-usd batch has no option {words.split(' ')[0]}\n\n{hint}")
     assert "did you mean" not in done.err
+
+
+@pytest.mark.parametrize("command", ["bake", "inspect", "check", "preview", "deliver", "report"])
+def test_a_folder_that_cannot_be_searched_is_named(
+    gf_usd, here: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """As the system answers to a path below such a folder, except to root."""
+    sealed = Path("sealed/duck.usda")
+    stat = Path.stat
+
+    def denied(self: Path, *, follow_symlinks: bool = True) -> os.stat_result:
+        if "sealed" in self.parts:
+            raise PermissionError(errno.EACCES, "Permission denied", str(self))
+        return stat(self, follow_symlinks=follow_symlinks)
+
+    monkeypatch.setattr(Path, "stat", denied)
+    output = ["-o", "out.glb"] if command == "deliver" else []
+    done = gf_usd(command, sealed, *output)
+    assert done.err == (
+        "error: sealed/duck.usda: Permission denied\n\nhint: change the permissions of the file,"
+        " or of a folder above it\n"
+    )
+    assert done.status == 2

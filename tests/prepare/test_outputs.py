@@ -185,6 +185,14 @@ def test_a_folder_that_cannot_be_written_to(sealed: Path) -> None:
     assert hint == "choose another folder with -o, or change its permissions"
 
 
+@pytest.mark.skipif(os.name == "nt", reason="symbolic links need a permission there")
+def test_a_folder_that_is_a_link_to_nowhere(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    message, hint = refusal(require_free, in_folder(tmp_path / "link"), False)
+    assert message == f"{tmp_path / 'link'} is a symbolic link to nowhere, which does not exist"
+    assert hint == "make that folder, or choose another with -o"
+
+
 def test_a_mesh_file_becomes_a_layer_next_to_the_root() -> None:
     files = outputs(Path("models/toy.OBJ"), ["rubber"], "out/")
     assert files.source == Path("out/toy.source.usdc")

@@ -10,7 +10,9 @@ from full_disk import full_disk  # noqa: F401
 
 from gf_usd.core.errors import BakeError
 from gf_usd.system.atomic_files import (
+    asset_path,
     drop_working,
+    is_astray,
     partial_path,
     publish,
     publish_text,
@@ -101,3 +103,30 @@ def test_paths_to_the_same_file_are_the_same_place(tmp_path: Path, other: str, s
 def test_two_paths_to_a_file_that_is_not_there_are_the_same_place(tmp_path: Path) -> None:
     assert same_place(tmp_path / "none", tmp_path / "folder" / ".." / "none")
     assert not same_place(tmp_path / "none", tmp_path / "other")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="symbolic links need a permission there")
+@pytest.mark.parametrize(
+    ("folder", "path"),
+    [
+        ("out", "../assets/duck.usda"),
+        ("assets", "./duck.usda"),
+        ("same", "../assets/duck.usda"),  # a link that is as deep as what it leads to
+        ("deep/er/out", "../../../assets/duck.usda"),
+        ("short", None),  # a link to deep/er/out, above which other folders are
+    ],
+)
+def test_a_reference_holds_by_any_path_to_its_layer(
+    folder: str, path: str | None, tmp_path: Path
+) -> None:
+    for name in ("assets", "out", "deep/er/out"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "same").symlink_to("out")
+    (tmp_path / "short").symlink_to("deep/er/out")
+    target = tmp_path / "assets/duck.usda"
+    target.write_text("")
+    made = asset_path(target, tmp_path / folder)
+    assert made == (target.as_posix() if path is None else path)
+    assert is_astray(target, tmp_path / folder) == (path is None)
+    for there in (tmp_path / folder, (tmp_path / folder).resolve()):
+        assert Path(os.path.normpath(there / made)).samefile(target)

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pxr import Sdf, Tf, Usd
+from pxr import Ar, Sdf, Tf, Usd
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import SOURCE_VARIANT
@@ -94,7 +94,7 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
 
     The result for a stage that is not a bake, or that shows the source already, is returned
     unchanged.  In a shot over bakes, findings outside the baked prims are the shot's own and are
-    not moved.
+    not moved.  That the source itself cannot be found is a fault of the bake.
     """
     baked = _looks(stage)
     sets = [prim.GetVariantSet(VARIANT_SET) for prim in baked]
@@ -108,9 +108,10 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
     for one in sets:
         one.SetVariantSelection(SOURCE_VARIANT)
     known = {_key(found) for found in check_stage(stage).findings}
+    lost = _missing(layer)
     theirs = [
         f for f in result.findings
-        if _key(f) in known
+        if _key(f) in known and not any(path in f.message for path in lost)
         and any(Sdf.Path(f.prim_path).HasPrefix(root) for root in roots)
     ]  # fmt: skip
     return replace(
@@ -118,6 +119,12 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
         findings=tuple(f for f in result.findings if f not in theirs),
         inherited=tuple(theirs),
     )
+
+
+def _missing(layer: Sdf.Layer) -> list[str]:
+    """Absolute paths of the layers that a layer itself refers to and that do not exist."""
+    paths = [layer.ComputeAbsolutePath(path) for path in layer.GetCompositionAssetDependencies()]
+    return [path for path in paths if not Ar.GetResolver().Resolve(path)]
 
 
 def _looks(stage: Usd.Stage) -> list[Usd.Prim]:

@@ -147,3 +147,14 @@ def test_an_error_of_the_bake_is_not_hidden_by_a_warning_of_its_source(tmp_path:
     errors = {(f.rule, f.prim_path) for f in checked.findings if f.severity == "error"}
     assert ("extent", MESH) in errors
     assert not checked.ok
+
+
+def test_a_source_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> None:
+    """Without a source the variant that shows it has the same faults."""
+    asset = PLAIN.asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path)
+    asset.facts.path.rename(tmp_path / "elsewhere.usda")
+    checked = check_file(root.path)
+    assert not checked.ok
+    assert str(asset.facts.path) in " ".join(f.message for f in checked.findings)
+    assert checked.inherited == ()
