@@ -134,7 +134,7 @@ def write_root(
                 f"the asset already has a variant set {DISPLAY_SET!r}: that of gf-usd is named"
                 f" {display_set!r}",
             )
-        if is_astray(source_path, path.parent):
+        if not partial and is_astray(source_path, path.parent):
             notes = (
                 *notes,
                 f"{path.parent} is reached through a symbolic link: {path.name} refers to"

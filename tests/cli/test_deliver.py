@@ -11,6 +11,8 @@ from moving_splats import moving_splats
 from small_bakes import SMALL
 
 from gf_usd import bake as gf_usd_bake
+from gf_usd.cli.deliver import error_text
+from gf_usd.delivery.deliver import DeliveredSplats
 
 
 def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
@@ -73,3 +75,11 @@ def Xform "World"
     lines = done.out.splitlines()
     assert lines[1] == "/World/step0, /World/step1, /World/step2, ...: do not move"
     assert len(lines) == 3
+
+
+def test_large_errors_have_no_exponent() -> None:
+    cloud = DeliveredSplats(
+        variant="", path="/Duck", count=3, position=0.004, covariance=(0.043, 0.591, 4.98)
+    )
+    text = error_text(cloud)
+    assert text.endswith("covariance error 4.3 % (median), 59 % (99 in 100), 500 % (largest)")
