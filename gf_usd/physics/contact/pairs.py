@@ -59,7 +59,9 @@ from gf_usd.physics.contact.stability import CALM, PairSprings
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
-WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
+# Of its gap, that a sample may slide in addition to TRAVEL: at CLOSER / TRAVEL times the speeds it
+# becomes no deeper than one that touches already.
+WAIT = TRAVEL / CLOSER
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
 
 
