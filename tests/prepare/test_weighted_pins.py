@@ -108,6 +108,20 @@ NONE = "1 mesh has no float primvar"
             " weight is 0.4",
             "paint",
         ),
+        (
+            PAINTED.replace("1,", "nan,"),
+            "paint:held",
+            "3 weights of </One> are not finite",
+            "paint finite weights",
+        ),
+        (
+            PAINTED + PAINTED.replace("held", "heldB").replace("vertex", "uniform").replace(
+                ", 0, 1]", "]"
+            ),
+            "paint:heldB",
+            "</One> has heldB as float[] with the interpolation uniform",
+            "interpolation vertex",
+        ),
         ("", "joint:hips", "1 mesh has no weights of a joint hips", "no mesh has joints"),
     ],
 )  # fmt: skip

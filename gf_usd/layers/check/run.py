@@ -18,6 +18,7 @@ from gf_usd.layers.check.base import RULES, Finding, Rule, Skip, reason, unreada
 from gf_usd.layers.check.read import prims
 from gf_usd.layers.check.structure import TIME_CODES
 from gf_usd.layers.check.validators import run_validators
+from gf_usd.layers.clips import folder_of
 from gf_usd.layers.stage import VARIANT_SET
 from gf_usd.layers.usd_warnings import gathered
 from gf_usd.system import usd_schema  # noqa: F401  (the rules read the schema's definitions from USD)
@@ -25,6 +26,7 @@ from gf_usd.system.atomic_files import require_utf8
 
 UNSAFE = "not run: the time codes of a layer do not advance, so reading its samples would never end"
 VALIDATORS = "usd"
+CACHE = ".cache.usdc"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +96,8 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
 
     The result for a stage that is not a bake, or that shows the source already, is returned
     unchanged.  In a shot over bakes, findings outside the baked prims are the shot's own and are
-    not moved.  That the source itself cannot be found is a fault of the bake.
+    not moved.  A source or a value clip that cannot be found is a fault of the bake, although USD
+    also finds it with the source selected.
     """
     baked = _looks(stage)
     sets = [prim.GetVariantSet(VARIANT_SET) for prim in baked]
@@ -108,10 +111,10 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
     for one in sets:
         one.SetVariantSelection(SOURCE_VARIANT)
     known = {_key(found) for found in check_stage(stage).findings}
-    lost = _missing(layer)
+    own = _of_bake(layer)
     theirs = [
         f for f in result.findings
-        if _key(f) in known and not any(path in f.message for path in lost)
+        if _key(f) in known and not any(path in f.message for path in own)
         and any(Sdf.Path(f.prim_path).HasPrefix(root) for root in roots)
     ]  # fmt: skip
     return replace(
@@ -121,10 +124,14 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
     )
 
 
-def _missing(layer: Sdf.Layer) -> list[str]:
-    """Absolute paths of the layers that a layer itself refers to and that do not exist."""
+def _of_bake(layer: Sdf.Layer) -> list[str]:
+    """Paths whose faults are those of a bake: of layers that its root layer itself refers to and
+    that do not exist, and the folders of value clips next to its caches.
+    """
     paths = [layer.ComputeAbsolutePath(path) for path in layer.GetCompositionAssetDependencies()]
-    return [path for path in paths if not Ar.GetResolver().Resolve(path)]
+    lost = [path for path in paths if not Ar.GetResolver().Resolve(path)]
+    clips = [str(folder_of(Path(path))) for path in paths if path.endswith(CACHE)]
+    return lost + [folder + "/" for folder in clips]
 
 
 def _looks(stage: Usd.Stage) -> list[Usd.Prim]:

@@ -70,7 +70,7 @@ def assign_materials(
     tables, index, flow = [], particles.material, []
     for preset in presets:
         made, index = table(preset, parts, slot, particles, solid, bodies, spec, finish)
-        made = tuple(replace(m, law=law or m.law) for m in made)
+        made = tuple(replace(m, law=law or m.law, **stated) for m in made)
         tables.append(made)
         of_part = {int(k): made[int(index[slot == k][0])] for k in np.unique(slot)}
         require_parameters(path, particles, slot, of_part, solid, spec)

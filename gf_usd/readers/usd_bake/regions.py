@@ -87,6 +87,12 @@ def read_weighted(
                 known += joints
             if weight is None:
                 continue
+            if bad := int((~np.isfinite(weight)).sum()):
+                raise InputError(
+                    f"{facts.path}: {label}: {counted(bad, 'weight of', 'weights of')} <{path}>"
+                    f" {'is' if bad == 1 else 'are'} not finite",
+                    "paint finite weights",
+                )
             points, triangles = _triangles([prim], facts, first, label)
             if len(weight) != len(points):
                 raise InputError(
@@ -121,7 +127,8 @@ def read_weighted(
             f"{facts.path}: {label}: no face of {counted(len(meshes), 'mesh', 'meshes')} has a"
             f" weight of at least {HALF:g} at each of its points: the largest weight is"
             f" {largest:g}",
-            f"paint weights of {HALF:g} or more, or name another primvar or joint",
+            f"paint weights of {HALF:g} or more at all points of some faces, or name another"
+            " primvar or joint",
         )
     return tuple(made)
 
@@ -155,6 +162,7 @@ def _without_weights(
         for prim in meshes:
             other = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(bare)
             if other and other.HasValue():
+                close = []
                 message = (
                     f"<{prim.GetPath()}> has {bare} as {other.GetTypeName()} with the"
                     f" interpolation {other.GetInterpolation()}"

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 from pxr import Gf, Sdf, Usd
+from small_bakes import SAMPLES
 from small_sources import PLAIN, SEVERAL_ROOTS, Source
 from small_stages import bake
 
+import gf_usd
 from gf_usd.layers.check.run import check_file, review
 
 MESH = "/duck/geo/body"
@@ -158,3 +160,14 @@ def test_a_source_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> None:
     assert not checked.ok
     assert str(asset.facts.path) in " ".join(f.message for f in checked.findings)
     assert checked.inherited == ()
+
+
+def test_a_value_clip_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> None:
+    """The dependencies of a stage are those of all its variants."""
+    root = tmp_path / "ball.usda"
+    gf_usd.bake(SAMPLES / "sphere.usda", particles=200, frames=6, clip_frames=3, output=root)
+    assert check_file(root).ok
+    (tmp_path / "ball.clips" / "0002.usdc").unlink()
+    result = check_file(root)
+    assert not result.ok
+    assert result.inherited == ()

@@ -9,6 +9,7 @@ from two_legs import SPACING, legs, sampled
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.broad_phase import Boxes, schedule
 from gf_usd.physics.contact.obstacles.obstacle import box_gap
+from gf_usd.physics.contact.self_contact.patch_tables import FOLDS, NEIGHBORS
 from gf_usd.physics.contact.self_contact.patches import Patches, closing
 
 GAP = 1.5  # [m] between the legs at rest
@@ -65,6 +66,72 @@ def test_gaps_and_rates_are_those_of_bounding_spheres_of_all_samples():
         rate = max(-away @ relative / distance, 0.0) + 0.5 * np.linalg.norm(relative)
         assert patch_pairs.gap[k] == pytest.approx(distance - r - s, abs=1e-12)
         assert patch_pairs.rate[k] == pytest.approx(rate + 1.5 * (spread + far), rel=1e-12)
+
+
+def curled(n: int = 1500):
+    """Points and normals of both walls of a tube that is slit along its length."""
+    random = np.random.default_rng(2)
+    a, z = 0.2 + 5.8 * random.random(n), 2.0 * random.random(n)
+    outer = random.random(n) < 0.5
+    r, sign = np.where(outer, 1.3, 1.0), np.where(outer, 1.0, -1.0)
+    normal = np.stack([np.cos(a), np.sin(a), 0.0 * a], 1) * sign[:, None]
+    return np.stack([r * np.cos(a), r * np.sin(a), z], 1), normal
+
+
+def reference(patches: Patches, x, v, normal_at, see: float, spacing: float):
+    """near, until and fold of `Patches.pairs`, pair by pair.
+
+    normal_at : (n, 3) positions -> (p, 3) normals of the patches.
+    """
+    members = [np.flatnonzero(patches._of == k) for k in range(patches._of.max() + 1)]
+    c, mean = (np.array([q[m].mean(0) for m in members]) for q in (x, v))
+    time = 1e-3 * spacing / np.linalg.norm(v, axis=1).max()
+    n, turned = normal_at(x), normal_at(x + time * v)
+    pairs, fold, near, until = patches.pairs(x, v), np.inf, [], []
+
+    def cosine(i, j, c, n):
+        away = (c[j] - c[i]) / np.linalg.norm(c[j] - c[i])
+        return min(away @ n[i], -away @ n[j])
+
+    for k, (i, j) in enumerate(zip(patches._a, patches._b)):
+        gap, now, rest = pairs.gap[k], cosine(i, j, c, n), patches._cosine_at_rest[k]
+        unfolded = patches._kind[k] == NEIGHBORS | FOLDS and now <= rest + 0.25
+        near.append(gap < see and not unfolded and (patches.adjacent[k] or now > -0.5))
+        later = np.inf if unfolded else max(gap - 0.5 * see, 0.5 * see) / pairs.rate[k]
+        until.append(0.0 if near[-1] else later)
+        if unfolded and gap < see:
+            rate = (cosine(i, j, c + time * mean, turned) - now) / time
+            if rate > 1e-9:
+                fold = min(fold, (rest + 0.75 - now) / rate / 1.5)
+    return near, until, fold
+
+
+@pytest.mark.parametrize("squeeze", [0.6, 0.2])
+def test_pairs_are_near_and_fold_as_compared_one_by_one(squeeze: float):
+    X, normal = curled()
+    spacing = 0.08
+    patches = Patches(X, normal, spacing, see=2.0, thick=3.0)
+
+    def normals(x):
+        t = [np.zeros((len(patches._count), 3)) for _ in range(2)]
+        for column, out in enumerate(t):
+            values = patches._slopes[:, column, None] * x[patches._order]
+            np.add.at(out, patches._of[patches._order], values)
+        n = np.cross(*t)
+        length = np.linalg.norm(n, axis=1, keepdims=True)
+        return n / np.where(length > 0.0, length, 1.0)  # a patch of few samples has none
+
+    random = np.random.default_rng(3)
+    x = X * [squeeze, 1.0, 1.0] + 0.02 * random.normal(size=X.shape)
+    v = np.stack([-X[:, 0] * np.abs(X[:, 1]), 0.3 * X[:, 0], 0.0 * X[:, 2]], 1)
+    near, until, fold = reference(patches, x, v, normals, 2.0 * spacing, spacing)
+    found = patches.pairs(x, v)
+    assert found.near.tolist() == near
+    assert 0 < sum(near) < len(near)
+    assert np.isinf(until).any()
+    np.testing.assert_allclose(found.until, until, rtol=1e-9)
+    assert found.fold == pytest.approx(fold, rel=1e-5)
+    assert np.isfinite(fold)
 
 
 def test_a_surface_of_one_patch_has_no_pairs():

@@ -46,6 +46,23 @@ def test_each_body_has_the_material_that_it_asks_for(plan) -> None:
     assert [m.law for m in of[1:]] == [DIMENSIONLESS["rubber"].law, DIMENSIONLESS["jelly"].law]
 
 
+def test_options_override_the_values_of_the_stage(plan) -> None:
+    """They were ignored where the stage had a value of its own."""
+    own = [
+        SOFT, "float physics:dynamicFriction = 0.8", "float physics:restitution = 0.3",
+        "uniform float gaussianFlesh:dampingTime = 1.0",
+    ]  # fmt: skip
+    seen = plan(
+        material("Soft", *own), cubes(bound("/Soft")),
+        damping_time=0.002, friction=0.1, restitution=0.6,
+    )  # fmt: skip
+    made = table(seen)
+    assert {(one.damping_time, one.friction, one.restitution) for one in made} == {
+        (0.002, 0.1, 0.6)
+    }
+    assert made[0].youngs_modulus == pytest.approx(2e5)
+
+
 def test_one_name_for_all_names_the_variant(plan) -> None:
     both = mesh("One", JELLY) + mesh("Two", JELLY, at(3.0))
     assert [m.name for m in plan(both).materials] == ["jelly"]
