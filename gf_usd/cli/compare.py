@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gf_usd.core.errors import counted
+from gf_usd.core.units import bytes_text
 
 if TYPE_CHECKING:
     from gf_usd.view.compare import Comparison
@@ -72,6 +73,9 @@ def compare(
         typer.Option(help="Frames per second of the film.", show_default="real time"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
+    ] = False,
 ) -> None:
     """Compare two motions of the same meshes, point by point over time.
 
@@ -84,20 +88,21 @@ def compare(
 
     targets = output or []
     film = any(target.suffix.lower() in FILMS for target in targets)
-    with progress() if film else nullcontext() as advance:
+    with progress() if film and not quiet else nullcontext() as advance:
         found = run(
             first, second, targets, tolerance=tolerance, variants=(variant, other_variant),
             align=align, size=size, fps=fps, progress=advance,
         )  # fmt: skip
-    for note in found.notes:
-        typer.echo(f"note: {note}", err=True)
+    if not quiet:
+        for note in found.notes:
+            typer.echo(f"note: {note}", err=True)
     if as_json:
         typer.echo(json.dumps(as_data(found, first, second), indent=1))
-    else:
+    elif not quiet:
         for line in lines(found):
             typer.echo(line)
         for target in targets:
-            typer.echo(f"{target}: {target.stat().st_size / 1e6:.1f} MB", err=True)
+            typer.echo(f"{target}: {bytes_text(target.stat().st_size)}", err=True)
     if tolerance is not None and not found.same:
         raise typer.Exit(1)
 

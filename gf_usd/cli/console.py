@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from gf_usd.core.errors import counted
+from gf_usd.core.units import bytes_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -47,7 +48,7 @@ def show_plan(
         f"drop        {drop}, {landing_of(prepared.plan, d)}",
         f"time        {time_of(d)}"
         + (f": refused because it is more than --max-hours {max_hours:g}" if too_long else ""),
-        f"memory      about {_bytes(d['estimated_memory_bytes'])}",
+        f"memory      about {bytes_text(d['estimated_memory_bytes'])}",
         f"disk        {disk_of(d)}",
         *(f"would write {path}" for path in d["outputs"]),
         *(_note_line(prepared.plan, note) for note in (*d["notes"], *saved)),
@@ -123,9 +124,8 @@ def _note_line(plan: Plan, note: str) -> str:
 
 def disk_of(forecast: Mapping[str, Any]) -> str:
     """The size of the files as text; forecast : as of `frames_of`."""
-    return (
-        f"{'at most' if forecast['ends_early'] else 'about'} {_bytes(forecast['estimated_bytes'])}"
-    )
+    limit = "at most" if forecast["ends_early"] else "about"
+    return f"{limit} {bytes_text(forecast['estimated_bytes'])}"
 
 
 EVERY = 30.0  # [s] between plain lines, at most
@@ -321,10 +321,10 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
     """
     clips = [clip for bake in result.bakes for clip in bake.clips]
     files = [path for path in result.outputs if path.exists() and path not in clips]
-    lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
+    lines = [f"{path}  {bytes_text(path.stat().st_size)}" for path in files]
     for folder in dict.fromkeys(clip.parent for clip in clips):
         sizes = [clip.stat().st_size for clip in clips if clip.parent == folder]
-        lines.append(f"{folder}/  {counted(len(sizes), 'file')}, {_bytes(sum(sizes))}")
+        lines.append(f"{folder}/  {counted(len(sizes), 'file')}, {bytes_text(sum(sizes))}")
     lines.append(f"{result.particles} particles, {spent}")
     lines += [f"note: {note}" for note in result.notes if note not in plan.notes]
     for bake in result.bakes:
@@ -359,11 +359,3 @@ def _measured(bake: VariantResult) -> str:
         f" ({h['deepest_penetration_m']:.3g} m){met}, volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"
     )
-
-
-def _bytes(n: int) -> str:
-    for unit in ("B", "kB", "MB"):
-        if n < 1000:
-            return f"{n:.0f} {unit}"
-        n = n / 1000  # type: ignore[assignment]
-    return f"{n:.1f} GB"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gf_usd.core.errors import counted
+from gf_usd.core.units import bytes_text
 
 if TYPE_CHECKING:
     from gf_usd.delivery.deliver import Delivered, DeliveredBody, DeliveredSplats
@@ -71,6 +72,9 @@ def deliver(
         ),
     ] = "skin",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
+    ] = False,
 ) -> None:
     """Write a bake as joints or blend shapes, for game engines, web pages and phones.
 
@@ -85,11 +89,17 @@ def deliver(
         bake, output, error=share, variant=variant, kind=kind, most_joints=max_joints,
         most_shapes=max_shapes, splats=splats, bind_splats=bind_splats,
     )  # fmt: skip
-    for note in done.notes:
-        typer.echo(f"note: {note}", err=True)
     if as_json:
         typer.echo(json.dumps(_as_json(done), indent=1))
+    if quiet:
         return
+    for note in done.notes:
+        typer.echo(f"note: {note}", err=True)
+    if not as_json:
+        _show(done)
+
+
+def _show(done: Delivered) -> None:
     for body in (body for body in done.bodies if body.moves):
         name = f"{body.variant}: " if body.variant else ""
         typer.echo(f"{name}{_listed([*body.meshes, *body.splats])}: {described(body)}")
@@ -99,7 +109,7 @@ def deliver(
         name = f"{cloud.variant}: " if cloud.variant else ""
         typer.echo(f"{name}<{cloud.path}>: {error_text(cloud)}")
     typer.echo(
-        f"{done.path}: {done.bytes / 1000:.0f} kB, {counted(done.frames, 'frame')}, largest error"
+        f"{done.path}: {bytes_text(done.bytes)}, {counted(done.frames, 'frame')}, largest error"
         f" {100 * done.error:.2g} % of the radius"
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -12,6 +12,7 @@ from rich.table import Table
 
 from gf_usd.cli.console import drops, frames_of, landing_of
 from gf_usd.core.errors import counted
+from gf_usd.core.units import bytes_text
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -151,7 +152,7 @@ def _body(console: Console, seen: Inspection) -> None:
         table.add_row(
             escape(row["name"]), str(row["substeps_per_frame"]),
             *((_duration(row["usual_seconds"]),) if early else ()), _duration(row["seconds"]),
-            amount(row["memory_bytes"]), amount(row["disk_bytes"]),
+            bytes_text(row["memory_bytes"]), bytes_text(row["disk_bytes"]),
         )  # fmt: skip
     console.print(table)
 
@@ -257,13 +258,3 @@ def _duration(seconds: float) -> str:
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
-
-
-def amount(n: Any) -> str:
-    """A number of bytes as text."""
-    value = float(n)
-    for unit in ("B", "kB", "MB"):
-        if value < 1000.0:
-            return f"{value:.0f} {unit}"
-        value /= 1000.0
-    return f"{value:.1f} GB"

@@ -118,6 +118,7 @@ def preview(
             show_default="from 0 to the value that 99 % of the particles stay below in every frame",
         ),
     ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
 ) -> None:
     """Draw a picture, a contact sheet or a film of a stage, on the CPU and without a window."""
     quantity = None if color == "none" else color
@@ -132,7 +133,8 @@ def preview(
         color=quantity,
         limits=limits,
     )
-    for line in draw(stage, options, show, camera, quantity, variant):
+    told = draw(stage, options, show, camera, quantity, variant, shown=not quiet)
+    for line in () if quiet else told:
         typer.echo(line, err=True)
 
 
@@ -143,8 +145,12 @@ def draw(
     camera: str | None,
     color: str | None,
     variant: str | None = None,
+    *,
+    shown: bool = True,
 ) -> list[str]:
     """Draw the requested pictures; returns the messages about them.
+
+    shown : print the progress of a film.
 
     Raises
     ------
@@ -154,7 +160,7 @@ def draw(
     # pxr and taichi take a second to import, which --help must not wait for
     from gf_usd.api.drawing.preview import draw as draw_preview
 
-    with progress() if options.film else nullcontext() as advance:
+    with progress() if options.film and shown else nullcontext() as advance:
         done = draw_preview(
             path,
             options,

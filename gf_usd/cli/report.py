@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from gf_usd.api.report import default_page, write, write_splats
+from gf_usd.core.units import bytes_text
 
 
 def report(
@@ -51,6 +52,7 @@ def report(
     max_splats: Annotated[
         int, typer.Option(min=100, help="With --splats: maximum number of Gaussians to keep.")
     ] = 100_000,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
 ) -> None:
     """Write an HTML page with the motion, pictures and measurements, for viewing offline.
 
@@ -61,7 +63,8 @@ def report(
         write_splats(baked, target, variant, max_splats, max_frames)
     else:
         write(baked, target, variant, max_vertices, max_frames)
-    typer.echo(f"{target}: {target.stat().st_size / 1e6:.1f} MB", err=True)
+    if not quiet:
+        typer.echo(f"{target}: {bytes_text(target.stat().st_size)}", err=True)
 
 
 def view(

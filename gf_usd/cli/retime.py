@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from gf_usd.core.errors import counted
+from gf_usd.core.units import bytes_text
 
 
 def retime(
@@ -42,6 +43,9 @@ def retime(
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
+    ] = False,
 ) -> None:
     """Write a bake at another speed, without simulating again.
 
@@ -52,8 +56,9 @@ def retime(
     from gf_usd.delivery.retime import retime as write
 
     done = write(bake, output, speed=speed, keys=None if keys is None else read_keys(keys))
-    for note in done.notes:
-        typer.echo(f"note: {note}", err=True)
+    if not quiet:
+        for note in done.notes:
+            typer.echo(f"note: {note}", err=True)
     if as_json:
         found = {
             "path": str(done.path),
@@ -65,6 +70,8 @@ def retime(
         }
         typer.echo(json.dumps(found, indent=1))
         return
+    if quiet:
+        return
     for path in (done.path, *done.caches):
-        typer.echo(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
+        typer.echo(f"{path}  {bytes_text(path.stat().st_size)}")
     typer.echo(f"{counted(done.frames, 'frame')}, time codes {done.start:g} to {done.end:g}")

@@ -3,7 +3,7 @@
 A stage measures length in units of ``meters_per_unit`` [m] and mass in units of
 ``kilograms_per_unit`` [kg]; inside the program everything is SI.
 
-Numbers from options, or a UsageError that shows the expected form.
+Numbers from options, or a UsageError that shows the expected form; numbers of bytes as text.
 """
 
 from __future__ import annotations
@@ -81,6 +81,16 @@ def plausible_unit(width: float, usual: tuple[float, ...] = USUAL_UNITS) -> floa
     """[m] the first usual unit in which so many units are a PLAUSIBLE width; else the first."""
     low, high = PLAUSIBLE
     return next((unit for unit in usual if low <= width * unit <= high), usual[0])
+
+
+def bytes_text(count: float) -> str:
+    """A number of bytes to three significant digits, in B, kB, MB or GB (powers of 1000)."""
+    value = float(count)
+    for unit in ("B", "kB", "MB"):
+        if value < 999.5:  # rounds to at most 999
+            return f"{value:.3g} {unit}"
+        value /= 1000.0
+    return f"{value:.3g} GB" if value < 999.5 else f"{value:.0f} GB"
 
 
 def check_unit(meters_per_unit: float | None) -> None:

@@ -78,6 +78,14 @@ def test_without_a_tolerance_nothing_fails(run: Run, tmp_path: Path) -> None:
     assert "different" not in output
 
 
+def test_quiet_leaves_the_exit_status_and_json(run: Run, tmp_path: Path) -> None:
+    a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5, up="Z")
+    assert run(a, b, "--tolerance", "1mm", "-q") == (1, "", "")
+    status, output, errors = run(a, b, "-q", "--json")
+    assert (status, errors) == (0, "")
+    assert json.loads(output)["notes"]
+
+
 def test_json_has_every_frame(run: Run, tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5, up="Z")
     status, output, _ = run(a, b, "--tolerance", "1mm", "--json")

@@ -12,6 +12,7 @@ from small_bakes import SMALL
 
 from gf_usd import bake as gf_usd_bake
 from gf_usd.cli.deliver import error_text
+from gf_usd.core.units import bytes_text
 from gf_usd.delivery.deliver import DeliveredSplats
 
 
@@ -21,6 +22,9 @@ def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     assert done.status == 0, done.err
     assert "</Ball/Splats>: 200 Gaussians, position error at most" in done.out
     assert "covariance error" in done.out
+    assert f"out.glb: {bytes_text((tmp_path / 'out.glb').stat().st_size)}, " in done.out
+    quiet = gf_usd("deliver", source, "-o", tmp_path / "out.glb", "--error", "2%", "-q")
+    assert (quiet.status, quiet.out, quiet.err) == (0, "", "")
     done = gf_usd("deliver", source, "-o", tmp_path / "out.glb", "--error", "2%", "--json")
     report = json.loads(done.out)["splats"][0]
     assert report["count"] == 200

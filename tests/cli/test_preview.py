@@ -45,6 +45,12 @@ def test_the_same_command_gives_the_same_bytes(stage, tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
+def test_quiet(stage, tmp_path):
+    done = run(stage, "-o", tmp_path / "a.png", "--size", "80x60", "-q")
+    assert (done.exit_code, done.output) == (0, "")
+    assert (tmp_path / "a.png").exists()
+
+
 def test_the_default_name_is_in_this_folder(stage, tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")

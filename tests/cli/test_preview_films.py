@@ -52,6 +52,11 @@ def test_a_film_is_its_frames_in_real_time(stage, tmp_path):
     assert np.abs(frames[2] - frames[0]).max() > 100
 
 
+def test_quiet_prints_no_frames(stage, tmp_path):
+    done = run(stage, "-o", tmp_path / "a.gif", "--size", "80x60", "-q")
+    assert (done.exit_code, done.output) == (0, "")
+
+
 def test_range_rate_and_odd_sizes_of_a_film(stage, tmp_path):
     out = tmp_path / "a.mp4"
     done = run(stage, "-o", out, "--size", "81x61", "--time-codes", "2:3:0.25", "--fps", "10")

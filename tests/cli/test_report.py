@@ -40,6 +40,12 @@ def data(page: Path) -> dict:
     return json.loads(found[1])
 
 
+def test_quiet(gf_usd, work):
+    done = gf_usd("report", "block.soft.usda", "-q")
+    assert (done.status, done.out, done.err) == (0, "", "")
+    assert (work / "block.soft.html").exists()
+
+
 @pytest.mark.slow
 def test_a_bake_becomes_one_page_of_all_its_variants(gf_usd, work):
     inputs = {path.name: path.read_bytes() for path in work.iterdir()}

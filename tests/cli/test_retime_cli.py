@@ -26,6 +26,12 @@ def test_it_names_what_it_wrote(gf_usd, here: Path, root: Path) -> None:
     assert gf_usd("check", "slow.usda").status == 0
 
 
+def test_quiet(gf_usd, here: Path, root: Path) -> None:
+    done = gf_usd("retime", root, "--speed", "0.5", "-o", "slow.usda", "-q")
+    assert (done.status, done.out, done.err) == (0, "", "")
+    assert Path("slow.usda").exists()
+
+
 def test_json(gf_usd, here: Path, root: Path) -> None:
     done = gf_usd("retime", root, "--keys", "1:10,3:13", "-o", "fast.usdc", "--json")
     assert json.loads(done.out) == {

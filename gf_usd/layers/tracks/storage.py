@@ -15,7 +15,7 @@ from pxr import Sdf
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, Settings
-from gf_usd.core.units import Precision
+from gf_usd.core.units import Precision, bytes_text
 from gf_usd.layers.tracks.accuracy import (
     BOX,
     LENGTHS,
@@ -245,7 +245,7 @@ class Storage:
     def text(self) -> str:
         """A note on the saved space."""
         parts = [
-            f"{_size(size)} by {how}"
+            f"{bytes_text(size)} by {how}"
             for size, how in (
                 (self.samples_left_out, "leaving samples out" + self._left()),
                 (self.half_precision, "half precision"),
@@ -256,7 +256,9 @@ class Storage:
         if self.samples and not self.samples_left_out:
             parts.append("nothing from samples, because none could be left out")
         saved = f"{', '.join(parts)}" if parts else "nothing"
-        text = f"{_size(self.bytes)} instead of {_size(self.bytes_without)}; saved: {saved}"
+        text = (
+            f"{bytes_text(self.bytes)} instead of {bytes_text(self.bytes_without)}; saved: {saved}"
+        )
         if "positions_m" in self.errors:
             off = self.errors["positions_m"]
             text += f"; the largest error of points is {off:.3g} m"
@@ -295,10 +297,3 @@ def errors_of(tallies: Sequence[Tally], rounding: float | None, unit: float) -> 
         size = unit if kind in LENGTHS else np.degrees(1.0) if kind == NORMALS else 1.0
         found[key] = max(found.get(key, 0.0), float(error * size))
     return found
-
-
-def _size(count: float) -> str:
-    for unit, size in (("MB", 1e6), ("kB", 1e3)):
-        if count >= size:
-            return f"{count / size:.3g} {unit}"
-    return f"{count:.0f} bytes"
