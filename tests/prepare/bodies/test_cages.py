@@ -8,6 +8,7 @@ import pytest
 from pxr import Gf, Usd, UsdGeom
 
 from gf_usd.pipeline.prepared import prepare
+from gf_usd.prepare.bodies.cages import cage_notes
 
 POINTS = [Gf.Vec3f(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]
 FACES = [0, 2, 3, 1, 4, 5, 7, 6, 0, 1, 5, 4, 2, 6, 7, 3, 0, 4, 6, 2, 1, 3, 7, 5]
@@ -52,3 +53,9 @@ def test_polygons_are_not(cube: Path):
     UsdGeom.Mesh(stage.GetPrimAtPath("/Cube")).GetSubdivisionSchemeAttr().Set("none")
     stage.Save()
     assert cage_note(cube) == []
+
+
+@pytest.mark.parametrize(("spacing", "notes"), [(0.865, 1), (0.867, 0)])
+def test_a_cage_within_a_spacing_of_its_surface_is_not(cube: Path, spacing: float, notes: int):
+    surfaces = prepare(cube, particles=100).plan.asset.surfaces
+    assert len(cage_notes(surfaces, spacing, refined=False)) == notes, "sqrt(3) / 2 m"
