@@ -129,6 +129,7 @@ class Surface:
     splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
     own_points: int | None = None  # the first of `points` are the prim's own, the rest a surface
     # that was put around them, which is not written; None: all are
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] of the prim's own space, in world
     limit: LimitSurface | None = None  # of a cage that is far from it; None: the cage is drawn
 
     @property

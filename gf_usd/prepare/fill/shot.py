@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
 from gf_usd.prepare.bodies.flesh import read_animation
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
-from gf_usd.prepare.options.choices import require_resolved
+from gf_usd.prepare.options.choices import own_space_notes, require_resolved
 from gf_usd.prepare.options.fields import upward_note
 from gf_usd.prepare.settings import (
     Animation,
@@ -79,6 +80,8 @@ def plan_shot(
         )
     notes += _deep_notes(settings, gap, filled.particles.spacing, inputs)
     notes += _raised_notes(settings, lowest, inputs)
+    notes += _moved_notes(settings, surfaces, filled.bodies.radius.max(), inputs)
+    notes += own_space_notes(asset.surfaces, np.asarray(settings.lift), filled.particles.spacing)
     require_resolved(request, settings, gap, filled.particles.spacing)
     return Shot(
         settings=settings,
@@ -110,6 +113,31 @@ def _raised_notes(settings: Settings, lowest: float, inputs: Inputs) -> tuple[st
     return (
         f"the asset begins {raised:.3g} m below the floor and is moved up onto it: --floor"
         f" {lowest / inputs.unit:.3g} keeps it where it is, with a floor there",
+    )
+
+
+def _moved_notes(
+    settings: Settings, surfaces: Sequence[Surface], radius: float, inputs: Inputs
+) -> tuple[str, ...]:
+    """A note where the default drop moves the asset down by more than its radius [m], or up from
+    wholly below the floor: somebody may have placed it there.
+    """
+    request, normal = inputs.request, settings.normal
+    if settings.floor is None or request.drop is not None or request.preset == "paper":
+        return ()
+    heights = [s.face_points @ normal - settings.floor for s in surfaces]
+    low, high = min(float(h.min()) for h in heights), max(float(h.max()) for h in heights)
+    lift = float(np.dot(settings.lift, normal))
+    if is_placed(request, inputs.asset.facts) or lift == 0.0 or (lift >= -radius and high >= 0.0):
+        return ()
+    unit, start = inputs.unit, low + lift
+    floor = f"--floor {(settings.floor - lift) / unit:.7g} puts the floor so far under it"
+    hints = [f"--drop {low / unit:.7g} leaves it where it is"] if low >= 0.0 else []
+    hints += [floor] if settings.floor_normal is None else []
+    side, way = ("above", "down") if low >= 0.0 else ("below", "up")
+    return (
+        f"the lowest point of the asset is {abs(low):.4g} m {side} the floor and is moved {way} to"
+        f" {start:.3g} m above it{': ' if hints else ''}{'; '.join(hints)}",
     )
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from gf_usd.core.asset import Asset
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import (
     SHAPES,
@@ -105,10 +107,12 @@ def split_again(
 
 
 LOST = 0.5  # of the spacing of particles: the order of neighbors is lost
+COARSE = 0.01  # of the spacing: motion at the end of a bake becomes steps
+MOVED = 2.0  # times as far from the origin of its space as authored: the bake makes it coarser
 SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
 
 
-def _rounding(farthest: float) -> float:
+def rounding_at(farthest: float) -> float:
     """[m] rounding error of points at this distance [m] from the origin, in single precision."""
     return SINGLE * float(np.finfo(np.float32).eps) * farthest
 
@@ -118,7 +122,7 @@ def require_stored(precision: Precision | None, particles: Particles, settings: 
     if precision is None:
         return
     farthest = float(np.abs(particles.X + np.asarray(settings.lift)).max())
-    rounding = _rounding(farthest)
+    rounding = rounding_at(farthest)
     radii = particles.radii
     least = precision.meters(float(radii[radii > 0.0].min()))
     if least < rounding:
@@ -140,7 +144,7 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     floor = settings.floor or 0.0
     lifted = math.hypot(*settings.lift)
     height = max(min(abs(floor), abs(gap)), min(lifted, abs(floor + gap)))
-    rounding = _rounding(height)
+    rounding = rounding_at(height)
     if rounding <= LOST * spacing:
         return
     placed = {"--floor": request.floor, "--drop": request.drop}
@@ -152,3 +156,30 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
         f"give heights of up to {LOST * spacing / rounding * height:.2g} m, or check the unit of"
         " the asset (--meters-per-unit)",
     )
+
+
+def own_space_notes(surfaces: Sequence[Surface], lift: Floats, spacing: float) -> tuple[str, ...]:
+    """Notes on prims that a move leaves far from the origins of their own spaces, in which their
+    points are written in single precision.
+
+    lift : (3,) [m] by which bodies are moved at the start; spacing : [m] of the particles.
+    Raises UsageError where that loses the shape of a prim.
+    """
+    notes = []
+    for one in surfaces:
+        own = one.points - np.asarray(one.origin)
+        authored, moved = float(np.abs(own).max()), float(np.abs(own + lift).max())
+        rounding = rounding_at(moved)
+        if moved <= MOVED * authored or rounding <= COARSE * spacing:
+            continue
+        text = (
+            f"<{one.path}> is moved by {float(np.linalg.norm(lift)):.3g} m to its height above the"
+            f" floor, and its points {'would be' if rounding > LOST * spacing else 'are'}"
+            f" {moved:.3g} m from the origin of its own space, where they, in single precision,"
+            f" have a rounding error of {rounding:.2g} m; particles are {spacing:.2g} m apart"
+        )
+        fix = "place it near the floor in its stage, or put --floor near it"
+        if rounding > LOST * spacing:
+            raise UsageError(text, fix)
+        notes.append(f"{text}: {fix}")
+    return tuple(notes)

@@ -109,6 +109,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         materials=shading.materials,
         skinned=place.skinned,
         own_points=None if carriers is None else authored,
+        origin=_origin(prim, reading),
     )
 
 
@@ -131,6 +132,12 @@ def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:
     else:
         local = _polygons(prim, reading).points
     return _placement(prim, reading).points(local) * reading.meters_per_unit
+
+
+def _origin(prim: Usd.Prim, reading: Reading) -> tuple[float, float, float]:
+    """[m] the origin of the space in which the points of a prim are written."""
+    x, y, z = reading.xforms.GetLocalToWorldTransform(prim).ExtractTranslation()
+    return x * reading.meters_per_unit, y * reading.meters_per_unit, z * reading.meters_per_unit
 
 
 def _bound(prim: Usd.Prim, points: Floats, reading: Reading) -> Floats:
