@@ -13,7 +13,10 @@ Curve = dict[str, Any]
 Plot = dict[str, Any]
 
 LENGTHS = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"), (1e-6, "µm"))
-ENERGIES = ((1e6, "MJ"), (1e3, "kJ"), (1.0, "J"), (1e-3, "mJ"), (1e-6, "µJ"), (1e-9, "nJ"))
+ENERGIES = (
+    (1e12, "TJ"), (1e9, "GJ"), (1e6, "MJ"), (1e3, "kJ"), (1.0, "J"), (1e-3, "mJ"), (1e-6, "µJ"),
+    (1e-9, "nJ"),
+)  # fmt: skip
 
 
 def plots(motion: Motion, record: Record) -> list[Plot]:

@@ -8,7 +8,7 @@ import re
 import pytest
 from recordings import FRAMES, FallingBox, report_of
 
-from gf_usd.view.report.curves import plots, unit_for
+from gf_usd.view.report.curves import ENERGIES, plots, unit_for
 from gf_usd.view.report.html import Html, data_script, join, policy, tag
 from gf_usd.view.report.moments import choose_key_frames
 from gf_usd.view.report.motion import collect
@@ -153,3 +153,8 @@ def test_pictures_are_taken_where_something_happens():
     assert [frame for frame, _ in choose_key_frames(motion, 5)] == [0, 2, 3, 5, 6]
     # more pictures than frames are not to be had
     assert [frame for frame, _ in choose_key_frames(motion, 50)] == list(range(FRAMES))
+
+
+def test_energies_of_large_bodies_have_a_prefix():
+    # a car of 467 m that falls by 418 m
+    assert [unit_for([energy], ENERGIES) for energy in (5.977e13, 2e9, 999.0)] == [1e12, 1e9, 1.0]
