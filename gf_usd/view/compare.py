@@ -297,7 +297,7 @@ def _common_times(
     if len(kept) < len(pairs):
         notes.append(
             f"{len(kept)} of {len(pairs)} frames are compared, at time codes {codes[0]:g} to "
-            f"{codes[-1]:g}: {b.path.name} has only these"
+            f"{codes[-1]:g}: B ({b.path.name}) has only these"
         )
     samples = np.asarray(b.time_codes)
     interpolated = sum(float(np.abs(samples - at).min()) > SAME_TIME for at in codes_b)

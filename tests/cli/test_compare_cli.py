@@ -181,3 +181,10 @@ def test_python_compares(tmp_path: Path) -> None:
     assert (tmp_path / "page.html").is_file()
     with pytest.raises(gf_usd.UsageError, match="tolerance"):
         gf_usd.compare(a, b, tolerance=True)
+
+
+def test_the_note_on_frames_that_are_left_out_names_b(run: Run, tmp_path: Path) -> None:
+    """Two variants of one file have the same name."""
+    a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", codes=(1, 2))
+    _, _, errors = run(a, b)
+    assert "2 of 4 frames are compared, at time codes 1 to 2: B (b.usda) has only these" in errors

@@ -58,7 +58,9 @@ def test_the_floor_that_is_proposed_does_not_cut_through_the_bind_pose(
     (note,) = (note for note in plan.notes if note.startswith("there is no floor"))
     lowest = min(float(s.face_points[:, 1].min()) for s in plan.asset.surfaces)
     assert (lowest < 0.0) == (y < 0.0)
-    assert note == f"there is no floor under the animation; --floor {min(lowest, 0.0):.3g} adds one"
+    pose = ", under its rest shape," if lowest < 0.0 else ""
+    floor = f"--floor {min(lowest, 0.0):.3g}{pose}"
+    assert note == f"there is no floor under the animation; {floor} adds one"
 
 
 def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:

@@ -48,7 +48,8 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
         lowest = min((float((s.face_points @ up).min()) for s in asset.surfaces), default=0.0)
         # one at height 0 would cut through a bind pose about the origin
         height = min(0.0, lowest) / asset.facts.units.length
-        notes.append(f"there is no floor under the animation; --floor {height:.3g} adds one")
+        pose = ", under its rest shape," if lowest < 0.0 else ""
+        notes.append(f"there is no floor under the animation; --floor {height:.3g}{pose} adds one")
     if obstacles := physics.obstacles:
         several = len(obstacles) > 1
         counted = f"there {'are' if several else 'is'} {len(obstacles)} obstacle{'s' * several}"
