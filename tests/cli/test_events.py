@@ -86,7 +86,8 @@ def test_on_stdout_there_is_nothing_else(gf_usd, here: Path, block: Path) -> Non
     assert kinds(events(done.out))[-1] == "finished"
     assert "frame 6/6" in done.err
     planned = gf_usd("bake", block, *SMALL, "--events", "-", "--dry-run", "-o", "new/")
-    assert kinds(events(planned.out)) == ["started", "plan"]
+    assert kinds(events(planned.out))[:2] == ["started", "plan"]
+    assert {*kinds(events(planned.out))[2:]} <= {"note"}
     both = gf_usd("bake", block, *SMALL, "--events", "-", "--json", "--overwrite")
     assert (both.status, both.out) == (2, "")
     assert "--json and --events - would both write to stdout" in both.err
