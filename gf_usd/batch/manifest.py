@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.materials.laws import check_law
 from gf_usd.core.materials.presets import find_preset
@@ -24,7 +25,6 @@ from gf_usd.prepare.advice.advise import parse_auto
 from gf_usd.prepare.options.option import DEFAULT, Option
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.table import OPTIONS, nearest
-from gf_usd.prepare.outputs import USD
 from gf_usd.readers.formats import SUFFIXES as READABLE
 from gf_usd.system.sandbox import parse_limits
 
@@ -375,7 +375,7 @@ def _materials(text: str, folder: Path) -> str:
     parts = []
     for part in text.split(","):
         part = part.strip()
-        if Path(part).suffix.lower() in USD:
+        if Path(part).suffix.lower() in USD_SUFFIXES:
             parts.append(os.path.realpath(folder / part))
         else:
             parts.append(find_preset(part).name)
@@ -385,7 +385,7 @@ def _materials(text: str, folder: Path) -> str:
 def material_files(options: Mapping[str, Any]) -> tuple[Path, ...]:
     """The material files among a job's materials."""
     parts = str(options.get("material", "")).split(",")
-    return tuple(Path(part) for part in parts if Path(part).suffix.lower() in USD)
+    return tuple(Path(part) for part in parts if Path(part).suffix.lower() in USD_SUFFIXES)
 
 
 def obstacle_files(options: Mapping[str, Any]) -> tuple[Path, ...]:

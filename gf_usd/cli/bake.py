@@ -15,6 +15,7 @@ import typer
 from gf_usd.cli import exit
 from gf_usd.cli.events import STDOUT, event_stream
 from gf_usd.cli.help import HelpAll
+from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.cli.worker import read_ahead
 from gf_usd.core import __version__
 from gf_usd.core.errors import UsageError
@@ -44,9 +45,7 @@ def bake(
             show_default="none",
         ),
     ] = None,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
-    ] = False,
+    quiet: QuietExceptJson = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Print the plan before baking.")
     ] = False,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
 from gf_usd.core.units import bytes_text
 
@@ -73,9 +74,7 @@ def compare(
         typer.Option(help="Frames per second of the film.", show_default="real time"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
-    ] = False,
+    quiet: QuietExceptJson = False,
 ) -> None:
     """Compare two motions of the same meshes, point by point over time.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
 from gf_usd.core.units import bytes_text
 
@@ -72,9 +73,7 @@ def deliver(
         ),
     ] = "skin",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
-    ] = False,
+    quiet: QuietExceptJson = False,
 ) -> None:
     """Write a bake as joints or blend shapes, for game engines, web pages and phones.
 

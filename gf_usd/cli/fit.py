@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
 
 if TYPE_CHECKING:
@@ -93,9 +94,7 @@ def fit(
         bool, typer.Option("--overwrite", help="Replace an existing layer and picture.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
-    ] = False,
+    quiet: QuietExceptJson = False,
     **options: Any,
 ) -> None:
     """Find the material values with which an asset reproduces observations.

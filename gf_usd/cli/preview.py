@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from gf_usd.api.drawing.options import Options, read_options
+from gf_usd.cli.quiet import Quiet
 from gf_usd.core.errors import GfUsdError, counted
 
 
@@ -118,7 +119,7 @@ def preview(
             show_default="from 0 to the value that 99 % of the particles stay below in every frame",
         ),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Draw a picture, a contact sheet or a film of a stage, on the CPU and without a window."""
     quantity = None if color == "none" else color
@@ -133,8 +134,8 @@ def preview(
         color=quantity,
         limits=limits,
     )
-    told = draw(stage, options, show, camera, quantity, variant, shown=not quiet)
-    for line in () if quiet else told:
+    lines = draw(stage, options, show, camera, quantity, variant, shown=not quiet)
+    for line in () if quiet else lines:
         typer.echo(line, err=True)
 
 

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from gf_usd.api.report import default_page, write, write_splats
+from gf_usd.cli.quiet import Quiet
 from gf_usd.core.units import bytes_text
 
 
@@ -52,7 +53,7 @@ def report(
     max_splats: Annotated[
         int, typer.Option(min=100, help="With --splats: maximum number of Gaussians to keep.")
     ] = 100_000,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write an HTML page with the motion, pictures and measurements, for viewing offline.
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
 from gf_usd.core.units import bytes_text
 
@@ -43,9 +44,7 @@ def retime(
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
-    ] = False,
+    quiet: QuietExceptJson = False,
 ) -> None:
     """Write a bake at another speed, without simulating again.
 

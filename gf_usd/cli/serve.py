@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gf_usd.cli.events import STDOUT, event_stream
+from gf_usd.cli.quiet import Quiet
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, UsageError
 from gf_usd.system.atomic_files import is_utf8
@@ -57,7 +58,7 @@ def serve(
         bool, typer.Option("--status", help="Print the status of the running server as JSON.")
     ] = False,
     stop: Annotated[bool, typer.Option("--stop", help="Stop the running server.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Run bakes for other programs in warm processes, over a local socket.
 

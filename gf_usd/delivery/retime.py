@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdUtils
 
+from gf_usd.core import CACHE_SUFFIX
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.delivery.resample import SAME, Warp, most_samples, resample, sample_as_played
 from gf_usd.delivery.usd import VARIANTS, absolute, require_no_layer_of_bake
@@ -154,7 +155,7 @@ def _caches(root: Sdf.Layer, bake: Path) -> dict[str, Path]:
 def _named(target: Path, variant: str, several: int) -> Path:
     """slow.usda -> slow.cache.usdc, or slow.rubber.cache.usdc of several variants."""
     middle = f".{variant}" if several > 1 else ""
-    return target.with_name(f"{target.stem}{middle}.cache.usdc")
+    return target.with_name(f"{target.stem}{middle}{CACHE_SUFFIX}")
 
 
 def _retimed(

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdUtils
 
+from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.errors import UsageError
 from gf_usd.delivery.skeleton import bind_meshes, skel_roots
 from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
@@ -32,7 +33,6 @@ from gf_usd.system.atomic_files import same_place
 
 VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
 
-LAYERS = (".usd", ".usda", ".usdc", ".usdz")
 MOVING = ("points", "normals", "velocities", "accelerations", "extent")
 
 
@@ -315,7 +315,7 @@ class LayerPackage(Package):
     def _placed(self, file: Path, inner: str) -> str:
         path = Ar.JoinPackageRelativePath(str(file), inner) if inner else str(file)
         last = Path(Ar.SplitPackageRelativePathInner(path)[1] if inner else file)
-        if last.suffix.lower() in LAYERS:
+        if last.suffix.lower() in USD_SUFFIXES:
             return f"./{self._layer(file, path, last)}"
         return f"./{super()._placed(file, inner)}"
 

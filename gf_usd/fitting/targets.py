@@ -14,7 +14,6 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
 from gf_usd.fitting.observation import Observation, Scene, TrackedPoints
 
-STAGES = (".usd", ".usda", ".usdc", ".usdz")
 SIGMA = 0.01  # default standard deviation, relative to a number or to the body's radius
 HINT = "give FILE.usda for points, or NAME=VALUE: rebound=0.6, height=0.15+-0.002@12"
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gf_usd.core import CACHE_SUFFIX, USD_SUFFIXES
 from gf_usd.core.asset import Splats
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import SOURCE_VARIANT
@@ -27,7 +28,6 @@ from gf_usd.system.atomic_files import (
 
 REPORT = ".report.json"
 SHEET = ".sheet.png"
-USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class Outputs:
     @property
     def checkpoints(self) -> tuple[Path, ...]:
         """The checkpoints of an unfinished bake, one for each variant."""
-        stems = (cache.name.removesuffix(".cache.usdc") for cache in self.caches)
+        stems = (cache.name.removesuffix(CACHE_SUFFIX) for cache in self.caches)
         return tuple(self.root.with_name(f"{stem}.checkpoint.npz") for stem in stems)
 
     @property
@@ -103,7 +103,7 @@ def outputs(
         root = Path(output) / name
     else:
         root = Path(output)
-        if root.suffix not in USD:
+        if root.suffix not in USD_SUFFIXES:
             raise UsageError(
                 f"-o {output}: a root layer ends in .usda, .usd or .usdc, a package in .usdz",
                 f"name it {root.name}.usda, or end a folder's name in /",
@@ -121,14 +121,14 @@ def outputs(
             "choose another -o",
         )
     stem = root.name[: -len(root.suffix)]
-    is_usd = source.suffix.lower() in USD
+    is_usd = source.suffix.lower() in USD_SUFFIXES
     parts = ("",) if len(variants) == 1 else tuple(f".{variant}" for variant in variants)
     layer = None
     if not flat and (divided or not is_usd):
         layer = root.with_name(f"{stem if divided else source.stem}.source.usdc")
     files = Outputs(
         root=root,
-        caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
+        caches=tuple(root.with_name(f"{stem}{part}{CACHE_SUFFIX}") for part in parts),
         report=root.with_name(f"{stem}{REPORT}"),
         source=layer,
         flat=flat,

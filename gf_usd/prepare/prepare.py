@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.materials.laws import check_law
@@ -26,7 +27,6 @@ from gf_usd.prepare.options.sweep import Swept, swept
 from gf_usd.prepare.options.table import PLANNED
 from gf_usd.prepare.options.texts import AUTO
 from gf_usd.prepare.outputs import (
-    USD,
     Outputs,
     SplatSequence,
     Stamp,
@@ -185,7 +185,7 @@ def _files_read(
     named = material.split(",") if isinstance(material, str) else material or ()
     given = [source, *map(Path, request.listed("colliders"))]
     given += [Path(one) for one in named if isinstance(one, str) and is_material_file(one)]
-    usd = [path for path in given if path.suffix.lower() in USD]
+    usd = [path for path in given if path.suffix.lower() in USD_SUFFIXES]
     return given + [file for path in usd for file in layer_files(path)]
 
 
@@ -241,7 +241,7 @@ def read_stage(
     """
     read.asset.facts.require_not_baked()
     asset, spec, converted = _with_hulls(read.asset), read.spec, read.converted
-    usd = source.suffix.lower() in USD
+    usd = source.suffix.lower() in USD_SUFFIXES
     file = source if converted is None else converted.layer
     if spec is None:
         spec = StageSpec()

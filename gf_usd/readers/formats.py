@@ -8,6 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from gf_usd.core import USD_SUFFIXES
+
 USD, MESH, SPLATS, PROGRAM = "USD", "mesh", "splats", "program"
 
 
@@ -51,7 +53,7 @@ def _imported(where: str) -> Callable[..., Any]:
 # A suffix may be in a row of meshes and one of splats (.ply): the contents of the file decide.
 FORMATS = (
     Format(
-        name="USD", suffixes=(".usd", ".usda", ".usdc", ".usdz"), kind=USD,
+        name="USD", suffixes=USD_SUFFIXES, kind=USD,
         read="gf_usd.readers.usd.asset:read_usd",
     ),
     Format(name="OBJ", suffixes=(".obj",), kind=MESH, read="gf_usd.readers.mesh.obj:read_obj"),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pxr import Ar, Sdf, Tf, Usd
 
+from gf_usd.core import CACHE_SUFFIX
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import SOURCE_VARIANT
 from gf_usd.layers.check.base import RULES, Finding, Rule, Skip, reason, unreadable
@@ -26,7 +27,6 @@ from gf_usd.system.atomic_files import require_utf8
 
 UNSAFE = "not run: the time codes of a layer do not advance, so reading its samples would never end"
 VALIDATORS = "usd"
-CACHE = ".cache.usdc"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,7 @@ def _of_bake(layer: Sdf.Layer) -> list[str]:
     """
     paths = [layer.ComputeAbsolutePath(path) for path in layer.GetCompositionAssetDependencies()]
     lost = [path for path in paths if not Ar.GetResolver().Resolve(path)]
-    clips = [str(folder_of(Path(path))) for path in paths if path.endswith(CACHE)]
+    clips = [str(folder_of(Path(path))) for path in paths if path.endswith(CACHE_SUFFIX)]
     return lost + [folder + "/" for folder in clips]
 
 

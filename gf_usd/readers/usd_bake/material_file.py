@@ -10,6 +10,7 @@ from typing import Any
 
 from pxr import Tf, Usd, UsdGeom, UsdShade
 
+from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
@@ -22,12 +23,10 @@ from gf_usd.readers.usd_physics.materials import (
 )
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
 
-SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-
 
 def is_material_file(name: str) -> bool:
     """Whether a ``--material`` names a file rather than a preset."""
-    return Path(name).suffix.lower() in SUFFIXES
+    return Path(name).suffix.lower() in USD_SUFFIXES
 
 
 def read_material(path: Path, say: Assume | None = None) -> Material:
