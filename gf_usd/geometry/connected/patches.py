@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import igl
 import numpy as np
@@ -138,6 +137,10 @@ class Patches:
     in_cell: Ints = field(repr=False)  # (P,) rows in the order of cells
     cells: Ints = field(repr=False)  # (C,) keys of cells, ascending
     cell_start: Ints = field(repr=False)  # (C + 1,) ranges of `in_cell`
+    # The hierarchies built so far, since `behind` is called several times for each body.
+    _trees: dict[int, tuple[Ints, Ints, igl.AABB]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @cached_property
     def largest(self) -> Ints:
@@ -156,13 +159,11 @@ class Patches:
         skins, out = self.skins, np.full(len(X), -1)
         for k in np.unique(body):
             mine = np.flatnonzero(body == k)
-            faces = np.flatnonzero(skins.body == k)
+            faces, triangles, tree = self._tree(int(k))
             if not len(faces):
                 continue
-            triangles = np.ascontiguousarray(skins.triangles[faces], np.int64)
             at = np.ascontiguousarray(X[mine])
-            seen: Any = igl.point_mesh_squared_distance(at, skins.points, triangles)
-            _, hit, closest = seen
+            _, hit, closest = tree.squared_distance(skins.points, triangles, at)
             triangle = faces[hit]
             corners = np.moveaxis(skins.points[skins.triangles[triangle]], 1, 0)
             place = np.einsum("kna,nk->na", corners, barycentric(closest, *corners))
@@ -175,6 +176,17 @@ class Patches:
                     row[i] = low + int(np.argmin(apart))
             out[mine] = row
         return out
+
+    def _tree(self, body: int) -> tuple[Ints, Ints, igl.AABB]:
+        """The triangles of a body, their corners (n, 3), and a hierarchy of their boxes."""
+        if body not in self._trees:
+            faces = np.flatnonzero(self.skins.body == body)
+            triangles = np.ascontiguousarray(self.skins.triangles[faces], np.int64)
+            tree = igl.AABB()
+            if len(faces):
+                tree.init(self.skins.points, triangles)
+            self._trees[body] = faces, triangles, tree
+        return self._trees[body]
 
     @property
     def _span(self) -> int:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.arrays import Floats, Ints, corners, gather
 from gf_usd.core.stage import Skin
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.distance.tree import SurfaceTree
@@ -73,15 +73,15 @@ class ContactSearch:
         low, high = low - self.reach, high + self.reach
         there = np.ones(len(rows), bool)
         for axis in range(3):
-            x = self.x[rows, axis]
+            x = gather(self.x[:, axis], rows)
             there &= (x >= low[axis]) & (x <= high[axis])
         return rows[there]
 
     def keep(self, rows: Ints, planes: ContactPlanes, gap: Floats) -> None:
         """Give samples `rows` (k,) the planes that they had; gap : (n,) [m] of all samples now."""
         for name in ARRAYS:
-            getattr(self.planes, name)[rows] = getattr(planes, name)[rows]
-        self.gap[rows] = gap[rows]
+            getattr(self.planes, name)[rows] = gather(getattr(planes, name), rows)
+        self.gap[rows] = gather(gap, rows)
 
     def offer(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats,
@@ -104,7 +104,7 @@ class ContactSearch:
             return
         who, w = carriers[nearer], weights[nearer]
         f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
-        f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, self.x[who])
+        f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, gather(self.x, who))
 
     def offer_places(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats, body: Ints | int,
@@ -161,14 +161,14 @@ class ContactSearch:
         rows = np.flatnonzero(self._owner >= 0)
         if not len(rows):
             return
-        rest, owner, f = self._rest[rows], self._owner[rows], self.planes
+        rest, owner, f = gather(self._rest, rows), gather(self._owner, rows), self.planes
         near = np.empty((len(rows), NEAR), np.int32)
         for body in np.unique(owner):
-            some = owner == body
-            near[some] = skins[body].nearest(rest[some])
+            some = np.flatnonzero(owner == body)
+            near[some] = skins[body].nearest(gather(rest, some))
         who, w = choose_support_triangles(X, rest, near)
         f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
-        f.point[rows] -= np.einsum("nk,nka->na", w, self.x[who])
+        f.point[rows] -= np.einsum("nk,nka->na", w, gather(self.x, who))
         self._owner[rows] = -1
 
 
@@ -297,7 +297,8 @@ class BodySkin:
 
     def rest(self, triangle: Ints, weights: Floats) -> Floats:
         """(k, 3) [m] points at rest of triangles (k,), with barycentric weights (k, 3)."""
-        return np.einsum("nk,nka->na", weights, self.skin.points[self.skin.triangles[triangle]])
+        corners = gather(self.skin.points, gather(self.skin.triangles, triangle))
+        return np.einsum("nk,nka->na", weights, corners)
 
     def carriers(self, places: Floats) -> tuple[Ints, Floats]:
         """Contact samples (k, 3) and weights (k, 3) that carry points (k, 3) [m] at rest.
@@ -312,7 +313,7 @@ class BodySkin:
     def nearest(self, places: Floats) -> Ints:
         """(k, NEAR) contact samples nearest to points (k, 3) [m] at rest; -1: no more."""
         near = self._triples.near(places)
-        return np.where(near >= 0, self.samples[near], -1)
+        return np.where(near >= 0, gather(self.samples, near), -1)
 
 
 class BodySkins:

@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats, Ints, cross, row_dots
+from gf_usd.core.arrays import Floats, Ints, cross, gather, row_dots
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.contact.narrow_phase import CLOSER, TRAVEL
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
@@ -129,9 +129,9 @@ class PairSprings:
     def _coming(self) -> Floats:
         """(f,) [m] bound of the depth of samples with a plane until then; negative: a gap."""
         faces, x, v = self.planes.facing, self.x, self.v
-        f, normal = self.planes, self.planes.normal[faces]
-        away = f.interpolated_to(faces, x) + f.point[faces] - x[faces]
-        speed = f.interpolated_to(faces, v) + f.velocity[faces] - v[faces]
+        f, normal = self.planes, gather(self.planes.normal, faces)
+        away = f.interpolated_to(faces, x) + gather(f.point, faces) - gather(x, faces)
+        speed = f.interpolated_to(faces, v) + gather(f.velocity, faces) - gather(v, faces)
         depth, closing = row_dots(away, normal), row_dots(speed, normal)
         fastest = np.maximum(AHEAD * closing, CHANGE * np.sqrt(row_dots(speed, speed)))
         coming = largest_depth(
@@ -154,7 +154,7 @@ def stretches(
 
     W : (n, nodes) of all samples; points of obstacles, behind them, move no node.
     """
-    carriers, weights = planes.carriers[rows], planes.weights[rows]
+    carriers, weights = gather(planes.carriers, rows), gather(planes.weights, rows)
     carried = np.flatnonzero(planes.partner[rows] >= 0)
     count = len(rows) + len(floor)
     own = np.append(rows, floor)
@@ -191,7 +191,8 @@ def levers(planes: ContactPlanes, rows: Ints, x: Floats, samples: int) -> Floats
     s = rows[carried]
     if len(s) == 0:
         return out
-    corners, w, n = x[planes.carriers[s]], planes.weights[s], planes.normal[s]
+    corners = gather(x, gather(planes.carriers, s))
+    w, n = gather(planes.weights, s), gather(planes.normal, s)
     r = corners - corners.mean(1, keepdims=True)
     arm = x[s] - np.einsum("nk,nka->na", w, corners)
     alpha = turn(r, cross(n, arm))

@@ -68,6 +68,7 @@ class InsideMeasure:
         self._spacing, self._last = spacing, frames - 1
         self._stride, self._open_end = max(1, -(-frames // MEASURES)), open_end
         self._rest: dict[int, Ints] = {}  # by step between pieces: which of them are inside at rest
+        self._at_rest = self._winding(self._points)  # kept, since its hierarchies serve all frames
 
     def is_measured(self, index: int) -> bool:
         """Whether a frame is measured: MEASURES frames evenly spaced, or with an open end frames 8,
@@ -85,7 +86,7 @@ class InsideMeasure:
         most = MOST if ends or index == self._last else GLANCE
         step = max(1, -(-len(self._pieces.of) // most))
         measured = np.arange(0, len(self._pieces.of), step)
-        rest = self._winding(self._points)
+        rest = self._at_rest
         if step not in self._rest:
             self._rest[step] = self._inside(rest, measured)[0]
         moved = self._winding(np.concatenate([poses[path].x for path in self._paths]))
@@ -155,10 +156,10 @@ class InsideMeasure:
         # ahead: outside all bodies; behind: outside all but the body that the piece bounds
         for side, within, least in ((1.0, WITHIN, 0.0), (-1.0, 1.0 + WITHIN, STEEP)):
             for way in directions(side * normal[some], least):
-                X = center[some, None] + steps[:, None] * way[:, None]
-                around = np.abs(now.winding_numbers(X.reshape(-1, 3))).reshape(len(some), -1)
-                out = around <= within
-                depth = np.minimum(depth, np.where(out.any(1), steps[out.argmax(1)], steps[-1]))
+                piece, step = np.nonzero(steps < depth[:, None])  # only nearer than found so far
+                X = center[some[piece]] + steps[step, None] * way[piece]
+                out = np.abs(now.winding_numbers(X)) <= within
+                np.minimum.at(depth, piece[out], steps[step[out]])
         return float(depth.max())
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, gather, lengths, row_dots
 from gf_usd.physics.contact.distance.closest import (
     AROUND,
     BOXES,
@@ -116,24 +116,25 @@ class SurfaceTree:
         # Boxes of others are those of points which they no longer have.
         self._fitted = np.where(moved, refitted, self._fitted | refitted)
         rows = np.flatnonzero(which >= 0)
-        at, w, pseudo = which[rows], found[rows, :3], found[rows, 3:]
-        point = np.einsum("nk,nka->na", w, points[self._corners[at]])
-        away = X[rows] - point
-        distance = np.sqrt((away * away).sum(1))
-        gap = np.where((away * pseudo).sum(1) < 0.0, -distance, distance)
+        at, seen = gather(which, rows), gather(found, rows)
+        w, pseudo = seen[:, :3], seen[:, 3:]
+        point = np.einsum("nk,nka->na", w, gather(points, gather(self._corners, at)))
+        away = gather(X, rows) - point
+        distance = lengths(away)
+        gap = np.where(row_dots(away, pseudo) < 0.0, -distance, distance)
         on = distance <= ON_SURFACE * reach
         # The direction to the closest point is the gradient of the distance, up to its sign.
         away *= np.where(gap < 0.0, -1.0, 1.0)[:, None]
         away[on] = pseudo[on]
-        length = np.linalg.norm(away, axis=1, keepdims=True)
-        sure = np.flatnonzero(length[:, 0] > 0.0)  # a triangle without area has no outside
+        length = lengths(away)
+        sure = np.flatnonzero(length > 0.0)  # a triangle without area has no outside
         return Closest(
-            rows=rows[sure],
-            gap=gap[sure],
-            triangle=self._order[at[sure]],
-            weights=w[sure],
-            point=point[sure],
-            normal=away[sure] / length[sure],
+            rows=gather(rows, sure),
+            gap=gather(gap, sure),
+            triangle=gather(self._order, gather(at, sure)),
+            weights=gather(w, sure),
+            point=gather(point, sure),
+            normal=gather(away, sure) / gather(length, sure)[:, None],
         )
 
 

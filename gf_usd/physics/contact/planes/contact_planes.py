@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, cross, lengths, nonzero_rows, row_dots
+from gf_usd.core.arrays import Floats, Ints, cross, gather, lengths, nonzero_rows, row_dots
 from gf_usd.physics.contact.planes.support_triangles import spin
 
 ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
@@ -93,7 +93,7 @@ class ContactPlanes:
 
     def of(self, rows: Ints) -> ContactPlanes:
         """The planes of samples `rows` (k,); carriers keep their indices."""
-        return ContactPlanes(**{name: getattr(self, name)[rows] for name in ARRAYS})
+        return ContactPlanes(**{name: gather(getattr(self, name), rows) for name in ARRAYS})
 
     def interpolated(self, values: Floats) -> Floats:
         """Values (n, 3) of all samples, interpolated to the planes by sum_k w_k; 0 for
@@ -106,7 +106,8 @@ class ContactPlanes:
     def interpolated_to(self, rows: Ints, values: Floats) -> Floats:
         """The same for samples `rows` (k,) that have a plane."""
         # The carriers of an obstacle's plane are any sample, with weights of 0.
-        return np.einsum("nk,nka->na", self.weights[rows], values[self.carriers[rows]])
+        corners = gather(values, gather(self.carriers, rows))
+        return np.einsum("nk,nka->na", gather(self.weights, rows), corners)
 
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
@@ -115,8 +116,9 @@ class ContactPlanes:
     def below(self, x: Floats, elapsed: float = 0.0) -> Floats:
         """(n,) [m] the same, negative above; 0 where there is no plane."""
         rows, out = self.facing, np.zeros(len(x))
-        q = self.point[rows] + self.interpolated_to(rows, x) + elapsed * self.velocity[rows]
-        out[rows] = row_dots(q - x[rows], self.normal[rows])
+        q = gather(self.point, rows) + self.interpolated_to(rows, x)
+        q += elapsed * gather(self.velocity, rows)
+        out[rows] = row_dots(q - gather(x, rows), gather(self.normal, rows))
         return out
 
     def turned(self, rows: Ints, before: Floats, after: Floats) -> tuple[Floats, Floats]:
@@ -125,8 +127,9 @@ class ContactPlanes:
         before, after : (n, 3) [m] of all samples. The turn is that of the motion between them, by
         the rotation vector w = 2 atan(|a| / 2) a / |a|, a the spin about their mean positions.
         """
-        who = self.carriers[rows]
-        a = spin(0.5 * (before[who] + after[who]), after[who] - before[who])
+        who = gather(self.carriers, rows)
+        begin, end = gather(before, who), gather(after, who)
+        a = spin(0.5 * (begin + end), end - begin)
         size = np.maximum(lengths(a), 1e-30)[:, None]
         axis, angle = a / size, 2.0 * np.arctan(0.5 * size)
 
@@ -134,7 +137,7 @@ class ContactPlanes:
             along_axis = row_dots(axis, b)[:, None] * axis
             return along_axis + np.cos(angle) * (b - along_axis) + np.sin(angle) * cross(axis, b)
 
-        return rotated(self.normal[rows]), rotated(self.point[rows])
+        return rotated(gather(self.normal, rows)), rotated(gather(self.point, rows))
 
 
 def nothing(n: int) -> ContactPlanes:
@@ -162,18 +165,20 @@ def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPl
     stuck = nonzero_rows(spring)
     turn = np.zeros_like(x) if len(stuck) else None
     if len(who):
-        carriers = p.carriers[who]
-        turns = time * spin(x[carriers], v[carriers])
-        turned = normal[who] + cross(turns, normal[who])
+        carriers = gather(p.carriers, who)
+        turns = time * spin(gather(x, carriers), gather(v, carriers))
+        turned = gather(normal, who)
+        turned += cross(turns, turned)
         normal[who] = turned / lengths(turned)[:, None]
-        point[who] += cross(turns, point[who])
+        at = gather(point, who)
+        point[who] = at + cross(turns, at)
         if turn is not None:
             turn[who] = turns
     if turn is not None:
-        f, turns = p.of(stuck), turn[stuck]
-        way = time * (v[stuck] - f.interpolated(v) - f.velocity)
-        way -= cross(turns, x[stuck] - f.interpolated(x))
-        spring[stuck] = along(f.spring + (way + cross(turns, f.spring)), normal[stuck])
+        f, turns = p.of(stuck), gather(turn, stuck)
+        way = time * (gather(v, stuck) - f.interpolated(v) - f.velocity)
+        way -= cross(turns, gather(x, stuck) - f.interpolated(x))
+        spring[stuck] = along(f.spring + (way + cross(turns, f.spring)), gather(normal, stuck))
     return replace(p, normal=normal, point=point, spring=spring)
 
 

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, Segments, lengths, row_dots
+from gf_usd.core.arrays import Floats, Ints, Segments, gather, lengths, row_dots
 from gf_usd.physics.contact.broad_phase import Boxes
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 
@@ -183,15 +183,16 @@ class Persistence:
         since the search.
         """
         out, rows = np.zeros(len(x)), planes.facing
-        place = planes.point[rows] + planes.interpolated_to(rows, x)
-        out[rows] = lengths((x[rows] - self.x[rows]) - (place - self.place[rows]))
+        place = gather(planes.point, rows) + planes.interpolated_to(rows, x)
+        way = gather(x, rows) - gather(self.x, rows)
+        out[rows] = lengths(way - (place - gather(self.place, rows)))
         return out
 
     def _slid(self, planes: ContactPlanes, now: Outlook) -> Ints:
         """(B,) bodies of which a sample moves too far along its plane."""
         rows = planes.facing
         rate = planes.interpolated_to(rows, now.v)
-        speed = lengths(now.v[rows] - rate - planes.velocity[rows])
+        speed = lengths(gather(now.v, rows) - rate - gather(planes.velocity, rows))
         far = self.slid(planes, now.x)[rows] + now.span * speed > self.stay[rows]
         of = planes.bodies(self._of)
         return np.bincount(of[rows[far]], minlength=len(self.way)) > 0
@@ -217,17 +218,18 @@ class Persistence:
         own_until : (B,) see `own_until`.
         """
         of = planes.bodies(self._of)
-        mine = np.isin(of, bodies)
+        mine = np.flatnonzero(np.isin(of, bodies))
         place = planes.point + planes.interpolated(now.x)
         below, rows = np.zeros(len(place)), planes.facing
-        below[rows] = row_dots(place[rows] - now.x[rows], planes.normal[rows])
+        away = gather(place, rows) - gather(now.x, rows)
+        below[rows] = row_dots(away, gather(planes.normal, rows))
         offset = gap + below
         stay = CREEP * self._spacing + RISE * np.maximum(-below, 0.0)
         for array, new in (
             (self.x, now.x), (self.place, place), (self.offset, offset), (self.slide, slide),
             (self.stay, stay),
         ):  # fmt: skip
-            array[mine] = new[mine]
+            array[mine] = gather(new, mine)
         self.near[bodies] = now.near[bodies]
         self.mean[bodies], self.path[bodies] = self._samples.means(now.x), self.way
         self.own_until[bodies] = own_until[bodies]
