@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-import sys
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-from contact_scenes import bricks
 from physics_stages import head, mesh, prim
 from planned import at, cubes, noted, plan_fixture  # noqa: F401
-from scipy.spatial import ConvexHull
-from trimesh.creation import icosphere
 
-from gf_usd.core.arrays import Floats, lengths
 from gf_usd.core.errors import UsageError
-from gf_usd.core.stage import Skin
-from gf_usd.prepare.bodies.contact import cannot_touch_itself, hull_lower_bound, hull_upper_bound
 
 COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
 
@@ -123,27 +113,10 @@ def test_filters_and_switched_off_collisions_let_bodies_pass(plan) -> None:
     assert seen.through_colliders == {(0, 0)}
 
 
-def lumps(*size: int, without: tuple[slice, ...] | None = None) -> Skin:
-    """The skin of a box of cubes of a tenth of a meter, some of which are missing."""
-    filled = np.ones(size, bool)
-    if without:
-        filled[without] = False
-    made = bricks(filled, 0.1)
-    return Skin(points=made.points, triangles=made.triangles)
-
-
 def test_bodies_that_can_meet_themselves_do(plan) -> None:
     assert plan(cubes()).contact_setup.self_contact == frozenset(), "a cube cannot"
     assert plan(cubes(), self_contact=True).contact_setup.self_contact == {0, 1}
     assert plan(cubes(), self_contact=False).contact_setup.self_contact == frozenset()
-    assert cannot_touch_itself(lumps(10, 10, 10))
-    assert cannot_touch_itself(lumps(4, 4, 12))
-    assert not cannot_touch_itself(lumps(4, 4, 13)), "a rod can be bent into a ring"
-    assert not cannot_touch_itself(lumps(10, 10, 3)), "a sheet can be folded"
-    assert not cannot_touch_itself(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
-    assert not cannot_touch_itself(lumps(6, 6, 6, without=np.s_[3:4, :, :])), (
-        "two lumps of one body"
-    )
 
 
 def test_the_paper_and_updated_lagrangian_bodies_do_not_meet_themselves(plan) -> None:
@@ -193,50 +166,3 @@ def test_options_that_know_one_body_refuse_two(plan, options) -> None:
     with pytest.raises(UsageError, match="supports one body, but there are 2"):
         plan(cubes(), **options)
     assert plan(cubes(), combine=True, **options).bodies.count == 1
-
-
-def test_a_hull_has_no_more_than_its_bound() -> None:
-    body = icosphere(3)
-    points, triangles = np.asarray(body.vertices), np.asarray(body.faces)
-    assert hull_upper_bound(points, triangles) == pytest.approx(
-        ConvexHull(points).volume, rel=1e-12
-    )
-    rough = points * np.random.default_rng(0).uniform(0.9, 1.1, (len(points), 1))
-    assert (
-        ConvexHull(rough).volume
-        < hull_upper_bound(rough, triangles)
-        < 2.5 * ConvexHull(rough).volume
-    )
-    assert hull_upper_bound(points, triangles[1:]) == np.inf, "it is open"
-    assert hull_upper_bound(points, triangles[:, ::-1]) == np.inf, "it is inside out"
-    fin = np.concatenate([triangles, triangles[:1, ::-1], triangles[:1]])
-    assert hull_upper_bound(points, fin) == np.inf, "more than two triangles meet at an edge"
-
-
-def clouds() -> Iterator[Floats]:
-    """Points of any shape, stretched, within a corner, on a sphere, and few."""
-    random = np.random.default_rng(0)
-    for count, stretch in itertools.product((4, 9, 400), ((1, 1, 1), (3, 1, 0.5), (1, 1, 0.02))):
-        normal = random.normal(size=(count, 3))
-        for X in (normal, np.abs(normal), normal / lengths(normal)[:, None]):
-            yield X * stretch
-
-
-def test_the_bound_of_a_hull_from_below() -> None:
-    """It never exceeds Qhull's volume, and holds nearly all of what is round or a box."""
-    for X in clouds():
-        assert hull_lower_bound(X) <= ConvexHull(X).volume * (1.0 + 1e-12)
-    box = np.indices((2, 2, 2)).reshape(3, -1).T.astype(float)
-    assert hull_lower_bound(box) == pytest.approx(1.0)
-    ball = np.random.default_rng(0).normal(size=(4000, 3))
-    ball /= lengths(ball)[:, None]
-    # directions are up to 0.226 from the middles of triangles: cos^3 of that is left
-    assert hull_lower_bound(ball) > 0.92 * ConvexHull(ball).volume
-    assert hull_lower_bound(box * [1, 1, 0]) == 0.0, "flat"
-    assert hull_lower_bound(box[:1]) == 0.0
-
-
-def test_what_is_clearly_not_convex_needs_no_hull(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "scipy.spatial", None)  # imports of it fail
-    assert not cannot_touch_itself(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
-    assert cannot_touch_itself(lumps(10, 10, 10))
