@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import AXES, Floats, Ints
 from gf_usd.core.errors import InputError, counted
 from gf_usd.core.matrices import gaussian_axes
+from gf_usd.core.mesh import weld
 from gf_usd.core.radiance import DEGREE, Y_0
 from gf_usd.core.units import StageUnits
 
@@ -131,6 +132,13 @@ class Surface:
     # that was put around them, which is not written; None: all are
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] of the prim's own space, in world
     limit: LimitSurface | None = None  # of a cage that is far from it; None: the cage is drawn
+
+    @cached_property
+    def representative(self) -> Ints:
+        """(V,) the first of the points that coincide with each: see `core.mesh.weld`."""
+        found = weld(self.points)[0]
+        found.flags.writeable = False
+        return found
 
     @property
     def face_points(self) -> Floats:

@@ -19,7 +19,7 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import counted
-from gf_usd.core.mesh import WELD_FRACTION, areas, proper, shells, weld
+from gf_usd.core.mesh import WELD_FRACTION, areas, proper, shells
 from gf_usd.core.neighbors import components
 from gf_usd.geometry import winding
 from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
@@ -106,7 +106,7 @@ class Diagnosis:
 def diagnose(surface: Surface) -> Diagnosis:
     """Diagnose one surface."""
     counts = surface.face_counts
-    welded = weld(surface.points)[0][surface.triangles]
+    welded = surface.representative[surface.triangles]
     sound = proper(welded)
     triangles = np.ascontiguousarray(welded[sound], np.int64)
     edges = Edges.of(triangles)

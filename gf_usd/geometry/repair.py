@@ -16,7 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import counted
-from gf_usd.core.mesh import areas, proper, shells, triangulate, weld
+from gf_usd.core.mesh import areas, proper, shells, triangulate
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import (
     DUPLICATE,
@@ -164,7 +164,7 @@ def consistently_oriented_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
 
 def _with_consistent_winding(surface: Surface) -> tuple[Surface, int]:
     """As above for one surface, with the number of triangles whose winding was reversed."""
-    welded = weld(surface.points)[0][surface.triangles]
+    welded = surface.representative[surface.triangles]
     sound = np.flatnonzero(proper(welded))
     triangles = welded[sound]
     edges = Edges.of(triangles)
@@ -186,7 +186,7 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     `HOLE_LIMIT`. Only the triangles and their per-corner attributes change.
     """
     points = surface.points
-    vertex = weld(points)[0][surface.triangles].reshape(-1)
+    vertex = surface.representative[surface.triangles].reshape(-1)
     corners = np.arange(len(vertex)).reshape(-1, 3)  # flat indices into Surface.triangles
     sound = proper(vertex[corners])
     corners = corners[sound]

@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume, weld
+from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume
 from gf_usd.core.neighbors import components
 
 OPEN_FRACTION = 0.25  # share of holes in the closed area above which a surface has no inside
@@ -183,8 +183,7 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
 
 def _welded(surface: Surface) -> tuple[Ints, Ints, str]:
     """Welded triangles, their source rows, and why the surface is no solid ("" where it is)."""
-    representative, _ = weld(surface.points)
-    welded = representative[surface.triangles]
+    welded = surface.representative[surface.triangles]
     source = np.flatnonzero(proper(welded))
     welded = np.ascontiguousarray(welded[source], dtype=np.int64)
     if len(welded) == 0:

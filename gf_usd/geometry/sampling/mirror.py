@@ -12,6 +12,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 
 SAME = 1e-6  # of the diagonal: rounding of float32 points and unit conversion
+FEW = 256  # points that are compared before all are
 
 
 def mirror_axes(parts: Sequence[tuple[Floats, Ints]], tolerance: float) -> NDArray[np.bool_]:
@@ -34,6 +35,10 @@ def mirror_axes(parts: Sequence[tuple[Floats, Ints]], tolerance: float) -> NDArr
     out = np.zeros(3, bool)
     for axis in range(3):
         flip = np.where(np.arange(3) == axis, -1.0, 1.0)
+        # A few points exclude most bodies that are not symmetric.
+        few = points[:: max(1, len(points) // FEW)]
+        if (tree.query(few * flip, distance_upper_bound=2.0 * same)[0] > same).any():
+            continue
         apart, image = tree.query(points * flip, distance_upper_bound=2.0 * same)
         out[axis] = (apart <= same).all() and _same_surface(points, faces, flip, image, tolerance)
     return out

@@ -15,7 +15,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import areas, proper, shells, signed_volume, weld
+from gf_usd.core.mesh import areas, proper, shells, signed_volume
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.sampling.particles import LEAST_PARTICLES, count_particles
@@ -271,7 +271,7 @@ class Shells:
 def shells_of(surface: Surface) -> Shells:
     """The shells of a surface of consistent winding."""
     points = surface.points
-    welded = weld(points)[0][surface.triangles]
+    welded = surface.representative[surface.triangles]
     source = np.flatnonzero(proper(welded))
     triangles = np.ascontiguousarray(welded[source], np.int64)
     label = shells(triangles)
