@@ -27,8 +27,8 @@ FILE_AS_PRIM = "Ill-formed SdfPath <{}>"
 TILES = "<UDIM>"
 PATTERN = re.compile(
     r"Failed to resolve reference @.+?@ with computed asset path @(.+?)@ found in layer @(.+?)@"
-    r"|Resolution of first udim tile gave ambig.+? First tile for '(.+?)' is"
 )
+FIRST_TILE = "Resolution of first udim tile gave"  # printed only where a tile was found
 
 
 class Warned:
@@ -85,16 +85,21 @@ def _repeated(warnings: Collection[str], stated: str) -> Iterator[str]:
 
 def _of_tiles(text: str) -> bool:
     """Whether a warning is of a UDIM texture that has tiles."""
+    if text.startswith(FIRST_TILE):
+        return True
     found = PATTERN.match(text)
-    if not found or TILES not in text:
+    if not found:
         return False
-    path, layer, whole = found.groups()
-    if not whole:
-        whole = path
-        if not Path(Ar.SplitPackageRelativePathOuter(path)[0]).is_absolute():
-            package = Ar.SplitPackageRelativePathInner(layer)[0] or layer
-            whole = Ar.JoinPackageRelativePath(package, path)
-    return bool(UsdShade.UdimUtils.ResolveUdimTilePaths(whole, None))
+    path, layer = found.groups()
+    if not Path(Ar.SplitPackageRelativePathOuter(path)[0]).is_absolute():
+        package = Ar.SplitPackageRelativePathInner(layer)[0] or layer
+        path = Ar.JoinPackageRelativePath(package, path)
+    return has_tiles(path)
+
+
+def has_tiles(path: str) -> bool:
+    """Whether a path is that of a UDIM texture, absolute or in a package, for which tiles exist."""
+    return TILES in path and bool(UsdShade.UdimUtils.ResolveUdimTilePaths(path, None))
 
 
 @contextmanager

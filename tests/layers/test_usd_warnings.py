@@ -12,6 +12,19 @@ from gf_usd.layers.check.run import check_file
 from gf_usd.layers.check.validators import run_validators
 from gf_usd.layers.usd_warnings import gathered
 
+PICTURE = """
+def Material "Paint"
+{
+    token outputs:surface.connect = </Paint/Picture.outputs:surface>
+    def Shader "Picture"
+    {
+        asset inputs:file = @./tex/tile.<UDIM>.png@
+        uniform token info:id = "UsdUVTexture"
+        token outputs:surface
+    }
+}
+"""
+
 
 def with_missing(folder: Path, count: int) -> Path:
     """A stage with references to files that are not there."""
@@ -99,21 +112,7 @@ def test_findings_of_the_check_are_not_repeated(
 @pytest.mark.parametrize("tiles", [0, 2])
 @pytest.mark.parametrize("zipped", [False, True], ids=["folder", "package"])
 def test_tiles_of_a_udim_texture_are_not_missing(zipped: bool, tiles: int, tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "udim.usda",
-        """
-def Material "Paint"
-{
-    token outputs:surface.connect = </Paint/Picture.outputs:surface>
-    def Shader "Picture"
-    {
-        asset inputs:file = @./tex/tile.<UDIM>.png@
-        uniform token info:id = "UsdUVTexture"
-        token outputs:surface
-    }
-}
-""",
-    )
+    path = write(tmp_path / "udim.usda", PICTURE)
     (tmp_path / "tex").mkdir()
     names = [f"tex/tile.{1001 + k}.png" for k in range(tiles)]
     for name in names:
@@ -129,3 +128,13 @@ def Material "Paint"
             pass
     assert any("<UDIM>" in text for text in warned.counts)
     assert bool(warned.lines()) == (tiles == 0)
+    if not zipped:
+        return
+    # a layer in another folder than the package, and than the current one
+    over = tmp_path / "baked" / "over.usda"
+    over.parent.mkdir()
+    write(over, PICTURE.replace("@./tex", "@../udim.usdz[tex").replace("png@", "png]@"))
+    checked = check_file(over)
+    assert checked.warned == ()
+    lost = [f for f in checked.findings if f.rule.endswith("UnresolvableDependency")]
+    assert len(lost) == (tiles == 0)

@@ -6,11 +6,13 @@ samples, which the rules of gf-usd do.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 from pxr import Tf, Usd, UsdGeom, UsdValidation
 
 from gf_usd.layers.check.base import Finding, Severity, unreadable
+from gf_usd.layers.usd_warnings import has_tiles
 
 SEVERITIES: dict[UsdValidation.ValidationErrorType, Severity] = {
     UsdValidation.ValidationErrorType.Error: "error",
@@ -26,6 +28,7 @@ FIXES = {
     "CompositionError": "correct the path of the layer or prim that cannot be composed",
     "UnresolvableDependency": "correct the path of the file, or put the file at that path",
 }
+LOST = re.compile(r"Found unresolvable external dependency '(.+)'\.")
 # beginnings of documentation that says what a validator does, and states no rule
 ABOUT_ITSELF = ("Validates all ", "Validator ", "Warns ")
 
@@ -43,7 +46,7 @@ def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
             yield unreadable(f"usd:{metadata.name}", error)
             continue
         for error in errors:
-            if error.HasNoError():
+            if error.HasNoError() or _is_tiled(error):
                 continue
             yield Finding(
                 rule=f"usd:{error.GetIdentifier()}",
@@ -52,6 +55,12 @@ def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
                 message=" ".join(error.GetMessage().split()),
                 fix=_fix(stage, error, " ".join(metadata.doc.split())),
             )
+
+
+def _is_tiled(error: UsdValidation.ValidationError) -> bool:
+    """Whether an error is of a UDIM texture in a package, whose tiles USD does not look for."""
+    lost = LOST.fullmatch(error.GetMessage())
+    return bool(lost) and has_tiles(lost[1])
 
 
 def _fix(stage: Usd.Stage, error: UsdValidation.ValidationError, doc: str) -> str:
