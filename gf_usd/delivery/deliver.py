@@ -25,10 +25,12 @@ from gf_usd.delivery.splats.clouds import (
 from gf_usd.delivery.splats.usd import read_errors
 from gf_usd.delivery.usd import error_of, require_no_layer_of_bake, write_usd
 from gf_usd.delivery.variants import BakedVariant, read_variants
+from gf_usd.readers.inputs import require_packable
 from gf_usd.readers.pictures.splats import SplatMotion
 from gf_usd.system.atomic_files import partial_path, publish
 
-USD, GLB = (".usdz", ".usda", ".usdc"), (".glb",)
+PACKAGE = ".usdz"
+USD, GLB = (PACKAGE, ".usda", ".usdc"), (".glb",)
 
 KINDS = ("auto", "shapes", "joints")  # shapes are found faster
 
@@ -120,6 +122,8 @@ def deliver(
             f"--bind-splats is {bind_splats!r}.", f"choose one of {', '.join(BINDINGS)}"
         )
     suffix = target.suffix.lower()
+    if suffix == PACKAGE:
+        require_packable(bake, bake)
     variants, recordings, notes = read_variants(bake, variant, splats, whole=suffix in GLB)
     files = _Usd(bake, target, error) if suffix in USD else _Glb(target, recordings[0])
     with _no_partial_files(target):

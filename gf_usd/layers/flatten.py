@@ -221,8 +221,14 @@ class Package(Files):
         A zip archive has the time of each file: files made for the package get a fixed one, so
         that equal contents are equal bytes.
 
-        Raises BakeError where a file cannot be written.
+        Raises BakeError where a file cannot be written, or one for the package is empty.
         """
+        for file in self._files.values():
+            if file.stat().st_size == 0:
+                raise BakeError(
+                    f"{path}: {file} is empty (0 bytes), and USD cannot put it into a package",
+                    "export that file again, or write layers instead of a .usdz",
+                )
         made = time.mktime(MADE)
         for file in (layer, *self._files.values()):
             if file.is_relative_to(self._scratch):

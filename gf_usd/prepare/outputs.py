@@ -26,6 +26,7 @@ from gf_usd.system.atomic_files import (
     same_place,
 )
 
+PACKAGE = ".usdz"
 REPORT = ".report.json"
 SHEET = ".sheet.png"
 
@@ -55,6 +56,11 @@ class Outputs:
         """The checkpoints of an unfinished bake, one for each variant."""
         stems = (cache.name.removesuffix(CACHE_SUFFIX) for cache in self.caches)
         return tuple(self.root.with_name(f"{stem}.checkpoint.npz") for stem in stems)
+
+    @property
+    def is_package(self) -> bool:
+        """Whether the one file is a usdz package."""
+        return self.root.suffix == PACKAGE
 
     @property
     def layers(self) -> Path:
@@ -108,7 +114,7 @@ def outputs(
                 f"-o {output}: a root layer ends in .usda, .usd or .usdc, a package in .usdz",
                 f"name it {root.name}.usda, or end a folder's name in /",
             )
-    flat = flatten or root.suffix == ".usdz"
+    flat = flatten or root.suffix == PACKAGE
     if flat and len(variants) > 1:
         raise UsageError(
             f"{root.name} would be one file for {len(variants)} materials: {', '.join(variants)}",

@@ -43,7 +43,7 @@ from gf_usd.prepare.outputs import (
 )
 from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.prepare.settings import DEFAULT_PARTICLES
-from gf_usd.readers.inputs import layer_files
+from gf_usd.readers.inputs import layer_files, require_packable
 from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_stage_spec
 from gf_usd.system.atomic_files import require_utf8
@@ -110,6 +110,8 @@ def prepare(
     files, seen_source = _with_layer(targets, found.converted, shared=shared)
     if any(file.exists() for file in files.all):
         require_no_input_of_bake(files, _files_read(source, material, request))
+    if files.is_package:
+        require_packable(found.file, source)
     asset = found.asset
     plan, solid = fill(
         asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
@@ -207,7 +209,7 @@ def _with_layer(
         other = converted.other_file(layer) if shared else ""
         require_source_free(files, converted.is_at(layer), targets.overwrite, other)
         return files, seen
-    if files.root.suffix != ".usdz":
+    if not files.is_package:
         files = replace(files, textures=converted.textures(files.root))
         require_free(files, targets.overwrite)
     return files, None

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pxr import Ar, Sdf, Tf, UsdUtils
+from pxr import Ar, Sdf, Tf, Usd, UsdShade, UsdUtils
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers.formats import MESH, USD, format_of
-from gf_usd.readers.usd.stage import reading
+from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.system.atomic_files import relative, require_utf8
 
 
@@ -93,6 +93,46 @@ def usd_inputs(path: Path) -> tuple[list[Path], list[str]]:
         names = [layer.realPath or layer.identifier for layer in layers] + list(assets)
     files = {Path(Ar.SplitPackageRelativePathOuter(name)[0]) for name in names}
     return sorted(file for file in files if file.is_file()), list(missing)
+
+
+def require_packable(file: Path, named: Path) -> None:
+    """Raise InputError where the composed stage of a USD file refers to an empty file.
+
+    USD cannot put a file of 0 bytes into a package.
+
+    named : the asset, as messages name it; `file` may be a layer converted from it.
+    """
+    with reading(file):
+        stage = open_stage(file)  # an object that must outlive its range of prims
+        for prim in stage.Traverse():
+            for attribute in prim.GetAuthoredAttributes():
+                for found in filter(_is_empty, _resolved(attribute)):
+                    raise InputError(
+                        f"{named}: {found} is empty (0 bytes), and USD cannot put it into a"
+                        f" package; <{attribute.GetPath()}> refers to it",
+                        "export it again, or write layers instead of a .usdz: -o NAME.usda",
+                    )
+
+
+def _resolved(attribute: Usd.Attribute) -> Iterator[str]:
+    """The paths of the files that an attribute refers to, over all its samples."""
+    if attribute.GetTypeName().scalarType != Sdf.ValueTypeNames.Asset:
+        return
+    for time in attribute.GetTimeSamples() or [Usd.TimeCode.Default()]:
+        value = attribute.Get(time)
+        for one in [value] if isinstance(value, Sdf.AssetPath) else value or ():
+            if one.resolvedPath:
+                yield one.resolvedPath
+            elif "<UDIM>" in one.path:
+                for spec in attribute.GetPropertyStack():
+                    tiles = UsdShade.UdimUtils.ResolveUdimTilePaths(one.path, spec.layer)
+                    yield from (path for path, _ in tiles)
+
+
+def _is_empty(path: str) -> bool:
+    """Whether a file, which may be in a package, has 0 bytes."""
+    opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
+    return bool(opened) and opened.GetSize() == 0
 
 
 def layer_files(path: Path) -> list[Path]:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -148,6 +149,32 @@ def test_too_few_particles(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, "--particles", "3")
     refused(done, 3, "only ", "--particles")
     assert names(here) == []
+
+
+@pytest.mark.parametrize("inside", [False, True], ids=["folder", "package"])
+def test_an_empty_texture_is_refused_where_a_package_is_written(
+    gf_usd, here: Path, block: Path, inside: bool
+) -> None:
+    """USD cannot package it: the bake failed at its end, with a hint on disk space."""
+    picture = 'def Shader "Picture"\n{\n    asset inputs:file = @./skin.png@\n}\n'
+    block.write_text(block.read_text().rstrip().removesuffix("}") + picture + "}\n")
+    (block.parent / "skin.png").touch()
+    found = block.parent / "skin.png"
+    if inside:
+        source, block = block, block.with_suffix(".usdz")
+        with zipfile.ZipFile(block, "w") as archive:
+            archive.write(source, source.name)
+            archive.write(found, found.name)
+        found = f"{block}[skin.png]"
+    done = gf_usd("bake", block, *SMALL, "-o", "a.usdz")
+    message = f"{block}: {found} is empty (0 bytes), and USD cannot put it into a package;"
+    refused(done, 3, message, "export it again")
+    assert "</World/Picture.inputs:file> refers to it" in done.err
+    assert names(here) == []
+    assert gf_usd("bake", block, *SMALL, "-o", "a.usda").status == 0
+    delivered = gf_usd("deliver", "a.usda", "-o", "b.usdz")
+    refused(delivered, 3, f"a.usda: {found} is empty (0 bytes)", "export it again")
+    assert gf_usd("deliver", "a.usda", "-o", "b.usda").status == 0
 
 
 def test_words_that_are_no_option(gf_usd, here: Path, block: Path) -> None:

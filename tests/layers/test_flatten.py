@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import struct
 import zipfile
@@ -14,6 +15,7 @@ from small_sources import PLAIN, SOURCES, Source
 from small_stages import CUBE, asset_of, bake, write
 
 from gf_usd.core.asset import Asset
+from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import Choices
 from gf_usd.layers.check.run import check_file
 from gf_usd.layers.flatten import write_flat
@@ -351,6 +353,16 @@ def test_a_texture_that_is_not_there_is_named(tmp_path: Path) -> None:
     lost = tmp_path / "asset/tex/lost.png"
     assert notes == (f"{lost} could not be found: it is not in the package",)
     assert partial_path(target).exists()
+
+
+def test_an_empty_texture_is_named(tmp_path: Path) -> None:
+    """Of an asset that changes after it was read: the hint was on disk space."""
+    asset = painted(tmp_path, "./tex/skin.png")
+    root, _, _ = bake(asset, tmp_path / "asset")
+    empty = tmp_path / "asset/tex/skin.png"
+    empty.write_bytes(b"")
+    with pytest.raises(BakeError, match=re.escape(f"{empty} is empty (0 bytes)")):
+        write_flat(tmp_path / "one.usdz", root, asset, source=asset.facts.path, choices=ALL)
 
 
 def test_no_path_of_this_machine_is_left(tmp_path: Path) -> None:
