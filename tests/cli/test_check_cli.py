@@ -117,7 +117,7 @@ def test_json(gf_usd, block: Path, broken: str, sound: bool) -> None:
     assert report["prims"] == (2 if sound else 1)
     assert report["rules"] > 10
     for finding in report["findings"]:
-        assert set(finding) == {"rule", "severity", "prim_path", "message", "fix"}
+        assert set(finding) == {"rule", "severity", "prim_path", "message", "fix", "subject"}
     found = {(f["rule"], f["prim_path"]) for f in report["findings"]}
     assert found == set() if sound else ("mesh-topology", "/Shard") in found
 

@@ -73,7 +73,7 @@ def particle_lengths(stage: Usd.Stage) -> Iterator[Finding]:
         points = lengths(position_attribute(prim))
         for attribute in arrays:
             if problem := mismatch_text(mismatches(lengths(attribute), points)):
-                yield about("particle-lengths", prim).error(
+                yield about("particle-lengths", prim, attribute.GetName()).error(
                     f"{attribute.GetName()} has {problem}",
                     "author one element per particle, in the order of the positions",
                 )
@@ -101,7 +101,7 @@ def point_lengths(stage: Usd.Stage) -> Iterator[Finding]:
             if not found:
                 continue
             cut_off = field and all(have > want for _, have, want in found)
-            speak = about("point-lengths", prim)
+            speak = about("point-lengths", prim, attribute.GetName())
             say = speak.warning if cut_off else speak.error
             yield say(
                 f"{attribute.GetName()} has {mismatch_text(found)}",

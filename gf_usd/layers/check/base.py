@@ -22,6 +22,7 @@ class Finding:
     prim_path: str  # "/" for the stage itself
     message: str  # the fault, with its numbers
     fix: str  # how to fix it
+    subject: str = ""  # the property of the prim, or the path of the file, that it is about
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +68,11 @@ def rule(name: str, holds: str, *, reads_samples: bool = True) -> Callable[[Judg
 
 @dataclass(frozen=True)
 class Reporter:
-    """Makes the findings of one rule about one prim."""
+    """Makes the findings of one rule about one prim, or about one of its properties."""
 
     rule: str
     prim_path: str
+    subject: str = ""  # the property
 
     def error(self, message: str, fix: str) -> Finding:
         """A finding that makes the stage invalid; fix : what to do about it."""
@@ -91,13 +93,14 @@ class Reporter:
             prim_path=self.prim_path,
             message=message,
             fix=fix,
+            subject=self.subject,
         )
 
 
-def about(rule_name: str, prim: Usd.Prim | Sdf.Path | str) -> Reporter:
-    """The reporter of ``rule_name`` for a prim."""
+def about(rule_name: str, prim: Usd.Prim | Sdf.Path | str, name: str = "") -> Reporter:
+    """The reporter of ``rule_name`` for a prim; name : of the property that it is about."""
     path = prim.GetPath() if isinstance(prim, Usd.Prim) else prim
-    return Reporter(rule_name, str(path))
+    return Reporter(rule_name, str(path), name)
 
 
 def first_problem(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:

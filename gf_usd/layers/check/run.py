@@ -27,6 +27,9 @@ from gf_usd.system.atomic_files import require_utf8
 
 UNSAFE = "not run: the time codes of a layer do not advance, so reading its samples would never end"
 VALIDATORS = "usd"
+UNRESOLVED = ".UnresolvableDependency"  # a rule of USD
+PACKAGE = ".usdz"
+Key = tuple[str, str, str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +114,11 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
     for one in sets:
         one.SetVariantSelection(SOURCE_VARIANT)
     known = {_key(found) for found in check_stage(stage).findings}
-    own = _of_bake(layer)
+    lost, clips = _of_bake(layer)
     theirs = [
         f for f in result.findings
-        if _key(f) in known and not any(path in f.message for path in own)
+        if _key(f) in known
+        and f.subject not in lost and str(Path(f.subject).parent) not in clips
         and any(Sdf.Path(f.prim_path).HasPrefix(root) for root in roots)
     ]  # fmt: skip
     return replace(
@@ -124,14 +128,16 @@ def _without_source_findings(result: CheckResult, stage: Usd.Stage) -> CheckResu
     )
 
 
-def _of_bake(layer: Sdf.Layer) -> list[str]:
-    """Paths whose faults are those of a bake: of layers that its root layer itself refers to and
-    that do not exist, and the folders of value clips next to its caches.
+def _of_bake(layer: Sdf.Layer) -> tuple[set[str], set[str]]:
+    """Files whose faults are those of a bake: the layers that its root layer itself refers to and
+    that do not exist, and all in the folders of value clips next to its caches.
+
+    Returns the paths of these layers, and of these folders.
     """
     paths = [layer.ComputeAbsolutePath(path) for path in layer.GetCompositionAssetDependencies()]
-    lost = [path for path in paths if not Ar.GetResolver().Resolve(path)]
-    clips = [str(folder_of(Path(path))) for path in paths if path.endswith(CACHE_SUFFIX)]
-    return lost + [folder + "/" for folder in clips]
+    lost = {path for path in paths if not Ar.GetResolver().Resolve(path)}
+    clips = {str(folder_of(Path(path))) for path in paths if path.endswith(CACHE_SUFFIX)}
+    return lost, clips
 
 
 def _looks(stage: Usd.Stage) -> list[Usd.Prim]:
@@ -186,32 +192,40 @@ def _judge(rule: Rule, stage: Usd.Stage) -> Iterable[Finding | Skip]:
 def review(root: Path, source: Path) -> list[dict[str, str]]:
     """Errors in every variant of a root layer, except those that its source has too.
 
-    Findings with the same severity, rule and prim are the same: the numbers in their texts may
-    differ.
+    Findings with the same severity, rule, prim and subject are the same: the numbers in their texts
+    may differ.
     """
-    known = {_key(f) for f in check_file(source).findings}
+    # a package has the names alone of files that cannot be found
+    named = root.suffix == PACKAGE
+    known = {_key(f, named=named) for f in check_file(source).findings}
     stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)
     prims = _looks(stage)
     # a flattened bake has no material variants: it is checked unchanged
     sets = [p.GetVariantSet(VARIANT_SET) for p in prims]
     names = sorted({name for s in sets for name in s.GetVariantNames()}) or [""]
     stage.SetEditTarget(stage.GetSessionLayer())
-    seen: dict[tuple[str, str, str], dict[str, str]] = {}
+    seen: dict[Key, dict[str, str]] = {}
     for name in names:
         for prim in prims:
             prim.GetVariantSet(VARIANT_SET).SetVariantSelection(name)
         for finding in check_stage(stage).findings:
-            if finding.severity == "error" and _key(finding) not in known:
-                seen.setdefault(_key(finding), _plain(finding))
+            key = _key(finding, named=named)
+            if finding.severity == "error" and key not in known:
+                seen.setdefault(key, _plain(finding))
     return list(seen.values())
 
 
-def _key(finding: Finding) -> tuple[str, str, str]:
+def _key(finding: Finding, *, named: bool = False) -> Key:
     """What findings of a bake and of its source have in common.
 
     With the severity: a mesh without an extent is a warning, a bake's wrong extent an error.
+
+    named : files that cannot be found are the same where their names are.
     """
-    return finding.severity, finding.rule, str(finding.prim_path)
+    subject = finding.subject
+    if named and finding.rule.endswith(UNRESOLVED):
+        subject = Path(subject.rstrip("]").rpartition("[")[2]).name
+    return finding.severity, finding.rule, str(finding.prim_path), subject
 
 
 def _plain(finding: Finding) -> dict[str, str]:

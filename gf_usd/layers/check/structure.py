@@ -32,7 +32,7 @@ def dangling_relationship(stage: Usd.Stage) -> Iterator[Finding]:
             if not isinstance(relationship, Usd.Relationship):
                 continue
             name = relationship.GetName()
-            speak = about("dangling-relationship", prim)
+            speak = about("dangling-relationship", prim, name)
             for path in relationship.GetTargets():
                 target = stage.GetPrimAtPath(path)
                 if not target:
@@ -140,7 +140,7 @@ def stage_units(stage: Usd.Stage) -> Iterator[Finding]:
         value = stage.GetMetadata(key)
         usable = isinstance(value, (int, float)) and math.isfinite(value) and value > 0.0
         if not usable:
-            yield about("stage-units", "/").error(
+            yield about("stage-units", "/", key).error(
                 f"the stage authors {key} = {value}",
                 f"author a positive number, for example {key} = 1",
             )

@@ -28,6 +28,7 @@ FIXES = {
     "CompositionError": "correct the path of the layer or prim that cannot be composed",
     "UnresolvableDependency": "correct the path of the file, or put the file at that path",
 }
+UNOPENED = re.compile(r"Could not open asset @(.+?)@ for ")
 LOST = re.compile(r"Found unresolvable external dependency '(.+)'\.")
 # beginnings of documentation that says what a validator does, and states no rule
 ABOUT_ITSELF = ("Validates all ", "Validator ", "Warns ")
@@ -53,6 +54,7 @@ def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
                 severity=SEVERITIES[error.GetType()],
                 prim_path=_path(error),
                 message=" ".join(error.GetMessage().split()),
+                subject=_subject(error),
                 fix=_fix(stage, error, " ".join(metadata.doc.split())),
             )
 
@@ -61,6 +63,15 @@ def _is_tiled(error: UsdValidation.ValidationError) -> bool:
     """Whether an error is of a UDIM texture in a package, whose tiles USD does not look for."""
     lost = LOST.fullmatch(error.GetMessage())
     return bool(lost) and has_tiles(lost[1])
+
+
+def _subject(error: UsdValidation.ValidationError) -> str:
+    """The path of the file that cannot be found, or the property; "" for the prim or the stage."""
+    message = error.GetMessage()
+    if lost := LOST.fullmatch(message) or UNOPENED.match(message):
+        return lost[1]
+    names = (site.GetProperty().GetName() for site in error.GetSites() if site.IsProperty())
+    return next(names, "")
 
 
 def _fix(stage: Usd.Stage, error: UsdValidation.ValidationError, doc: str) -> str:

@@ -103,7 +103,7 @@ def value_range(stage: Usd.Stage) -> Iterator[Finding]:
             if attribute is None or (name in FIELD_ONLY and not field):
                 continue
             if problem := first_problem(_outside(attribute, interval)):
-                yield about("value-range", prim).error(
+                yield about("value-range", prim, name).error(
                     f"{name} has {problem}", f"author values in {interval}"
                 )
 
@@ -127,7 +127,7 @@ def unit_quaternions(stage: Usd.Stage) -> Iterator[Finding]:
             names += ["orientations", "orientationsh"]
         for attribute in (a for name in names if (a := authored(prim, name))):
             if problem := first_problem(_not_unit(attribute)):
-                yield about("unit-quaternions", prim).error(
+                yield about("unit-quaternions", prim, attribute.GetName()).error(
                     f"{attribute.GetName()} has {problem}",
                     "divide each quaternion by its length",
                 )
@@ -157,7 +157,7 @@ def allowed_tokens(stage: Usd.Stage) -> Iterator[Finding]:
             allowed = attribute.GetMetadata("allowedTokens")
             value = attribute.Get()
             if allowed and value is not None and value not in allowed:
-                yield about("allowed-tokens", prim).error(
+                yield about("allowed-tokens", prim, attribute.GetName()).error(
                     f'{attribute.GetName()} = "{value}" is not one of {", ".join(allowed)}',
                     f"author one of {', '.join(allowed)}",
                 )
@@ -203,7 +203,7 @@ def finite(stage: Usd.Stage) -> Iterator[Finding]:
             if name not in NAMES and not name.startswith(PREFIXES):
                 continue
             if problem := first_problem(_problems(attribute)):
-                yield about("finite", prim).error(
+                yield about("finite", prim, name).error(
                     f"{name} holds {problem}",
                     "export the file again with finite numbers; in a bake it means that the "
                     "simulation failed: try a smaller step or a softer material",

@@ -12,7 +12,10 @@ from small_sources import PLAIN, SEVERAL_ROOTS, Source
 from small_stages import bake
 
 import gf_usd
+from gf_usd.core.frames import Choices
 from gf_usd.layers.check.run import check_file, review
+from gf_usd.layers.flatten import write_flat
+from gf_usd.system.atomic_files import publish
 
 MESH = "/duck/geo/body"
 STARS = """
@@ -171,3 +174,60 @@ def test_a_value_clip_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> No
     result = check_file(root)
     assert not result.ok
     assert result.inherited == ()
+
+
+PICTURE = """
+def Shader "picture"
+{
+    asset inputs:file = @./lost.png@
+}
+"""
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_a_lost_file_of_the_source_hides_no_other(suffix: str, tmp_path: Path) -> None:
+    """All that cannot be found is at the stage itself: the file tells them apart."""
+    asset = replace(PLAIN, body=PLAIN.body + PICTURE).asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path)
+    path = root.path
+    if suffix != ".usda":
+        path = tmp_path / f"flat{suffix}"
+        write_flat(path, root, asset, source=asset.facts.path, choices=Choices())
+        publish(path)
+    assert review(path, asset.facts.path) == []
+    if suffix == ".usdz":
+        return
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    spec = Sdf.CreatePrimInLayer(layer, "/duck/also")
+    spec.specifier, spec.typeName = Sdf.SpecifierDef, "Shader"
+    Sdf.AttributeSpec(spec, "inputs:file", Sdf.ValueTypeNames.Asset).default = "./gone.png"
+    layer.Save()
+    (found,) = review(path, asset.facts.path)
+    assert found["message"].endswith("gone.png'.")
+
+
+def test_a_fault_of_another_property_is_the_bake_s(tmp_path: Path) -> None:
+    """The source has colors that are not finite, which are not the points of the bake."""
+    asset = replace(PLAIN, body=PLAIN.body.replace("[(1, 0, 0)]", "[(nan, 0, 0)]")).asset(tmp_path)
+    known = {(f.rule, f.prim_path, f.subject) for f in check_file(asset.facts.path).findings}
+    assert ("finite", MESH, "primvars:displayColor") in known
+    root, _, _ = bake(asset, tmp_path)
+    spoil(tmp_path / "duck.rubber.cache.usdc")
+    found = [f for f in review(root.path, asset.facts.path) if f["rule"] == "finite"]
+    assert [f["message"].split()[0] for f in found] == ["points"]
+
+
+def test_a_file_of_a_longer_name_is_not_the_bake_s(tmp_path: Path) -> None:
+    """The root layer lacks its sublayer `gone`; its source lacks `gone.usda.png`."""
+    body = PLAIN.body + PICTURE.replace("lost.png", "gone.usda.png")
+    asset = replace(PLAIN, body=body).asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(root.path))
+    layer.subLayerPaths.append("./gone.usda")
+    layer.Save()
+    checked = check_file(root.path)
+    theirs, own = (
+        [Path(f.subject).name for f in found if f.rule.endswith("UnresolvableDependency")]
+        for found in (checked.inherited, checked.findings)
+    )
+    assert (theirs, own) == (["gone.usda.png"], ["gone.usda"])
