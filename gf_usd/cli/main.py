@@ -7,7 +7,6 @@ the result is wrong, or has warnings under --strict, 5 a slice is complete, 130 
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
 import signal
@@ -34,6 +33,7 @@ from gf_usd.cli.inspect import inspect
 from gf_usd.cli.misuse import WrongUsage, usage_message
 from gf_usd.cli.options import signed
 from gf_usd.cli.preview import preview, thumbnails
+from gf_usd.cli.refused_files import refusal
 from gf_usd.cli.report import report, view
 from gf_usd.cli.retime import retime
 from gf_usd.cli.serve import serve
@@ -42,7 +42,7 @@ from gf_usd.cli.topics import TOPICS, topic
 from gf_usd.cli.verify import verify
 from gf_usd.cli.worker import follow, forked_readers, make_ready
 from gf_usd.core import __version__
-from gf_usd.core.errors import GfUsdError, Unfinished, UsageError
+from gf_usd.core.errors import BakeError, GfUsdError, Unfinished, UsageError
 from gf_usd.system.atomic_files import require_working_folder
 from gf_usd.system.fast_start.imports import install
 from gf_usd.system.processes import end_with_parent
@@ -134,27 +134,21 @@ def run() -> NoReturn:
     leave(execute(sys.argv[1:]))
 
 
-# of errors of the system, of a path that a user gave
-PATH_HINTS = {
-    errno.ENAMETOOLONG: "give a shorter name",
-    errno.EACCES: "change the permissions of the file, or of a folder above it",
-}
-
-
 def execute(arguments: Sequence[str]) -> int:
     """Run the command line with these arguments; returns the exit status.
 
     An expected error is printed to stderr, without a traceback.
     """
+    exit.watch([])  # of a bake that ran before in this process
     with guarded() as broken:
         try:
             return _execute(arguments)
         except OSError as error:
-            if hint := PATH_HINTS.get(error.errno or 0) if error.filename else "":
-                name = str(error.filename)
-                shown = f"{name[:60]}..." if error.errno == errno.ENAMETOOLONG else name
-                typer.echo(f"error: {shown}: {error.strerror}\n\nhint: {hint}", err=True)
-                return UsageError.exit_status
+            if text := refusal(error):
+                fault, _, hint = text.partition("\n\n")
+                left = exit.message()  # of a bake that had begun
+                typer.echo(f"error: {'; '.join(filter(None, (fault, left)))}\n\n{hint}", err=True)
+                return (BakeError if left else UsageError).exit_status
             if error not in broken:
                 raise
             typer.echo(f"error: the output cannot be written: {error.strerror}", err=True)

@@ -233,7 +233,34 @@ def test_a_folder_that_cannot_be_searched_is_named(
     output = ["-o", "out.glb"] if command == "deliver" else []
     done = gf_usd(command, sealed, *output)
     assert done.err == (
-        "error: sealed/duck.usda: Permission denied\n\nhint: change the permissions of the file,"
-        " or of a folder above it\n"
+        "error: sealed/duck.usda: Permission denied\n\nhint: check the permissions of the file and"
+        " of the folders above it, and that no other program has it open\n"
     )
     assert done.status == 2
+
+
+@pytest.mark.parametrize(
+    ("mode", "hint"),
+    [
+        (os.X_OK, "FOLDER cannot be entered: change the permissions of that folder"),
+        (os.W_OK, "FOLDER cannot be written to: change the permissions of that folder"),
+    ],
+)
+def test_a_file_that_is_refused_within_a_bake_is_named(
+    gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch, mode: int, hint: str
+) -> None:
+    """Not as wrong usage, and with what refuses it: root may write everywhere."""
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda p, m: access(p, m) and (Path(p), m) != (here, mode))
+
+    def denied(*arguments: object) -> None:
+        Path("block.rubber.cache.partial.usdc").touch()
+        raise PermissionError(errno.EACCES, "Permission denied", "a.usda", None, "b.usda")
+
+    monkeypatch.setattr("gf_usd.pipeline.run.run.run_variant", denied)
+    done = gf_usd("bake", block, "--particles", "100", "--frames", "2", "-q")
+    assert done.err == (
+        "error: a.usda or b.usda: Permission denied; only *.partial.* files remain\n\n"
+        f"hint: {hint.replace('FOLDER', str(here))}\n"
+    )
+    assert done.status == 1
