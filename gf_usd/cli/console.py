@@ -27,11 +27,9 @@ def show_plan(
     prepared: Prepared, *, max_hours: float, as_json: bool = False, err: bool = False
 ) -> None:
     """Print the plan and its estimated cost; max_hours : the limit of `run`."""
-    from gf_usd.pipeline.cost.budget import shortcuts
     from gf_usd.prepare.plan import describe
 
     d = {**describe(prepared.plan), **prepared.cost}
-    saved = shortcuts(prepared.cost, prepared.plan.materials, prepared.plan.used_tables)
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
@@ -51,7 +49,7 @@ def show_plan(
         f"memory      about {bytes_text(d['estimated_memory_bytes'])}",
         f"disk        {disk_of(d)}",
         *(f"would write {path}" for path in d["outputs"]),
-        *(_note_line(prepared.plan, note) for note in (*d["notes"], *saved)),
+        *(_note_line(prepared.plan, note) for note in (*d["notes"], *prepared.shortcuts)),
     ]
     typer.echo("\n".join(lines), err=err)
 
@@ -74,14 +72,12 @@ def landing_of(plan: Plan, cost: Mapping[str, Any]) -> str:
 
 def announce(prepared: Prepared) -> None:
     """Print one line with the estimated cost on stderr, and the notes."""
-    from gf_usd.pipeline.cost.budget import shortcuts
-
     plan, cost = prepared.plan, prepared.cost
     substeps = cost["substeps_per_frame"]
     each = ", ".join(
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
     )
-    for note in (*plan.notes, *shortcuts(cost, plan.materials, plan.used_tables)):
+    for note in (*plan.notes, *prepared.shortcuts):
         typer.echo(_note_line(plan, note), err=True)
     forecast = {"frames": plan.settings.frames, **cost}
     first = plan.settings.first

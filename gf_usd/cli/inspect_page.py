@@ -207,7 +207,6 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 
 def _notes(seen: Inspection) -> list[str]:
     """Notes that the page does not show elsewhere, and harmless oddities of the meshes."""
-    from gf_usd.pipeline.cost.budget import shortcuts
     from gf_usd.prepare.fill.notes import not_baked_notes
 
     left = set(not_baked_notes(seen.asset.skipped))
@@ -228,9 +227,7 @@ def _notes(seen: Inspection) -> list[str]:
             notes.append(f"<{mesh.path}> has {', '.join(wrong)}")
         elif odd:
             notes.append(f"<{mesh.path}> has {', '.join(odd)}, which do not affect the fill")
-    if seen.plan is not None and seen.cost is not None:
-        notes += shortcuts(seen.cost, seen.plan.materials, seen.plan.used_tables)
-    return notes
+    return [*notes, *seen.shortcuts]
 
 
 def _lines(console: Console, what: str, lines: Sequence[str]) -> None:

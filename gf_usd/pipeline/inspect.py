@@ -67,6 +67,7 @@ class Inspection:
     repairs: tuple[Repairs, ...] = ()  # one per surface; empty without repair=True
     plan: Plan | None = None  # None: refused
     cost: Cost | None = None  # estimated_seconds, estimated_bytes and more; None: refused
+    shortcuts: tuple[str, ...] = ()  # hints at a faster bake, as text
     parts: tuple[Part, ...] = ()  # that are filled poorly
     warnings: tuple[str, ...] = ()  # problems of the asset, as text
     refusal: InputError | None = None  # why `bake` would refuse the asset; None: it would not
@@ -272,7 +273,10 @@ def inspect(
             warnings.append("it can be baked with --repair")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
     prepared = with_shot_length(Prepared(plan=plan))
-    seen = replace(seen, plan=prepared.plan, cost=prepared.cost, thickness=thickness(solid))
+    seen = replace(
+        seen, plan=prepared.plan, cost=prepared.cost, shortcuts=prepared.shortcuts,
+        thickness=thickness(solid),
+    )  # fmt: skip
     lost = lost_volume(seen)
     # where defects remove much of the volume, they also cause the thin parts
     parts = () if lost else poor_parts(solid, plan.particles, plan.samples)

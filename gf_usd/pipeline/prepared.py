@@ -7,6 +7,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import MIXED, sampled, written
 from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
@@ -25,6 +27,8 @@ from gf_usd.pipeline.cost.forecast import (
     Stages,
     Watch,
 )
+from gf_usd.pipeline.cost.shortcuts import shortcuts
+from gf_usd.prepare.materials.mass_scaling import mass_scaled, scaled_material
 from gf_usd.prepare.options.choices import split_again
 from gf_usd.prepare.plan import Plan, Variant
 from gf_usd.prepare.prepare import Refill
@@ -47,6 +51,7 @@ class Prepared:
     resume: Resume = field(default_factory=Resume)
     refill: Refill | None = None  # fills the same asset at a lower resolution; None: not needed
     warned: frozenset[str] = frozenset()  # warnings of USD that are in the plan's notes
+    until_rest: Plan | None = None  # the plan before its length was limited to a shot
 
     @cached_property
     def solvers(self) -> Solvers:
@@ -85,6 +90,49 @@ class Prepared:
             else (),
             ends_early=ends or plan.until_periodic,
         )
+
+    @cached_property
+    def shortcuts(self) -> tuple[str, ...]:
+        """Hints at options with which a long bake would take less time; see `cost.shortcuts`."""
+        plan = self.plan
+        samples = plan.settings.samples_per_frame
+
+        def damped(number: int, time: float) -> int:
+            made = replace(self, plan=_damped(plan, time))
+            return samples * made.solvers.substeps(made.plan.variants[number])
+
+        def scaled(factor: float) -> float:
+            whole = replace(self, plan=_mass_scaled(self.until_rest or plan, factor))
+            return with_shot_length(whole).cost["usual_seconds"]
+
+        return shortcuts(self.cost, plan.used_tables, damped=damped, scaled=scaled)
+
+
+def _damped(plan: Plan, time: float) -> Plan:
+    """The plan with a damping time [s] of all materials."""
+    own = plan.particles.own
+    if own is not None and "damping_time" in own:
+        own = {**own, "damping_time": np.full_like(own["damping_time"], time)}
+    return replace(
+        plan,
+        materials=tuple(replace(one, damping_time=time) for one in plan.materials),
+        tables=tuple(
+            tuple(replace(one, damping_time=time) for one in table) for table in plan.tables
+        ),
+        particles=replace(plan.particles, own=own),
+    )
+
+
+def _mass_scaled(plan: Plan, factor: float) -> Plan:
+    """The plan with a mass scaling."""
+    tables = plan.tables or tuple((material,) for material in plan.materials)
+    scaled, particles, _ = mass_scaled(tables, plan.particles, factor)
+    return replace(
+        plan,
+        materials=tuple(scaled_material(one, factor) for one in plan.materials),
+        tables=tuple(scaled),
+        particles=particles,
+    )
 
 
 def prepare(
@@ -162,7 +210,7 @@ def with_shot_length(prepared: Prepared) -> Prepared:
         choices=replace(choices, until_rest=False, open_end=False),
         notes=(*notes, note),
     )
-    return replace(prepared, plan=shorter)
+    return replace(prepared, plan=shorter, until_rest=plan)
 
 
 def identity_of(plan: Plan, variant: Variant) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from traceback import extract_tb
@@ -12,11 +11,8 @@ import pytest
 
 import gf_usd
 from gf_usd.core.errors import OutOfResources, SolverError
-from gf_usd.core.materials.physical import PHYSICAL
-from gf_usd.core.materials.presets import find_preset
 from gf_usd.physics.total_lagrangian import launch
 from gf_usd.pipeline.cost import forecast as forecasts
-from gf_usd.pipeline.cost.budget import LONG, shortcuts
 from gf_usd.pipeline.cost.forecast import Forecast
 from gf_usd.pipeline.run import run as runs
 
@@ -269,74 +265,3 @@ def test_long_frames_are_judged_sooner() -> None:
     made = Forecast(cost(100.0), 100, 100.0, clock=clock)
     follow(made, clock, [100] * 8, 1.0)  # 100 s a sample, where 1 s was estimated
     assert len(made.take_remarks()) == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "factor"),
-    [("mild-steel", 16.0), ("lead", 26.0), ("copper", 5.8), ("aluminium", 4.9), ("silicone", None)],
-)
-def test_stiff_metals_are_offered_mass_scaling(name: str, factor: float | None) -> None:
-    made = PHYSICAL[name].material(1.0)
-    rows = {"per_material": [{"name": name, "seconds": 3600.0}]}
-    lines = shortcuts(rows, [made])
-    if factor is None:
-        assert lines == ()
-        return
-    (line,) = lines
-    assert line.startswith(f"--mass-scaling {factor:g} would bake {name}")
-    assert made.yield_strain is not None
-    assert 0.018 <= factor * made.yield_strain <= 0.02
-    assert f"about {60.0 / factor**0.5:.3g} minutes" in line
-    assert shortcuts({"per_material": [{"name": name, "seconds": LONG - 1.0}]}, [made]) == ()
-
-
-def test_looks_and_soft_materials_have_nothing_to_gain() -> None:
-    for name in ("dented", "clay", "wax", "dough"):
-        made = find_preset(name).material(1.0)
-        assert shortcuts({"per_material": [{"name": name, "seconds": 1e5}]}, [made]) == ()
-
-
-def test_a_damping_that_shortens_the_step_is_reported_with_one_that_does_not() -> None:
-    made = replace(PHYSICAL["foam"].material(0.04), damping_time=0.002)
-    row = {"name": "foam", "seconds": 3600.0, "damping_ratio": 100.0, "substeps_per_frame": 200_000}
-    (line,) = shortcuts({"per_material": [row]}, [made])
-    # (sqrt(2) - 1) / (sqrt(1 + 1e4) - 100) = 82.8 times the step at z = 1
-    assert line.startswith("--damping-time 2e-05 would bake foam in 2414 substeps a frame")
-    assert line.endswith("its damping time of 0.002 s takes 200000")
-    for calm in ({"damping_ratio": 2.0}, {"seconds": 10.0}):
-        assert shortcuts({"per_material": [{**row, **calm}]}, [made]) == ()
-
-
-def test_of_several_materials_the_damping_that_shortens_the_step_is_reported() -> None:
-    """The first one, after which the variant is named, may have none."""
-    first = replace(PHYSICAL["gelatin"].material(0.04), name="jelly", damping_time=0.0)
-    foam = replace(PHYSICAL["foam"].material(0.04), damping_time=0.002)
-    row = {
-        "name": "jelly", "seconds": 3600.0, "damping_ratio": 100.0, "substeps_per_frame": 200_000,
-        "critical_damping_time": 3e-5,
-    }  # fmt: skip
-    for table in ([first, foam], [foam, first]):
-        (line,) = shortcuts({"per_material": [row]}, [first], [table])
-        assert line.startswith("--damping-time 3e-05 for all 2 materials would bake jelly in 2414")
-        assert line.endswith("the damping time of foam, 0.002 s, takes 200000")
-    long = {**row, "critical_damping_time": 0.003}
-    assert shortcuts({"per_material": [long]}, [first], [[first, foam]]) == ()
-
-
-def test_of_several_materials_the_stiff_metal_is_offered_mass_scaling() -> None:
-    soft, steel, lead = (PHYSICAL[n].material(1.0) for n in ("gelatin", "mild-steel", "lead"))
-    rows = {"per_material": [{"name": "gelatin", "seconds": 3600.0}]}
-    (line,) = shortcuts(rows, [soft], [[soft, steel]])
-    assert line.startswith(
-        f"--mass-scaling 16 would bake gelatin, in the mild-steel of which waves run at"
-        f" {steel.wave_speed:.3g} m/s, in about 15 minutes"
-    )
-    # lead yields later than steel does: the factor is that of the later one, for both
-    strains = [one.yield_strain or 0.0 for one in (steel, lead)]
-    (line,) = shortcuts(rows, [soft], [[soft, lead, steel]])
-    factor = float(line.split()[1])
-    assert 0.018 <= factor * max(strains) <= 0.02
-    assert line.endswith(f"instead of {100.0 * max(strains):.2g} %")
-    # nothing is gained where an elastic material has the fastest waves
-    stiff = replace(soft, name="glass", youngs_modulus=7e10, density=2500.0)
-    assert shortcuts(rows, [soft], [[soft, stiff, steel]]) == ()

@@ -305,10 +305,11 @@ def require_affordable(
     tables: Sequence[Sequence[Material]] = (),
     particles: int,
     drop: float,
+    shortcuts: Callable[[], Sequence[str]] = tuple,
 ) -> None:
     """Raise InputError where a bake is estimated to take longer than max_hours [h].
 
-    tables : see `estimate`.
+    tables : see `estimate`.  shortcuts : gives the hints of `cost.shortcuts`.
     """
     hours = cost["estimated_seconds"] / 3600.0
     if hours <= max_hours:
@@ -319,7 +320,6 @@ def require_affordable(
     stiffest = max(table, key=lambda one: one.wave_speed)  # that needs the substeps
     which = f"{stiffest.name}, the stiffest of {len(table)}: " if len(table) > 1 else ""
     dt = settings.time_scale / settings.fps / row["substeps_per_frame"]
-    hints = shortcuts({**cost, "per_material": [row]}, materials, tables)
     raise InputError(
         f"{path}: the bake would take about {duration(cost['estimated_seconds'])}:"
         f" {particles} particles of {row['name']} ({which}Young's modulus"
@@ -327,48 +327,8 @@ def require_affordable(
         f" {drop:.3g} m, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
         f" {counted(settings.frames, 'frame')}",
         "use a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
-        + "".join(f" {line};" for line in hints)
+        + "".join(f" {line};" for line in shortcuts())
         + f" --max-hours {math.ceil(hours * 1.2)} allows it",
-    )
-
-
-LONG = 300.0  # [s] of a bake of a flowing material from which mass scaling is suggested
-ELASTIC = 0.02  # of strain at yield: more is seen as springback
-WORTH = 0.6  # of the time at most, for which mass scaling is suggested
-
-
-OVERDAMPED = 3.0  # damping ratio from which damping alone limits the time step
-DAMPED = 30.0  # [s] of a bake from which a shorter damping time is suggested
-
-
-def damping_hint(row: Mapping[str, Any], table: Sequence[Material]) -> str:
-    """A hint at a shorter damping time, where damping limits the time step; "" otherwise.
-
-    The time step is that of `time_step`, (2 / w) (sqrt(1 + z^2) - z), with the damping ratio z
-    proportional to the damping time; z = 1 is critical damping of the stiffest vibration of the
-    grid. The option sets the damping time of all materials, with which that vibration has
-    z = (1/2) w tau 2 mu / (lam + 2 mu), with the moduli of the material of the fastest waves.
-
-    table : the materials of all bodies.
-    """
-    z = float(row.get("damping_ratio", 0.0))
-    damped = [one for one in table if one.damping_time]
-    if z < OVERDAMPED or row["seconds"] < DAMPED or not damped:
-        return ""
-    # the damping of a node is the mean viscosity over its mass
-    material = max(damped, key=lambda one: one.mu * one.damping_time / one.density)
-    gain = (math.sqrt(2.0) - 1.0) / (math.sqrt(1.0 + z * z) - z)
-    shorter, of, owner = material.damping_time / z, "", ""
-    if len(table) > 1:
-        shorter = float(row["critical_damping_time"])
-        of, owner = f" for all {len(table)} materials", f" of {material.name},"
-        if not 0.0 < shorter < material.damping_time:
-            return ""
-    return (
-        f"--damping-time {shorter:.2g}{of} would bake {row['name']} in"
-        f" {row['substeps_per_frame'] / gain:.0f} substeps a frame:"
-        f" {'the' if owner else 'its'} damping time{owner or ' of'}"
-        f" {material.damping_time:.3g} s{',' if owner else ''} takes {row['substeps_per_frame']}"
     )
 
 
@@ -379,7 +339,7 @@ def critical_damping_time(
     0 where the material of the fastest waves is a fluid, which has no such damping, and without
     substeps.
 
-    The frequency w of that vibration follows from the time step, as of `damping_hint`.
+    The frequency w of that vibration follows from the time step, (2 / w) (sqrt(1 + z^2) - z).
 
     substeps : of a frame, at rest; ratio : z; contact : how many times as many contact takes.
     """
@@ -389,56 +349,6 @@ def critical_damping_time(
     dt = settings.time_scale / settings.fps / substeps * contact
     w = 2.0 * settings.safety * (math.sqrt(1.0 + ratio * ratio) - ratio) / dt
     return (stiffest.lam + 2.0 * stiffest.mu) / (w * stiffest.mu)
-
-
-def mass_scaling_hint(row: Mapping[str, Any], table: Sequence[Material]) -> str:
-    """A hint at --mass-scaling, where stiff plastic materials limit the time step; "" otherwise.
-
-    The suggestion is the largest factor, in two digits, for which the elastic strain at yield of
-    every flowing material stays below ELASTIC.
-
-    table : the materials of all bodies.
-    """
-    flowing = [one for one in table if LAWS[one.law].flows]
-    strains = [one.yield_strain or 0.0 for one in flowing]
-    if row["seconds"] < LONG or not strains or min(strains) <= 0.0:
-        return ""
-    strain = max(strains)
-    if strain > ELASTIC / 4.0:
-        return ""
-    digit = 10.0 ** (math.floor(math.log10(ELASTIC / strain)) - 1)
-    factor = math.floor(ELASTIC / strain / digit) * digit
-    fastest = max(one.wave_speed for one in table)
-    scaled = max(
-        one.wave_speed / (factor**0.5 if LAWS[one.law].flows else 1.0) for one in table
-    )  # of the others, which keep their moduli
-    if scaled > WORTH * fastest:
-        return ""
-    stiffest = max(flowing, key=lambda one: one.wave_speed)
-    which = f"{row['name']}, in" if len(table) == 1 else f"{row['name']}, in the {stiffest.name} of"
-    return (
-        f"--mass-scaling {factor:g} would bake {which} which waves run at"
-        f" {stiffest.wave_speed:.3g} m/s, in about"
-        f" {duration(row['seconds'] * scaled / fastest)} and"
-        f" dent it alike: it springs back by up to {100.0 * factor * strain:.2g} % instead of"
-        f" {100.0 * strain:.2g} %"
-    )
-
-
-def shortcuts(
-    cost: Cost, materials: Sequence[Material], tables: Sequence[Sequence[Material]] = ()
-) -> tuple[str, ...]:
-    """Hints for long bakes: a shorter damping time, or --mass-scaling.
-
-    tables : the materials of all bodies, for each of `materials`; (): all bodies have that one.
-    """
-    each = tables or [(material,) for material in materials]
-    table_of = {material.name: table for material, table in zip(materials, each, strict=True)}
-    found = []
-    for row in cost["per_material"]:
-        table = table_of[row["name"]]
-        found += [damping_hint(row, table), mass_scaling_hint(row, table)]
-    return tuple(hint for hint in found if hint)
 
 
 UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"))  # [s]

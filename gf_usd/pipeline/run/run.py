@@ -110,6 +110,7 @@ def _require_budget(prepared: Prepared, max_hours: float) -> None:
     require_affordable(
         prepared.cost, max_hours, path=path, settings=settings, materials=plan.materials,
         tables=plan.used_tables, particles=len(plan.particles), drop=plan.drop,
+        shortcuts=lambda: prepared.shortcuts,
     )  # fmt: skip
     samples = settings.frames * settings.samples_per_frame
     since = [prepared.resume.of(number) for number in range(len(plan.materials))]

@@ -52,11 +52,12 @@ def mass_scaled(
         + "; mass, weight and yield stress do not change"
         for m in seen.values()
     ]  # fmt: skip
-    scaled = [
-        tuple(
-            replace(m, youngs_modulus=m.youngs_modulus / factor) if LAWS[m.law].flows else m
-            for m in table
-        )
-        for table in tables
-    ]
+    scaled = [tuple(scaled_material(m, factor) for m in table) for table in tables]
     return scaled, replace(particles, own=own), tuple(notes)
+
+
+def scaled_material(material: Material, factor: float) -> Material:
+    """A material as `mass_scaled` has it: one that does not flow is unchanged."""
+    if not LAWS[material.law].flows:
+        return material
+    return replace(material, youngs_modulus=material.youngs_modulus / factor)
