@@ -41,6 +41,16 @@ def test_the_faces_with_a_painted_weight_are_held(plan) -> None:
     assert pin.inside(outside).tolist() == [True, False], "beyond the painted end alone"
 
 
+def test_a_map_of_whole_numbers_is_a_weight_too(plan) -> None:
+    """As of a group of Houdini; a misspelled one is found among its kind."""
+    whole = PAINTED.replace("float[]", "int[]")
+    first, again = (plan(mesh("One", text), pins=("paint:held",)) for text in (PAINTED, whole))
+    assert np.array_equal(first.pins[0].anchors, again.pins[0].anchors)
+    with pytest.raises(InputError) as caught:
+        plan(mesh("One", whole), pins=("paint:heeld",))
+    assert caught.value.hint == "did you mean paint:held?"
+
+
 @pytest.mark.parametrize(
     ("options", "floor"),
     [({}, None), ({"floor": 0}, 0.0), ({"floor": -1.5}, -1.5), ({"drop": 1.0}, 0.0)],
@@ -87,7 +97,7 @@ def test_other_bodies_keep_the_floor_that_a_pinned_one_reaches_through(tmp_path:
     assert seen.plan.settings.floor == 0.0
 
 
-NONE = "1 mesh has no float primvar"
+NONE = "1 mesh has no primvar of numbers named"
 
 
 @pytest.mark.parametrize(
@@ -122,6 +132,16 @@ NONE = "1 mesh has no float primvar"
             "</One> has heldB as float[] with the interpolation uniform",
             "interpolation vertex",
         ),
+        (
+            PAINTED.replace("float[]", "string[]").replace("0,", '"a",').replace("1,", '"b",')
+            .replace("1]", '"b"]'),
+            "paint:held",
+            "</One> has held as string[] with the interpolation vertex",
+            "as a float or int primvar",
+        ),
+        (PAINTED, "paint:", "no primvar is named", "primvars on points are held"),
+        ("", "paint: ", "no primvar is named", "such as paint:held"),
+        ("", "joint:", "no joint is named", "no mesh has joints"),
         ("", "joint:hips", "1 mesh has no weights of a joint hips", "no mesh has joints"),
     ],
 )  # fmt: skip

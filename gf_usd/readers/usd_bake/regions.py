@@ -50,7 +50,11 @@ def read_regions(
 HALF = 0.5
 PAINT, JOINT = "paint:", "joint:"  # prefixes of names of primvars and joints
 ON_POINTS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
-WEIGHTS = (Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Half)
+TYPES = Sdf.ValueTypeNames
+WEIGHTS = (
+    *(TYPES.Float, TYPES.Double, TYPES.Half),
+    *(TYPES.Int, TYPES.Int64, TYPES.UInt, TYPES.UInt64, TYPES.UChar),  # masks
+)
 
 
 def read_weighted(
@@ -145,6 +149,14 @@ def _without_weights(
     leaves = {one.rpartition("/")[2].lower(): one.rpartition("/")[2] for one in known}
     close = difflib.get_close_matches(bare.lower(), leaves, n=1)
     count = counted(len(meshes), "mesh has", "meshes have")
+    if not bare.strip():
+        what = "primvar" if kind == PAINT else "joint"
+        listed = f"{what}s{' on points' if kind == PAINT else ''} are {', '.join(known)}"
+        none = "such as paint:held" if kind == PAINT else "no mesh has joints"
+        return InputError(
+            f"{where}: no {what} is named",
+            f"give its name after {kind} ({listed if known else none})",
+        )
     if kind == JOINT:
         message = f"{count} no weights of a joint {bare}"
         hint = (
@@ -154,9 +166,10 @@ def _without_weights(
         )
     else:
         message = (
-            f"{count} no float primvar {bare} on {'its' if len(meshes) == 1 else 'their'} points"
+            f"{count} no primvar of numbers named {bare} on"
+            f" {'its' if len(meshes) == 1 else 'their'} points"
         )
-        hint = "paint the weights as a float primvar with the interpolation vertex"
+        hint = "paint the weights as a float or int primvar with the interpolation vertex"
         if known:
             hint += f"; primvars on points are {', '.join(known)}"
         for prim in meshes:
@@ -175,22 +188,22 @@ def _without_weights(
 def _paintings(prim: Usd.Prim) -> list[str]:
     """The names of the primvars of a mesh that could be a weight map."""
     found = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
-    return [
-        primvar.GetPrimvarName()
-        for primvar in found
-        if primvar.GetTypeName().scalarType in WEIGHTS and primvar.GetInterpolation() in ON_POINTS
-    ]
+    return [primvar.GetPrimvarName() for primvar in found if _is_painting(primvar)]
+
+
+def _is_painting(primvar: UsdGeom.Primvar) -> bool:
+    """Whether a primvar has a number for each point."""
+    numbers = primvar.GetTypeName().scalarType in WEIGHTS
+    return numbers and primvar.GetInterpolation() in ON_POINTS
 
 
 def _painted(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats | None:
     """(V,) values of a primvar on points; None where the mesh has no such primvar."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
-    if not primvar or not primvar.HasValue():
+    if not primvar or not primvar.HasValue() or not _is_painting(primvar):
         return None
-    values = np.atleast_1d(np.asarray(primvar.ComputeFlattened(time)))
-    numeric = values.ndim == 1 and np.issubdtype(values.dtype, np.number)
-    on_points = primvar.GetInterpolation() in ON_POINTS
-    return values.astype(np.float64) if numeric and on_points else None
+    values = primvar.ComputeFlattened(time)  # None: indices outside its values
+    return None if values is None else np.atleast_1d(np.asarray(values, np.float64))
 
 
 def _of_joint(prim: Usd.Prim, name: str) -> tuple[Floats | None, list[str]]:
