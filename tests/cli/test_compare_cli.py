@@ -188,3 +188,33 @@ def test_the_note_on_frames_that_are_left_out_names_b(run: Run, tmp_path: Path) 
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", codes=(1, 2))
     _, _, errors = run(a, b)
     assert "2 of 4 frames are compared, at time codes 1 to 2: B (b.usda) has only these" in errors
+
+
+def test_a_picture_names_the_variants(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two variants of one file had the captions A and B."""
+    seen: list[str] = []
+
+    def label(pixels: np.ndarray, text: str) -> np.ndarray:
+        seen.append(text)
+        return pixels
+
+    monkeypatch.setattr("gf_usd.view.legend.label", label)
+    monkeypatch.setattr(
+        "gf_usd.view.render.render.render",
+        lambda scene, camera, size: np.zeros((size[1], size[0], 3), np.uint8),
+    )
+    both, one = tmp_path / "box.usda", tmp_path / "box.jelly.usda"
+    for path in (both, one):
+        stage = Usd.Stage.Open(str(falling_box(path, codes=(1, 2))))
+        bakes = stage.GetDefaultPrim().GetVariantSets().AddVariantSet("gaussianFlesh")
+        for name in ("rubber", "jelly"):
+            bakes.AddVariant(name)
+        stage.Save()
+    picture = tmp_path / "out.png"
+    options = ["--variant", "rubber", "--other-variant", "jelly", "-o", picture]
+    for other in (both, one):
+        status, _, errors = run(both, other, *options, "--size", "240x180")
+        assert status == 0, errors
+    assert seen == ["box rubber", "box jelly", "box rubber", "box.jelly"]

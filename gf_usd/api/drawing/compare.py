@@ -197,15 +197,15 @@ class SideBySide:
         from gf_usd.view.ticks import round_up
 
         self._size, self._pairing = options.size, pairing
-        self._paths = paths
         self._stages = [
             PictureStage(path, "mesh", variant=variant) for path, variant in zip(paths, variants)
         ]
-        self._names = found.meshes
+        self._titles = _titles(paths, [variant or "" for variant in variants])
+        self._meshes = found.meshes
         self._partner = dict(zip(found.time_codes.tolist(), found.other_time_codes.tolist()))
         top = round_up(found.error) or found.radius * 1e-6
         self._quantity = Quantity(
-            title="Distance", measure=f"to {paths[0].stem}", unit="m", high=top,
+            title="Distance", measure=f"to {self._titles[0]}", unit="m", high=top,
             largest=found.error, source=("largest of all", "frames,"),
         )  # fmt: skip
         self._legend = Legend(self._quantity, options.size)
@@ -221,12 +221,9 @@ class SideBySide:
         other = self._turned(self._stages[1].scene(self._partner[time_code]))
         colored = color_by_value(self._valued(mine, other), 0.0, self._quantity.high)
         parts = [render(scene, self._camera, self._size) for scene in (mine, other, colored)]
-        names = [path.stem for path in self._paths]
-        if names[0] == names[1]:
-            names = ["A", "B"]
         parts = [
-            label(parts[0], names[0]),
-            label(parts[1], names[1]),
+            label(parts[0], self._titles[0]),
+            label(parts[1], self._titles[1]),
             self._legend.overlay(parts[2]),
         ]
         return np.concatenate(parts, axis=1)
@@ -248,7 +245,7 @@ class SideBySide:
     def _valued(self, mine: Scene, other: Scene) -> Scene:
         """B's scene with the distance to A at each vertex of the meshes that were compared."""
         here = {mesh.name: mesh.points for mesh in mine.meshes}
-        partner = {second: first for first, second in self._names}
+        partner = {second: first for first, second in self._meshes}
         meshes = tuple(
             replace(mesh, values=np.linalg.norm(mesh.points - here[partner[mesh.name]], axis=1))
             if partner.get(mesh.name) in here
@@ -300,8 +297,18 @@ def _write_page(
     from gf_usd.view.report.record import load_report
     from gf_usd.view.report.report import Limits, build_comparison
 
-    names = [f"{path.stem} {motion.variant}".strip() for path, motion in zip(paths, motions)]
-    if names[0] == names[1]:
-        names = [f"A {names[0]}", f"B {names[1]}"]
     reports = [load_report(path) for path in paths]
-    publish_text(target, build_comparison(motions, reports, (names[0], names[1]), found, Limits()))
+    titles = _titles(paths, [motion.variant for motion in motions])
+    publish_text(target, build_comparison(motions, reports, titles, found, Limits()))
+
+
+def _titles(paths: Sequence[Path], variants: Sequence[str]) -> tuple[str, str]:
+    """Titles of A and B: file and variant, and which of the two it is where these are the same.
+
+    A file of one variant is usually named after it: duck.rubber.usda.
+    """
+    a, b = (
+        path.stem if path.stem.endswith(f".{variant}") else f"{path.stem} {variant}".strip()
+        for path, variant in zip(paths, variants)
+    )
+    return (a, b) if a != b else (f"A {a}", f"B {b}")
