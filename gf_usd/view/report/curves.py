@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gf_usd.view.compare import Comparison
-from gf_usd.view.report.motion import Motion
+from gf_usd.view.report.motion import OMITTED, Motion
 from gf_usd.view.report.record import Record, finite
 
 Curve = dict[str, Any]
@@ -103,7 +103,7 @@ def _stretch_plot(motion: Motion, record: Record) -> Plot:
     values_by_name = motion.curves
     return _make_plot(
         "Stretch",
-        "of particles and of the surface; 1 is undeformed",
+        f"of particles and of {100 * (1 - OMITTED):g} % of the surface; 1 is undeformed",
         [
             _health_curve(motion, record, "largest", _health_column(record, "max_stretch")),
             _geometry_curve(motion, "surface, largest", values_by_name.get("surface_max")),

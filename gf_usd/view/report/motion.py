@@ -72,7 +72,7 @@ def collect(
     flow = _FlowBuilder(
         min(vertices, max(MIN_FLOW_VERTICES, FLOW_VERTICES // len(recording.time_codes)))
     )
-    curves = _GeometryCurves(recording, bodies)
+    curves = _GeometryCurves(recording, bodies, [surface.areas for surface in surfaces])
     for frame in frames:
         joined = np.concatenate([np.zeros((0, 3)), *frame.meshes])
         faces = [s.faces(points) for s, points in zip(surfaces, frame.meshes)]
@@ -202,16 +202,36 @@ class _FrameArrays:
         )
 
 
+OMITTED = 1e-3  # of the area at rest, at each end of the stretches of a surface
+
+
+def stretch_range(stretches: Floats, areas: Floats) -> tuple[float, float]:
+    """Smallest and largest of the stretches (T, 2) of triangles with areas (T,) at rest.
+
+    The most compressed and the most stretched OMITTED of the area are left out: a thin sliver may
+    be stretched a hundredfold where the body around it is stretched by a tenth.
+    """
+    ends = []
+    for values, order in ((stretches[:, 0], 1), (stretches[:, 1], -1)):
+        ranked = np.argsort(values)[::order]
+        covered = np.cumsum(areas[ranked])
+        ends.append(float(values[ranked[np.searchsorted(covered, OMITTED * covered[-1], "right")]]))
+    return ends[0], ends[1]
+
+
 class _GeometryCurves:
     """Heights, stretches and volume ratios of each frame, over all vertices and Gaussians.
 
     Where particles replace a mesh from some frame on, they are used in all frames.
+
+    areas : (T,) at rest, of the triangles of every mesh.
     """
 
-    def __init__(self, recording: Recording, bodies: list[int]) -> None:
+    def __init__(self, recording: Recording, bodies: list[int], areas: list[Floats]) -> None:
         self._recording = recording
         vanish = any(recording.meshes[i].name in recording.vanishing for i in bodies)
         self._bodies = [] if vanish else bodies
+        self._areas = np.concatenate([[], *(areas[i] for i in self._bodies)])
         self.values: dict[str, list[float]] = {}
 
     def add(self, frame: MotionFrame, faces: list[Floats], ratio: Floats | None) -> None:
@@ -234,7 +254,8 @@ class _GeometryCurves:
             row["center"] = masses @ (frame.positions @ up) / masses.sum()
         stretches = np.concatenate([np.zeros((0, 2)), *(faces[i] for i in self._bodies)])
         if len(stretches):
-            row |= {"surface_min": stretches[:, 0].min(), "surface_max": stretches[:, 1].max()}
+            low, high = stretch_range(stretches, self._areas)
+            row |= {"surface_min": low, "surface_max": high}
         if ratio is not None and len(ratio):
             row |= {"ratio_min": ratio.min(), "ratio_max": ratio.max()}
         for name, value in row.items():
@@ -265,6 +286,7 @@ class SurfaceStretch:
         self._inverse[:, 0, 0] = 1.0 / length
         self._inverse[:, 0, 1] = -along / area
         self._inverse[:, 1, 1] = length / area
+        self.areas: Floats = 0.5 * area  # (T',) at rest
         self._area = np.repeat(area, 3)
         self._vertices = len(points)
         corner_vertices = self._triangles.reshape(-1)

@@ -8,7 +8,7 @@ from recordings import BOX, TRIANGLES, FallingBox
 
 from gf_usd.core.asset import Texture
 from gf_usd.core.scene import RenderMesh
-from gf_usd.view.report.motion import SurfaceStretch, volume_ratio
+from gf_usd.view.report.motion import SurfaceStretch, stretch_range, volume_ratio
 from gf_usd.view.report.surface import corner_colors, make_display_mesh, smooth_groups
 
 
@@ -92,6 +92,15 @@ def test_slivers_and_lone_points_are_unstretched():
     faces = surface.faces(points * 2.0)
     assert faces.shape == (1, 2)
     assert surface.at_vertices(faces) == pytest.approx([2, 2, 1, 2, 1])
+
+
+def test_a_few_slivers_do_not_make_the_range_of_stretches():
+    """One of the 1,359 faces of a car was stretched 160 times, and flattened all curves."""
+    stretches = np.repeat([[0.9, 1.1], [0.8, 1.2], [1e-3, 160.0]], [500, 500, 1], axis=0)
+    areas = np.repeat([1.0, 1e-3], [1000, 1])
+    assert stretch_range(stretches, areas) == (0.8, 1.2)
+    # where each face is a large part of the surface, none is left out
+    assert stretch_range(stretches[-3:], np.ones(3)) == (1e-3, 160.0)
 
 
 def test_volume_ratio_needs_no_rotation():
