@@ -128,8 +128,9 @@ NAME = (
 )
 # An option with a value that Python can be given in its place.
 GIVEN = re.compile(
-    rf"({OPTION.pattern})(?: (auto|\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w:%/]|[.,]\s?-?\d))?"
+    rf"({OPTION.pattern})(?: (auto|none|-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w:%/]|[.,]\s?-?\d))?"
 )
+WITHOUT = ("floor", "clamp", "stress_cap", "limits")  # are False where the command line has "none"
 # Where a hint can be cut: an aside in parentheses, and alternatives.
 ASIDE = re.compile(r"\s*\([^()]*\)")
 CLAUSES = re.compile(r"(; |, or |, )")
@@ -153,9 +154,15 @@ class Words:
         if option is None:  # a name
             return found[0]
         keyword = self.known.get(option)
-        if keyword is None or value is None or not keyword.isidentifier():
+        if value == "none" and keyword in WITHOUT:
+            return f"{keyword}=False"
+        if keyword is None or value in (None, "none") or not keyword.isidentifier():
             return found[0] if keyword is None else keyword + found[0][len(option) :]
         return f"{keyword}={value!r}" if value == "auto" else f"{keyword}={value}"
+
+    def in_notes(self, result: Any) -> Any:
+        """A result whose notes have keywords in place of options."""
+        return replace(result, notes=tuple(map(self.text, result.notes)))
 
     def hint(self, text: str) -> str:
         """A hint or a note, with keywords, and without the clauses on what cannot be given.
@@ -175,17 +182,19 @@ class Words:
 
 
 @contextmanager
-def in_words(words: Words) -> Iterator[None]:
+def in_words(words: Words) -> Iterator[Words]:
     """Have errors name the keywords of a function."""
     try:
-        yield
+        yield words
     except GfUsdError as error:
         in_python(error, words)
         raise
 
 
-def keywords(*own: str, **renamed: str) -> AbstractContextManager[None]:
+def keywords(*own: str, **renamed: str) -> AbstractContextManager[Words]:
     """Have errors name the keywords of Python: ``--max-hours`` is max_hours.
+
+    Yields the words, for the notes of a result.
 
     own : keywords of the function that are called as on the command line; renamed : others, by
     their names there.  All other options are those of a bake.

@@ -68,7 +68,7 @@ def deliver(
     """
     with keywords(
         "error", "max_joints", "max_shapes", "splats", "bind_splats", "variant", **{"as": "kind"}
-    ):
+    ) as words:
         arguments: dict[str, Any] = {
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
@@ -80,7 +80,8 @@ def deliver(
             "splats": values.choice("splats", splats, SPLATS),
             "bind_splats": values.choice("bind_splats", bind_splats, BINDINGS),
         }
-        return run_here_or_separately("gf_usd.delivery.deliver:deliver", arguments)[0]
+        done, _ = run_here_or_separately("gf_usd.delivery.deliver:deliver", arguments)
+        return words.in_notes(done)
 
 
 def retime(
@@ -122,14 +123,15 @@ def retime(
         one of its variants is animated in the root layer itself.
     BakeError : a file cannot be written.
     """
-    with keywords("speed", "keys"):
+    with keywords("speed", "keys") as words:
         arguments: dict[str, Any] = {
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
             "speed": None if speed is None else values.real("speed", speed),
             "keys": None if keys is None else _pairs(keys),
         }
-        return run_here_or_separately("gf_usd.delivery.retime:retime", arguments)[0]
+        done, _ = run_here_or_separately("gf_usd.delivery.retime:retime", arguments)
+        return words.in_notes(done)
 
 
 PAIRS = "pairs (time code of the result, time code of the bake)"

@@ -61,5 +61,6 @@ def inspect(path: Path, **options: Any) -> Inspection:
         seen,
         warnings=tuple(map(BAKE.text, seen.warnings)),
         asset=replace(seen.asset, facts=replace(facts, notes=tuple(map(BAKE.text, facts.notes)))),
+        shortcuts=tuple(map(BAKE.text, seen.shortcuts)),
         plan=plan and replace(plan, notes=tuple(map(BAKE.text, plan.notes))),
     )

@@ -101,7 +101,7 @@ def fit(
 
     with keywords(
         "bounds", "unknowns", "evaluations", "overwrite", "jobs", "max_minutes", target="targets"
-    ):
+    ) as words:
         if isinstance(targets, Mapping):
             texts = [
                 f"{name}={value if isinstance(value, str) else f'{values.real(name, value):g}'}"
@@ -130,7 +130,8 @@ def fit(
             options=taken(options, "fit"),
         )
         arguments, progress = {"request": wanted}, values.progress_callback("progress", progress)
-        return run_here_or_separately("gf_usd.fitting.fit:fit_counted", arguments, progress)[0]
+        done, _ = run_here_or_separately("gf_usd.fitting.fit:fit_counted", arguments, progress)
+        return words.in_notes(done)
 
 
 def _names(unknowns: object) -> list[str]:

@@ -61,6 +61,10 @@ def test_a_hint_leaves_out_what_cannot_be_given(
         ("give --range 1:20", "give range 1:20"),
         ("--gravity 0,-9.81,0", "gravity 0,-9.81,0"),
         ("--slice 2/4", "slice 2/4"),
+        ("--floor -0.5 puts the floor under it", "floor=-0.5 puts the floor under it"),
+        ("use --floor none, or --stress-cap none", "use floor=False, or stress_cap=False"),
+        ("--only none", "only none"),
+        ("do not use --no-self-contact", "do not use self_contact=False"),
     ],
 )
 def test_values_of_options_are_those_of_keywords(text: str, keywords: str) -> None:
@@ -203,3 +207,26 @@ def test_a_name_that_a_bake_does_not_have_is_answered_with_those_it_has(tmp_path
     first = next(gf_usd.simulate(scene(), frames=1, particles=100))
     with pytest.raises(gf_usd.UsageError, match="no 'body1'"):
         first.meshes["body1"]
+
+
+def test_notes_of_other_functions_name_keywords(tmp_path: Path) -> None:
+    """They were those of the command line: "--keys cannot retime it; --speed can"."""
+    from gf_usd.api.call import keywords
+    from gf_usd.delivery.retime import Retimed
+
+    notes = ("its animation is inside an instance, where --keys cannot retime it; --speed can",)
+    made = Retimed(path=tmp_path, caches=(), frames=1, start=1.0, end=1.0, notes=notes)
+    with keywords("speed", "keys") as words:
+        (note,) = words.in_notes(made).notes
+    assert note.endswith("where keys cannot retime it; speed can")
+    path = tmp_path / "moving.usda"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("gf_usd.api.deliver.run_here_or_separately", lambda *_: (made, ""))
+        assert gf_usd.retime(path, tmp_path / "slow.usda", speed=2.0).notes == (note,)
+
+
+def test_hints_of_an_inspection_name_keywords(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gf_usd.pipeline.cost.shortcuts.DAMPED", 0.0)
+    seen = gf_usd.inspect(SPHERE, particles=100, frames=4, damping_time=0.1)
+    (line,) = seen.shortcuts
+    assert line.startswith("damping_time=")

@@ -72,7 +72,7 @@ def compare(
         or time.
     BakeError : a file cannot be written.
     """
-    with keywords("tolerance", "variant", "other_variant", "align", "size", "fps"):
+    with keywords("tolerance", "variant", "other_variant", "align", "size", "fps") as words:
         if isinstance(tolerance, bool) or not isinstance(tolerance, str | float | int | None):
             raise values.refuse(
                 "tolerance", tolerance, "meters, or a string such as '2mm' or '0.5%'"
@@ -93,9 +93,10 @@ def compare(
             "fps": fps,
         }
         progress = values.progress_callback("progress", progress)
-        return run_here_or_separately(
+        found, _ = run_here_or_separately(
             "gf_usd.api.drawing.compare:run", arguments, progress, schema=False
-        )[0]
+        )
+        return words.in_notes(found)
 
 
 def run(
