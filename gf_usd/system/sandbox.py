@@ -29,6 +29,7 @@ from typing import Any, NoReturn, Protocol
 
 from gf_usd.core import errors
 from gf_usd.core.errors import GfUsdError, InputError, UsageError
+from gf_usd.core.units import bytes_text
 from gf_usd.system import exchange
 from gf_usd.system.processes import Child, ProcessResult, end_with_parent
 
@@ -216,7 +217,7 @@ def _answer(path: Path, ended: ProcessResult, limits: Limits) -> Any:
         return answer["value"]
     if ended.err == NO_MEMORY:
         raise InputError(
-            f"{path}: reading it needed more than {limits.memory / 1e9:g} GB of memory",
+            f"{path}: reading it needed more than {bytes_text(limits.memory)} of memory",
             f"the file may be damaged; {TRUST} memory=BYTES",
         )
     if ended.status == FAILED and ended.err:

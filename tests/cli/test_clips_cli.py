@@ -91,7 +91,7 @@ def test_a_large_cache_is_split_unasked(
     monkeypatch.setattr(frames, "CLIP", 60_000)
     done = gf_usd("bake", block, *SMALL)
     assert done.status == 0
-    assert "GB, is split into value clips of 2 frames: --clip-frames 0 keeps" in done.err
+    assert "kB, is split into value clips of 2 frames: --clip-frames 0 keeps" in done.err
     assert names(here) == WHOLE
     assert gf_usd("bake", block, *SMALL, "--clip-frames", "0", "--overwrite", "-q").status == 0
     assert names(here) == [name for name in WHOLE if "clips" not in name]

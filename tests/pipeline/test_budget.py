@@ -23,6 +23,7 @@ from gf_usd.pipeline.cost.budget import (
     Solvers,
     duration,
     require_affordable,
+    require_resources,
     rough_duration,
     typical_rest,
 )
@@ -250,6 +251,18 @@ def test_too_long_by_one_of_several_materials_names_the_stiffest(plan: Plan) -> 
         f"1000 particles of authored (stiff, the stiffest of 2: Young's modulus {young} Pa, damping"
         " time 0 s), dropped 1 m" in caught.value.message
     )
+
+
+def test_too_large_a_bake_gives_sizes_in_fitting_units(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A disk of some gigabytes was "5e+03 MB"."""
+    monkeypatch.setattr(budget, "free_disk", lambda folder: 5.0e9)
+    rows = {"per_material": [{"disk_bytes": 2.5e12}], "estimated_memory_bytes": 1.0}
+    with pytest.raises(InputError, match=r"needs about 2500 GB in \., where 5 GB are free"):
+        require_resources(
+            rows, path=Path("ball.usda"), folder=Path(), frames=1, done=[0.0], copies=1
+        )
 
 
 def test_first_contact_is_a_fall(plan: Plan) -> None:

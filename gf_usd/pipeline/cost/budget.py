@@ -25,6 +25,7 @@ from gf_usd.core.frames import MIXED, Settings, written
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
+from gf_usd.core.units import bytes_text
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.memory_and_disk import free_disk, free_memory, free_swap
 from gf_usd.system.taichi_runtime import cores, epoch
@@ -403,15 +404,15 @@ def require_resources(
     free = free_disk(folder)
     if disk > free:
         raise InputError(
-            f"{path}: the bake needs about {disk / 1e6:.3g} MB in {folder}, where"
-            f" {free / 1e6:.3g} MB are free",
+            f"{path}: the bake needs about {bytes_text(disk)} in {folder}, where {bytes_text(free)}"
+            " are free",
             DISK_HINT,
         )
     memory, left = cost["estimated_memory_bytes"], free_memory() + free_swap()
     if memory > left:
         raise InputError(
-            f"{path}: the bake would take about {memory / 1e9:.3g} GB of memory, and"
-            f" {left / 1e9:.3g} GB are free",
+            f"{path}: the bake would take about {bytes_text(memory)} of memory, and"
+            f" {bytes_text(left)} are free",
             "use fewer --particles, bake one material at a time, or end other programs",
         )
 
@@ -440,7 +441,7 @@ class ResourceGuard:
         free = free_disk(self._folder)
         if free < need:
             raise OutOfResources(
-                f"{self._folder} has {free / 1e6:.3g} MB left, and {need / 1e6:.3g} MB are needed"
+                f"{self._folder} has {bytes_text(free)} left, and {bytes_text(need)} are needed"
                 " for the next frame, unwritten data, and the report",
                 f"free some space; {self._resume_hint}",
                 frame=index,
@@ -452,7 +453,7 @@ class ResourceGuard:
         left = free_memory()
         if left < LEAST_MEMORY and (left := left + free_swap()) < LEAST_MEMORY:
             raise OutOfResources(
-                f"{left / 1e6:.3g} MB of memory are left on this machine",
+                f"{bytes_text(left)} of memory are left on this machine",
                 f"end other programs, or use fewer --particles; {self._resume_hint}",
                 frame=index,
             )

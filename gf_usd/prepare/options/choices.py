@@ -19,7 +19,7 @@ from gf_usd.core.frames import (
     clip_length,
     written,
 )
-from gf_usd.core.units import Precision
+from gf_usd.core.units import Precision, bytes_text
 from gf_usd.prepare.bodies.flow import Flow
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
@@ -85,7 +85,7 @@ def chosen(
 def split_note(frame_bytes: float, frames: int, length: int) -> str:
     """Note that a cache is split automatically into value clips of `length` frames."""
     return (
-        f"the cache, about {frame_bytes * frames / 1e9:.1f} GB, is split into value clips"
+        f"the cache, about {bytes_text(frame_bytes * frames)}, is split into value clips"
         f" of {length} frames: --clip-frames 0 keeps it in one file"
     )
 
