@@ -168,11 +168,16 @@ class State(DeviceState):
         return float(held.sum() + samples.astype(float).sum()) + drawn
 
     def recenter(self) -> None:
-        """Move the mean displacement from u to the offset; not for a pinned body."""
+        """Move the mean displacement from u to the offset; not for a pinned body.
+
+        A state that is not finite is left unchanged, so that it is reported where it began.
+        """
         if self._body.in_place:
             return
         u, m = self.rows("u"), self._body.stencil.mass
         mean = m @ u[: self._body.stencil.free_count] / m.sum()
+        if not np.isfinite(mean).all():
+            return
         self.offset = self.offset + mean
         self.put("u", u - mean)
         if regions := self._body.regions:

@@ -69,6 +69,32 @@ def test_a_frame_that_blows_up_ends_at_once_and_without_a_warning(monkeypatch):
     assert "finite" in solver.not_finite()[1]
 
 
+@pytest.mark.parametrize("body", [0, 1])
+def test_a_body_that_blows_up_is_named_and_no_other(body: int, monkeypatch) -> None:
+    """Its mean was subtracted from the others, and the first of all was reported; and without
+    planes the frame went on, in which the others met a body that is nowhere."""
+    solver = contact_solver(
+        cube(path="/Low"), cube((0.0, 3.0, 0.0), path="/High"), particles=130, frames=2, fps=3.0,
+        gravity=(0.0, -9.81, 0.0), velocity=[(0.0, 0.0, 0.0), (0.0, -30.0, 0.0)],
+    )  # fmt: skip
+    run, after = solver._run, []
+
+    def blow_up(*args):
+        run(*args)
+        after.append(args)
+        u = solver.state.rows("u")
+        mine = solver.body.stencil.node_body[: solver.body.stencil.free_count]
+        u[np.flatnonzero(mine == body)[0]] = np.nan
+        solver.state.put("u", u)
+
+    monkeypatch.setattr(solver, "_run", blow_up)
+    solver.advance(1, solver.substeps)
+    assert len(after) == 1
+    particle, why = solver.not_finite()
+    assert solver.particles.body[particle] == body
+    assert why.startswith("1 of ")
+
+
 FAR = 1e5  # [m]: positions there are 1/128 m apart in single precision
 
 
