@@ -179,7 +179,7 @@ def prepared_fit(
     """A fit with parsed texts.  Raises UsageError where one is invalid."""
     from gf_usd.core.units import number
     from gf_usd.fitting.fit import FitRequest
-    from gf_usd.system.taichi_runtime import cores
+    from gf_usd.system.resources import cores
 
     form = "NAME=LOW:HIGH [SI], such as E=1e4:1e6"
     limits = {}

@@ -21,13 +21,13 @@ from PIL import Image
 from gf_usd.batch.board import by_urgency
 from gf_usd.batch.job import NOT_FAILED, STATES, Job, Outcome
 from gf_usd.batch.plan import BatchPlan
-from gf_usd.batch.run import cores
 from gf_usd.core import __version__
 from gf_usd.core.errors import counted
 from gf_usd.pipeline.cost.budget import duration
 from gf_usd.system.atomic_files import publish_text
 from gf_usd.system.file_locks import locked
 from gf_usd.system.processes import Children
+from gf_usd.system.resources import cores
 from gf_usd.view.report.html import Html, join, policy, script, tag
 from gf_usd.view.report.record import variant_of
 

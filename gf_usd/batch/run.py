@@ -5,7 +5,6 @@ Also determines how many bakes fit on this machine at once.
 
 from __future__ import annotations
 
-import math
 import os
 import queue
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,8 +17,8 @@ from gf_usd.batch.task import Limits, finished_event, run_job, unexpected_error_
 from gf_usd.core.errors import UsageError
 from gf_usd.pipeline.cost.budget import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, FINEST, PAPER_PARTICLES
-from gf_usd.system.memory_and_disk import free_memory, system_file
 from gf_usd.system.processes import Children
+from gf_usd.system.resources import cores, free_memory
 from gf_usd.system.warm.workers import commands
 
 POLL_INTERVAL = 0.25  # [s] between events None, with which a display updates its clock
@@ -94,24 +93,11 @@ def collect_outcomes(
     return outcomes
 
 
-CPU_LIMIT = "/sys/fs/cgroup/cpu.max"
 # Bodies with fewer particles are computed by one thread.
 ONE_THREAD = 3_000
 # over the process and the particles, for vertices and textures: with 8000 particles the peak was
 # 1.02 of those two for the duck, 1.01 for 5000 vertices of OBJ, 1.17 for a chair of 9200
 MARGIN = 1.5
-
-
-def cores() -> int:
-    """Number of cores that this process may use, within the limit of its control group."""
-    if hasattr(os, "sched_getaffinity"):
-        found = len(os.sched_getaffinity(0))
-    else:
-        found = os.cpu_count() or 1
-    quota, _, period = system_file(CPU_LIMIT).partition(" ")  # [us] of CPU in a period [us], or max
-    if quota.isdigit() and period.isdigit():
-        found = min(found, math.ceil(int(quota) / int(period)))
-    return found
 
 
 def memory_of(options: Mapping[str, Any]) -> float:

@@ -47,7 +47,7 @@ def verify(
     The exit status is 1 if any result is farther from its target than its bound.  The JSON and
     docs/verification.md give the reason for each bound.
     """
-    from gf_usd.system.taichi_runtime import cores
+    from gf_usd.system.resources import cores
     from gf_usd.verify.case import rows
     from gf_usd.verify.registry import select
     from gf_usd.verify.registry import verify as run

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.cli import exit
 from gf_usd.system.file_locks import INHERITED
-from gf_usd.system.memory_and_disk import system_file
 from gf_usd.system.processes import peak_memory
+from gf_usd.system.resources import system_file
 from gf_usd.system.warm.workers import receive, send
 
 if TYPE_CHECKING:

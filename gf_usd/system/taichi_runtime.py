@@ -18,6 +18,7 @@ from typing import Any
 from gf_usd.core.errors import GfUsdError, UsageError
 from gf_usd.system.fast_start.imports import quick_import
 from gf_usd.system.fast_start.kernels import install_replacements, remove_replacements
+from gf_usd.system.resources import cores
 
 DEVICES = ("cpu", "cuda")
 MULTIPROCESSOR_COUNT = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT of the CUDA driver's interface
@@ -387,13 +388,6 @@ def _multiprocessors() -> int:
 def threads() -> int:
     """Number of threads that Taichi was started with; `cores` where it does not run."""
     return _started.get("threads") or cores()
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _has_cuda(ti: ModuleType) -> bool:

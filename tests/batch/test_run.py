@@ -172,22 +172,6 @@ def test_a_disk_that_takes_no_record_fails_the_job(
     assert ends["b"]["notes"] == ("no space left",)
 
 
-@pytest.mark.parametrize(
-    ("limit", "found"),
-    [("max 100000", 8), ("150000 100000", 2), ("100000 100000", 1), ("1000 100000", 1),
-     ("1600000 100000", 8), (None, 8)],
-)  # fmt: skip
-def test_the_cores_of_a_container_count(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str | None, found: int
-) -> None:
-    monkeypatch.setattr(resources.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
-    path = tmp_path / "cpu.max"
-    if limit:
-        path.write_text(f"{limit}\n", encoding="ascii")
-    monkeypatch.setattr(resources, "CPU_LIMIT", str(path))
-    assert resources.cores() == found
-
-
 def test_processes_fit_into_cores_and_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

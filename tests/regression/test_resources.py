@@ -18,7 +18,7 @@ import gf_usd
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.layers.check.run import check_file
 from gf_usd.pipeline.cost import budget
-from gf_usd.system import memory_and_disk
+from gf_usd.system import resources
 from gf_usd.system.taichi_runtime import import_taichi
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "sphere.usda"
@@ -50,7 +50,7 @@ def fill_up(folder: Path, leave: int) -> Path:
     """Another program's file, which leaves so many bytes free."""
     other = folder / "other"
     with other.open("wb") as file:
-        file.write(bytes(int(memory_and_disk.free_disk(folder)) - leave))
+        file.write(bytes(int(resources.free_disk(folder)) - leave))
     return other
 
 

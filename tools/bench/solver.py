@@ -11,7 +11,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.total_lagrangian import launch, solver
-from gf_usd.system.taichi_runtime import cores
+from gf_usd.system.resources import cores
 from tools.bench.tables import Sample, median
 
 SIZES = (120, 1_000, 10_000, 100_000)

@@ -27,7 +27,7 @@ from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS, STUCK
 from gf_usd.physics.total_lagrangian.state import State
 from gf_usd.system.background import running_threads
-from gf_usd.system.taichi_runtime import cores
+from gf_usd.system.resources import cores
 
 FILTER_STEP = 0.2  # r dt between two applications of the filter of rate r
 NEVER = 2**31 - 1  # the largest substep count of a kernel

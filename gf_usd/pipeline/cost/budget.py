@@ -27,8 +27,8 @@ from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import bytes_text
 from gf_usd.prepare.plan import Variant
-from gf_usd.system.memory_and_disk import free_disk, free_memory, free_swap
-from gf_usd.system.taichi_runtime import cores, epoch
+from gf_usd.system.resources import cores, free_disk, free_memory, free_swap
+from gf_usd.system.taichi_runtime import epoch
 
 if TYPE_CHECKING:
     from gf_usd.physics.frame_loop import Solver

@@ -13,7 +13,7 @@ import pytest
 
 from gf_usd.core.errors import InputError
 from gf_usd.system import sandbox
-from gf_usd.system.memory_and_disk import system_file
+from gf_usd.system.resources import system_file
 from gf_usd.system.sandbox import Isolated, Limits, run_isolated
 from gf_usd.system.warm.fork_server import ALONE, AVAILABLE, ForkServer
 

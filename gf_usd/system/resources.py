@@ -1,10 +1,25 @@
-"""Free memory and free disk space, within the limits of a container."""
+"""Cores, free memory and free disk space, within the limits of a container."""
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from pathlib import Path
+
+CPU_LIMIT = "/sys/fs/cgroup/cpu.max"
+
+
+def cores() -> int:
+    """Number of cores that this process may use, within the limit of its control group."""
+    if hasattr(os, "sched_getaffinity"):
+        found = len(os.sched_getaffinity(0))
+    else:
+        found = os.cpu_count() or 1
+    quota, _, period = system_file(CPU_LIMIT).partition(" ")  # [us] of CPU in a period [us], or max
+    if quota.isdigit() and period.isdigit():
+        found = min(found, math.ceil(int(quota) / int(period)))
+    return found
 
 
 def free_memory() -> float:
