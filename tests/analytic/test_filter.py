@@ -12,7 +12,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 BODIES = {"ball": lambda: solid(sphere()), "plate": lambda: solid(cube(edge=(2.0, 0.2, 2.0)))}
 on_every_body = pytest.mark.parametrize("body", BODIES)
-followed = pytest.mark.parametrize("followers", [True, False], ids=["followers", "all free"])
+followed = pytest.mark.parametrize("followers", [True, False], ids=["dependent nodes", "all free"])
 
 SPIN = np.array([0.45, 1.5, 0.75])  # [rad/s]
 STRETCH = np.array([0.6, -1.2, 0.6])  # [1/s]
@@ -57,7 +57,7 @@ def test_momentum_and_its_moment_are_kept_to_rounding(body, followers):
 @followed
 def test_rigid_and_affine_motion_pass_unchanged(body, followers):
     _, _, before, after = filtered(body, affine, substeps=40, followers=followers)
-    # C reproduces affine fields because 4/h^2 sum w dX dX = I; followers extend them exactly.
+    # C reproduces affine fields because 4/h^2 sum w dX dX = I; dependent nodes extend them exactly.
     np.testing.assert_allclose(after, before, atol=1e-11)
 
 

@@ -105,8 +105,8 @@ def test_apic_every_substep_conserves_reference_spin_and_only_loses_energy():
 @pytest.mark.slow
 def test_one_filter_conserves_reference_angular_momentum_exactly():
     # Without stress (moduli a billionth) a frame is nothing but filters: the sum of X x p over all
-    # nodes, followers with their own mass, must stay; so must that of the free nodes' momenta,
-    # because followers are carried by an affine fit.
+    # nodes, dependent ones with their own mass, must stay; so must that of the free nodes' momenta,
+    # because dependent nodes are carried by an affine fit.
     body, _ = ball(400)
     soft = replace(preset_material("rubber", body, damping_time=0.0), youngs_modulus=1e-3)
     s = settings(frames=2, filter_rate=np.inf, substeps=8)

@@ -38,7 +38,7 @@ def even_cube() -> Particles:
 def test_nodes_inside_feel_nothing_and_nodes_at_the_skin_feel_the_traction(A, token, real):
     particles = even_cube()
     made = preset_material("rubber", particles, law=token, damping_time=0.0)
-    # Without followers: those hand the traction of the skin on to nodes two cells deep.
+    # Without dependent nodes: those hand the traction of the skin on to nodes two cells deep.
     s = settings(frames=2, substeps=1, fps=1.0 / DT, followers=False)
     solver = TotalLagrangian(particles, [made], s, real=real)
     u = solver.body.stencil.node_X @ (A - np.eye(3)).T

@@ -87,7 +87,7 @@ def floor_without_damping(body: ti.template(), s, d, v, up, dt):
 
 
 @ti.func
-def sum_without_followers(body: ti.template(), node, filtering, options: ti.template()):
+def sum_of_free_nodes(body: ti.template(), node, filtering, options: ti.template()):
     return block_sum(body, node, options)
 
 
@@ -124,7 +124,7 @@ FAULTS = {
     "pins mirror without the sign": Fault(
         dependent_nodes, "mirrored", lambda *given: -mirrored(*given), "bar"
     ),
-    "followers keep their forces": Fault(nodes, "node_sum", sum_without_followers, "spin"),
+    "dependent nodes keep their forces": Fault(nodes, "node_sum", sum_of_free_nodes, "spin"),
     "no body force": Fault(substep, "move_node", move_without_body_force, "cantilever"),
 }
 

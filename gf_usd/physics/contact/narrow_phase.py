@@ -123,7 +123,7 @@ class ContactSearch:
         self.planes.point[rows] = point[nearer]
         self._owner[rows], self._rest[rows] = body[nearer], rest[nearer]
 
-    def keep_beside(
+    def keep_planes(
         self, rows: Ints, planes: ContactPlanes, offset: Floats, depth: Floats, far: float
     ) -> tuple[Ints, Floats]:
         """Keep the planes that samples `rows` (k,) had, of those that have not moved away.

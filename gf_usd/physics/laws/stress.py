@@ -48,6 +48,31 @@ def lanes_of(which, number: ti.template()):
 
 
 @ti.func
+def clipped_matrix(A, low, high):
+    """A with its singular values clipped to [low, high], and 1 if any was outside: the stretch
+    clamp, of the gradient of one particle from which the stress is computed.  Where J < 0 the
+    smallest singular value is negative.
+    """
+    U, S, V = ti.svd(A)
+    outside = 0
+    for a in ti.static(range(3)):
+        s = ti.min(ti.max(S[a, a], low), high)
+        if s != S[a, a]:
+            outside = 1
+        S[a, a] = s
+    B = A
+    if outside > 0:
+        for a in ti.static(range(3)):
+            for c in ti.static(range(3)):
+                B[a, c] = (
+                    U[a, 0] * S[0, 0] * V[c, 0]
+                    + U[a, 1] * S[1, 1] * V[c, 1]
+                    + U[a, 2] * S[2, 2] * V[c, 2]
+                )
+    return B, outside
+
+
+@ti.func
 def energy(laws: ti.template(), which, F, q, converged):
     """psi [J/m^3] of elastic gradients F."""
     if ti.static(not laws.several):

@@ -164,7 +164,7 @@ def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
         "follow_node": down.indices if down.nnz else none_i,
         "follow_weight": down.data if down.nnz else none_f,
         "leader_start": up.indptr,
-        "leader_follower": stencil.free_count + up.indices if up.nnz else none_i,
+        "leader_dependent": stencil.free_count + up.indices if up.nnz else none_i,
         "leader_weight": up.data if up.nnz else none_f,
         "share": np.zeros(3 * stencil.node_count),
         "node_mass": np.stack([stencil.node_mass, ground, inverse], 1).ravel(),

@@ -115,7 +115,7 @@ class ShapeCorrection:
         if self.gradient is not None:
             clipped, of_first = self._recompute(state, now, index, F)
         else:
-            of_first = now.strains_beside(index, F)
+            of_first = now.elastic_strains_of(index, F)
         law = self._body.law_at(index)
         before = stored_energy(self._body, law, first, *of_first)
         after = stored_energy(self._body, law, now, *now.elastic_strains(index))
@@ -141,7 +141,7 @@ class ShapeCorrection:
         F += np.eye(3)
         strained = pose.F - F0  # G u
         state.put_F0(F - strained)
-        of_first = now.strains_beside(index, first)
+        of_first = now.elastic_strains_of(index, first)
         clipped = np.zeros(len(F), bool)
         # The rounding error of F0 is far below the margin of `may_need_clipping`.
         if self._clamp and may_need_clipping(*now.strains(index), *self._clamp).any():

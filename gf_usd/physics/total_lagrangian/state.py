@@ -313,7 +313,7 @@ class StateView:
 
         return strains(self._plastic)[0][:, 2] ** 2
 
-    def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
+    def elastic_strains_of(self, index: int, other: Floats) -> tuple[Floats, Floats]:
         """`elastic_strains` of another F, computed in the same call as those of F at `index`."""
         from gf_usd.physics.per_particle import strains
 

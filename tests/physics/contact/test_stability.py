@@ -52,7 +52,7 @@ def whole(x: Floats, planes: ContactPlanes, rows: Ints, k: Floats, W: Floats) ->
     """(3 nodes, 3 nodes) [N/m] of springs k in all directions, with planes that turn.
 
     A unit force f on sample s comes back to carrier j as -w_j f + alpha x r_j, with
-    J alpha = -(x_s - sum w x) x f (module `carriers`).
+    J alpha = -(x_s - sum w x) x f (`planes.support_triangles`).
     """
     out = np.zeros((3 * W.shape[1], 3 * W.shape[1]))
     for s, stiffness in zip(rows, k):

@@ -102,7 +102,7 @@ def test_no_free_node_is_light(filled):
     assert (m @ w - made.mass) == pytest.approx(0.0, abs=1e-12)
     everyone = build_stencil(X, m, made.h, made.origin + 0.5 * made.h, free_mass=0.0)
     least = FREE_MASS * np.median(everyone.mass)
-    assert everyone.mass.min() < 0.01 * least  # what would be free without followers
+    assert everyone.mass.min() < 0.01 * least  # what would be free without dependent nodes
     assert made.mass.min() >= 0.5 * least
     assert made.free_count < made.node_count == everyone.free_count
 

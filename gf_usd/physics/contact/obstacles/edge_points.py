@@ -209,7 +209,7 @@ class EdgePoints:
         unseen[: self._first] = False
         rows = np.flatnonzero(unseen)
         far = STAY * self._spacing
-        search.keep_beside(rows, before, self.start_gap[rows - self._first], depth[rows], far)
+        search.keep_planes(rows, before, self.start_gap[rows - self._first], depth[rows], far)
 
     def _places(self, keys: Ints) -> Ints:
         """(k,) places of points; -1: none yet."""

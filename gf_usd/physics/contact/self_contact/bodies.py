@@ -126,5 +126,5 @@ class OwnContacts:
         f = planes
         unseen = (depth > 0.0) & (search.planes.partner == NOBODY) & (f.partner >= 0)
         rows = np.flatnonzero(unseen[: len(of)] & (of[f.partner[: len(of)]] == of))
-        rows, gap = search.keep_beside(rows, f, offset[rows], depth[rows], STAY * self._spacing)
+        rows, gap = search.keep_planes(rows, f, offset[rows], depth[rows], STAY * self._spacing)
         self.gap[rows] = gap

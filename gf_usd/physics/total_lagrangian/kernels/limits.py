@@ -3,6 +3,7 @@
 import taichi as ti
 
 from gf_usd.physics.laws.simd3x3 import LANES, cofactor, determinant, double_dot
+from gf_usd.physics.laws.stress import clipped_matrix
 from gf_usd.physics.total_lagrangian.limits import (
     CAP,
     CLAMPED,
@@ -64,28 +65,6 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
         for a in ti.static(range(3)):
             for c in ti.static(range(3)):
                 body.clip_buffer[CLIP_BUFFER * b + 3 * a + c][lane] = B[a, c]
-
-
-@ti.func
-def clipped_matrix(A, low, high):
-    """A with its singular values clipped to [low, high], and 1 if any was outside."""
-    U, S, V = ti.svd(A)
-    outside = 0
-    for a in ti.static(range(3)):
-        s = ti.min(ti.max(S[a, a], low), high)
-        if s != S[a, a]:
-            outside = 1
-        S[a, a] = s
-    B = A
-    if outside > 0:
-        for a in ti.static(range(3)):
-            for c in ti.static(range(3)):
-                B[a, c] = (
-                    U[a, 0] * S[0, 0] * V[c, 0]
-                    + U[a, 1] * S[1, 1] * V[c, 1]
-                    + U[a, 2] * S[2, 2] * V[c, 2]
-                )
-    return B, outside
 
 
 @ti.func

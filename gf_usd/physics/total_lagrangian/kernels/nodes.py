@@ -133,7 +133,7 @@ def node_sum(body: ti.template(), node, filtering, options: ti.template()):
     f = block_sum(body, node, options)
     if filtering > 0:
         f = momentum_change(body, node, f)
-    return f + sum_of_followers(body, node, options)
+    return f + sum_of_dependent_nodes(body, node, options)
 
 
 @ti.func
@@ -144,7 +144,7 @@ def momentum_change(body: ti.template(), node, p):
 
 
 @ti.func
-def sum_of_followers(body: ti.template(), node, options: ti.template()):
+def sum_of_dependent_nodes(body: ti.template(), node, options: ti.template()):
     """sum_l e_li of the stored contributions of the dependent nodes."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     first, behind = body.leader_start[node], body.leader_start[node + 1]
@@ -153,11 +153,11 @@ def sum_of_followers(body: ti.template(), node, options: ti.template()):
             for k in ti.static(range(AHEAD)):
                 e, on = entry(first + turn * AHEAD + k, behind)
                 f += (on * body.leader_weight[e]) * row(
-                    body.share, first_of(body.leader_follower[e])
+                    body.share, first_of(body.leader_dependent[e])
                 )
     else:
         for e in range(first, behind):
-            f += body.leader_weight[e] * row(body.share, first_of(body.leader_follower[e]))
+            f += body.leader_weight[e] * row(body.share, first_of(body.leader_dependent[e]))
     return f
 
 

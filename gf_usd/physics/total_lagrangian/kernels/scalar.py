@@ -17,7 +17,7 @@ import taichi as ti
 from gf_usd.physics.laws import stress
 from gf_usd.physics.laws.registry import GRADIENT
 from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES, von_mises
-from gf_usd.physics.total_lagrangian.kernels.limits import clipped_matrix, flag_particle
+from gf_usd.physics.total_lagrangian.kernels.limits import flag_particle
 from gf_usd.physics.total_lagrangian.limits import CAP, CLAMPED, HIGH, LOW, STRESS_CAPPED
 
 
@@ -123,7 +123,7 @@ def constants(body: ti.template(), p, laws: ti.template()):
 @ti.func
 def clip_matrix(body: ti.template(), p, F):
     """F with its singular values clipped."""
-    clipped, outside = clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
+    clipped, outside = stress.clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
     if outside > 0:
         flag_particle(body, p, CLAMPED)
     return clipped

@@ -114,7 +114,7 @@ def pack_type(real, epoch: int):
         *("group_batch", "group_nodes", "node_slot_start", "node_slot"),
         *("sample_start", "sample_node", "sample_active", "sample_capped"),
         *("node_sample_start", "node_sample"),
-        *("leader_start", "leader_follower", "follow_start", "follow_node"),
+        *("leader_start", "leader_dependent", "follow_start", "follow_node"),
         *("touched", "links", "queue", "rigid_nodes"),
     )
     vector = ti.types.vector(LANES, real)

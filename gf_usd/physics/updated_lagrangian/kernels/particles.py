@@ -3,6 +3,7 @@
 import taichi as ti
 
 from gf_usd.physics.contact.kernels import floor_force, friction, keep, row
+from gf_usd.physics.laws import stress
 from gf_usd.physics.updated_lagrangian import planes
 from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT
 
@@ -64,16 +65,9 @@ def clamp_gradient(body: ti.template(), p, gradients: ti.template(), o, low, hig
     square = F.norm_sqr()
     # s1 s2 <= |F|^2 / 2, so that s3 = J / (s1 s2) >= 2 J / |F|^2: most need no decomposition.
     if square > high * high or 2.0 * F.determinant() < low * square:
-        U, S, V = ti.svd(F)
-        outside = 0
-        for a in ti.static(range(3)):
-            s = ti.min(ti.max(S[a, a], low), high)
-            if s != S[a, a]:
-                outside = 1
-            S[a, a] = s
+        G, outside = stress.clipped_matrix(F, low, high)
         if outside > 0:
             body.clamped[p] = 1
-            G = U @ S @ V.transpose()
             for a in ti.static(range(3)):
                 for b in ti.static(range(3)):
                     gradients[o + 3 * a + b] = G[a, b]

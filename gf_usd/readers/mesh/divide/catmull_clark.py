@@ -86,7 +86,7 @@ class Level:
     edges: Ints  # (E, 2) points before
     middle: Weights  # (P, points) mean of the points of a face
     moved: Weights  # (points + E, points + P) the points before and those of edges
-    first: Ints  # (points',) a point before at or beside each
+    first: Ints  # (points',) a point of the level before, at each or next to it
     after: Ints  # (C,) the next corner of each of the cage before, in its face
     before: Ints  # (C,) and the previous one; new face k is the quad at corner k
 
