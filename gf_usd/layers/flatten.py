@@ -25,7 +25,7 @@ from gf_usd.core.frames import Choices
 from gf_usd.layers.root import RootSummary
 from gf_usd.layers.stage import find_home, open_source
 from gf_usd.layers.variants import hidden
-from gf_usd.system.atomic_files import asset_path, is_astray, partial_path
+from gf_usd.system.atomic_files import absolute_note, asset_path, partial_path
 
 PACKAGE = ".usdz"
 NOWHERE = "nowhere"
@@ -138,15 +138,12 @@ class FolderFiles(Files):
     def __init__(self, folder: Path, moved: Mapping[Path, Path]) -> None:
         super().__init__()
         self._folder, self._moved = folder, moved
+        self.targets: list[Path] = []
 
     def _placed(self, file: Path, inner: str) -> str:
         target = self._moved.get(file, file)
+        self.targets.append(target)
         placed = asset_path(target, self._folder)
-        if is_astray(target, self._folder):
-            self.notes[
-                f"{self._folder} is reached through a symbolic link: {target} is referred to by its"
-                " absolute path"
-            ] = None
         return Ar.JoinPackageRelativePath(placed, inner) if inner else placed
 
 
@@ -328,7 +325,7 @@ def write_placed(
         files = FolderFiles(path.parent.absolute(), moved or {})
         UsdUtils.ModifyAssetPaths(layer, files.place)
         export(layer, partial_path(path))
-        return tuple(files.notes)
+        return absolute_note(path, files.targets)
     with tempfile.TemporaryDirectory(prefix="gf-usd-") as folder:
         files = package(Path(folder))
         UsdUtils.ModifyAssetPaths(layer, files.place)

@@ -54,9 +54,9 @@ from gf_usd.layers.variants import (
 )
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
 from gf_usd.system.atomic_files import (
+    absolute_note,
     asset_path,
     dropped_on_failure,
-    is_astray,
     partial_path,
     publish,
 )
@@ -118,7 +118,7 @@ def write_root(
     home = find_home(stage, asset, choices)
     layer = new_layer(path, source_path)
     with dropped_on_failure(path):
-        _author_metadata(layer, stage, asset, home, bakes, settled=choices.settled)
+        files = _author_metadata(layer, stage, asset, home, bakes, settled=choices.settled)
         reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
         display_set = free_display_set(stage, asset, home)
         switches = roots_of(asset, home)
@@ -134,12 +134,8 @@ def write_root(
                 f"the asset already has a variant set {DISPLAY_SET!r}: that of gf-usd is named"
                 f" {display_set!r}",
             )
-        if not partial and is_astray(source_path, path.parent):
-            notes = (
-                *notes,
-                f"{path.parent} is reached through a symbolic link: {path.name} refers to"
-                f" {source_path.name} by its absolute path, which is the same by any path to it",
-            )
+        if not partial:
+            notes = (*notes, *absolute_note(path, [source_path, *files]))
         save(layer)
         del layer
         if not partial:
@@ -163,13 +159,16 @@ def _author_metadata(
     bakes: Sequence[BakedVariant],
     *,
     settled: bool,
-) -> None:
+) -> list[Path]:
+    """Author the metadata of the layer; returns the files to which it refers."""
+    files: list[Path] = []
     theirs = stage.GetRootLayer()
     for key in set(theirs.pseudoRoot.ListInfoKeys()) - OWN:
         value = theirs.pseudoRoot.GetInfo(key)
         if isinstance(value, Sdf.AssetPath) and value.path.startswith("."):
             file = Path(theirs.ComputeAbsolutePath(value.path))
             value = Sdf.AssetPath(asset_path(file, Path(layer.realPath).parent))
+            files.append(file)
         layer.pseudoRoot.SetInfo(key, value)
     settings = bakes[0].info.settings
     author_facts(layer, asset.facts, settings, stage)
@@ -192,6 +191,7 @@ def _author_metadata(
             "looks": {bake.name: _bake_metadata(bake) for bake in bakes},
         },
     }
+    return files
 
 
 def _metadata_settings(settings: Settings) -> dict[str, object]:

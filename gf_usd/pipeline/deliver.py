@@ -79,9 +79,12 @@ class Delivery:
         for variant in variants:
             publish(variant.cache)
         root = self.write_root(variants, partial=False)
+        notes = root.notes
+        if self.converted is not None and self.files.source is not None:
+            notes = (*notes, *self.converted.notes_at(self.files.source))
         for folder in earlier - {clips_of(variant.cache) for variant in variants}:
             remove_clips(folder)
-        return root.notes
+        return notes
 
     def _one_file(self, variants: Sequence[BakedVariant]) -> tuple[str, ...]:
         """Flatten the layers, and delete them when the one file is complete."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from gf_usd.core.errors import BakeError, InputError, UsageError
+from gf_usd.core.errors import BakeError, InputError, UsageError, counted
 
 WORKING = re.compile(r"\.\w{6}")
 
@@ -192,3 +192,23 @@ def asset_path(target: Path, folder: Path) -> str:
     if is_astray(target, folder):
         return target.absolute().as_posix()
     return name if name.startswith("../") or Path(name).is_absolute() else f"./{name}"
+
+
+def absolute_note(layer: Path, targets: Iterable[Path]) -> tuple[str, ...]:
+    """A note where a layer refers to files by absolute paths (`asset_path`); none otherwise."""
+    folder = layer.parent
+    absolute = [
+        target for target in dict.fromkeys(targets)
+        if Path(asset_path(target, folder)).is_absolute()
+    ]  # fmt: skip
+    if not absolute:
+        return ()
+    more = len(absolute) - 1
+    names = absolute[0].name + (f" and {counted(more, 'other file')}" if more else "")
+    linked = any(is_astray(target, folder) for target in absolute)
+    why = "is reached through a symbolic link" if linked else "is on another drive"
+    return (
+        f"{folder} {why}: {layer.name} refers to {names} by"
+        f" {'absolute paths, which are' if more else 'its absolute path, which is'} the same"
+        f" {'by any path to it' if linked else 'from any folder'}",
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -65,6 +66,26 @@ def test_a_textured_glb_from_file_to_layers(gf_usd, glb, tmp_path, monkeypatch):
     assert colors[:, 1].max() < 0.01
     assert (colors[:, 0] > 0.5).mean() > 0.3
     assert (colors[:, 2] > 0.5).mean() > 0.3
+
+
+@pytest.mark.skipif(os.name == "nt", reason="symbolic links need a permission there")
+def test_textures_by_absolute_paths_are_noted(gf_usd, tmp_path):
+    """Of a mesh file next to its texture, baked into a folder that is a link to one elsewhere."""
+    box = trimesh.creation.box((0.2, 0.4, 0.6))
+    box.visual = trimesh.visual.TextureVisuals(
+        uv=box.vertices[:, :2], image=Image.new("RGB", (2, 2))
+    )
+    (tmp_path / "models").mkdir()
+    box.export(tmp_path / "models/box.obj")
+    (tmp_path / "deep/er").mkdir(parents=True)
+    (tmp_path / "out").symlink_to("deep/er")
+    done = gf_usd("bake", "models/box.obj", *SIZES[:4], "-o", "out/")
+    notes = [line for line in done.err.splitlines() if "is reached through a symbolic link" in line]
+    notes += [line for line in done.out.splitlines() if "is reached through a" in line]
+    assert notes == [
+        "note: out is reached through a symbolic link: box.source.usdc refers to material_0.png by"
+        " its absolute path, which is the same by any path to it"
+    ]
 
 
 @pytest.mark.slow

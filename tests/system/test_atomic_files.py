@@ -10,6 +10,7 @@ from full_disk import full_disk  # noqa: F401
 
 from gf_usd.core.errors import BakeError
 from gf_usd.system.atomic_files import (
+    absolute_note,
     asset_path,
     drop_working,
     is_astray,
@@ -130,3 +131,13 @@ def test_a_reference_holds_by_any_path_to_its_layer(
     assert is_astray(target, tmp_path / folder) == (path is None)
     for there in (tmp_path / folder, (tmp_path / folder).resolve()):
         assert Path(os.path.normpath(there / made)).samefile(target)
+    note = (
+        f"{tmp_path / folder} is reached through a symbolic link: it.usda refers to duck.usda by"
+        " its absolute path, which is the same by any path to it"
+    )
+    layer = tmp_path / folder / "it.usda"
+    assert absolute_note(layer, [target, target]) == ((note,) if path is None else ())
+    other = target.with_name("other.png")
+    several = note.replace("duck.usda by its absolute path, which is", "duck.usda and 1 other file"
+                           " by absolute paths, which are")  # fmt: skip
+    assert absolute_note(layer, [target, other]) == ((several,) if path is None else ())

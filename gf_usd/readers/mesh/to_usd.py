@@ -17,7 +17,7 @@ from gf_usd.core.errors import BakeError
 from gf_usd.readers.mesh.data import MeshFile
 from gf_usd.readers.mesh.usd_layer import write_layer
 from gf_usd.readers.usd.asset import read_usd
-from gf_usd.system.atomic_files import asset_path, dropped_on_failure, publish
+from gf_usd.system.atomic_files import absolute_note, asset_path, dropped_on_failure, publish
 from gf_usd.system.sandbox import Scratch
 
 RECORD = "convertedFrom"  # in customLayerData
@@ -144,7 +144,7 @@ class MeshSource:
             file = Path(path)
             if not file.is_absolute():
                 return path
-            if file.is_relative_to(self.folder.pictures):
+            if self._is_extracted(file):
                 file = extracted / file.relative_to(self.folder.pictures)
             return asset_path(file, target.parent)
 
@@ -160,6 +160,21 @@ class MeshSource:
         if open_already := Sdf.Layer.Find(str(target.absolute())):
             open_already.Reload(force=True)
         return target
+
+    def notes_at(self, target: Path) -> tuple[str, ...]:
+        """A note where a layer of that name refers to images by their absolute paths."""
+        files: list[Path] = []
+
+        def seen(path: str) -> str:
+            if Path(path).is_absolute() and not self._is_extracted(Path(path)):
+                files.append(Path(path))
+            return path
+
+        UsdUtils.ModifyAssetPaths(Sdf.Layer.OpenAsAnonymous(str(self.folder.layer)), seen)
+        return absolute_note(target, files)
+
+    def _is_extracted(self, file: Path) -> bool:
+        return file.is_relative_to(self.folder.pictures)
 
     def extract(self, target: Path) -> dict[Path, Path]:
         """Write the images next to a layer of that name; returns the new path of each."""
