@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from arm import arm, cached, write
-from pxr import Gf, Usd, UsdGeom
+from pxr import Gf, Usd, UsdGeom, UsdSkel
 from small_bakes import Done
 
 from gf_usd.physics.frame_loop import Solver
@@ -45,22 +46,39 @@ def test_an_animation_that_is_followed_is_not_reported_as_left(tmp_path: Path) -
     assert note in " ".join(loose.notes)
 
 
-@pytest.mark.parametrize("y", [0.5, -0.5])
-def test_the_floor_that_is_proposed_does_not_cut_through_the_bind_pose(
-    tmp_path: Path, y: float
+@pytest.mark.parametrize(("y", "turn"), [(0.5, 0.0), (-0.5, 0.0), (0.5, 180.0)])
+def test_the_floor_that_is_proposed_cuts_through_no_pose(
+    tmp_path: Path, y: float, turn: float
 ) -> None:
-    """--floor 0 ended a bake of a character about the origin at its first frame."""
+    """--floor 0 ended a bake of a character about the origin at its first frame; under the bind
+    pose alone, the arm swung through it."""
     path = write(tmp_path, arm())
     stage = Usd.Stage.Open(str(path))
-    UsdGeom.Xformable(stage.GetDefaultPrim()).AddTranslateOp().Set(Gf.Vec3d(0.0, y, 0.0))
+    root = stage.GetDefaultPrim()
+    UsdGeom.Xformable(root).AddTranslateOp().Set(Gf.Vec3d(0.0, y, 0.0))
+    UsdGeom.Xformable(root).AddRotateXOp().Set(turn)  # by 180 degrees it swings down
     stage.Save()
     plan = plan_of(path)
     (note,) = (note for note in plan.notes if note.startswith("there is no floor"))
     lowest = min(float(s.face_points[:, 1].min()) for s in plan.asset.surfaces)
-    assert (lowest < 0.0) == (y < 0.0)
-    pose = ", under its rest shape," if lowest < 0.0 else ""
-    floor = f"--floor {min(lowest, 0.0):.3g}{pose}"
-    assert note == f"there is no floor under the animation; {floor} adds one"
+    skel = next(prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Root))
+    times = Gf.Interval(stage.GetStartTimeCode(), stage.GetEndTimeCode())
+    assert UsdSkel.BakeSkinning(UsdSkel.Root(skel), times)
+    for prim in filter(UsdGeom.Mesh, stage.Traverse()):
+        points = UsdGeom.Mesh(prim).GetPointsAttr()
+        for code in points.GetTimeSamples():
+            world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(code)
+            lowest = min(lowest, *(world.Transform(Gf.Vec3d(p))[1] for p in points.Get(code)))
+    assert (lowest < 0.0) == ((y, turn) != (0.5, 0.0))
+    text = re.fullmatch(
+        r"there is no floor under the animation; --floor (\S+?)(, under all its poses,)? adds one",
+        note,
+    )
+    assert text is not None
+    # three digits, rounded down
+    assert float(text[1]) == pytest.approx(min(lowest, 0.0), rel=0.01)
+    assert float(text[1]) <= min(lowest, 0.0)
+    assert bool(text[2]) == (lowest < 0.0)
 
 
 def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:

@@ -87,6 +87,7 @@ class Flesh:
     goals: Goals | None = None  # springs to the skinned pose
     notes: tuple[str, ...] = ()
     rigid: tuple[str, ...] = ()  # what of --rigid moves with its joints
+    lowest: float | None = None  # [m] height of the lowest point of all poses; None: unknown
 
 
 def flesh_of(
@@ -122,7 +123,36 @@ def flesh_of(
         goals=goals,
         notes=tuple(dict.fromkeys(note for one in every for note in one.notes)),
         rigid=tuple(dict.fromkeys(name for one in every for name in one.rigid)),
+        lowest=_least([one.lowest for one in every]),
     )
+
+
+def _least(heights: Sequence[float | None]) -> float | None:
+    """The least of some heights; None where one of them is unknown."""
+    known = [height for height in heights if height is not None]
+    return min(known, default=None) if len(known) == len(heights) else None
+
+
+def _lowest(asset: Asset, skeleton: Skeleton) -> float | None:
+    """[m] height of the lowest point of the surfaces in all poses; None where they have no weights.
+
+    Linear blend skinning: x = sum_j w_j (x0_j + (X - X0_j) E_j^-1 D_j), with the edges of the
+    anchors of bone j at rest, E, and posed, D.
+    """
+    if any(s.path not in skeleton.weights for s in asset.surfaces):
+        return None
+    up, anchors = asset.facts.up, np.stack([bone.anchors for bone in skeleton.bones])
+    paths = np.stack([bone.path for bone in skeleton.bones], axis=1)  # (F, J, 4, 3)
+    edges = (paths[:, :, 1:] - paths[:, :, :1]) @ up
+    slopes = np.einsum("jab,fjb->fja", np.linalg.inv(anchors[:, 1:] - anchors[:, :1]), edges)
+    offsets = paths[:, :, 0] @ up - np.einsum("fja,ja->fj", slopes, anchors[:, 0])
+    least = np.inf
+    for surface in asset.surfaces:
+        weights, X = skeleton.weights[surface.path], surface.points
+        for slope, offset in zip(slopes, offsets, strict=True):
+            heights = ((weights @ slope) * X).sum(axis=1) + weights @ offset
+            least = min(least, float(heights.min(initial=np.inf)))
+    return least
 
 
 def _of_character(
@@ -182,15 +212,16 @@ def _of_character(
     painted, frequency, goal_notes = _goal_weights(
         asset, solid, skeleton, cores, animation, file, frequency, cell
     )
-    notes = (*notes, *pin_notes, *goal_notes)
+    notes, lowest = (*notes, *pin_notes, *goal_notes), _lowest(asset, skeleton)
     if frequency is None and limits is None:
-        return Flesh(pins=pins, notes=notes, rigid=tuple(kept))
+        return Flesh(pins=pins, notes=notes, rigid=tuple(kept), lowest=lowest)
     goals, key_notes = _springs(
         asset, solid, samples, skeleton, painted, animation, file, different, frame_rows,
         frequency=frequency or 0.0,  # limits alone: no springs
         damping=GOAL_DAMPING if damping is None else damping, spacing=spacing, limits=limits,
     )  # fmt: skip
-    return Flesh(pins=pins, goals=goals, notes=(*notes, *key_notes), rigid=tuple(kept))
+    notes = (*notes, *key_notes)
+    return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept), lowest=lowest)
 
 
 def _read_bones(

@@ -50,7 +50,7 @@ from gf_usd.prepare.fill.shot import Length, plan_length, plan_shot
 from gf_usd.prepare.materials.assign import Assigned
 from gf_usd.prepare.materials.flowing import dispatch
 from gf_usd.prepare.options.choices import chosen, require_stored
-from gf_usd.prepare.options.implied import with_flow, with_stage
+from gf_usd.prepare.options.implied import proposed_floor, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Plan, embedded_points
@@ -97,6 +97,7 @@ def fill(
     gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()
     flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)
     request, flow_notes = with_flow(request, flow)
+    floating = request.flesh and request.floor is None
     request, stage_notes = with_stage(request, spec, asset)
     inputs = Inputs(
         meshes=meshes, request=request, spec=spec, presets=presets, law=law, file=file, flow=flow
@@ -124,7 +125,8 @@ def fill(
     notes = (
         *_ground_notes(inputs), *_asset_notes(asset, shot.animation),
         *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
-        *stage_notes, *shot.notes, *constraints.attachment_notes, *goal_notes,
+        *stage_notes, *_floor_notes(floating, asset, constraints.flesh.lowest),
+        *shot.notes, *constraints.attachment_notes, *goal_notes,
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
         *_cage_notes(inputs, filled, materials), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
@@ -160,6 +162,10 @@ def fill(
         notes=notes,
     )
     return plan, solid
+
+
+def _floor_notes(floating: bool, asset: Asset, lowest: float | None) -> tuple[str, ...]:
+    return (proposed_floor(asset, lowest),) if floating else ()
 
 
 def _ground_notes(inputs: Inputs) -> tuple[str, ...]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError, UsageError
@@ -44,12 +47,6 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
         notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
     if request.flesh and request.floor is None:
         more["floor"] = "none"
-        up = asset.facts.up
-        lowest = min((float((s.face_points @ up).min()) for s in asset.surfaces), default=0.0)
-        # one at height 0 would cut through a bind pose about the origin
-        height = min(0.0, lowest) / asset.facts.units.length
-        pose = ", under its rest shape," if lowest < 0.0 else ""
-        notes.append(f"there is no floor under the animation; --floor {height:.3g}{pose} adds one")
     if obstacles := physics.obstacles:
         several = len(obstacles) > 1
         counted = f"there {'are' if several else 'is'} {len(obstacles)} obstacle{'s' * several}"
@@ -65,6 +62,29 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
                 more[name] = agreed
                 notes.append(f"{name} is {agreed}, from the stage")
     return replace(request, **more), tuple(notes)
+
+
+ON_FLOOR = 1e-3  # of the height of an asset that is less far below the floor: it stands on it
+
+
+def proposed_floor(asset: Asset, lowest: float | None) -> str:
+    """A note on the floor that a bake with flesh does not have, at a height that clears all poses.
+
+    lowest : [m] height of the lowest point of all poses; None: unknown.
+    """
+    heights = np.concatenate([s.face_points @ asset.facts.up for s in asset.surfaces])
+    at_rest, below = float(heights.min()), ", under all its poses,"
+    if lowest is None:
+        lowest, below = at_rest, ", under its rest shape,"
+    # one at height 0 would cut through a bind pose about the origin
+    lowest = min(lowest, at_rest) / asset.facts.units.length
+    if lowest > -ON_FLOOR * float(np.ptp(heights)) / asset.facts.units.length:
+        lowest = 0.0
+    # three digits, rounded down: a point below the floor is pushed out at once
+    digit = 10.0 ** (math.floor(math.log10(-lowest)) - 2) if lowest else 1.0
+    height = math.floor(lowest / digit + 1e-6) * digit
+    where = below if lowest < 0.0 else ""
+    return f"there is no floor under the animation; --floor {height:.3g}{where} adds one"
 
 
 def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...]]:
