@@ -65,7 +65,7 @@ def test_a_body_wholly_below_the_floor_is_said_to_be_moved_up(tmp_path: Path) ->
     (note,) = notes(cube(tmp_path, points=-3.0))
     assert note == (
         "the lowest point of the asset is 3.5 m below the floor and is moved up to 1.86 m above it:"
-        " floor -5.361051 puts the floor so far under it"
+        " floor=-5.361051 puts the floor so far under it"
     )
 
 
