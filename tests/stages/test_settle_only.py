@@ -16,6 +16,7 @@ from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import Health
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.stage import Collider
+from gf_usd.core.units import bytes_text
 from gf_usd.layers.stage import freeze_at_last_sample, freeze_source
 from gf_usd.physics.total_lagrangian.settling import CALM, LOW
 from gf_usd.pipeline.measures.rest import Rest
@@ -329,7 +330,7 @@ def test_the_cache_of_a_shot_is_split_by_its_own_size(monkeypatch, clips: bool) 
     plan = gf_usd.inspect(SPHERE, **FEW).plan
     assert bool(plan.choices.clip_frames) == clips
     notes = [note for note in plan.notes if "is split into value clips" in note]
-    assert [f"about {shot / 1e9:.1f} GB" in note for note in notes] == [True] * clips
+    assert [f"about {bytes_text(shot)}," in note for note in notes] == [True] * clips
 
 
 @pytest.mark.slow
