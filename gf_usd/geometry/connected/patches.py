@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import igl
 import numpy as np
@@ -163,7 +164,8 @@ class Patches:
             if not len(faces):
                 continue
             at = np.ascontiguousarray(X[mine])
-            _, hit, closest = tree.squared_distance(skins.points, triangles, at)
+            seen: Any = tree.squared_distance(skins.points, triangles, at)
+            _, hit, closest = seen
             triangle = faces[hit]
             corners = np.moveaxis(skins.points[skins.triangles[triangle]], 1, 0)
             place = np.einsum("kna,nk->na", corners, barycentric(closest, *corners))
