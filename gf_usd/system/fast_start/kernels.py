@@ -11,7 +11,9 @@ system, and searches all loaded modules for it; here it reads one line of the fi
 its end; here it is parsed once, up to the last line of its code;
 - attaches debug information to every name, and queries NumPy for the range of every number;
 - composes the name of the method that builds each node, and creates a dozen functions per sum to
-choose one; here they are looked up in a table.
+choose one; here they are looked up in a table;
+- formats the stack with its source at each array, for a warning about arrays of more than 2^31
+numbers; here with file and line.
 
 The replacements are of private parts of Taichi 1.7.4.  With any other version, or with the
 environment variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.
@@ -71,8 +73,10 @@ def _replacements() -> tuple[Replacement, ...]:
     trees = SyntaxTrees(kernels.transform_tree)
     statements = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
     ranges = ("_check_in_range", "_clamp_unsigned_to_range")
+    arrays = [importlib.import_module(f"taichi.lang.{name}") for name in ("_ndarray", "matrix")]
     new: tuple[tuple[Any, str, Any], ...] = (
         *((numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name))) for name in ranges),
+        *((module, "get_traceback", _short_traceback) for module in arrays),
         (
             utils.Builder,
             "__call__",
@@ -107,6 +111,16 @@ def _short_position(self: Any, node: Any) -> str:
     location = f'File "{self.file}", line {line}, in {function.__name__}:\n'
     node.location = function, location
     return location
+
+
+def _short_traceback(stacklevel: int = 1) -> str:
+    """Files and lines of the calls above the caller, the latest last, without their source."""
+    lines, frame = [], sys._getframe(stacklevel + 1)
+    while frame is not None:
+        code = frame.f_code
+        lines.append(f'  File "{code.co_filename}", line {frame.f_lineno}, in {code.co_name}\n')
+        frame = frame.f_back
+    return "".join(reversed(lines))
 
 
 def faster_inside_class(

@@ -178,6 +178,22 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
     assert f"line {line}" in message
 
 
+def test_an_array_has_the_files_and_lines_of_the_calls_that_made_it() -> None:
+    import_taichi()
+    own = sys.modules["taichi.lang.util"].get_traceback
+
+    def array(trace: Any, *levels: int) -> str:
+        return trace(*levels)
+
+    for levels in ((), (2,)):
+        short, full = (array(trace, *levels) for trace in (kernels._short_traceback, own))
+        named = [line for line in full.splitlines() if line.startswith('  File "')]
+        assert len(named) > 10
+        assert short.splitlines() == named
+    for module in ("_ndarray", "matrix"):
+        assert sys.modules[f"taichi.lang.{module}"].get_traceback is kernels._short_traceback
+
+
 def test_a_function_in_a_class_is_still_distinguished_from_one_in_a_module() -> None:
     taichis = sys.modules["taichi.lang.kernel_impl"]
     levels: list[int] = []
