@@ -70,11 +70,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     place = {path: at for at, path in enumerate(dict.fromkeys(item.path for item in items))}
 
-    def started(item: pytest.Item) -> tuple[bool, int]:
+    def started(item: pytest.Item) -> tuple[int, int]:
+        """Single precision, what the module has by default, double precision; and the threads."""
         callspec = getattr(item, "callspec", None)
         if callspec is None:
-            return False, 0
-        return bool(re.search(r"f(loat)?64", callspec.id)), callspec.params.get("threads", 0)
+            return 0, 0
+        bits = re.search(r"f(?:loat)?(32|64)", callspec.id)
+        return {"32": -1, "64": 1}[bits[1]] if bits else 0, callspec.params.get("threads", 0)
 
     items.sort(key=lambda item: (place[item.path], *started(item)))
 
@@ -83,6 +85,23 @@ def pytest_collection_finish() -> None:
     """Leave what is loaded by now out of the searches for garbage: each start of Taichi has two."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="module")
+def small_pictures() -> Iterator[None]:
+    """Coarse shadows and small pictures of reports, where tests look at neither.
+
+    They are most of the time of a small picture.  The tests of `view/render` have the maps of
+    users.
+    """
+    from gf_usd.view.render import surfaces
+    from gf_usd.view.report import moments
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("KEY_TEXELS", "DOME_TEXELS", "FLOOR_TEXELS"):
+            patch.setattr(surfaces, name, getattr(surfaces, name) // 8)
+        patch.setattr(moments, "SIZE", tuple(edge // 4 for edge in moments.SIZE))
+        yield
 
 
 def pytest_unconfigure() -> None:

@@ -16,6 +16,11 @@ from gf_usd.system import sandbox
 from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _draw_quickly(small_pictures: None) -> None:
+    """The command line hands over what is drawn: see `small_pictures`."""
+
+
 @pytest.fixture(scope="session")
 def start_reader() -> Iterator[Callable[[Path], sandbox.Reader]]:
     """Start a child that reads files as the workers of `gf-usd batch` do: by a fork.
