@@ -18,12 +18,24 @@ SMALL: dict[str, Any] = {"particles": 300, "drop": 0, "gravity": 9.81}
 FLOW, MESH = "/World/GaussianFlesh/Flow", "/World/Block"
 
 
+def two_blocks(folder: Path) -> Path:
+    """Two blocks of rubber, a meter apart."""
+    return scene(folder, body("Block", "rubber", "0, 0.1, 0"), body("Other", "rubber", "1, 0.1, 0"))
+
+
 @pytest.fixture
 def blocks(tmp_path: Path) -> Path:
-    """Two blocks of rubber, a meter apart."""
-    return scene(
-        tmp_path, body("Block", "rubber", "0, 0.1, 0"), body("Other", "rubber", "1, 0.1, 0")
-    )
+    return two_blocks(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def half_sand(tmp_path_factory: pytest.TempPathFactory) -> gf_usd.BakeResult:
+    """Of two blocks, one is sand from the fourth of six frames on."""
+    folder = tmp_path_factory.mktemp("half")
+    return gf_usd.bake(
+        two_blocks(folder), frames=6, output=folder / "out.usda",
+        conversions="/World/Block=dry-sand@time:3", **SMALL,
+    )  # fmt: skip
 
 
 def shown(stage: Usd.Stage, path: str, code: float) -> bool:
@@ -141,7 +153,7 @@ def test_it_can_be_combined_with_other_output_options(
 ) -> None:
     name = "out.usdc" if options.get("flatten") else "out.usda"
     done = gf_usd.bake(
-        blocks, frames=12, output=tmp_path / name,
+        blocks, frames=7, output=tmp_path / name,
         conversions="/World/Block=dry-sand@time:3", **SMALL, **options,
     )  # fmt: skip
     assert not done.findings
@@ -271,14 +283,11 @@ def test_a_note_says_what_is_shown(blocks: Path, surface: bool, ending: str) -> 
     assert note.endswith(f"from the first of them on {ending}, not the mesh")
 
 
-def test_a_picture_shows_what_is_visible_then(blocks: Path, tmp_path: Path) -> None:
+def test_a_picture_shows_what_is_visible_then(half_sand: gf_usd.BakeResult) -> None:
     from gf_usd.readers.pictures.recording import BakedMotion
     from gf_usd.readers.pictures.scene import read_scene
 
-    done = gf_usd.bake(
-        blocks, frames=6, output=tmp_path / "out.usda",
-        conversions="/World/Block=dry-sand@time:3", **SMALL,
-    )  # fmt: skip
+    done = half_sand
     before, after = (read_scene(done.root, code) for code in (3.0, 5.0))
     assert {mesh.name for mesh in before.meshes} == {MESH, "/World/Other"}
     assert not before.ellipsoids
@@ -293,18 +302,14 @@ def test_a_picture_shows_what_is_visible_then(blocks: Path, tmp_path: Path) -> N
         assert np.ptp(points, axis=0).max() == pytest.approx(extent, abs=0.02)
 
 
-def test_the_curves_of_a_report_are_those_of_the_particles(blocks: Path, tmp_path: Path) -> None:
+def test_the_curves_of_a_report_are_those_of_the_particles(half_sand: gf_usd.BakeResult) -> None:
     """The hidden mesh has no extent, and counted as the highest and the lowest of the body."""
     from gf_usd.readers.pictures.recording import BakedMotion
     from gf_usd.view.report.motion import collect
 
-    done = gf_usd.bake(
-        blocks, frames=6, output=tmp_path / "out.usda",
-        conversions="/World/Block=dry-sand@time:3", **SMALL,
-    )  # fmt: skip
-    source = BakedMotion(done.root)
+    source = BakedMotion(half_sand.root)
     curves = collect(source.recording(), source.frames(), 500, 500).curves
-    stage = Usd.Stage.Open(str(done.root))
+    stage = Usd.Stage.Open(str(half_sand.root))
     points = UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Points"))
     for k in range(6):
         y = np.asarray(points.GetPointsAttr().Get(k + 1.0))[:, 1]
