@@ -15,7 +15,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 import gf_usd
 from gf_usd.delivery.deliver import deliver
 
-TOLERANCE = 0.02
+TOLERANCE = 0.06  # few joints: what is tested here is where they are
 
 # A soft box between a crate that stands still and a plate that moves, so close that the bounds of
 # all meet, on a ground that is larger than all of them; under one prim.
@@ -99,7 +99,7 @@ def props(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The baked stage."""
     asset = tmp_path_factory.mktemp("props") / "props.usda"
     asset.write_text(PROPS, encoding="utf-8")
-    return bake(asset, 200)
+    return bake(asset, 100)
 
 
 def bake(asset: Path, particles: int) -> Path:
@@ -163,7 +163,7 @@ def bound(stage: Usd.Stage, path: str, code: float) -> list[float]:
 def test_the_bounds_above_a_body_contain_all_below_it(tmp_path: Path) -> None:
     asset = tmp_path / "flag.usda"
     asset.write_text(PROPS.replace('def Cube "body"', FLAG), encoding="utf-8")
-    baked = bake(asset, 200)
+    baked = bake(asset, 100)
     done = deliver(baked, tmp_path / "out.usda", error=TOLERANCE)
     stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(baked))
     for code in (1.0, 4.0, 6.0):
@@ -173,7 +173,7 @@ def test_the_bounds_above_a_body_contain_all_below_it(tmp_path: Path) -> None:
 def test_the_bounds_follow_what_moves_below_what_does_not(tmp_path: Path) -> None:
     asset = tmp_path / "post.usda"
     asset.write_text(PROPS.replace('def Cube "body"', POST), encoding="utf-8")
-    done = deliver(bake(asset, 200), tmp_path / "out.usda", error=TOLERANCE)
+    done = deliver(bake(asset, 100), tmp_path / "out.usda", error=TOLERANCE)
     stage = Usd.Stage.Open(str(done.path))
     extent = stage.GetPrimAtPath("/World/props/soft").GetAttribute("extent")
     for code, knob in ((1.0, 1.0), (4.0, 4.0), (6.0, 6.0)):
@@ -192,7 +192,7 @@ def test_bodies_have_skel_roots_of_their_own_that_do_not_nest(tmp_path: Path, ap
         second = second.replace('def Xform "other"', 'def Cube "other"')
         second = re.sub(r"def Cube .body.\s*{[^}]*}", "", second)
     asset.write_text(PROPS[:start] + second + PROPS[start:])
-    root = bake(asset, 400)
+    root = bake(asset, 200)
     done = deliver(root, tmp_path / "out.usda", error=TOLERANCE)
     stage, source = Usd.Stage.Open(str(done.path)), Usd.Stage.Open(str(root))
     roots = [str(prim.GetPath()) for prim in stage.Traverse() if prim.IsA(UsdSkel.Root)]
@@ -219,6 +219,6 @@ def test_a_skeleton_never_has_to_undo_unequal_scales(tmp_path: Path, scale: str,
     text, count = own.subn(scaled, PROPS)
     assert count == 1
     asset.write_text(text, encoding="utf-8")
-    done = deliver(bake(asset, 200), tmp_path / "out.usda", error=TOLERANCE)
+    done = deliver(bake(asset, 100), tmp_path / "out.usda", error=TOLERANCE)
     stage = Usd.Stage.Open(str(done.path))
     assert [str(p.GetPath()) for p in stage.Traverse() if p.IsA(UsdSkel.Root)] == [home]
