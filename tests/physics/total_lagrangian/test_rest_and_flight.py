@@ -162,7 +162,7 @@ def test_without_gravity_nothing_sleeps():
 
 def test_a_body_that_falls_on_a_sleeper_wakes_it():
     solver = contact_solver(
-        ball(0.0, path="/Sleeper"), ball(3.0, path="/Faller"), particles=400, frames=24, fps=FPS,
+        ball(0.0, path="/Sleeper"), ball(3.0, path="/Faller"), particles=250, frames=24, fps=FPS,
         gravity=DOWN, floor=0.0,
     )  # fmt: skip
     body = solver.particles.body
