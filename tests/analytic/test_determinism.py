@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from launching import WAYS, launched
+from slow_parameters import slow_but
 from solids import ball, preset_material, settings
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -32,8 +33,10 @@ def first():
         return drop(1, "alone", patch)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("way", "threads"),
+    slow_but([(way, k) for way in WAYS for k in (1, 2)], ("alone", 1), *((w, 2) for w in WAYS)),
+)
 def test_reruns_threads_and_launches_agree_to_the_bit(first, way, threads, monkeypatch):
     # The same sums in the same order, and no multiply-add is fused (`runtime`: fast_math is off).
     assert np.array_equal(first, drop(threads, way, monkeypatch))

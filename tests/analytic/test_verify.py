@@ -15,7 +15,7 @@ LONG = {  # more than half of the time of all
     "slump", "rigid-end", "taylor-f64",
     "goals", "law-corotated", "rim", "membrane", "uniaxial", "tumble", "column",
     "taylor", "arms", "law-paste", "manufactured-finite", "driven", "hollow",
-    "incline", "burst", "law-fluid", "manufactured", "limbs", "bar",
+    "incline", "burst", "law-fluid", "manufactured", "limbs", "bar", "drop", "locking",
     "hydrostatic", "dam", "puddle", "drop-of-both",
 }  # fmt: skip
 LONGEST = {"hydrostatic", "puddle", "taylor", "arms"}  # which `gf-usd verify` of the acceptance has

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from slow_parameters import slow_but
 
 BALL = """#usda 1.0
 (
@@ -109,11 +110,14 @@ def test_an_option_that_does_not_parse_is_a_matter_of_usage(tmp_path: Path) -> N
 @pytest.mark.skipif(os.name == "nt", reason="a folder that is worked in cannot be deleted there")
 @pytest.mark.parametrize(
     "line",
-    [
-        "-m gf_usd bake FILE", "-m gf_usd inspect FILE", "-m gf_usd batch FILE",
-        "-c import_gf_usd;gf_usd.bake('FILE')", "-c import_gf_usd;gf_usd.inspect('FILE')",
-        "-c import_gf_usd;gf_usd.simulate(gf_usd.Scene())",
-    ],
+    slow_but(
+        [
+            "-m gf_usd bake FILE", "-m gf_usd inspect FILE", "-m gf_usd batch FILE",
+            "-c import_gf_usd;gf_usd.bake('FILE')", "-c import_gf_usd;gf_usd.inspect('FILE')",
+            "-c import_gf_usd;gf_usd.simulate(gf_usd.Scene())",
+        ],
+        "-m gf_usd bake FILE", "-m gf_usd batch FILE", "-c import_gf_usd;gf_usd.bake('FILE')",
+    ),
 )  # fmt: skip
 def test_a_deleted_folder_to_work_in_is_said_in_words(tmp_path: Path, line: str) -> None:
     file = tmp_path / "ball.usda"

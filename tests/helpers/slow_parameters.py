@@ -10,10 +10,14 @@ import pytest
 
 def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
     """``values`` for ``parametrize``, those that are not in ``quick`` marked as slow."""
-    return [v if v in quick else pytest.param(v, marks=pytest.mark.slow) for v in values]
+    return [v if v in quick else _marked(v, pytest.mark.slow) for v in values]
 
 
 def longest_but(values: Iterable[Any], *kept: Any) -> list[Any]:
     """The same for a slow test: those that are not in ``kept`` are marked for the acceptance."""
-    mark = pytest.mark.acceptance
-    return [value if value in kept else pytest.param(value, marks=mark) for value in values]
+    return [v if v in kept else _marked(v, pytest.mark.acceptance) for v in values]
+
+
+def _marked(value: Any, mark: pytest.MarkDecorator) -> Any:
+    """A tuple has the values of several parameters."""
+    return pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=mark)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_parameters import slow_but
 
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials.conversion import STRAIN, STRESS, TIME, Conversion, Limit
@@ -49,8 +50,7 @@ def frames(run: UpdatedLagrangian, count: int):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["honey", "powder-snow", pytest.param("dry-sand", marks=pytest.mark.slow), "toothpaste"],
+    "name", slow_but(["honey", "powder-snow", "dry-sand", "toothpaste"], "powder-snow")
 )
 def test_momenta_are_kept_and_the_energy_lost_is_counted(name: str) -> None:
     """The block implodes and turns; half of it is converted after two frames."""
