@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from contextlib import suppress
 from pathlib import Path
 
 TOO_LONG = "give a shorter name"
@@ -33,14 +34,19 @@ def _is_path(name: object) -> bool:
 
 def _reason(path: Path) -> str:
     """What refuses access to a path, and what to do about it; "" where that is not known."""
-    above = [folder for folder in reversed(path.absolute().parents) if os.access(folder, os.F_OK)]
-    for folder in above:
+    parents = [*path.absolute().parents]
+    with suppress(OSError, RuntimeError):  # links in a circle, or into a folder that is locked
+        parents = [*path.resolve().parents, *parents]
+    above = [folder for folder in dict.fromkeys(parents) if os.access(folder, os.F_OK)]
+    for folder in reversed(above):
         if not os.access(folder, os.X_OK):
             return f"{folder} cannot be entered: change the permissions of that folder"
-    if os.access(path, os.F_OK):
-        for mode, use in ((os.R_OK, "read"), (os.W_OK, "written")):
-            if not os.access(path, mode):
-                return f"{path} cannot be {use}: change its permissions"
-    if above and not os.access(above[-1], os.W_OK):
-        return f"{above[-1]} cannot be written to: change the permissions of that folder"
+    exists, folder = os.access(path, os.F_OK), path.absolute().parent
+    if exists and not os.access(path, os.R_OK):
+        return f"{path} cannot be read: change its permissions"
+    # A file is replaced as a whole, which its folder permits.
+    if os.access(folder, os.F_OK) and not os.access(folder, os.W_OK):
+        return f"{folder} cannot be written to: change the permissions of that folder"
+    if exists and not os.access(path, os.W_OK):
+        return f"{path} cannot be written: change its permissions"
     return ""

@@ -223,7 +223,7 @@ class Package(Files):
         for file in self._files.values():
             if file.stat().st_size == 0:
                 raise BakeError(
-                    f"{path}: {file} is empty (0 bytes), and USD cannot put it into a package",
+                    f"{file} is empty (0 bytes), and USD cannot put it into a package",
                     "export that file again, or write layers instead of a .usdz",
                 )
         made = time.mktime(MADE)

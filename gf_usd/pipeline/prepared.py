@@ -98,14 +98,26 @@ class Prepared:
         samples = plan.settings.samples_per_frame
 
         def damped(number: int, time: float) -> int:
-            made = replace(self, plan=_damped(plan, time))
-            return samples * made.solvers.substeps(made.plan.variants[number])
+            made = _damped(plan, time)
+            return samples * solver_of(made, made.variants[number]).substeps
 
         def scaled(factor: float) -> float:
-            whole = replace(self, plan=_mass_scaled(self.until_rest or plan, factor))
-            return with_shot_length(whole).cost["usual_seconds"]
+            made = _mass_scaled(self.until_rest or plan, factor)
+            solvers = Solvers(partial(solver_of, made), len(made.particles), keep=False)
+            whole = _with_solvers(replace(self, plan=made), solvers)
+            # Substeps of a frame do not depend on the number of frames.
+            return _with_solvers(with_shot_length(whole), solvers).cost["usual_seconds"]
 
-        return shortcuts(self.cost, plan.used_tables, damped=damped, scaled=scaled)
+        return shortcuts(
+            self.cost, plan.used_tables, damped=damped, scaled=scaled,
+            scaling=plan.settings.mass_scaling,
+        )  # fmt: skip
+
+
+def _with_solvers(prepared: Prepared, solvers: Solvers) -> Prepared:
+    """The bake, with solvers that were made for another length of it."""
+    vars(prepared)["solvers"] = solvers  # a cached property
+    return prepared
 
 
 def _damped(plan: Plan, time: float) -> Plan:
@@ -175,7 +187,7 @@ def prepare(
     identify = partial(identity_of, plan)
     found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
     plan = replace(plan, notes=(*plan.notes, *found.notes))
-    return Prepared(plan=plan, converted=converted, resume=found, warned=known_warnings)
+    return replace(prepared, plan=plan, resume=found)
 
 
 def with_shot_length(prepared: Prepared) -> Prepared:

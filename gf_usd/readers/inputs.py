@@ -104,7 +104,8 @@ def require_packable(file: Path, named: Path) -> None:
     """
     with reading(file):
         stage = open_stage(file)  # an object that must outlive its range of prims
-        for prim in stage.Traverse():
+        # What a flattened layer has: also overs and classes, and what instances share.
+        for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimIsActive)):
             for attribute in prim.GetAuthoredAttributes():
                 for found in filter(_is_empty, _resolved(attribute)):
                     raise InputError(

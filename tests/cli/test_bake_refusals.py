@@ -177,6 +177,28 @@ def test_an_empty_texture_is_refused_where_a_package_is_written(
     assert gf_usd("deliver", "a.usda", "-o", "b.usda").status == 0
 
 
+@pytest.mark.parametrize("prim", ["over", "class", "instance"])
+def test_an_empty_texture_is_found_on_every_prim_that_a_package_has(
+    gf_usd, here: Path, block: Path, prim: str
+) -> None:
+    """Also below instances and on prims without a definition, which a plain traversal skips."""
+    shader = 'def Shader "Picture"\n{\n    asset inputs:file = @./skin.png@\n}\n'
+    (block.parent / "skin.png").touch()
+    (block.parent / "look.usda").write_text(
+        f'#usda 1.0\n(\n    defaultPrim = "Look"\n)\ndef Scope "Look"\n{{\n{shader}}}\n'
+    )
+    added = {
+        "over": shader.replace("def", "over"),
+        "class": shader.replace("def", "class"),
+        "instance": 'def "Look" (\n    instanceable = true\n    references = @./look.usda@\n)\n'
+        "{\n}\n",
+    }[prim]
+    block.write_text(block.read_text().rstrip().removesuffix("}") + added + "}\n")
+    done = gf_usd("bake", block, *SMALL, "-o", "a.usdz")
+    refused(done, 3, f"{block}: {block.parent / 'skin.png'} is empty (0 bytes)", "export it again")
+    assert names(here) == []
+
+
 def test_words_that_are_no_option(gf_usd, here: Path, block: Path) -> None:
     for arguments, named in (
         (("--frames", "x"), "--frames"),

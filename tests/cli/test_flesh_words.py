@@ -71,7 +71,8 @@ def test_the_floor_that_is_proposed_cuts_through_no_pose(
             lowest = min(lowest, *(world.Transform(Gf.Vec3d(p))[1] for p in points.Get(code)))
     assert (lowest < 0.0) == ((y, turn) != (0.5, 0.0))
     text = re.fullmatch(
-        r"there is no floor under the animation; --floor (\S+?)(, under all its poses,)? adds one",
+        r"there is no floor under the animation; --floor (\S+?)"
+        r"(, under its poses in these frames,)? adds one",
         note,
     )
     assert text is not None

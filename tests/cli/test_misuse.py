@@ -251,7 +251,10 @@ def test_a_file_that_is_refused_within_a_bake_is_named(
 ) -> None:
     """Not as wrong usage, and with what refuses it: root may write everywhere."""
     access = os.access
-    monkeypatch.setattr(os, "access", lambda p, m: access(p, m) and (Path(p), m) != (here, mode))
+    Path("b.usda").touch()
+    # the file itself too: that it cannot be written does not prevent its replacement
+    kept = {(here, mode), (here / "b.usda", os.W_OK), (Path("b.usda"), os.W_OK)}
+    monkeypatch.setattr(os, "access", lambda p, m: access(p, m) and (Path(p), m) not in kept)
 
     def denied(*arguments: object) -> None:
         Path("block.rubber.cache.partial.usdc").touch()

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
 import pytest
 from solids import CUBE_TRIANGLES, asset, cube, needle, solid, sphere, surface
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import signed_volume
+from gf_usd.geometry import solid as module
 from gf_usd.geometry.solid import OPEN_FRACTION, PROBES, build_solid, hole_fraction
 
 # A volume is counted on some 200 000 lattice points; those that cells cut by the surface hold are
 # right or wrong at random: the area in cells of edge a, times a^3, to the power of 1/2.  For bodies
 # of unit size that is sqrt(3 / a^2) a^3 = 1.7 a^2 = 5e-4, and four times that is allowed.
 COUNTED = 2e-3
+BVH = igl.FastWindingNumberBVH
 
 
 def grid_points(low: float, high: float, n: int = 12) -> np.ndarray:
@@ -32,6 +35,30 @@ def test_a_closed_box_has_its_exact_volume_and_inside():
     inside = ((body.low < X) & (body.high > X)).all(1)
     assert 10 < inside.sum() < len(X)
     np.testing.assert_array_equal(body.inside(X), inside)
+
+
+@pytest.mark.parametrize(("kept", "built"), [(10**6, 2), (0, 4)])
+def test_the_hierarchy_of_a_small_surface_is_built_once(
+    monkeypatch: pytest.MonkeyPatch, kept: int, built: int
+) -> None:
+    """A large one takes too much memory to keep; parts of a solid share them."""
+    monkeypatch.setattr(module, "KEPT", kept)
+    made: list[igl.FastWindingNumberBVH] = []
+
+    def counted() -> igl.FastWindingNumberBVH:
+        made.append(BVH())
+        return made[-1]
+
+    monkeypatch.setattr(igl, "FastWindingNumberBVH", counted)
+    body = solid(cube(), cube(low=(2.0, 0.0, 0.0)))
+    assert made == [], "the volume of boxes apart is exact"
+    X = grid_points(-0.5, 3.5)
+    inside = body.inside(X)
+    assert inside.sum() > 10
+    part = body.part(np.array([1]))
+    np.testing.assert_array_equal(part.inside(X), inside & (X[:, 0] > 1.5))
+    np.testing.assert_array_equal(body.part(np.array([0])).inside(X), inside & (X[:, 0] < 1.5))
+    assert len(made) == built
 
 
 def test_an_asset_far_from_the_origin_loses_no_digits():

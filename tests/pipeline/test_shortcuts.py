@@ -13,10 +13,13 @@ from mixed_stages import castle_of
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.core.materials.presets import find_preset
+from gf_usd.physics.frame_loop import Solver
 from gf_usd.pipeline.cost import shortcuts as hints
 from gf_usd.pipeline.cost.budget import rough_duration
 from gf_usd.pipeline.cost.shortcuts import LONG, shortcuts
-from gf_usd.pipeline.prepared import prepare
+from gf_usd.pipeline.prepared import prepare, solver_of
+from gf_usd.prepare.materials.mass_scaling import scaled_material
+from gf_usd.prepare.plan import Plan, Variant
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 FACTORS = {"mild-steel": 16.0, "lead": 26.0, "copper": 5.8, "aluminium": 4.9}
@@ -26,7 +29,9 @@ def row(name: str, seconds: float, **more: Any) -> dict[str, Any]:
     return {"name": name, "seconds": seconds, "damping_ratio": 0.0, **more}
 
 
-def found(rows: Sequence[dict[str, Any]], *tables: Sequence[Material]) -> tuple[str, ...]:
+def found(
+    rows: Sequence[dict[str, Any]], *tables: Sequence[Material], scaling: float = 1.0
+) -> tuple[str, ...]:
     """Hints where damping takes 90 % of the substeps, and waves all of the time."""
     total = sum(one["seconds"] for one in rows)
     return shortcuts(
@@ -34,6 +39,7 @@ def found(rows: Sequence[dict[str, Any]], *tables: Sequence[Material]) -> tuple[
         tables,
         damped=lambda number, time: rows[number]["substeps_per_frame"] // 10,
         scaled=lambda factor: total / factor**0.5,
+        scaling=scaling,
     )
 
 
@@ -51,6 +57,19 @@ def test_stiff_metals_are_offered_mass_scaling(name: str) -> None:
     assert 0.018 <= factor * made.yield_strain <= 0.02
     assert f"about {rough_duration(3600.0 / factor**0.5)} and dent it alike" in line
     assert found([row(name, LONG - 1.0)], [made]) == ()
+
+
+def test_the_mass_scaling_that_a_bake_has_is_replaced() -> None:
+    """A factor of the scaled material was printed, which the option would have put in its place."""
+    made = scaled_material(PHYSICAL["copper"].material(1.0), 1.2)
+    (line,) = found([row("copper", 3600.0)], [made], scaling=1.2)
+    assert line.startswith("--mass-scaling 5.8 would bake copper")
+    assert f"about {rough_duration(3600.0 / (5.8 / 1.2) ** 0.5)} and dent" in line
+    assert made.yield_strain is not None
+    assert line.endswith(
+        f"up to {100.0 * 5.8 / 1.2 * made.yield_strain:.2g} % instead of"
+        f" {100.0 * made.yield_strain:.2g} %"
+    )
 
 
 def test_looks_and_soft_materials_have_nothing_to_gain() -> None:
@@ -118,8 +137,20 @@ def test_of_several_materials_the_stiff_metal_is_offered_mass_scaling() -> None:
 def test_mass_scaling_takes_as_long_as_promised(monkeypatch: pytest.MonkeyPatch) -> None:
     """The costs of frames and of the start, and the contact of a softer body, were scaled too."""
     monkeypatch.setattr(hints, "LONG", 1.0)
+    monkeypatch.setattr("gf_usd.pipeline.prepared.REST_WORK", 1)  # limited to a shot
     options: dict[str, Any] = {"material": "mild-steel,lead", "particles": 300}
-    (line,) = prepare(SPHERE, **options).shortcuts
+    prepared = prepare(SPHERE, **options)
+    assert prepared.until_rest is not None  # both lengths have one solver of each material
+    built: list[str] = []
+
+    def counted(plan: Plan, variant: Variant) -> Solver:
+        built.append(variant.name)
+        return solver_of(plan, variant)
+
+    prepared.cost  # noqa: B018
+    monkeypatch.setattr("gf_usd.pipeline.prepared.solver_of", counted)
+    (line,) = prepared.shortcuts
+    assert built == ["mild-steel", "lead"]
     factor = float(line.split()[1])
     again = prepare(SPHERE, mass_scaling=factor, **options)
     assert f"in about {rough_duration(again.cost['usual_seconds'])} and" in line

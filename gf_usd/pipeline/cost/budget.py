@@ -44,11 +44,13 @@ class Solvers:
     solver that is built for the estimate is therefore also used for the bake.
 
     build : makes the solver of a variant, in its initial state.
-    particles : of each variant.
+    particles : of each variant; keep : small solvers are kept for `take`.
     """
 
-    def __init__(self, build: Callable[[Variant], Solver], particles: int) -> None:
-        self._build, self._particles = build, particles
+    def __init__(
+        self, build: Callable[[Variant], Solver], particles: int, *, keep: bool = True
+    ) -> None:
+        self._build, self._particles, self._keep = build, particles, keep
         self._substeps: dict[str, int] = {}
         self._damping: dict[str, float] = {}
         self._contact: dict[str, float] = {}
@@ -58,7 +60,7 @@ class Solvers:
         """Substeps of a sample."""
         if variant.name not in self._substeps:
             solver = self._build(variant)
-            if self._particles * (1 + len(self._substeps)) <= KEPT:
+            if self._keep and self._particles * (1 + len(self._substeps)) <= KEPT:
                 self._kept[variant.name] = solver, epoch()
             self._substeps[variant.name] = solver.substeps
             self._damping[variant.name] = solver.damping_ratio

@@ -27,19 +27,21 @@ def shortcuts(
     *,
     damped: Callable[[int, float], int],
     scaled: Callable[[float], float],
+    scaling: float = 1.0,
 ) -> tuple[str, ...]:
     """The hints for a bake, as text.
 
     tables : the materials of all bodies, for each variant.
     damped : substeps of a frame of a variant, by its number, if all its materials had a damping
         time [s].
-    scaled : [s] that the bake would take with a mass scaling.
+    scaled : [s] that the bake would take with a further mass scaling.
+    scaling : the mass scaling that it has.
     """
     found = [
         damping_hint(row, table, lambda tau, number=number: damped(number, tau))
         for number, (row, table) in enumerate(zip(cost["per_material"], tables, strict=True))
     ]
-    return tuple(filter(None, (*found, mass_scaling_hint(cost, tables, scaled))))
+    return tuple(filter(None, (*found, mass_scaling_hint(cost, tables, scaled, scaling))))
 
 
 def damping_hint(
@@ -79,7 +81,10 @@ def damping_hint(
 
 
 def mass_scaling_hint(
-    cost: Cost, tables: Sequence[Sequence[Material]], seconds: Callable[[float], float]
+    cost: Cost,
+    tables: Sequence[Sequence[Material]],
+    seconds: Callable[[float], float],
+    scaling: float = 1.0,
 ) -> str:
     """A hint at --mass-scaling, where stiff plastic materials limit the time step; "" otherwise.
 
@@ -87,7 +92,8 @@ def mass_scaling_hint(
     which the elastic strain at yield of every flowing material of all variants stays below ELASTIC.
 
     tables : the materials of all bodies, for each variant.
-    seconds : [s] that the bake would take with a factor.
+    seconds : [s] that the bake would take with a further factor; scaling : the factor that it has,
+    which the option replaces.
     """
     rows = cost["per_material"]
     plastic = {one.name: one for table in tables for one in table if LAWS[one.law].flows}
@@ -97,8 +103,10 @@ def mass_scaling_hint(
     strain = max(strains)
     if strain > ELASTIC / 4.0:
         return ""
-    digit = 10.0 ** (math.floor(math.log10(ELASTIC / strain)) - 1)
-    factor = float(f"{math.floor(ELASTIC / strain / digit) * digit:.2g}")
+    most = scaling * ELASTIC / strain
+    digit = 10.0 ** (math.floor(math.log10(most)) - 1)
+    whole = float(f"{math.floor(most / digit) * digit:.2g}")
+    factor = whole / scaling
     if all(_speed(table, factor) > WORTH * _speed(table) for table in tables):
         return ""  # an elastic material has the fastest waves, and keeps its moduli
     promised = seconds(factor)
@@ -110,7 +118,7 @@ def mass_scaling_hint(
         within = f", in the {stiffest.name} of which" if len(tables[0]) > 1 else ", in which"
         what += f"{within} waves run at {stiffest.wave_speed:.3g} m/s,"
     return (
-        f"--mass-scaling {factor:g} would bake {what} in about {rough_duration(promised)} and"
+        f"--mass-scaling {whole:g} would bake {what} in about {rough_duration(promised)} and"
         f" dent {', '.join(plastic) if len(rows) > 1 else 'it'} alike:"
         f" {'they spring' if len(plastic) > 1 else 'it springs'} back by up to"
         f" {100.0 * factor * strain:.2g} % instead of {100.0 * strain:.2g} %"

@@ -27,6 +27,7 @@ from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
 from gf_usd.core.mesh import divided, signed_volume
+from gf_usd.geometry.solid import KEPT
 
 # Offset of the query points from the surface, over the longest edge of the bounding box: ten times
 # single precision rounding.  A piece this close to another part of the surface appears inside.
@@ -68,7 +69,8 @@ class InsideMeasure:
         self._spacing, self._last = spacing, frames - 1
         self._stride, self._open_end = max(1, -(-frames // MEASURES)), open_end
         self._rest: dict[int, Ints] = {}  # by step between pieces: which of them are inside at rest
-        self._at_rest = self._winding(self._points)  # kept, since its hierarchies serve all frames
+        # Its hierarchies serve all frames; those of a large surface take too much memory to keep.
+        self._at_rest = self._winding(self._points) if len(self._triangles) <= KEPT else None
 
     def is_measured(self, index: int) -> bool:
         """Whether a frame is measured: MEASURES frames evenly spaced, or with an open end frames 8,
@@ -86,7 +88,7 @@ class InsideMeasure:
         most = MOST if ends or index == self._last else GLANCE
         step = max(1, -(-len(self._pieces.of) // most))
         measured = np.arange(0, len(self._pieces.of), step)
-        rest = self._at_rest
+        rest = self._at_rest or self._winding(self._points)
         if step not in self._rest:
             self._rest[step] = self._inside(rest, measured)[0]
         moved = self._winding(np.concatenate([poses[path].x for path in self._paths]))

@@ -68,12 +68,12 @@ ON_FLOOR = 1e-3  # of the height of an asset that is less far below the floor: i
 
 
 def proposed_floor(asset: Asset, lowest: float | None) -> str:
-    """A note on the floor that a bake with flesh does not have, at a height that clears all poses.
+    """A note on the floor that a bake with flesh does not have, at a height that clears its poses.
 
-    lowest : [m] height of the lowest point of all poses; None: unknown.
+    lowest : [m] height of the lowest point of the poses in the frames of the bake; None: unknown.
     """
     heights = np.concatenate([s.face_points @ asset.facts.up for s in asset.surfaces])
-    at_rest, below = float(heights.min()), ", under all its poses,"
+    at_rest, below = float(heights.min()), ", under its poses in these frames,"
     if lowest is None:
         lowest, below = at_rest, ", under its rest shape,"
     # one at height 0 would cut through a bind pose about the origin

@@ -53,7 +53,7 @@ ON_POINTS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
 TYPES = Sdf.ValueTypeNames
 WEIGHTS = (
     *(TYPES.Float, TYPES.Double, TYPES.Half),
-    *(TYPES.Int, TYPES.Int64, TYPES.UInt, TYPES.UInt64, TYPES.UChar),  # masks
+    *(TYPES.Int, TYPES.Int64, TYPES.UInt, TYPES.UInt64),  # masks; bytes could mean 0 to 255
 )
 
 

@@ -215,7 +215,8 @@ def stretch_range(stretches: Floats, areas: Floats) -> tuple[float, float]:
     for values, order in ((stretches[:, 0], 1), (stretches[:, 1], -1)):
         ranked = np.argsort(values)[::order]
         covered = np.cumsum(areas[ranked])
-        ends.append(float(values[ranked[np.searchsorted(covered, OMITTED * covered[-1], "right")]]))
+        first = np.searchsorted(covered, OMITTED * covered[-1], "right")
+        ends.append(float(values[ranked[min(first, len(ranked) - 1)]]))  # without area: the last
     return ends[0], ends[1]
 
 
@@ -231,7 +232,7 @@ class _GeometryCurves:
         self._recording = recording
         vanish = any(recording.meshes[i].name in recording.vanishing for i in bodies)
         self._bodies = [] if vanish else bodies
-        self._areas = np.concatenate([[], *(areas[i] for i in self._bodies)])
+        self._areas = areas
         self.values: dict[str, list[float]] = {}
 
     def add(self, frame: MotionFrame, faces: list[Floats], ratio: Floats | None) -> None:
@@ -252,10 +253,12 @@ class _GeometryCurves:
         masses = self._recording.gaussians.masses if self._recording.gaussians else None
         if masses is not None and frame.positions is not None and masses.sum() > 0.0:
             row["center"] = masses @ (frame.positions @ up) / masses.sum()
-        stretches = np.concatenate([np.zeros((0, 2)), *(faces[i] for i in self._bodies)])
-        if len(stretches):
-            low, high = stretch_range(stretches, self._areas)
-            row |= {"surface_min": low, "surface_max": high}
+        ranges = [stretch_range(faces[i], self._areas[i]) for i in self._bodies if len(faces[i])]
+        if ranges:
+            row |= {
+                "surface_min": min(low for low, _ in ranges),
+                "surface_max": max(high for _, high in ranges),
+            }
         if ratio is not None and len(ratio):
             row |= {"ratio_min": ratio.min(), "ratio_max": ratio.max()}
         for name, value in row.items():

@@ -81,6 +81,21 @@ def test_curves_are_of_the_whole_body(motion):
     assert curves["center"][0] == pytest.approx(mean)
 
 
+def test_a_small_body_is_not_left_out_of_the_stretches():
+    """A thousandth of the area of each mesh is left out, not of all together."""
+    source = FallingBox()
+    recording, box = source.recording(), source.recording().meshes[0]
+    assert len(recording.meshes) == 1
+    small = replace(box, name="/Small", points=1e-3 * box.points)
+    two = replace(recording, meshes=(box, small), baked=(True, True))
+    torn = np.array([5.0, 1.0, 1.0])
+    frames = [
+        replace(frame, meshes=[frame.meshes[0], small.points * torn])
+        for frame in source.frames(recording.time_codes)
+    ]
+    assert collect(two, frames, 100, 30).curves["surface_max"] == pytest.approx([5.0] * FRAMES)
+
+
 def test_a_motion_without_gaussians_or_without_meshes_packs():
     bare = FallingBox(gaussians=0)
     recording = bare.recording()

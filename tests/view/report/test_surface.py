@@ -101,6 +101,7 @@ def test_a_few_slivers_do_not_make_the_range_of_stretches():
     assert stretch_range(stretches, areas) == (0.8, 1.2)
     # where each face is a large part of the surface, none is left out
     assert stretch_range(stretches[-3:], np.ones(3)) == (1e-3, 160.0)
+    assert stretch_range(stretches[:2], np.zeros(2)) == (0.9, 1.1)
 
 
 def test_volume_ratio_needs_no_rotation():
