@@ -282,6 +282,8 @@ def classify_duplicates(triangles: Ints, face: Ints) -> Ints:
         if len(left):
             of = np.unique(one[left], return_inverse=True)[1]
             kind[left] = _classify_faces(triangles[left], of)
+            if of.max() + 1 == len(left):  # every face is a triangle: they have been compared
+                break
     return kind
 
 
