@@ -38,10 +38,10 @@ def test_a_closed_box_has_its_exact_volume_and_inside():
 
 
 @pytest.mark.parametrize(("kept", "built"), [(10**6, 2), (0, 4)])
-def test_the_hierarchy_of_a_small_surface_is_built_once(
+def test_a_hierarchy_is_built_once_until_it_is_released(
     monkeypatch: pytest.MonkeyPatch, kept: int, built: int
 ) -> None:
-    """A large one takes too much memory to keep; parts of a solid share them."""
+    """Parts of a solid share them; those of small surfaces are not released."""
     monkeypatch.setattr(module, "KEPT", kept)
     made: list[igl.FastWindingNumberBVH] = []
 
@@ -58,6 +58,9 @@ def test_the_hierarchy_of_a_small_surface_is_built_once(
     part = body.part(np.array([1]))
     np.testing.assert_array_equal(part.inside(X), inside & (X[:, 0] > 1.5))
     np.testing.assert_array_equal(body.part(np.array([0])).inside(X), inside & (X[:, 0] < 1.5))
+    assert len(made) == 2
+    body.release()
+    np.testing.assert_array_equal(body.inside(X), inside)
     assert len(made) == built
 
 

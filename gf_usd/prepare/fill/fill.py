@@ -103,6 +103,7 @@ def fill(
         meshes=meshes, request=request, spec=spec, presets=presets, law=law, file=file, flow=flow
     )
     filled = fill_bodies(inputs)
+    solid.release()
     shot = plan_shot(inputs, filled, gravity_keys)
     constraints = constrain(inputs, filled, shot, more_pins(solid) if more_pins else ())
     changes = material_changes(inputs)
