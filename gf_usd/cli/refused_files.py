@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 TOO_LONG = "give a shorter name"
+READ_ONLY = "write to a folder on another file system (--output)"
 UNKNOWN = (
     "check the permissions of the file and of the folders above it, and that no other program has"
     " it open"
@@ -15,12 +16,16 @@ UNKNOWN = (
 
 
 def refusal(error: OSError) -> str:
-    """The message of an error on a path that is too long or refused; "" for other errors."""
+    """The message of an error on a path that is too long, refused or on a read-only file system; ""
+    for other errors.
+    """
     names = [os.fsdecode(name) for name in (error.filename, error.filename2) if _is_path(name)]
     if not names:
         return ""
     if error.errno == errno.ENAMETOOLONG:
         return f"{names[0][:60]}...: {error.strerror}\n\nhint: {TOO_LONG}"
+    if error.errno == errno.EROFS:
+        return f"{' or '.join(names)}: {error.strerror}\n\nhint: {READ_ONLY}"
     if not isinstance(error, PermissionError):
         return ""
     reasons = filter(None, (_reason(Path(name)) for name in names))

@@ -267,3 +267,20 @@ def test_a_file_that_is_refused_within_a_bake_is_named(
         f"hint: {hint.replace('FOLDER', str(here))}\n"
     )
     assert done.status == 1
+
+
+def test_a_file_system_that_becomes_read_only_within_a_bake_is_named(
+    gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Linux makes one after an error of its disk."""
+
+    def denied(*arguments: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", "a.usda")
+
+    monkeypatch.setattr("gf_usd.pipeline.run.run.run_variant", denied)
+    done = gf_usd("bake", block, "--particles", "100", "--frames", "2", "-q")
+    assert done.err == (
+        "error: a.usda: Read-only file system\n\n"
+        "hint: write to a folder on another file system (--output)\n"
+    )
+    assert done.status == 2  # nothing is left that would make it more than wrong usage
