@@ -144,10 +144,11 @@ def execute(arguments: Sequence[str]) -> int:
         try:
             return _execute(arguments)
         except OSError as error:
-            if text := refusal(error):
-                fault, _, hint = text.partition("\n\n")
+            if found := refusal(error):
+                fault, hint = found
                 left = exit.message()  # of a bake that had begun
-                typer.echo(f"error: {'; '.join(filter(None, (fault, left)))}\n\n{hint}", err=True)
+                fault = "; ".join(filter(None, (fault, left)))
+                typer.echo(f"error: {fault}\n\nhint: {hint}", err=True)
                 return (BakeError if left else UsageError).exit_status
             if error not in broken:
                 raise

@@ -15,21 +15,22 @@ UNKNOWN = (
 )
 
 
-def refusal(error: OSError) -> str:
-    """The message of an error on a path that is too long, refused or on a read-only file system; ""
-    for other errors.
+def refusal(error: OSError) -> tuple[str, str] | None:
+    """The fault and the hint of an error on a path that is too long, refused or on a read-only file
+    system; None for other errors.
     """
     names = [os.fsdecode(name) for name in (error.filename, error.filename2) if _is_path(name)]
     if not names:
-        return ""
+        return None
     if error.errno == errno.ENAMETOOLONG:
-        return f"{names[0][:60]}...: {error.strerror}\n\nhint: {TOO_LONG}"
+        return f"{names[0][:60]}...: {error.strerror}", TOO_LONG
+    fault = f"{' or '.join(names)}: {error.strerror}"
     if error.errno == errno.EROFS:
-        return f"{' or '.join(names)}: {error.strerror}\n\nhint: {READ_ONLY}"
+        return fault, READ_ONLY
     if not isinstance(error, PermissionError):
-        return ""
+        return None
     reasons = filter(None, (_reason(Path(name)) for name in names))
-    return f"{' or '.join(names)}: {error.strerror}\n\nhint: {next(reasons, UNKNOWN)}"
+    return fault, next(reasons, UNKNOWN)
 
 
 def _is_path(name: object) -> bool:

@@ -2,6 +2,7 @@
 
 __version__ = "0.1.0"
 
-USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+PACKAGE_SUFFIX = ".usdz"
+USD_SUFFIXES = (".usd", ".usda", ".usdc", PACKAGE_SUFFIX)
 CACHE_SUFFIX = ".cache.usdc"  # of the layer with the time samples of a bake
 FAST_START = "GF_USD_FAST_START"  # environment variable; "0" turns off all shortcuts of the start

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gf_usd.core import PACKAGE_SUFFIX
 from gf_usd.core.errors import BakeError, UsageError, counted
 from gf_usd.core.scene import Recording
 from gf_usd.delivery.gltf.read import read_error, read_splat_errors
@@ -29,8 +30,7 @@ from gf_usd.readers.inputs import require_packable
 from gf_usd.readers.pictures.splats import SplatMotion
 from gf_usd.system.atomic_files import partial_path, publish
 
-PACKAGE = ".usdz"
-USD, GLB = (PACKAGE, ".usda", ".usdc"), (".glb",)
+USD, GLB = (PACKAGE_SUFFIX, ".usda", ".usdc"), (".glb",)
 
 KINDS = ("auto", "shapes", "joints")  # shapes are found faster
 
@@ -122,7 +122,7 @@ def deliver(
             f"--bind-splats is {bind_splats!r}.", f"choose one of {', '.join(BINDINGS)}"
         )
     suffix = target.suffix.lower()
-    if suffix == PACKAGE:
+    if suffix == PACKAGE_SUFFIX:
         require_packable(bake, bake)
     variants, recordings, notes = read_variants(bake, variant, splats, whole=suffix in GLB)
     files = _Usd(bake, target, error) if suffix in USD else _Glb(target, recordings[0])

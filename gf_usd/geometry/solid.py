@@ -19,6 +19,7 @@ from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume
 from gf_usd.core.neighbors import components
+from gf_usd.geometry.winding import winding_hierarchy
 
 OPEN_FRACTION = 0.25  # share of holes in the closed area above which a surface has no inside
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat
@@ -59,8 +60,7 @@ class Bounds:
 
     def _hierarchy(self) -> igl.FastWindingNumberBVH:
         if self._kept is None:
-            self._kept = igl.FastWindingNumberBVH()
-            self._kept.init(self._points - self._center, self._triangles)
+            self._kept = winding_hierarchy(self._points - self._center, self._triangles)
         return self._kept
 
     def release(self) -> None:

@@ -144,6 +144,16 @@ def winding_numbers(points: Floats, triangles: Ints, X: Floats) -> Floats:
     return np.atleast_1d(igl.fast_winding_number(points[used] - center, local, X - center))
 
 
+def winding_hierarchy(points: Floats, triangles: Ints) -> igl.FastWindingNumberBVH:
+    """The hierarchy of the fast sum of winding numbers (Barill et al. 2018), for several queries.
+
+    points : (V, 3); triangles : (T, 3).
+    """
+    made = igl.FastWindingNumberBVH()
+    made.init(np.ascontiguousarray(points, float), np.ascontiguousarray(triangles, np.int64))
+    return made
+
+
 @dataclass(frozen=True, kw_only=True)
 class Orientations:
     """Orientation of parts: +1 outward, -1 inward, 0 for a part without an inside."""

@@ -19,6 +19,7 @@ from typing import Any
 
 from pxr import Ar, Sdf, Tf, Usd, UsdShade, UsdUtils
 
+from gf_usd.core import PACKAGE_SUFFIX
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import Choices
@@ -27,7 +28,6 @@ from gf_usd.layers.stage import find_home, open_source
 from gf_usd.layers.variants import hidden
 from gf_usd.system.atomic_files import absolute_note, asset_path, partial_path
 
-PACKAGE = ".usdz"
 NOWHERE = "nowhere"
 
 
@@ -66,7 +66,7 @@ def write_flat(
     layer = stage.Flatten(addSourceFileComment=False)
     anchor_tiles(stage, layer)
     _restore_displays(layer, root, asset, source, choices)
-    if path.suffix == PACKAGE:
+    if path.suffix == PACKAGE_SUFFIX:
         shorten_info(layer)
     return write_placed(layer, path, moved=moved)
 
@@ -321,7 +321,7 @@ def write_placed(
     ------
     BakeError : the folder or a file cannot be written.
     """
-    if path.suffix != PACKAGE:
+    if path.suffix != PACKAGE_SUFFIX:
         files = FolderFiles(path.parent.absolute(), moved or {})
         UsdUtils.ModifyAssetPaths(layer, files.place)
         export(layer, partial_path(path))

@@ -52,11 +52,15 @@ class Prepared:
     refill: Refill | None = None  # fills the same asset at a lower resolution; None: not needed
     warned: frozenset[str] = frozenset()  # warnings of USD that are in the plan's notes
     until_rest: Plan | None = None  # the plan before its length was limited to a shot
+    # Of this bake at any length, for the number of substeps alone; None: of its own length.
+    shared_solvers: Solvers | None = None
 
     @cached_property
     def solvers(self) -> Solvers:
         """The solvers of its variants."""
-        return Solvers(partial(solver_of, self.plan), len(self.plan.particles))
+        return self.shared_solvers or Solvers(
+            partial(solver_of, self.plan), len(self.plan.particles)
+        )
 
     @cached_property
     def cost(self) -> Cost:
@@ -104,20 +108,13 @@ class Prepared:
         def scaled(factor: float) -> float:
             made = _mass_scaled(self.until_rest or plan, factor)
             solvers = Solvers(partial(solver_of, made), len(made.particles), keep=False)
-            whole = _with_solvers(replace(self, plan=made), solvers)
-            # Substeps of a frame do not depend on the number of frames.
-            return _with_solvers(with_shot_length(whole), solvers).cost["usual_seconds"]
+            whole = replace(self, plan=made, shared_solvers=solvers)
+            return with_shot_length(whole).cost["usual_seconds"]
 
         return shortcuts(
             self.cost, plan.used_tables, damped=damped, scaled=scaled,
             scaling=plan.settings.mass_scaling,
         )  # fmt: skip
-
-
-def _with_solvers(prepared: Prepared, solvers: Solvers) -> Prepared:
-    """The bake, with solvers that were made for another length of it."""
-    vars(prepared)["solvers"] = solvers  # a cached property
-    return prepared
 
 
 def _damped(plan: Plan, time: float) -> Plan:

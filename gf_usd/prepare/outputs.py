@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gf_usd.core import CACHE_SUFFIX, USD_SUFFIXES
+from gf_usd.core import CACHE_SUFFIX, PACKAGE_SUFFIX, USD_SUFFIXES
 from gf_usd.core.asset import Splats
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import SOURCE_VARIANT
@@ -26,7 +26,6 @@ from gf_usd.system.atomic_files import (
     same_place,
 )
 
-PACKAGE = ".usdz"
 REPORT = ".report.json"
 SHEET = ".sheet.png"
 
@@ -60,7 +59,7 @@ class Outputs:
     @property
     def is_package(self) -> bool:
         """Whether the one file is a usdz package."""
-        return self.root.suffix == PACKAGE
+        return self.root.suffix == PACKAGE_SUFFIX
 
     @property
     def layers(self) -> Path:
@@ -114,7 +113,7 @@ def outputs(
                 f"-o {output}: a root layer ends in .usda, .usd or .usdc, a package in .usdz",
                 f"name it {root.name}.usda, or end a folder's name in /",
             )
-    flat = flatten or root.suffix == PACKAGE
+    flat = flatten or root.suffix == PACKAGE_SUFFIX
     if flat and len(variants) > 1:
         raise UsageError(
             f"{root.name} would be one file for {len(variants)} materials: {', '.join(variants)}",

@@ -32,11 +32,10 @@ def mirror_axes(parts: Sequence[tuple[Floats, Ints]], tolerance: float) -> NDArr
     middle, same = 0.5 * (low + high), SAME * float(np.linalg.norm(high - low))
     points = points - middle
     tree = kd_tree(points)
+    few = points[:: max(1, len(points) // FEW)]  # exclude most bodies that are not symmetric
     out = np.zeros(3, bool)
     for axis in range(3):
         flip = np.where(np.arange(3) == axis, -1.0, 1.0)
-        # A few points exclude most bodies that are not symmetric.
-        few = points[:: max(1, len(points) // FEW)]
         if (tree.query(few * flip, distance_upper_bound=2.0 * same)[0] > same).any():
             continue
         apart, image = tree.query(points * flip, distance_upper_bound=2.0 * same)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pxr import Ar, Sdf, Tf, Usd
 
-from gf_usd.core import CACHE_SUFFIX
+from gf_usd.core import CACHE_SUFFIX, PACKAGE_SUFFIX
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import SOURCE_VARIANT
 from gf_usd.layers.check.base import RULES, Finding, Rule, Skip, reason, unreadable
@@ -28,7 +28,6 @@ from gf_usd.system.atomic_files import require_utf8
 UNSAFE = "not run: the time codes of a layer do not advance, so reading its samples would never end"
 VALIDATORS = "usd"
 UNRESOLVED = ".UnresolvableDependency"  # a rule of USD
-PACKAGE = ".usdz"
 Key = tuple[str, str, str, str]
 
 
@@ -196,7 +195,7 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
     may differ.
     """
     # a package has the names alone of files that cannot be found
-    named = root.suffix == PACKAGE
+    named = root.suffix == PACKAGE_SUFFIX
     known = {_key(f, named=named) for f in check_file(source).findings}
     stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)
     prims = _looks(stage)

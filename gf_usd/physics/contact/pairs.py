@@ -565,11 +565,12 @@ class BodyContact:
 
         Returns False if positions or velocities are not finite.
         """
-        if state.view().not_finite()[1]:
+        now = state.view()
+        if now.not_finite()[1]:
             return False  # the next detection would miss contacts of this body
         if not self.planes.any_planes:
             return True
-        x, v = self._joined(state.view(), self._detected + self._span)
+        x, v = self._joined(now, self._detected + self._span)
         f = self.planes
         who = self.watched[f.partner[self.watched] >= 0]
         normal, point = f.normal.copy(), f.point.copy()

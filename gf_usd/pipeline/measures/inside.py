@@ -28,6 +28,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
 from gf_usd.core.mesh import divided, signed_volume
 from gf_usd.geometry.solid import KEPT
+from gf_usd.geometry.winding import winding_hierarchy
 
 # Offset of the query points from the surface, over the longest edge of the bounding box: ten times
 # single precision rounding.  A piece this close to another part of the surface appears inside.
@@ -195,9 +196,8 @@ class WindingNumbers:
         if len(X) == 0:
             return np.zeros(0)
         if (first, behind) not in self._built:
-            made = self._built[first, behind] = igl.FastWindingNumberBVH()
-            points = np.ascontiguousarray(self.points, dtype=float)
-            made.init(points, np.ascontiguousarray(self._triangles[first:behind]))
+            triangles = self._triangles[first:behind]
+            self._built[first, behind] = winding_hierarchy(self.points, triangles)
         found = self._built[first, behind].winding_number(np.ascontiguousarray(X, dtype=float))
         return np.asarray(found).reshape(-1)
 

@@ -87,7 +87,7 @@ class Flesh:
     goals: Goals | None = None  # springs to the skinned pose
     notes: tuple[str, ...] = ()
     rigid: tuple[str, ...] = ()  # what of --rigid moves with its joints
-    lowest: float | None = None  # [m] height of the lowest point of all poses; None: unknown
+    lowest: float | None = None  # [m] of the lowest point in the poses of all frames; None: unknown
 
 
 def flesh_of(
