@@ -1,9 +1,10 @@
 """The closest point of a surface by a bounding volume tree, per point.
 
 The tree of a surface is complete and stored as a heap, from the first of its boxes on: node i has
-the children 2 i and 2 i + 1, and the leaves are the last level. A query descends to the nearest
-leaf and then traverses the tree in order, skipping boxes that are farther than the closest point
-found.
+the children 2 i and 2 i + 1, and the leaves are the last level. A query visits the nearer child of
+a node first, and skips boxes that are not nearer than the closest point found. Instead of a stack
+it has a bit for each level, whether the sibling there is to be visited: the parent and the sibling
+of node i are i // 2 and i ^ 1.
 """
 
 import taichi as ti
@@ -240,40 +241,35 @@ def closest_points(
             bound = NOT_NEARER * ti.sqrt(square) + ROUNDING * size
             best = ti.min(best, bound * bound)
         node = 1
-        near = box_distance(boxes, root + 1, p) < best
-        while near and node < leaves:
-            node *= 2
-            one, other = (
-                box_distance(boxes, root + node, p),
-                box_distance(boxes, root + node + 1, p),
-            )
-            if other < one:
-                node += 1
-            near = ti.min(one, other) < best
-        first_leaf = node * near  # 0: none
-        if near:
-            leaf = first + node
-            best, at, w = nearest_in_leaf(
-                points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
-            )
-        node = 1
-        while node > 0:
-            down = 0
-            if box_distance(boxes, root + node, p) < best:
-                if node < leaves:
-                    down = 1
-                elif node != first_leaf:
-                    leaf = first + node
-                    best, at, w = nearest_in_leaf(
-                        points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
-                    )
-            if down == 1:
-                node *= 2
+        siblings = 0  # a bit for each level, the last one that of the node
+        going = box_distance(boxes, root + 1, p) < best
+        while going:
+            up = 1
+            if node < leaves:
+                child = 2 * node
+                one = box_distance(boxes, root + child, p)
+                other = box_distance(boxes, root + child + 1, p)
+                if other < one:
+                    child += 1
+                if ti.min(one, other) < best:
+                    siblings = 2 * siblings + int(ti.max(one, other) < best)
+                    node, up = child, 0
             else:
-                while node % 2 == 1:
+                leaf = first + node
+                best, at, w = nearest_in_leaf(
+                    points, corners, starts[leaf], starts[leaf + 1], p, best, at, w
+                )
+            while up == 1:  # to the next sibling that is still near
+                while node > 1 and siblings % 2 == 0:
                     node //= 2
-                if node > 0:
-                    node += 1
+                    siblings //= 2
+                if node == 1:
+                    up, going = 0, False
+                else:
+                    node ^= 1
+                    siblings -= 1
+                    if box_distance(boxes, root + node, p) < best:
+                        up = 0
         which[i] = at
         if at >= 0:
             n = pseudo_normal(
