@@ -5,6 +5,9 @@ damping ratio z is stable for (Belytschko, Liu and Moran 2000, section 6.6.6)
 
     dt <= (2 / w) (sqrt(1 + z^2) - z)
 
+which is w^2 dt^2 / 4 + z w dt <= 1. In general, with a stiffness K and a damping C that need not
+have the same modes, M - C dt / 2 - K dt^2 / 4 must be positive semi-definite.
+
 Under strain the material stiffens. A plane wave with normal N and displacement along n changes F by
 n (x) N, along which J is linear. For a law psi = (shear part) + U(J) its stiffness is at most
 (`moduli` of the law)
@@ -21,6 +24,7 @@ at rest, with s_max the largest singular value of F.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -40,6 +44,9 @@ GRID_FREQUENCY = ((4.0, 2.2), (1.0, 2.7), (0.0, 3.3))
 
 MARGIN = 0.8  # factor on the limit with contact
 SHORT = 0.9  # of the step at rest: a substep below it is that of a strained body
+# The number of substeps with contact: the first guess, the ratio of its bounds that is close
+# enough, and the largest number of guesses.
+FIRST_GUESS, CLOSE, GUESSES = 1.3, 1.1, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,20 +80,40 @@ class StableStep:
         """With contact springs `by` times as stiff, and the same damping."""
         return replace(self, contact=np.sqrt(by) * self.contact)
 
-    def substeps_with_contact(self, dt: float, contact: StableStep) -> float:
-        """Substeps with contact springs for one of dt [s] without: >= 1.
+    def contact_share(self, dt: float) -> float:
+        """(w_c dt / 2)^2 + c_c dt / 2 of its contact springs with a step dt [s]."""
+        return (0.5 * self.contact * dt) ** 2 + 0.5 * self.contact_damping * dt
+
+    def substeps_with_contact(self, dt: float, share: Callable[[float], float]) -> float:
+        """Substeps with contact springs for one of dt [s] without: >= 1, up to `CLOSE` times more
+        than needed.
 
         dt : stable without them, and at most that of this step; shorter where the body is strained.
-        contact : this step with the springs in place of its own contact.
+        share : the largest eigenvalue of M~^-1 (K d^2 / 4 + C d / 2) of the springs, for a step d
+        [s]; with that of the body it is at most 1.
 
-        How stiff and how damped a strained body is need not be known: its part of
-        (w^2 + w_c^2) dt^2 / 4 + (c + c_c) dt / 2 <= 1 is at most 1 at dt, and at most 1/n at dt/n.
+        With e its value at the step d, it is at most the larger, and at least the smaller, of e s
+        and e s^2 at the step s d: one value bounds the number from both sides. How stiff and how
+        damped a strained body is need not be known: its part is at most 1 at dt, and at most 1 / n
+        at dt / n.
         """
+        d = dt / MARGIN
+        stiff, damped = 0.0, 1.0
         if dt >= SHORT * self.dt:
-            return max(1.0, self.dt / contact.dt)
-        stiff = (0.5 * contact.contact * dt / MARGIN) ** 2
-        damped = 1.0 + 0.5 * contact.contact_damping * dt / MARGIN
-        return float(0.5 * (damped + np.sqrt(damped**2 + 4.0 * stiff)))
+            stiff = (0.5 * self.elastic * d) ** 2
+            damped = 0.5 * self.viscous_time * self.elastic**2 * d
+        n, least, most = FIRST_GUESS, 1.0, np.inf
+        for _ in range(GUESSES):
+            part = share(d / n)
+            bounds = (
+                _substeps(stiff + part * n * n, damped),
+                _substeps(stiff, damped + part * n),
+            )
+            least, most = max(least, min(bounds)), min(most, max(bounds))
+            if most <= CLOSE * least:
+                break
+            n = float(np.sqrt(least * most))
+        return max(1.0, most)
 
     @property
     def limit(self) -> float:
@@ -104,6 +131,11 @@ class StableStep:
         """
         body = replace(self, contact=0.0, contact_damping=0.0)
         return min(self.safety * body.limit, max(self.safety, MARGIN) * self.limit)
+
+
+def _substeps(stiff: float, damped: float) -> float:
+    """The n with stiff / n^2 + damped / n = 1."""
+    return float(0.5 * (damped + np.sqrt(damped**2 + 4.0 * stiff)))
 
 
 def grid_frequency(per_cell: float) -> float:

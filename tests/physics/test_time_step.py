@@ -12,7 +12,14 @@ from solids import ball
 
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.reference import build_stencil
-from gf_usd.physics.time_step import GRID_FREQUENCY, MARGIN, StableStep, grid_frequency, stable_step
+from gf_usd.physics.time_step import (
+    CLOSE,
+    GRID_FREQUENCY,
+    MARGIN,
+    StableStep,
+    grid_frequency,
+    stable_step,
+)
 
 GRID = {"wave_speed": 3.0, "h": 0.1, "per_cell": 8.0}
 
@@ -150,11 +157,11 @@ def test_contact_of_a_strained_body_takes_the_substeps_of_both_frequencies(strai
     rest = step(safety=0.5)
     w = strained * rest.elastic
     dt = 0.99 * 2.0 / w
-    by = rest.substeps_with_contact(dt, replace(rest, contact=contact))
+    by = rest.substeps_with_contact(dt, replace(rest, contact=contact).contact_share)
     both = np.hypot(w, contact)
     assert swing(both, 0.0, dt / by) < 20.0
     # and few more: (1 + sqrt(1 + 4 a)) / 2 is at most 1.21 sqrt(1 + a); MARGIN on the springs
-    assert by < 1.21 * np.hypot(w, contact / MARGIN) / w
+    assert by < 1.21 * CLOSE * np.hypot(w, contact / MARGIN) / w
 
 
 @pytest.mark.parametrize("z", [0.0, 0.1, 1.0, 20.0])
@@ -167,16 +174,42 @@ def test_contact_of_a_damped_strained_body_is_stable(z, contact, damping):
     dt = 2.0 / w * (np.sqrt(1.0 + z * z) - z)
     wc = contact * w
     springs = replace(rest, contact=wc, contact_damping=2.0 * damping * wc)
-    short = dt / rest.substeps_with_contact(dt, springs)
+    short = dt / rest.substeps_with_contact(dt, springs.contact_share)
     c = 2.0 * z * w + 2.0 * damping * wc
     assert 0.25 * (w * w + wc * wc) * short**2 + 0.5 * c * short <= 1.0
     both = np.hypot(w, wc)
     assert swing(both, 0.5 * c / both, 0.99 * short) < 20.0
 
 
-def test_contact_of_a_body_at_rest_keeps_its_safety():
+@pytest.mark.parametrize("contact", [0.0, 1.0, 3.0, 30.0])
+@pytest.mark.parametrize("damping", [0.0, 0.3, 3.0])
+def test_a_body_at_rest_takes_its_step_with_the_springs_or_a_little_less(contact, damping):
+    rest = step(safety=0.5, viscous_time=1e-4)
+    wc = contact * rest.elastic
+    springs = replace(rest, contact=wc, contact_damping=2.0 * damping * wc)
+    needed = max(1.0, rest.dt / springs.dt)
+    by = rest.substeps_with_contact(rest.dt, springs.contact_share)
+    assert needed <= 1.000001 * by
+    assert by <= 1.000001 * CLOSE * needed
+
+
+def test_springs_and_dampers_of_different_samples_do_not_add_up():
+    """Two unit masses, one on a spring and one on a damper."""
     rest = step(safety=0.5)
-    springs = replace(rest, contact=rest.elastic)
-    assert rest.substeps_with_contact(0.9 * rest.dt, springs) == pytest.approx(
-        max(1.0, rest.dt / springs.dt)
-    )
+    k, c = (6.0 * rest.elastic) ** 2, 9.0 * rest.elastic
+
+    def share(dt: float) -> float:
+        return float(max(0.25 * dt * dt * k, 0.5 * dt * c))
+
+    by = rest.substeps_with_contact(rest.dt, share)
+    both = replace(rest, contact=np.sqrt(k), contact_damping=c)
+    assert by < 0.85 * rest.dt / both.dt
+    short = rest.dt / by
+    assert (0.5 * rest.elastic * short) ** 2 + share(short) <= MARGIN
+    K, C = np.diag([k, 0.0]), np.diag([0.0, c])
+    x, v = np.ones(2), np.ones(2)
+    for _ in range(300):
+        v -= short * (K @ x + C @ v)
+        x += short * v
+    assert np.abs(v[0]) < 20.0 * np.sqrt(k)
+    assert np.abs(v[1]) < 1e-6

@@ -5,15 +5,16 @@ c_k with weights w_k, and springs k_s between them, the elongations and nodal fo
 
     (B u)_s = (W u)_s - sum_k w_k (W u)_{c_k},        f = -B^T K B u
 
-and the stiffest vibration is w^2 = max eigenvalue of M~^-1 B^T K B. Tangential springs of friction
-are equally stiff, so that the three axes are alike. For samples near the floor, which does not
-move, B is W. A plane that rotates with its carriers also acts on them by moments, whose
-contribution is included in k_s.
+With their damping coefficients C, the share of the springs in the limit of stability with a step
+dt is the largest eigenvalue of M~^-1 B^T (K dt^2 / 4 + C dt / 2) B (`time_step`). Tangential
+springs of friction are equally stiff, so that the three axes are alike. For samples near the floor,
+which does not move, B is W. A plane that rotates with its carriers also acts on them by moments,
+whose contribution is included in K and C.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,7 +35,6 @@ from gf_usd.physics.total_lagrangian.setup import Body
 
 ACCURACY = 0.05  # relative error bound of an eigenvalue, which is added
 COLUMN = 4.0  # mass stopped by one sample in contact, in masses of a sample
-DAMPED = 0.9  # of the undamped step: below it the damped one is computed, not bounded
 CALM = 0.05  # [spacings] as `NEARLY`, for bodies at rest on others
 # Of a body with rigid regions, springs that a sample may feel, over the one on the floor: its own,
 # those of planes it carries, and each of the two strained by both bodies.
@@ -68,35 +68,21 @@ class PairSprings:
         if body.settings.floor is None:
             near = near[:0]
         if body.regions:
-            with_contact = self.crowded_step(contact, body.step, CROWD * contact.pair_ratio)
-        else:
-            with_contact = self.step(contact, body.mass, body.step, near)
-        return body.step.substeps_with_contact(stable, with_contact)
+            crowded = self.crowded_step(contact, body.step, CROWD * contact.pair_ratio)
+            return body.step.substeps_with_contact(stable, crowded.contact_share)
+        return body.step.substeps_with_contact(stable, self.share(contact, body.mass, near))
 
-    def step(
-        self, contact: FloorContact, mass: NodalMass, rest: StableStep, near: Ints
-    ) -> StableStep:
-        """The stable step of a body with these springs, and those of the floor on the samples
-        `near`.
-
-        rest : the step without them.
+    def share(self, contact: FloorContact, mass: NodalMass, near: Ints) -> Callable[[float], float]:
+        """The share that these springs, and those of the floor on the samples `near` (k,), have of
+        the limit of stability with a step dt [s]: the largest eigenvalue of M~^-1 B^T (K dt^2 / 4 +
+        C dt / 2) B, or an upper bound of it.
         """
         rows, harder = self.touching
-        k, c = self.k[rows] * harder, self.values["damping"][rows]
         lever = levers(self.planes, rows, self.x, len(contact.mass))
         B = stretches(contact.rows.W, self.planes, rows, near)
-
-        def largest(pairs: Floats, floor: Floats) -> float:
-            return stiffest(B, mass, np.concatenate([pairs * lever, floor[near]]))
-
-        omega2 = largest(k, contact.stiffness)
-        # c <= rate k for every spring, which bounds the eigenvalue, loosely if the ratios differ.
-        rate = max(_most(c, k), _most(contact.damping[near], contact.stiffness[near]))
-        free = replace(rest, contact=float(np.sqrt(omega2)), contact_damping=0.0)
-        bounded = replace(free, contact_damping=rate * omega2)
-        if bounded.dt >= DAMPED * free.dt:
-            return bounded
-        return replace(free, contact_damping=largest(c, contact.damping))
+        k = np.concatenate([self.k[rows] * harder * lever, contact.stiffness[near]])
+        c = np.concatenate([self.values["damping"][rows] * lever, contact.damping[near]])
+        return lambda dt: stiffest(B, mass, 0.25 * dt * dt * k + 0.5 * dt * c)
 
     def crowded_step(self, contact: FloorContact, rest: StableStep, crowd: float) -> StableStep:
         """The same for a body with rigid regions: with `crowd` times as many springs on each sample
@@ -140,11 +126,6 @@ class PairSprings:
         )  # fmt: skip
         # Detection precedes a closer approach; a larger estimate indicates a failing frame.
         return np.minimum(coming, np.maximum(depth, 0.0) + CLOSER * self.spacing)
-
-
-def _most(c: Floats, k: Floats) -> float:
-    """[s] the largest c / k of springs with k > 0."""
-    return float((c[k > 0.0] / k[k > 0.0]).max(initial=0.0))
 
 
 def stretches(

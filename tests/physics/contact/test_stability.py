@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -25,7 +26,6 @@ from gf_usd.physics.contact.stability import (
     stretches,
 )
 from gf_usd.physics.grid.mass import NodalMass
-from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 LEFT = sphere(center=(-1.05, 0.0, 0.0), path="/Left")
@@ -117,15 +117,15 @@ def test_planes_of_coarse_meshes_have_carriers_away_from_their_place(
     """Bars of twelve triangles bend around each other: in a flat face between their vertices the
     places were up to two spacings off what carried them, which made springs a hundred times as
     stiff."""
-    most, step = [1.0], PairSprings.step
+    most, share = [1.0], PairSprings.share
 
-    def watched(springs: PairSprings, *arguments: Any) -> StableStep:
+    def watched(springs: PairSprings, *arguments: Any) -> Callable[[float], float]:
         x, faces = springs.x, springs.planes.on_bodies
         touching = faces[springs.planes.depth(x, 0.0)[faces] > 0.0]
         most.append(float(levers(springs.planes, touching, x, len(x)).max(initial=1.0)))
-        return step(springs, *arguments)
+        return share(springs, *arguments)
 
-    monkeypatch.setattr(PairSprings, "step", watched)
+    monkeypatch.setattr(PairSprings, "share", watched)
     bars = (
         cube(low=(-2.0, 0.0, -0.25), edge=(4.0, 0.5, 0.5), path="/Along"),
         cube(low=(-0.25, 0.7, -2.0), edge=(0.5, 0.5, 4.0), path="/Across"),
@@ -144,13 +144,8 @@ def test_substeps_of_contact_halve_with_the_step_of_a_failed_frame(monkeypatch) 
         LEFT, RIGHT, particles=300, frames=4, velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]
     )
     # springs that are far stiffer than the bodies, so that contact alone limits the substeps
-    step = PairSprings.step
-
-    def stiff_step(springs: PairSprings, *arguments: Any) -> StableStep:
-        found = step(springs, *arguments)
-        return replace(found, contact=30.0 * found.elastic)
-
-    monkeypatch.setattr(PairSprings, "step", stiff_step)
+    stiff = replace(solver.body.step, contact=30.0 * solver.body.step.elastic)
+    monkeypatch.setattr(PairSprings, "share", lambda *_: stiff.contact_share)
     list(solver.frames())
     saved, run = solver.state.save(), solver.launches.run
     lengths: list[float] = []
@@ -180,16 +175,16 @@ def test_springs_of_the_floor_count_where_it_may_be_touched_before_the_next_dete
         velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)],
     )  # fmt: skip
     counted: list[tuple[int, float]] = []  # samples whose springs count, and the lowest of all [m]
-    step = PairSprings.step
+    share = PairSprings.share
 
-    def noted(springs, contact, mass, rest, near) -> StableStep:
+    def noted(springs, contact, mass, near) -> Callable[[float], float]:
         height, span = springs.x[:, 1] + 1.6, springs.span
         lowest = height - span * (np.abs(springs.v[:, 1]).max() + 9.81 * span)
         assert set(np.flatnonzero(lowest < 0.0)) <= set(near), "none that touches it is left out"
         counted.append((len(near), float(height.min())))
-        return step(springs, contact, mass, rest, near)
+        return share(springs, contact, mass, near)
 
-    monkeypatch.setattr(PairSprings, "step", noted)
+    monkeypatch.setattr(PairSprings, "share", noted)
     list(solver.frames())
     high = [near for near, height in counted if height > 0.5]
     low = [near for near, height in counted if height < 0.0]
