@@ -22,7 +22,6 @@ class ActiveSamples:
     def __init__(self, body: Body) -> None:
         self._body = body
         self._active: tuple[Ints, Ints] | None = None  # the set on the device
-        self._movers: Any = None  # W^T of all samples
         self._height = np.zeros(0)  # [m] of the samples above the floor, without u and the offset
         self._seen: tuple[ref[StateView], Floats, float] | None = None  # `_above_floor` of a view
         self._drift = 0.0  # [m/s] largest velocity toward the floor prescribed by pins
@@ -128,12 +127,8 @@ class ActiveSamples:
         the nodes.
         """
         assert self._body.contact is not None
-        if self._movers is None:
-            self._movers = self._body.contact.nodes.T.tocsr()  # sorted by counting
-        of, chosen = self._movers, np.zeros(self._movers.shape[1], bool)
-        chosen[samples] = True
-        kept = np.flatnonzero(chosen[of.indices])
-        return of.indices[kept], of.data[kept], np.searchsorted(kept, of.indptr)
+        by_node = self._body.contact.nodes[samples].tocsc()  # sorted by counting
+        return samples[by_node.indices], by_node.data, by_node.indptr
 
     def _serves(self, samples: Ints, paired: Ints) -> bool:
         """Whether the set on the device contains these samples, and few others, which have no
