@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tools.bench.processes import middle
-from tools.bench.revisions import row
+from tools.bench.revisions import bake_table, row
 from tools.bench.speed import peer_tables, rounds, size_ratio
 from tools.bench.tables import marks, put
 
@@ -95,3 +95,14 @@ def test_revisions_are_compared_turn_by_turn():
     # One turn in which the old one alone was disturbed does not count.
     cells = row("a bake", "s", [(4.0, 5.0)] * 6 + [(40.0, 5.0)]).strip("| ").split(" | ")
     assert cells[3:] == ["1.250", "1.250 to 1.250", "1.250"]
+
+
+def test_bakes_of_two_revisions_are_compared_turn_by_turn():
+    # the machine is half as fast in the second turn: medians of times and of ratios differ
+    lines = bake_table("a", "b", [(10.0, 5.0), (20.0, 10.0), (12.0, 9.0)])
+    assert lines[2:] == [
+        "| 1 | 10.0 s | 5.0 s | 0.500 |",
+        "| 2 | 20.0 s | 10.0 s | 0.500 |",
+        "| 3 | 12.0 s | 9.0 s | 0.750 |",
+        "| median | 12.0 s | 9.0 s | 0.500 |",
+    ]
