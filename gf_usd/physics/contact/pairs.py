@@ -139,15 +139,9 @@ class BodyContact:
 
     def _make_budget(self, body: Body, count: int) -> EnergyBudget:
         """For `count` bodies."""
-        of, number = body.particles.body_of, np.arange(count)
-        g = float(np.linalg.norm(body.settings.gravity))
-        budget = EnergyBudget.of_mass(float(body.m.sum()), body.particles.radius, g)
-        return budget.with_own(
-            self._pair_number(number, len(self._obstacles) + number),
-            np.bincount(of, body.m, count),
-            np.bincount(of, body.particles.V0, count),
-            g,
-        )
+        of, g = body.particles.body_of, float(np.linalg.norm(body.settings.gravity))
+        mass, volume = (np.bincount(of, a, count) for a in (body.m, body.particles.V0))
+        return EnergyBudget.of_bodies(mass, volume, len(self._obstacles), g)
 
     def _make_own(self, body: int, samples: SurfaceSamples) -> SelfContact:
         m = self.members[body]

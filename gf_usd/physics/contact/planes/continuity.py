@@ -24,6 +24,7 @@ from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 EASE = 0.1  # [spacings] largest increase of a sample's depth by a detection
 # Bound of f, for a pair with hardly a sample left inside after a detection.
 MOST = 2.0
+TINY = 1e-30  # [s]
 # Fractions of m g r: power per T by which detections may bring a pair to its true depths, and the
 # energy in all that they may add to a body's contact with itself.
 POWER = 1e-4
@@ -38,34 +39,44 @@ class EnergyBudget:
     with itself the total energy is bounded, too: a sample between two sheets, whose plane changes
     sides at every detection, would gain energy without limit.
 
-    power : [W] for each pair; own : (B,) numbers of the pairs of a body with itself; reserve : (B,)
-    [J] for each of these.
+    power : [W] for each pair, (p,) or the same for all; own : (B,) numbers of the pairs of a body
+    with itself; reserve : (B,) [J] for each of these.
     """
 
-    def __init__(self, power: float, own: Ints, reserve: Floats) -> None:
-        self._power, self._own, self._reserve = power, own, reserve
+    def __init__(self, power: Floats | float, own: Ints, reserve: Floats) -> None:
+        self._power, self._own, self._reserve = np.asarray(power, float), own, reserve
         self.given = np.zeros(len(own))  # (B,) [J] of the reserve; less what was taken back
 
     @classmethod
     def of_mass(cls, mass: float, radius: float, g: float) -> EnergyBudget:
-        """For bodies without self-contact.
+        """For bodies that are not distinguished, without self-contact.
 
         mass : [kg], radius : [m] of all together; g : [m/s^2] gravity.
         """
         power = POWER * mass * g * radius / time_scale(radius)
         return cls(power, np.zeros(0, np.int64), np.zeros(0))
 
-    def with_own(self, own: Ints, mass: Floats, volume: Floats, g: float) -> EnergyBudget:
-        """The same for bodies with self-contact, of masses [kg] and volumes [m^3] (B,)."""
+    @classmethod
+    def of_bodies(cls, mass: Floats, volume: Floats, obstacles: int, g: float) -> EnergyBudget:
+        """For bodies of masses [kg] and volumes [m^3] (B,), and O obstacles.
+
+        Pair k (O + B) + j is that of body k with obstacle j, and k (O + B) + O + i that with body
+        i: it has the power of the one of the two that has less.
+        """
         radius = (3.0 * volume / (4.0 * np.pi)) ** (1.0 / 3.0)
-        return EnergyBudget(self._power, own, RESERVE * mass * g * radius)
+        energy = mass * g * radius
+        power = POWER * energy / np.array([max(time_scale(r), TINY) for r in radius])
+        pairs = np.hstack([np.tile(power[:, None], obstacles), np.minimum.outer(power, power)])
+        number = np.arange(len(mass))
+        own = number * pairs.shape[1] + obstacles + number
+        return cls(pairs.ravel(), own, RESERVE * energy)
 
     def spend(self, missing: Floats, elapsed: float) -> Floats:
         """(p,) [J] by which the energy of each pair changes.
 
         missing : (p,) [J] to the true energy; elapsed : [s] since the last detection.
         """
-        most = self._power * elapsed
+        most = elapsed * (self._power[: len(missing)] if self._power.ndim else self._power)
         given = np.clip(missing, -most, most)
         some = np.flatnonzero(self._own < len(given))
         own = self._own[some]
