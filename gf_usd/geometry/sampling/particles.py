@@ -58,15 +58,7 @@ def sample_solid(
     Raises InputError where there are too few or too many particles at that spacing.
     """
     a = spacing if spacing else float(np.cbrt(solid.volume / (particles or 1)))
-    expected = solid.volume / a**3
-    if expected > MOST_PARTICLES:
-        raise InputError(
-            f"a spacing of {a:.3g} m would take {expected:.3g} particles"
-            f" (at most {MOST_PARTICLES})",
-            "raise --spacing or lower --particles",
-        )
-    if expected < LEAST_EXPECTED:
-        raise _too_few(0, a, solid)
+    expected = expected_particles(solid, a)
     turn = TURNS[up]
     if uniform:
         filled = _uniform(solid, round(expected), np.random.default_rng(seed), turn)
@@ -109,6 +101,23 @@ def sample_solid(
         outside=filled.outside,
         scatter=scatter,
     )
+
+
+def expected_particles(solid: Solid, spacing: float) -> float:
+    """About how many particles a solid has at a spacing [m], from its volume.
+
+    Raises InputError where there are too few or too many.
+    """
+    expected = solid.volume / spacing**3
+    if expected > MOST_PARTICLES:
+        raise InputError(
+            f"a spacing of {spacing:.3g} m would take {expected:.3g} particles"
+            f" (at most {MOST_PARTICLES})",
+            "raise --spacing or lower --particles",
+        )
+    if expected < LEAST_EXPECTED:
+        raise _too_few(0, spacing, solid)
+    return expected
 
 
 def count_particles(solid: Solid, spacing: float, up: str = "Y") -> int:

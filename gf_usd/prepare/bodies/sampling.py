@@ -50,7 +50,7 @@ def sample_bodies(
     combine, owners, characters, can_combine : see `plan_bodies`.
     """
     from gf_usd.geometry.sampling.contact_samples import sample_surface
-    from gf_usd.geometry.sampling.particles import sample_solid
+    from gf_usd.geometry.sampling.particles import expected_particles, sample_solid
 
     def sample(of: Ints) -> Particles:
         return sample_solid(
@@ -66,6 +66,7 @@ def sample_bodies(
         )
 
     spacing = resolution.spacing or float(np.cbrt(solid.volume / (resolution.particles or 1)))
+    expected_particles(solid, spacing)  # before the search for bodies samples surfaces as finely
     bodies, particles = plan_bodies(
         asset, solid, spacing, sample, owners, combine=combine,
         kinds=flow.first if mixed else None, characters=characters,
