@@ -56,7 +56,7 @@ def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -
 
 
 def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
-    command = bundle(here, block, "--particles", "1000", "--frames", "6000")
+    command = bundle(here, block, "--particles", "300", "--frames", "6000")
     # else openjd passes on what a task prints only once its buffer is full, after the bake
     own = {**os.environ, "PYTHONUNBUFFERED": "1"}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=own)

@@ -86,19 +86,19 @@ def test_absurd_unit(tmp_path: Path, unit: float) -> None:
 def test_thousands_of_shells_end(tmp_path: Path) -> None:
     """In one mesh; the time limit is for a hang, not for speed."""
     file = tmp_path / "shells.usda"
-    file.write_text(usda(shells(4000)))
+    file.write_text(usda(shells(2000)))
     arguments = [
         "bake",
         str(file),
         "-o",
         f"{tmp_path}/out/",
         "--particles",
-        "8000",
+        "4000",
         "--frames",
         "2",
     ]
     done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", *arguments], capture_output=True, text=True, timeout=300,
+        [sys.executable, "-m", "gf_usd", *arguments], capture_output=True, text=True, timeout=150,
         check=False,
     )  # fmt: skip
     assert done.returncode in (0, 3), done.stderr
