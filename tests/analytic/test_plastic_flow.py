@@ -232,10 +232,18 @@ OPTIONS = {"clamp": (0.985, 1.015), "stress_cap": 250.0, "stress": True}
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "more"),
-    [({}, {}), ({"stress": True}, {"damping_time": 1e-3}), (OPTIONS, {"damping_time": 1e-3}),
-     ({"wls": True}, {})],
+    longest_but(
+        [
+            ({}, {}),
+            ({"stress": True}, {"damping_time": 1e-3}),
+            (OPTIONS, {"damping_time": 1e-3}),
+            ({"wls": True}, {}),
+        ],
+        ({}, {}),
+        (OPTIONS, {"damping_time": 1e-3}),
+    ),
     ids=["plain", "damped", "limited", "wls"],
-)  # fmt: skip
+)
 def test_kernel_families_agree(options, more):
     # Kernels of one equation round apart: 420 substeps by some 1e-7 each, of values of order 1.
     seen = []

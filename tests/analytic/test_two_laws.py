@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slow_parameters import slow_but
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
@@ -49,7 +48,8 @@ def close(a: Floats, b: Floats) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", slow_but(["tl", "ul"], "tl"))
+@pytest.mark.acceptance  # of three laws it is in test_plastic_flow
+@pytest.mark.parametrize("solver", ["tl", "ul"])
 def test_each_body_moves_as_in_a_bake_of_its_own_law(solver: str) -> None:
     body = twins()
     if solver == "ul":

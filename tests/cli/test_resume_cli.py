@@ -113,7 +113,7 @@ def test_bodies_in_contact_continue_identically(gf_usd, here: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("kills", "frames"),
     [
-        pytest.param(1, 26, marks=pytest.mark.slow),
+        pytest.param(1, 16, marks=pytest.mark.slow),
         pytest.param(20, 61, marks=pytest.mark.acceptance),
     ],
 )
@@ -293,7 +293,7 @@ def test_captured_gaussians_continue_identically(gf_usd, here: Path, tmp_path: P
 @pytest.mark.parametrize(
     "more",
     [
-        (),
+        pytest.param((), marks=pytest.mark.acceptance),  # the others have its state, and more
         ("--goal-frequency", "4"),
         ("--rigid", "box:1.5,-1,-1,3,1,1"),
         ("--squish", "0.6", "--stretch", "0.3", "--field", "noise:9:length=0.5:rate=2"),

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
-from slow_parameters import slow_but
+from slow_parameters import longest_but
 from solids import settings
 
 from gf_usd.core.arrays import Floats
@@ -70,8 +71,10 @@ def swirl(X: Floats) -> Floats:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mass", slow_but([LUMPED, CONSISTENT], CONSISTENT))
-@pytest.mark.parametrize("plain", slow_but([False, True], False))
+@pytest.mark.parametrize(
+    ("mass", "plain"),
+    longest_but(product([LUMPED, CONSISTENT], [False, True]), (CONSISTENT, False), (LUMPED, True)),
+)
 def test_a_quarter_on_symmetry_planes_moves_as_the_whole_body(mass, plain, monkeypatch):
     # To rounding: without light nodes, whose fits do not end at the planes, and without what sets
     # the inertia of bodies that nothing holds.

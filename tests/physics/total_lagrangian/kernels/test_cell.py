@@ -44,10 +44,11 @@ def test_a_thread_a_cell_takes_the_same_sums_to_the_bit() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"law": "corotated", "stress": True},
+        pytest.param({"law": "corotated", "stress": True}, marks=pytest.mark.acceptance),
         {"law": "vonMises"},
         {
             "law": "corotated",
+            "stress": True,
             "stress_cap": 3e3,
             "clamp": (0.9, 1.1),
             "wls": True,
