@@ -6,7 +6,9 @@ import gc
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -16,30 +18,46 @@ from gf_usd.system.fast_start.imports import quick_import
 from gf_usd.system.fast_start.kernels import install_replacements, remove_replacements
 from gf_usd.system.taichi_runtime import MERGE_OPTIONS
 
+TESTS = Path(__file__).parent
+LONG = {  # few tests that take half a minute and more of CPU time together
+    "analytic/test_solvers_agree.py",
+    "analytic/test_verify.py",
+    "analytic/test_verify_mutations.py",
+    "api/test_host.py",
+    "cli/test_batch_openjd.py",
+    "cli/test_fit_cli.py",
+    "cli/test_mixed_cli.py",
+    "documents/test_tutorials.py",
+    "physics/total_lagrangian/kernels/test_cell.py",
+    "pipeline/test_conversion.py",
+    "pipeline/test_law_with_a_history.py",
+    "pipeline/test_mixed.py",
+}
 # Two hundred programs are started: each would compile the package again, a quarter of its time.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels of quick tests quickly, and give each of their processes its own cores.
+    """Compile the kernels of tests quickly, and give each of their processes its own cores.
 
-    With `without_common_subexpressions`, a kernel of
-    the Total Lagrangian solver takes 2 CPU seconds to compile, not 7, and results are the same to
-    the bit.  What users have is what programs that these tests start have, and slow tests.
+    With `without_common_subexpressions`, a kernel of the Total Lagrangian solver takes 2 CPU
+    seconds to compile, not 7, and results are the same to the bit.  Programs that tests start, and
+    tests of the acceptance, have the kernels of users.
     `tests/physics/total_lagrangian/test_merging.py` compares the two.
 
     The threads of a kernel wait for each other: where two processes share two cores, one with two
-    threads took seventy times as long as it does alone.  Slow tests compute for longer between
-    such moments, and the last of them use both cores.
+    threads took seventy times as long as it does alone.  A process has one thread by default then:
+    tests of more state the number.
     """
-    if "not slow" in config.option.markexpr:
-        MERGE_OPTIONS[True] = MERGE_OPTIONS[False]
+    if "not acceptance" not in config.option.markexpr:
+        return
+    MERGE_OPTIONS[True] = MERGE_OPTIONS[False]
     worker = getattr(config, "workerinput", None)
     if worker is None or not hasattr(os, "sched_setaffinity"):
         return
     cores = sorted(os.sched_getaffinity(0))
-    if "not slow" in config.option.markexpr and len(cores) >= worker["workercount"]:
+    if len(cores) >= worker["workercount"]:
         mine = int(worker["workerid"][2:]) % worker["workercount"]
         os.sched_setaffinity(0, set(cores[mine :: worker["workercount"]]))
 
@@ -63,12 +81,20 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
     gc.enable()
 
 
+@pytest.hookimpl(trylast=True)  # when those that do not run are left out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run together, in each module, what needs Taichi started alike.
+    """Run together, in each module, what needs Taichi started alike; the longest modules first.
 
-    Another precision or number of threads starts it anew, and all kernels are built again.
+    Another precision or number of threads starts it anew, and all kernels are built again.  The
+    last module runs in one process, and the other one waits.
     """
-    place = {path: at for at, path in enumerate(dict.fromkeys(item.path for item in items))}
+    tests = Counter(item.path for item in items)
+    place = {path: at for at, path in enumerate(tests)}
+
+    def order(path: Path) -> tuple[bool, int, int]:
+        """The modules of LONG first, the others by the number of their tests."""
+        name = path.relative_to(TESTS).as_posix()
+        return name not in LONG, -tests[path], place[path]
 
     def started(item: pytest.Item) -> tuple[int, int]:
         """Single precision, what the module has by default, double precision; and the threads."""
@@ -78,7 +104,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         bits = re.search(r"f(?:loat)?(32|64)", callspec.id)
         return {"32": -1, "64": 1}[bits[1]] if bits else 0, callspec.params.get("threads", 0)
 
-    items.sort(key=lambda item: (place[item.path], *started(item)))
+    items.sort(key=lambda item: (*order(item.path), *started(item)))
 
 
 def pytest_collection_finish() -> None:

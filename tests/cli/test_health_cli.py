@@ -120,7 +120,7 @@ def test_the_cost_is_reported_before_it_is_spent(gf_usd, here: Path, block: Path
 @pytest.mark.slow
 def test_what_would_take_hours_is_refused_in_seconds(gf_usd, here: Path, block: Path) -> None:
     (here / "hard.usda").write_text(HARD)
-    options = ("-m", "hard.usda", "--particles", "8000")
+    options = ("-m", "hard.usda", "--particles", "8000", "--threads", "2")
     done = gf_usd("bake", block, *options)
     assert (done.status, done.out) == (3, "")
     found = re.search(

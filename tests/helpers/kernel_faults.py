@@ -130,6 +130,8 @@ FAULTS = {
 
 if __name__ == "__main__":
     from gf_usd.cli.main import run
+    from gf_usd.system.taichi_runtime import MERGE_OPTIONS
 
+    MERGE_OPTIONS[True] = MERGE_OPTIONS[False]  # to compile quickly, as in tests/conftest.py
     FAULTS[sys.argv.pop(1)].put()
     run()

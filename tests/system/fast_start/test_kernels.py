@@ -280,6 +280,8 @@ def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_pat
     """All that is written, and under the same keys of kernels."""
     script = (
         "import sys, gf_usd\n"
+        "from gf_usd.system.taichi_runtime import MERGE_OPTIONS\n"
+        "MERGE_OPTIONS[True] = MERGE_OPTIONS[False]\n"  # compiled quickly, as in tests/conftest.py
         "def on_progress(done, total):\n"  # while it runs: afterwards all is as it was
         "    if done == total:\n"
         "        print(type(sys.modules['taichi.lang.kernel_impl'].ast).__name__)\n"
