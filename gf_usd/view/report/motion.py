@@ -41,7 +41,8 @@ class Motion:
     time_codes: tuple[float, ...]  # (F,)
     mesh: DisplayMesh
     points: NDArray[np.float32]  # (F, K, 3) [m]
-    stretch: NDArray[np.float32]  # (F, K) principal stretch of the surface that is furthest from 1
+    stretch: NDArray[np.float32]  # (F, K) principal stretch of the surface that is furthest from 1,
+    # within its `stretch_range`
     gaussian_indices: NDArray[np.int64]  # (G,) into all Gaussians of the recording
     positions: NDArray[np.float32]  # (F, G, 3) [m]
     rotations: NDArray[np.float32]  # (F, G, 4) unit quaternions (x, y, z, w), continuous in time
@@ -72,11 +73,16 @@ def collect(
     flow = _FlowBuilder(
         min(vertices, max(MIN_FLOW_VERTICES, FLOW_VERTICES // len(recording.time_codes)))
     )
-    curves = _GeometryCurves(recording, bodies, [surface.areas for surface in surfaces])
+    curves = _GeometryCurves(recording, bodies)
     for frame in frames:
         joined = np.concatenate([np.zeros((0, 3)), *frame.meshes])
         faces = [s.faces(points) for s, points in zip(surfaces, frame.meshes)]
-        vertex_stretches = [s.at_vertices(stretches) for s, stretches in zip(surfaces, faces)]
+        ranges = [stretch_range(stretches, s.areas) for s, stretches in zip(surfaces, faces)]
+        # colors show no more than the curves do: a sliver has the end of the range of its surface
+        vertex_stretches = [
+            np.clip(s.at_vertices(stretches), *(ends or (1.0, 1.0)))
+            for s, stretches, ends in zip(surfaces, faces, ranges)
+        ]
         ratio = None
         if recording.gaussians is not None and frame.axes is not None:
             ratio = volume_ratio(frame.axes, recording.gaussians.rest_scales)
@@ -87,7 +93,7 @@ def collect(
             gaussian_indices,
             ratio,
         )
-        curves.add(frame, faces, ratio)
+        curves.add(frame, ranges, ratio)
         flow.add(frame)
     motion = kept.finish(recording, mesh, gaussian_indices, curves.values)
     return replace(motion, flow=flow.finish()) if recording.flows else motion
@@ -205,12 +211,15 @@ class _FrameArrays:
 OMITTED = 1e-3  # of the area at rest, at each end of the stretches of a surface
 
 
-def stretch_range(stretches: Floats, areas: Floats) -> tuple[float, float]:
+def stretch_range(stretches: Floats, areas: Floats) -> tuple[float, float] | None:
     """Smallest and largest of the stretches (T, 2) of triangles with areas (T,) at rest.
 
     The most compressed and the most stretched OMITTED of the area are left out: a thin sliver may
-    be stretched a hundredfold where the body around it is stretched by a tenth.
+    be stretched a hundredfold where the body around it is stretched by a tenth.  None without a
+    triangle.
     """
+    if not len(stretches):
+        return None
     ends = []
     for values, order in ((stretches[:, 0], 1), (stretches[:, 1], -1)):
         ranked = np.argsort(values)[::order]
@@ -224,19 +233,18 @@ class _GeometryCurves:
     """Heights, stretches and volume ratios of each frame, over all vertices and Gaussians.
 
     Where particles replace a mesh from some frame on, they are used in all frames.
-
-    areas : (T,) at rest, of the triangles of every mesh.
     """
 
-    def __init__(self, recording: Recording, bodies: list[int], areas: list[Floats]) -> None:
+    def __init__(self, recording: Recording, bodies: list[int]) -> None:
         self._recording = recording
         vanish = any(recording.meshes[i].name in recording.vanishing for i in bodies)
         self._bodies = [] if vanish else bodies
-        self._areas = areas
         self.values: dict[str, list[float]] = {}
 
-    def add(self, frame: MotionFrame, faces: list[Floats], ratio: Floats | None) -> None:
-        """Add a frame; faces : (T, 2) stretches of every mesh."""
+    def add(
+        self, frame: MotionFrame, ranges: list[tuple[float, float] | None], ratio: Floats | None
+    ) -> None:
+        """Add a frame; ranges : the smallest and largest stretch of every mesh."""
         up = np.array(self._recording.up)
         body = [frame.meshes[i] for i in self._bodies]
         if not body and frame.positions is not None:
@@ -253,11 +261,11 @@ class _GeometryCurves:
         masses = self._recording.gaussians.masses if self._recording.gaussians else None
         if masses is not None and frame.positions is not None and masses.sum() > 0.0:
             row["center"] = masses @ (frame.positions @ up) / masses.sum()
-        ranges = [stretch_range(faces[i], self._areas[i]) for i in self._bodies if len(faces[i])]
-        if ranges:
+        ends = [end for i in self._bodies if (end := ranges[i])]
+        if ends:
             row |= {
-                "surface_min": min(low for low, _ in ranges),
-                "surface_max": max(high for _, high in ranges),
+                "surface_min": min(low for low, _ in ends),
+                "surface_max": max(high for _, high in ends),
             }
         if ratio is not None and len(ratio):
             row |= {"ratio_min": ratio.min(), "ratio_max": ratio.max()}

@@ -96,6 +96,30 @@ def test_a_small_body_is_not_left_out_of_the_stretches():
     assert collect(two, frames, 100, 30).curves["surface_max"] == pytest.approx([5.0] * FRAMES)
 
 
+def test_slivers_have_no_colors_beyond_the_curves():
+    """They made the range of colors: vertices are counted, and slivers have as many as others."""
+    source = FallingBox()
+    recording, box = source.recording(), source.recording().meshes[0]
+    sliver = np.array([(0.5, 0.0, 0.0), (0.5, 1e-4, 0.0), (0.5, 0.0, 0.1)])
+    one = replace(
+        box,
+        points=np.concatenate([box.points, sliver]),
+        triangles=np.concatenate([box.triangles, [(8, 9, 10)]]),
+        colors=np.full((13, 3, 3), 0.5),
+    )
+    frames = [
+        replace(frame, meshes=[np.concatenate([frame.meshes[0], sliver * (1.0, 50.0, 1.0)])])
+        for frame in source.frames(recording.time_codes)
+    ]
+    motion = collect(replace(recording, meshes=(one,)), frames, 100, 30)
+    assert motion.points.shape[1] == 11
+    assert motion.stretch.max(axis=1) == pytest.approx(motion.curves["surface_max"])
+    assert max(motion.curves["surface_max"]) < 1.2
+    # what is not a sliver keeps its stretch
+    plain = collect(recording, source.frames(recording.time_codes), 100, 30)
+    assert np.array_equal(motion.stretch[:, :8], plain.stretch)
+
+
 def test_a_motion_without_gaussians_or_without_meshes_packs():
     bare = FallingBox(gaussians=0)
     recording = bare.recording()
