@@ -82,6 +82,29 @@ def test_the_floor_that_is_proposed_cuts_through_no_pose(
     assert bool(text[2]) == (lowest < 0.0)
 
 
+def test_the_floor_that_is_proposed_is_under_animated_points(tmp_path: Path) -> None:
+    """It was under the rest shape, which is the first of the poses."""
+    source = write(tmp_path, arm())
+    path = tmp_path / "cache.usda"
+    path.write_text(cached(source), encoding="utf-8")
+    stage = Usd.Stage.Open(str(path))
+    mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    sinks = UsdGeom.Xformable(mesh).AddTranslateOp(opSuffix="sinks")
+    sinks.Set(Gf.Vec3d(0.0, 0.0, 0.0), stage.GetStartTimeCode())
+    sinks.Set(Gf.Vec3d(0.0, -1.4567, 0.0), stage.GetEndTimeCode())
+    stage.Save()
+    plan = plan_of(path)
+    points = UsdGeom.Mesh(mesh).GetPointsAttr().Get(stage.GetEndTimeCode())
+    last = min(point[1] for point in points) - 1.4567
+    rest = min(float(s.face_points[:, 1].min()) for s in plan.asset.surfaces)
+    assert last < rest - 1.0
+    (note,) = (note for note in plan.notes if note.startswith("there is no floor"))
+    height, where = note.removesuffix(" adds one").split("--floor ")[1].split(", ", 1)
+    assert float(height) == pytest.approx(last, rel=0.01)
+    assert float(height) <= last
+    assert where == "under its poses in these frames,"
+
+
 def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
     write(here, arm())
     few = ("arm.usda", "--particles", "300")

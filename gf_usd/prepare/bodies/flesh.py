@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -190,7 +190,7 @@ def _of_character(
     cell, radius = 2.0 * lattice, share or BONE_RADIUS
     times, lead = _animation_times(settings, animation, cycle, repeats)
     different, frame_rows = np.unique(times, return_inverse=True)
-    skeleton, cores, notes = _read_bones(
+    skeleton, cores, lowest, notes = _read_bones(
         asset, solid, X, samples, animation, file, different.tolist(),
         radius=radius, cell=cell, spacing=spacing,
     )  # fmt: skip
@@ -212,7 +212,7 @@ def _of_character(
     painted, frequency, goal_notes = _goal_weights(
         asset, solid, skeleton, cores, animation, file, frequency, cell
     )
-    notes, lowest = (*notes, *pin_notes, *goal_notes), _lowest(asset, skeleton)
+    notes = (*notes, *pin_notes, *goal_notes)
     if frequency is None and limits is None:
         return Flesh(pins=pins, notes=notes, rigid=tuple(kept), lowest=lowest)
     goals, key_notes = _springs(
@@ -236,9 +236,10 @@ def _read_bones(
     radius: float,
     cell: float,
     spacing: float,
-) -> tuple[Skeleton, Cores | None, tuple[str, ...]]:
+) -> tuple[Skeleton, Cores | None, float | None, tuple[str, ...]]:
     """The bones at some time codes: of the skeleton, or pieces of a body without one, whose cores
-    are found with them.  The cores, else None; notes.
+    are found with them.  The cores, else None; the height [m] of the lowest point of the surfaces
+    in all poses, None where it is unknown; notes.
     """
     from gf_usd.geometry.flesh.medial import medial_skeleton
     from gf_usd.readers.usd.bones import read_skeleton
@@ -248,16 +249,28 @@ def _read_bones(
     when = {"first": animation.first, "times": times}
     if not animation.cached:
         loose = _surface_points(asset) if animation.nearest else None
-        return read_skeleton(file, paths, asset.facts, **when, loose=loose), None, ()
+        skeleton = read_skeleton(file, paths, asset.facts, **when, loose=loose)
+        return skeleton, None, _lowest(asset, skeleton), ()
+    lows: list[float] = []
+    poses = _with_lows(read_cache(file, paths, asset.facts, **when), asset.facts.up, lows)
     skeleton, cores = medial_skeleton(
-        solid, X, samples, read_cache(file, paths, asset.facts, **when),
+        solid, X, samples, poses,
         share=radius, cell=cell, spacing=spacing, where=str(asset.facts.path),
     )  # fmt: skip
     note = (
         f"it has no skeleton: {len(skeleton.bones)} pieces along its medial axis follow its"
         f" animated points as bones"
     )
-    return skeleton, cores, (note,)
+    return skeleton, cores, min(lows, default=None), (note,)
+
+
+def _with_lows(
+    poses: Iterable[dict[str, Floats]], up: Floats, lows: list[float]
+) -> Iterator[dict[str, Floats]]:
+    """The poses; the height [m] of the lowest point of each is appended to `lows`."""
+    for pose in poses:
+        lows.append(min(float((points @ up).min()) for points in pose.values()))
+        yield pose
 
 
 def _pin_to_bones(
