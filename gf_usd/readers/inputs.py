@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pxr import Ar, Sdf, Tf, Usd, UsdShade, UsdUtils
 
@@ -106,13 +107,42 @@ def require_packable(file: Path, named: Path) -> None:
         stage = open_stage(file)  # an object that must outlive its range of prims
         # What a flattened layer has: also overs and classes, and what instances share.
         for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimIsActive)):
-            for attribute in prim.GetAuthoredAttributes():
-                for found in filter(_is_empty, _resolved(attribute)):
+            for where, found in _packed(prim):
+                if _is_empty(found):
                     raise InputError(
                         f"{named}: {found} is empty (0 bytes), and USD cannot put it into a"
-                        f" package; <{attribute.GetPath()}> refers to it",
+                        f" package; {where} refers to it",
                         "export it again, or write layers instead of a .usdz: -o NAME.usda",
                     )
+
+
+def _packed(prim: Usd.Prim) -> Iterator[tuple[str, str]]:
+    """What of a prim refers to a file that goes into a package, in words, and the file's path."""
+    for key, value in prim.GetAllAuthoredMetadata().items():
+        if key == "assetInfo":  # of its files a package has only the names: `shorten_info`
+            value = {name: inner for name, inner in value.items() if isinstance(inner, dict)}
+        for path in _in_metadata(value):
+            yield f"{key} of <{prim.GetPath()}>", path
+    for owner in prim.GetAuthoredProperties():
+        for key, value in owner.GetAllAuthoredMetadata().items():
+            for path in _in_metadata(value):
+                yield f"{key} of <{owner.GetPath()}>", path
+    for attribute in prim.GetAuthoredAttributes():
+        for path in _resolved(attribute):
+            yield f"<{attribute.GetPath()}>", path
+
+
+def _in_metadata(value: object) -> Iterator[str]:
+    """The paths of the files that a value of metadata refers to."""
+    if isinstance(value, dict):
+        for one in value.values():
+            yield from _in_metadata(one)
+    elif isinstance(value, Sdf.AssetPath):
+        yield from filter(None, [value.resolvedPath])
+    elif isinstance(value, Sdf.AssetPathArray):
+        paths: Any = value  # iterable, which its type does not say
+        for one in paths:
+            yield from _in_metadata(one)
 
 
 def _resolved(attribute: Usd.Attribute) -> Iterator[str]:

@@ -199,6 +199,48 @@ def test_an_empty_texture_is_found_on_every_prim_that_a_package_has(
     assert names(here) == []
 
 
+METADATA = {
+    "customData of </World>": "customData = {{ dictionary deep = {{ {} }} }}",
+    "assetInfo of </World>": "assetInfo = {{ dictionary deep = {{ {} }} }}",
+    "customData of </World.note>": "customData = {{ {} }}",
+    "customData of </World.target>": "customData = {{ {} }}",
+}
+
+
+@pytest.mark.parametrize("where", METADATA)
+@pytest.mark.parametrize("named", ["asset to = @./skin.png@", "asset[] to = [@./skin.png@]"])
+def test_an_empty_file_that_metadata_names_is_refused_where_a_package_is_written(
+    gf_usd, here: Path, where: str, named: str
+) -> None:
+    (here / "skin.png").touch()
+    metadata = METADATA[where].format(named)
+    of_prim, of_note, of_target = (
+        metadata if where.endswith(f"</World{name}>") else "" for name in ("", ".note", ".target")
+    )
+    (here / "cube.usda").write_text(
+        f"""#usda 1.0
+def Xform "World" (
+    {of_prim}
+)
+{{
+    custom string note = "" (
+        {of_note}
+    )
+    rel target = </World> (
+        {of_target}
+    )
+    def Cube "Cube"
+    {{
+    }}
+}}
+"""
+    )
+    done = gf_usd("bake", "cube.usda", *SMALL, "-o", "a.usdz")
+    refused(done, 3, f"cube.usda: {here / 'skin.png'} is empty (0 bytes)", "export it again")
+    assert f"; {where} refers to it" in done.err
+    assert names(here) == ["cube.usda", "skin.png"]
+
+
 def test_words_that_are_no_option(gf_usd, here: Path, block: Path) -> None:
     for arguments, named in (
         (("--frames", "x"), "--frames"),
