@@ -45,7 +45,7 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
                 "remove the fields" if mixed else "omit --rigid or --solver ul",
             )
         notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
-    if request.flesh and request.floor is None:
+    if request.floats:
         more["floor"] = "none"
     if obstacles := physics.obstacles:
         several = len(obstacles) > 1

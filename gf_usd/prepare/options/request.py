@@ -53,6 +53,13 @@ class Request(RequestOptions):
         return acts and not any(given) and not self.no_settling
 
     @property
+    def floats(self) -> bool:
+        """Whether flesh follows an animation and has no floor, which it has only where one is
+        given.
+        """
+        return bool(self.flesh) and self.floor is None
+
+    @property
     def until_rest(self) -> bool:
         """Whether the bake ends when everything is at rest."""
         return self.parsed["frames"] is not None and self.parsed["frames"].rest
