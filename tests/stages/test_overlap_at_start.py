@@ -67,9 +67,9 @@ def test_a_ball_that_starts_in_another_stays_calm(tmp_path: Path, other: str, de
         output=tmp_path / "o.usda",
     )
     health = found.health
-    # It was 30 % of m g r and more for 2 cm; what settles under its own weight falls by less than a
-    # tenth of the radius, and so does what rolls off in a second.
-    assert health["planes_gain_share"] < 1e-3
+    # It was 30 % of m g r and more for 2 cm.  Without their gaps at rest, pairs spend the budget of
+    # new planes, 1e-4 m g r in each T of .23 s: 4e-4 and more in this second.
+    assert health["planes_gain_share"] < 1e-4
     assert health["energy_gain_max_share"] < 1e-3
     assert health["max_J"] < 1.2
     assert health["inverted_particle_frames"] == 0

@@ -177,6 +177,8 @@ def test_a_body_that_falls_on_a_sleeper_wakes_it():
         if frame.health.sleeping:
             assert (frame.health.flying, frame.health.sleeping) == (1, 1)
             assert moved < 1e-6
+            # a faller that is not expected flies on into the sleeper, down to the floor
+            assert frame.particles.x[body != sleeper, 1].min() > rest[:, 1].max()
             still += 1
         elif moved > 0.05 * RADIUS and hit is None:
             hit = frame.index
