@@ -8,6 +8,7 @@ which is robust to overlapping shells, reversed winding and small holes.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import igl
 import numpy as np
@@ -62,6 +63,10 @@ class Bounds:
         if self._kept is None:
             self._kept = winding_hierarchy(self._points - self._center, self._triangles)
         return self._kept
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the hierarchy, which cannot be pickled: plans with pins have solids."""
+        return {**self.__dict__, "_kept": None}
 
     def release(self) -> None:
         """Free the hierarchy of a large surface; the next query builds it again."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import igl
 import numpy as np
 import pytest
@@ -62,6 +64,14 @@ def test_a_hierarchy_is_built_once_until_it_is_released(
     body.release()
     np.testing.assert_array_equal(body.inside(X), inside)
     assert len(made) == built
+
+
+def test_a_solid_that_was_queried_can_be_pickled():
+    """The plan of a bake with pins has one; the native hierarchy cannot be pickled."""
+    body, X = solid(cube()), grid_points(-0.5, 1.5)
+    inside = body.inside(X)
+    again = pickle.loads(pickle.dumps(body))
+    np.testing.assert_array_equal(again.inside(X), inside)
 
 
 def test_an_asset_far_from_the_origin_loses_no_digits():
