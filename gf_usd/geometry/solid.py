@@ -26,6 +26,7 @@ OPEN_FRACTION = 0.25  # share of holes in the closed area above which a surface 
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat
 PROBES = 200_000  # sample points for volumes without a closed form
 LEAST_PROBES = 2_000  # of them in each group of surfaces whose boxes overlap
+TOUCHING = 1e-6  # share of the smaller box, along an axis, by which boxes that touch may overlap
 RECURRENCE = 1.2207440846057596
 INSIDE = 0.5
 # Triangles of a surface from which its hierarchy is released after filling: it takes some 200 bytes
@@ -262,14 +263,16 @@ def _one_shell(triangles: Ints) -> bool:
 def _by_box(solid: Solid) -> tuple[Ints, Ints]:
     """(S,) surfaces in order of groups of transitively overlapping boxes.
 
-    Second: the start of each group but the first.
+    Second: the start of each group but the first.  Boxes that touch, up to the rounding of float32,
+    do not overlap.
     """
     low = np.array([s.face_points.min(0) for s in solid.surfaces])
     high = np.array([s.face_points.max(0) for s in solid.surfaces])
     n = len(low)
     one, two = [], []
     for k in range(n):
-        near = np.flatnonzero(((low <= high[k]) & (high >= low[k])).all(1))
+        shared = np.minimum(high, high[k]) - np.maximum(low, low[k])
+        near = np.flatnonzero((shared > TOUCHING * np.minimum(high - low, high[k] - low[k])).all(1))
         one.append(np.full(len(near), k))
         two.append(near)
     rows, columns = np.concatenate(one), np.concatenate(two)

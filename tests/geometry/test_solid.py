@@ -230,3 +230,11 @@ def test_bodies_apart_have_the_exact_volume_of_their_sum():
     balls = [sphere(0.1, center=(1e3 * k, 0.0, 0.0), path=f"/B{k}") for k in range(3)]
     exact = sum(signed_volume(b.points, b.triangles) for b in balls)
     assert build_solid(asset(*balls)).volume == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.0, -1e-7])
+def test_bodies_that_touch_have_the_exact_volume_of_their_sum(gap: float):
+    """Their boxes have no volume in common but by rounding: it was counted on probes, slowly."""
+    boxes = [cube(low=(k * (1.0 + gap), 0.3 * k, 0.0), path=f"/B{k}") for k in range(3)]
+    body = solid(*boxes)
+    assert body.volume == pytest.approx(3.0, rel=1e-12)
