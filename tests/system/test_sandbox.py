@@ -214,7 +214,9 @@ def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
         "from gf_usd.system.sandbox import Limits, run_isolated;"
         f"run_isolated(Path({str(file)!r}), 'isolated_tasks:stay', Limits(), Path({str(note)!r}))"
     )
-    parent = subprocess.Popen([sys.executable, "-c", code])
+    # a parent that is killed leaves its folder of requests
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    parent = subprocess.Popen([sys.executable, "-c", code], env=environment)
     reader, program = numbers(note)
     parent.kill()
     parent.wait()
