@@ -12,7 +12,7 @@ from rich.table import Table
 
 from gf_usd.cli.console import drops, frames_of, landing_of
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text
+from gf_usd.core.units import bytes_text, length_text
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -130,16 +130,16 @@ def _body(console: Console, seen: Inspection) -> None:
         return
     p, s = plan.particles, plan.settings
     forecast = {"frames": s.frames, **cost}
-    drop = f"drop {_length(plan.drop)}" if drops(plan) else "no drop"
+    drop = f"drop {length_text(plan.drop)}" if drops(plan) else "no drop"
     console.print(
-        f"\n{len(p)} particles, {_length(p.spacing)} apart, fill {_volume(p.volume)}"
-        f" (as much as a ball of radius {_length(p.radius)}); {frames_of(forecast)} at"
+        f"\n{len(p)} particles, {length_text(p.spacing)} apart, fill {_volume(p.volume)}"
+        f" (as much as a ball of radius {length_text(p.radius)}); {frames_of(forecast)} at"
         f" {s.fps:g} fps, {drop}, {landing_of(plan, cost)}"
     )
     if (thick := seen.thickness) is not None:
         console.print(
-            f"5 % of the surface is at most {_length(thick.thin)} thick "
-            f"({thick.across(p.spacing):.1f} particles across); median {_length(thick.median)}"
+            f"5 % of the surface is at most {length_text(thick.thin)} thick "
+            f"({thick.across(p.spacing):.1f} particles across); median {length_text(thick.median)}"
         )
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("material")
@@ -199,8 +199,8 @@ def _parts(console: Console, seen: Inspection) -> None:
 def _part(part: Part, unit: float) -> Sequence[str]:
     return (
         escape(part.path), str(part.shell), f"[yellow]{part.kind}[/]",
-        ", ".join(f"{c / unit:.3g}" for c in part.center), _length(part.size),
-        "none: loose faces" if part.loose else _length(part.thickness), str(part.particles),
+        ", ".join(f"{c / unit:.3g}" for c in part.center), length_text(part.size),
+        "none: loose faces" if part.loose else length_text(part.thickness), str(part.particles),
         "too many" if part.suggested is None else str(part.suggested),
     )  # fmt: skip
 
@@ -235,13 +235,6 @@ def _lines(console: Console, what: str, lines: Sequence[str]) -> None:
         console.print(f"[dim]{what}:[/] {escape(line)}")
     if len(lines) > MOST_LINES:
         console.print(f"[dim]{what}:[/] and {len(lines) - MOST_LINES} more (--json lists all)")
-
-
-def _length(meters: float) -> str:
-    for limit, scale, name in ((1e-3, 1e6, "µm"), (1e-2, 1e3, "mm"), (1.0, 1e2, "cm")):
-        if meters < limit:
-            return f"{meters * scale:.3g} {name}"
-    return f"{meters:.3g} m" if meters < 1000.0 else f"{meters / 1000.0:.3g} km"
 
 
 def _volume(cubic_meters: float) -> str:

@@ -93,6 +93,14 @@ def bytes_text(count: float) -> str:
     return f"{value:.3g} GB" if value < 999.5 else f"{value:.0f} GB"
 
 
+def length_text(meters: float) -> str:
+    """A length to three significant digits, in µm, mm, cm, m or km."""
+    for limit, scale, name in ((1e-3, 1e6, "µm"), (1e-2, 1e3, "mm"), (1.0, 1e2, "cm")):
+        if meters < limit:
+            return f"{meters * scale:.3g} {name}"
+    return f"{meters:.3g} m" if meters < 1000.0 else f"{meters / 1000.0:.3g} km"
+
+
 def check_unit(meters_per_unit: float | None) -> None:
     """Raise UsageError for an option that is no size of a unit."""
     if meters_per_unit is not None and not LEAST < meters_per_unit < MOST:

@@ -1,10 +1,10 @@
-"""Numbers of bytes as text."""
+"""Numbers of bytes and lengths as text."""
 
 from __future__ import annotations
 
 import pytest
 
-from gf_usd.core.units import bytes_text
+from gf_usd.core.units import bytes_text, length_text
 
 
 @pytest.mark.parametrize(
@@ -24,3 +24,11 @@ from gf_usd.core.units import bytes_text
 )
 def test_bytes_have_the_unit_that_fits(count: float, text: str):
     assert bytes_text(count) == text
+
+
+@pytest.mark.parametrize(
+    ("meters", "text"),
+    [(2e-6, "2 µm"), (0.0042, "4.2 mm"), (0.1234, "12.3 cm"), (1.0, "1 m"), (2345.0, "2.35 km")],
+)
+def test_lengths_have_the_unit_that_fits(meters: float, text: str):
+    assert length_text(meters) == text

@@ -15,6 +15,7 @@ from gf_usd.core.errors import InputError, counted
 from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.mesh import with_short_edges
 from gf_usd.core.stage import Collider, ContactSetup, Skin, StagePhysics
+from gf_usd.core.units import length_text
 from gf_usd.prepare.bodies.convexity import cannot_touch_itself
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.readers.isolated import Reading
@@ -155,7 +156,8 @@ def require_clear_start(
         stage.  Particles that are inside an obstacle in the asset itself are allowed.
     """
     way = np.asarray(lift, float)
-    if not way.any():
+    away = float(np.linalg.norm(way))
+    if not away:
         return
     body = particles.body_of
     for k, one in enumerate(setup.colliders):
@@ -164,9 +166,9 @@ def require_clear_start(
         buried = _inside(one, X + way) & ~_inside(one, X)
         if buried.sum() > BURIED * len(X):
             raise InputError(
-                f"{path}: moved by {np.linalg.norm(way) / unit:.3g} units to its height over the"
-                f" floor, {buried.mean():.0%} of the particles start inside the obstacle"
-                f" <{one.path}>",
+                f"{path}: moved by {length_text(away)} ({away / unit:.3g} stage units) to its"
+                f" height over the floor, {buried.mean():.0%} of the particles start inside the"
+                f" obstacle <{one.path}>",
                 "use a --drop that clears it, or --floor none, which does not move the body",
             )
 

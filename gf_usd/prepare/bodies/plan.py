@@ -13,6 +13,7 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import counted
 from gf_usd.core.frames import Particles
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.units import length_text
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -132,7 +133,7 @@ def _touching(
         return []
     count = sum(len(one) for one in found)
     what = "one body" if len(found) == 1 else f"{len(found)} bodies"
-    away = f"{reach / asset.facts.units.length:.2g} units"
+    away = f"{length_text(reach)} ({reach / asset.facts.units.length:.3g} stage units)"
     return [
         f"{count} meshes that touch are {what}: {'; '.join(_listed(one) for one in found[:4])}"
         + (f"; and {len(found) - 4} more" if len(found) > 4 else "")
