@@ -68,7 +68,7 @@ def read_colliders(
 ) -> tuple[Collider, ...]:
     """The colliders of `prims`, with their motion at the time codes `times` of the frames.
 
-    Raises InputError for invalid meshes, values and transforms.
+    Raises InputError for invalid meshes, values and transforms, and for a motion that mirrors one.
     """
     shapes = _shapes(prims, facts, time, notes)
     reading = bare_reading(facts, time)
@@ -139,12 +139,14 @@ def _follow(
             "deforms, but its approximation only follows its transform", _name(shapes[k].prim)
         )
     moving = {k for k, s in enumerate(shapes) if transform_varies(s.prim)}
+    at_rest = {k: matrix(shapes[k].prim, reading) for k in moving}
     frames: list[list[Floats]] = [[] for _ in shapes]
     posed: list[list[Floats]] = [[] for _ in shapes]
     for code in times if moving | deforming else ():
         reading = bare_reading(facts, Usd.TimeCode(code))
         for k in sorted(moving):
             frames[k].append(matrix(shapes[k].prim, reading))
+            _require_unmirrored(shapes[k].prim, frames[k][-1], at_rest[k], reading)
         for k in sorted(deforming):
             points = posed_points(shapes[k].prim, reading)
             if len(points) == shapes[k].n_points:
@@ -160,6 +162,24 @@ def _follow(
         ([], _condensed(posed[k], shapes[k].points)) if k in deforming else (frames[k], None)
         for k in range(len(shapes))
     ]
+
+
+def _require_unmirrored(prim: Usd.Prim, frame: Floats, at_rest: Floats, reading: Reading) -> None:
+    """Raise InputError where a transform (4, 4) is a mirror image of that at rest.
+
+    The faces of the shape would look inward, and what it meets would be pushed into it.
+    """
+    if np.linalg.det(frame[:3, :3]) * np.linalg.det(at_rest[:3, :3]) >= 0.0:
+        return
+    if reading.skins.placement(prim) is not None:  # its skeleton poses it, not its transform
+        return
+    raise InputError(
+        f"{reading.path}: the collider <{prim.GetPath()}> is a mirror image of its rest pose at"
+        f" time code {reading.time.GetValue():g}: its scale, or that of a prim above it, changes"
+        f" sign",
+        "animate the scale without a change of sign, or bake frames with one sign (--start,"
+        " --frames)",
+    )
 
 
 def _condensed(frames: Sequence[Floats], at_rest: Floats) -> Floats | None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from physics_stages import BOX, SLIDE, beside_a_body, head, mesh, only, prim, volume
 
+from gf_usd.core.errors import InputError
 from gf_usd.core.stage import StagePhysics
 
 COLLISION = "PhysicsCollisionAPI"
@@ -41,6 +42,25 @@ def test_a_growing_collider_is_not_rigid(read_physics) -> None:
     grow = SLIDE.replace("translate", "scale").replace("(0, 0, 0)", "(1, 1, 1)")
     collider = only(read_physics(mesh("Balloon", grow, apis=[COLLISION])))
     assert (collider.moves, collider.rigid) == (True, False)
+
+
+TURNS = SLIDE.replace("translate", "scale").replace("(4, 0, 0)", "(-1, 1, 1)")
+
+
+@pytest.mark.parametrize("above", [False, True])
+def test_a_collider_that_is_mirrored_on_its_way_is_refused(read_physics, above: bool) -> None:
+    """Its faces turned inward in the middle of the bake."""
+    turns = TURNS.replace("(0, 0, 0)", "(1, 1, 1)")
+    shape = mesh("Hand", "" if above else turns, apis=[COLLISION])
+    with pytest.raises(InputError) as error:
+        read_physics(prim("Xform", "Arm", turns, shape) if above else shape)
+    assert "Hand> is a mirror image of its rest pose at time code 3: its scale" in str(error.value)
+
+
+def test_a_collider_that_is_always_mirrored_faces_outward(read_physics) -> None:
+    always = TURNS.replace("(0, 0, 0)", "(-2, 1, 1)")
+    hand = only(read_physics(mesh("Hand", always, apis=[COLLISION])))
+    assert [volume(hand, k) for k in range(3)] == pytest.approx([2.0, 1.5, 1.0])
 
 
 def test_points_that_move_by_themselves_are_given_outright(read_physics) -> None:
