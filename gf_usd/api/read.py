@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
 from gf_usd.core.errors import UsageError, counted
+from gf_usd.core.units import code_text
 from gf_usd.prepare.options.table import nearest
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class BakeFrame:
         self.time_code: float = arrays.time_codes[index]  # of the stage
 
     def __repr__(self) -> str:
-        return f"BakeFrame(index={self.index}, time_code={self.time_code:g})"
+        return f"BakeFrame(index={self.index}, time_code={code_text(self.time_code)})"
 
     @property
     def time(self) -> float:

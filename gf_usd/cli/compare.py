@@ -11,7 +11,7 @@ import typer
 
 from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text
+from gf_usd.core.units import bytes_text, code_text
 
 if TYPE_CHECKING:
     from gf_usd.view.compare import Comparison
@@ -115,10 +115,10 @@ def lines(found: Comparison) -> list[str]:
         f"{counted(len(found.meshes), 'mesh', 'meshes')}, {counted(found.points, 'point')},"
         f" {counted(len(found.time_codes), 'frame')}; radius {length(found.radius)}",
         f"largest distance {length(found.error)} ({100 * found.error / found.radius:.3g} % of the"
-        f" radius): point {point} of <{mesh}> at time code {found.time_codes[worst]:g}",
+        f" radius): point {point} of <{mesh}> at time code {code_text(found.time_codes[worst])}",
         f"largest rms distance {length(float(found.rms.max()))}, largest distance of the "
         f"centers of mass {length(float(found.center[center]))} (time code "
-        f"{found.time_codes[center]:g})",
+        f"{code_text(found.time_codes[center])})",
     ]
     if ratio is not None:
         rows.append(f"volume of B relative to A: {ratio.min():.4g} to {ratio.max():.4g}")
@@ -127,7 +127,8 @@ def lines(found: Comparison) -> list[str]:
         rows.append(
             f"same: within {length(found.tolerance)} at all times"
             if over is None
-            else f"different: distance above {length(found.tolerance)} from time code {over:g} on"
+            else f"different: distance above {length(found.tolerance)} from time code"
+            f" {code_text(over)} on"
         )
     return rows
 

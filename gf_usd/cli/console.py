@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text
+from gf_usd.core.units import bytes_text, code_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -40,7 +40,7 @@ def show_plan(
         f" radius {d['radius_m']:.4g} m",
         *(f"  {path}" for path in d["bodies"]),
         f"particles   {d['particles']}, {d['spacing_m']:.3g} m apart",
-        f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {d['start']:g}",
+        f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {code_text(d['start'])}",
         "substeps    "
         + ", ".join(f"{n} per frame ({look})" for look, n in d["substeps_per_frame"].items()),
         f"drop        {drop}, {landing_of(prepared.plan, d)}",

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from gf_usd.cli.console import drops, frames_of, landing_of
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text, length_text
+from gf_usd.core.units import bytes_text, code_text, length_text
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -54,7 +54,7 @@ def _facts(console: Console, seen: Inspection) -> None:
     span = (
         ""
         if f.start_time_code is None or f.end_time_code is None
-        else f", {f.start_time_code:g} to {f.end_time_code:g}"
+        else f", {code_text(f.start_time_code)} to {code_text(f.end_time_code)}"
     )
     console.print(
         f"1 unit = {f.units.meters_per_unit:g} m ({_from(f.unit_from)}), {f.up_axis} up"

@@ -10,7 +10,7 @@ import typer
 
 from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text
+from gf_usd.core.units import bytes_text, code_text
 
 
 def retime(
@@ -73,4 +73,7 @@ def retime(
         return
     for path in (done.path, *done.caches):
         typer.echo(f"{path}  {bytes_text(path.stat().st_size)}")
-    typer.echo(f"{counted(done.frames, 'frame')}, time codes {done.start:g} to {done.end:g}")
+    typer.echo(
+        f"{counted(done.frames, 'frame')}, time codes {code_text(done.start)} to"
+        f" {code_text(done.end)}"
+    )

@@ -93,6 +93,11 @@ def bytes_text(count: float) -> str:
     return f"{value:.3g} GB" if value < 999.5 else f"{value:.0f} GB"
 
 
+def code_text(code: float) -> str:
+    """A time code to five decimals, without an exponent: 1000000 is not 1e+06."""
+    return f"{round(code, 5):.15g}"
+
+
 def length_text(meters: float) -> str:
     """A length to three significant digits, in µm, mm, cm, m or km."""
     for limit, scale, name in ((1e-3, 1e6, "µm"), (1e-2, 1e3, "mm"), (1.0, 1e2, "cm")):

@@ -17,6 +17,7 @@ from pxr import Sdf, Usd, UsdUtils
 
 from gf_usd.core import CACHE_SUFFIX
 from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.units import code_text
 from gf_usd.delivery.resample import SAME, Warp, most_samples, resample, sample_as_played
 from gf_usd.delivery.usd import VARIANTS, absolute, require_no_layer_of_bake
 from gf_usd.layers.flatten import export, write_placed
@@ -211,8 +212,8 @@ def _require_within(
     for out, source in keys:
         if not first - SAME <= source <= last + SAME:
             raise UsageError(
-                f"--keys {out:g}:{source:g} is outside the time codes {first:g} to {last:g} of"
-                f" {cache}",
+                f"--keys {code_text(out)}:{code_text(source)} is outside the time codes"
+                f" {code_text(first)} to {code_text(last)} of {cache}",
                 "in NEW:OLD, NEW is a time code of the result and OLD one of the bake",
             )
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
+from gf_usd.core.units import code_text
 from gf_usd.fitting.observation import Observation, Scene, TrackedPoints, vertices_as_points
 from gf_usd.fitting.targets import SIGMA, TargetSpec
 from gf_usd.pipeline.measures.figures import figures
@@ -237,7 +238,7 @@ def check_number(spec: TargetSpec) -> None:
     if spec.time_code is not None and not figure.moment:
         raise UsageError(
             f"--target {spec.text!r}: {spec.figure} does not take a time code",
-            f"leave out @{spec.time_code:g}",
+            f"leave out @{code_text(spec.time_code)}",
         )
     if spec.share and not spec.value:
         raise UsageError(
@@ -258,8 +259,8 @@ def number(spec: TargetSpec, scene: Scene) -> Number:
         seconds = (spec.time_code - scene.start) / scene.time_codes_per_second
         if seconds < 0.0:
             raise UsageError(
-                f"--target {spec.text!r}: time code {spec.time_code:g} is before the first"
-                f" frame, {scene.start:g}",
+                f"--target {spec.text!r}: time code {code_text(spec.time_code)} is before the first"
+                f" frame, {code_text(scene.start)}",
                 "--start sets the time code of the first frame",
             )
     return Number(

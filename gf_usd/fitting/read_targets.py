@@ -11,6 +11,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError, counted
 from gf_usd.core.scene import Recording
+from gf_usd.core.units import code_text
 from gf_usd.fitting.observation import Scene, TrackedPoints, vertices_as_points
 from gf_usd.fitting.targets import Motion, TargetSpec, points_sigma
 from gf_usd.geometry.surface import barycentric
@@ -83,8 +84,8 @@ def require_times(file: Path, seconds: Floats, codes: Sequence[float], scene: Sc
     """Raise InputError where all times [s] are before the first frame or at it."""
     if not (seconds > 1e-6).any():
         raise InputError(
-            f"{file}: its time codes {min(codes):g} to {max(codes):g} are not after the first"
-            f" frame, at {scene.start / scene.time_codes_per_second:.4g} s",
+            f"{file}: its time codes {code_text(min(codes))} to {code_text(max(codes))} are not"
+            f" after the first frame, at {scene.start / scene.time_codes_per_second:.4g} s",
             "--start sets the time code of the first frame",
         )
 

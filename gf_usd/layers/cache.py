@@ -30,6 +30,7 @@ from gf_usd.core.frames import (
     TetLattice,
 )
 from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.units import code_text
 from gf_usd.layers.clips import ClipStore, moving_layer
 from gf_usd.layers.stage import (
     Home,
@@ -297,7 +298,8 @@ class CacheWriter:
         time_code = float(frame.time_code)
         if not time_code > self._time_code:
             raise BakeError(
-                f"frame {frame.index} has time code {time_code:g}, after {self._time_code:g}.",
+                f"frame {frame.index} has time code {code_text(time_code)}, after"
+                f" {code_text(self._time_code)}.",
                 "this is a bug in gf-usd, not a fault of the asset: please report it",
             )
         for what, poses, tracks in (

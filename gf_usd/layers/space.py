@@ -16,6 +16,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, lengths
 from gf_usd.core.errors import InputError
+from gf_usd.core.units import code_text
 from gf_usd.layers.stage import Clock
 
 Matrix = NDArray[np.float64]
@@ -92,7 +93,8 @@ class Space:
         if not stretch[-1] > SINGULAR * stretch[0]:
             raise InputError(
                 f"<{self._prim.GetPath()}>: the local-to-world transform at time code "
-                f"{time_code:g} flattens space (scales {stretch[0]:.3g} to {stretch[-1]:.3g}).",
+                f"{code_text(time_code)} flattens space (scales {stretch[0]:.3g} to"
+                f" {stretch[-1]:.3g}).",
                 "give the prim and its parents scales other than zero, or exclude it from the bake",
             )
         return np.linalg.inv(matrix)

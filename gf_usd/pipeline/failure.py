@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError, SolverError
 from gf_usd.core.frames import Particles, Settings, sampled
+from gf_usd.core.units import code_text
 from gf_usd.pipeline.deliver import Delivery
 from gf_usd.prepare.outputs import report_of_failure
 from gf_usd.system.atomic_files import dropped_on_failure, publish_text
@@ -143,7 +144,7 @@ def _require_source(delivery: Delivery) -> None:
 def _where(path: Path, failed: dict[str, Any]) -> str:
     summary = (
         f"{path}: {failed['look']} failed at frame {failed['frame']}"
-        f" (time code {failed['time_code']:g})"
+        f" (time code {code_text(failed['time_code'])})"
     )
     if failed["particle"] is None:
         return summary

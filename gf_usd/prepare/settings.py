@@ -21,6 +21,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import CONSISTENT, LUMPED, MIXED, Field, Settings
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
+from gf_usd.core.units import code_text
 from gf_usd.prepare.options.fields import GravityKeys, in_meters, parse_field
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import AUTO, Floor, Height, Triple
@@ -98,18 +99,18 @@ def _require_inside(
 ) -> None:
     if first < 0:
         raise UsageError(
-            f"{option} begins before the simulation, which starts at time code {start:g}",
+            f"{option} begins before the simulation, which starts at time code {code_text(start)}",
             "start later; --handles holds the rest pose before the start",
         )
     if last < first:
         raise UsageError(
-            f"{option} holds no frame: frames are at {start:g} + k * {step:g}",
+            f"{option} holds no frame: frames are at {code_text(start)} + k * {step:g}",
             "give a range with a frame in it",
         )
     if frames is not None and last > frames - 1:
         raise UsageError(
             f"{option} ends after the last of --frames {frames}, at time code"
-            f" {start + (frames - 1) * step:g}",
+            f" {code_text(start + (frames - 1) * step)}",
             "leave --frames out: the range sets the length of the simulation",
         )
 

@@ -22,6 +22,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import MotionFrame, Recording, RenderMesh
+from gf_usd.core.units import code_text
 
 Align = Literal["time", "start"]
 # rotation from Y up to Z up: (x, y, z) becomes (x, -z, y)
@@ -288,16 +289,17 @@ def _common_times(
     ]
     if not kept:
         raise InputError(
-            f"{a.path} moves in time codes {a.time_codes[0]:g} to {a.time_codes[-1]:g} and {b.path}"
-            f" in {b.time_codes[0]:g} to {b.time_codes[-1]:g}: these ranges do not overlap.",
+            f"{a.path} moves in time codes {code_text(a.time_codes[0])} to"
+            f" {code_text(a.time_codes[-1])} and {b.path} in {code_text(b.time_codes[0])} to"
+            f" {code_text(b.time_codes[-1])}: these ranges do not overlap.",
             "compare from the first frame of each: --align start",
         )
     codes, codes_b = [code for code, _ in kept], [at for _, at in kept]
     notes = []
     if len(kept) < len(pairs):
         notes.append(
-            f"{len(kept)} of {len(pairs)} frames are compared, at time codes {codes[0]:g} to "
-            f"{codes[-1]:g}: B ({b.path.name}) has only these"
+            f"{len(kept)} of {len(pairs)} frames are compared, at time codes"
+            f" {code_text(codes[0])} to {code_text(codes[-1])}: B ({b.path.name}) has only these"
         )
     samples = np.asarray(b.time_codes)
     interpolated = sum(float(np.abs(samples - at).min()) > SAME_TIME for at in codes_b)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gf_usd.core.units import bytes_text, length_text
+from gf_usd.core.units import bytes_text, code_text, length_text
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,11 @@ def test_bytes_have_the_unit_that_fits(count: float, text: str):
 )
 def test_lengths_have_the_unit_that_fits(meters: float, text: str):
     assert length_text(meters) == text
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [(0.0, "0"), (-24.0, "-24"), (25 / 24, "1.04167"), (1_000_001.0, "1000001"), (1e9, f"{10**9}")],
+)
+def test_time_codes_have_no_exponent(code: float, text: str):
+    assert code_text(code) == text

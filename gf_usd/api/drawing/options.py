@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.core.errors import UsageError
+from gf_usd.core.units import code_text
 from gf_usd.prepare.options import values
 
 FILMS = (".mp4", ".gif")
@@ -198,8 +199,8 @@ def time_codes(span: Span | None, known: tuple[float, ...], step: float, path: P
     last = known[-1] if span.last is None else span.last
     _refuse(
         first < known[0] or last > known[-1] or last < first,
-        f"--time-codes {first:g}:{last:g} is outside the motion of {path}.",
-        f"its time codes run from {known[0]:g} to {known[-1]:g}",
+        f"--time-codes {code_text(first)}:{code_text(last)} is outside the motion of {path}.",
+        f"its time codes run from {code_text(known[0])} to {code_text(known[-1])}",
     )
     count = math.floor((last - first) / (span.step or step) + 1e-6) + 1
     _refuse(

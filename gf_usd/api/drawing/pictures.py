@@ -13,6 +13,7 @@ from gf_usd.api.drawing.options import Options
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import counted
 from gf_usd.core.scene import Camera, Light, Quantity
+from gf_usd.core.units import code_text
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.view.colormap import color_by_value
 from gf_usd.view.contact_sheet import choose_frames, contact_sheet, sheet_columns
@@ -161,7 +162,8 @@ def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixe
     speeds = draw.speeds(codes) if options.span is None else None
     chosen = [codes[i] for i in choose_frames(len(codes), options.sheet or 1, speeds)]
     tiles = [
-        label(draw(code, legend=i == 0), f"time code {code:g}") for i, code in enumerate(chosen)
+        label(draw(code, legend=i == 0), f"time code {code_text(code)}")
+        for i, code in enumerate(chosen)
     ]
     aspect = options.size[0] / options.size[1]
     return contact_sheet(tiles, options.columns or sheet_columns(len(tiles), aspect))

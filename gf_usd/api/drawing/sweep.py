@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.api.drawing.pictures import Drawing
+from gf_usd.core.units import code_text
 from gf_usd.pipeline.result import BakeResult
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.view.contact_sheet import choose_frames, contact_sheet
@@ -34,6 +35,6 @@ def draw_sweep(result: BakeResult, target: Path) -> None:
     tiles = []
     for bake, source in zip(result.bakes, sources):
         draw = Drawing(source, TILE, fitted=camera)
-        texts = [bake.variant, *(f"time code {code:g}" for code in codes[1:])]
+        texts = [bake.variant, *(f"time code {code_text(code)}" for code in codes[1:])]
         tiles += [label(draw(code), text) for code, text in zip(codes, texts)]
     write_png(target, contact_sheet(tiles, len(codes)))

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gf_usd.core.arrays import Ints
+from gf_usd.core.units import code_text
 
 TIME, STRAIN, STRESS = "time", "strain", "stress"
 KINDS = {TIME: "", STRAIN: "", STRESS: " Pa"}  # with their units
@@ -29,7 +30,7 @@ class Limit:
     def text(self) -> str:
         """The limit as text."""
         if self.kind == TIME:
-            return f"from time code {self.value:g} on"
+            return f"from time code {code_text(self.value)} on"
         return f"beyond a {self.kind} of {self.value:g}{KINDS[self.kind]}"
 
 

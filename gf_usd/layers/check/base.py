@@ -9,6 +9,7 @@ from typing import Literal
 from pxr import Sdf, Tf, Usd
 
 from gf_usd.core.errors import counted
+from gf_usd.core.units import code_text
 
 Severity = Literal["error", "warning"]
 
@@ -115,7 +116,7 @@ def first_problem(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
         return ""
     time, text = first
     more = sum(1 for _ in rest)
-    when = "" if time.IsDefault() else f" at time {time.GetValue():g}"
+    when = "" if time.IsDefault() else f" at time {code_text(time.GetValue())}"
     return f"{text}{when}" + (f", and also in {counted(more, 'more sample')}" if more else "")
 
 

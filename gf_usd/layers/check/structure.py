@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pxr import Usd, UsdGeom, UsdShade
 
 from gf_usd.core.errors import counted
+from gf_usd.core.units import code_text
 from gf_usd.layers.check.base import Finding, about, first_problem, rule
 from gf_usd.layers.check.read import applied_names, authored, prims, samples
 from gf_usd.system.usd_schema import APIS
@@ -154,7 +155,7 @@ def time_range(stage: Usd.Stage) -> Iterator[Finding]:
     bounded = stage.HasAuthoredTimeCodeRange()
     if bounded and not start <= end:
         yield speak.error(
-            f"startTimeCode {start:g} is after endTimeCode {end:g}",
+            f"startTimeCode {code_text(start)} is after endTimeCode {code_text(end)}",
             "author the first and the last time code of the animation",
         )
         return
@@ -172,8 +173,9 @@ def time_range(stage: Usd.Stage) -> Iterator[Finding]:
                 low, high = min(low, codes[0]), max(high, codes[-1])
         if bounded and outside:
             yield about("time-range", prim).warning(
-                f"{counted(len(outside), 'attribute has', 'attributes have')} samples from {low:g}"
-                f" to {high:g}, but the stage runs from {start:g} to {end:g}:"
+                f"{counted(len(outside), 'attribute has', 'attributes have')} samples from"
+                f" {code_text(low)} to {code_text(high)}, but the stage runs from"
+                f" {code_text(start)} to {code_text(end)}:"
                 f" {', '.join(outside[:3])}{', ...' if len(outside) > 3 else ''}",
                 "extend the range from startTimeCode to endTimeCode, or delete the samples "
                 "outside it",

@@ -21,7 +21,7 @@ from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import GaussianPose, Particles, Settings
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.matrices import rotation_rows
-from gf_usd.core.units import StageUnits
+from gf_usd.core.units import StageUnits, code_text
 from gf_usd.layers.stage import box, f32, xyzw
 from gf_usd.layers.tracks.accuracy import HALF_SHAPE, shape_errors
 from gf_usd.layers.tracks.meshes import check
@@ -160,9 +160,9 @@ class SplatTrack:
         worst = int((errors / self._shape).argmax())
         if errors[worst] > self._shape[worst]:
             raise BakeError(
-                f"<{self._path}> at time code {time_code:g}: in half precision, Gaussian {worst}"
-                f" has an error of {errors[worst]:.3g} stage units, but {self._shape[worst]:.3g} is"
-                f" allowed: it grew more than {GROWTH:g} times.",
+                f"<{self._path}> at time code {code_text(time_code)}: in half precision, Gaussian"
+                f" {worst} has an error of {errors[worst]:.3g} stage units, but"
+                f" {self._shape[worst]:.3g} is allowed: it grew more than {GROWTH:g} times.",
                 "give a --precision so fine that single precision is kept, or leave it out",
             )
 

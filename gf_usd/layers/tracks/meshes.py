@@ -24,6 +24,7 @@ from gf_usd.core.arrays import Floats, Ints, corners, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import MeshPose
+from gf_usd.core.units import code_text
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, author_bind_pose, f32
 from gf_usd.layers.tracks.sparse import Saved
@@ -228,14 +229,16 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
     """Raise BakeError unless ``values`` has this shape and is finite."""
     if np.shape(values) != shape:
         raise BakeError(
-            f"{what} at time code {time_code:g} have shape {np.shape(values)}, not {shape}.",
+            f"{what} at time code {code_text(time_code)} have shape {np.shape(values)}, not"
+            f" {shape}.",
             "this is a bug in gf-usd, not a fault of the asset: please report it",
         )
     finite = np.isfinite(values)
     if not finite.all():
         bad = int((~finite).sum())
         raise BakeError(
-            f"{what} at time code {time_code:g} contain {bad} numbers that are not finite.",
+            f"{what} at time code {code_text(time_code)} contain {bad} numbers that are not"
+            f" finite.",
             "the simulation became unstable: try a smaller --spacing or a softer --material",
         )
 

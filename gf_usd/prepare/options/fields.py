@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.units import STRONGEST, number
+from gf_usd.core.units import STRONGEST, code_text, number
 
 if TYPE_CHECKING:
     from gf_usd.core.frames import Field
@@ -132,7 +132,10 @@ def read_gravity_keys(path: Path) -> GravityKeys:
         where = f"--gravity {path}: line {line}"
         code, *given = (number(where, part.strip(), hint) for part in row)
         if times and code <= times[-1]:
-            raise UsageError(f"{where}: time code {code:g} follows {times[-1]:g}", "sort the lines")
+            raise UsageError(
+                f"{where}: time code {code_text(code)} follows {code_text(times[-1])}",
+                "sort the lines",
+            )
         if max(map(abs, given)) > STRONGEST:
             most = max(map(abs, given))
             raise UsageError(f"{where} has {most:g}", f"give at most {STRONGEST:g} m/s^2")

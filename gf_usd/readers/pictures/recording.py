@@ -16,6 +16,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
+from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import (
     frame_times,
@@ -130,7 +131,8 @@ class BakedMotion:
                     frame = self._frame(code, whole=whole)
             except SkippedPrim as reason:
                 raise InputError(
-                    f"{self._path}: at time code {code:g} a prim cannot be shown: {reason}.",
+                    f"{self._path}: at time code {code_text(code)} a prim cannot be shown:"
+                    f" {reason}.",
                     "run gf-usd check for details, then bake the asset again",
                 ) from reason
             yield frame
@@ -145,7 +147,8 @@ class BakedMotion:
             if points.shape != shape.points.shape or not np.isfinite(points).all():
                 raise InputError(
                     f"{self._path}: <{prim.GetPath()}> has {len(points)} points at time code "
-                    f"{code:g} but {len(shape.points)} at the first one, or some are not finite.",
+                    f"{code_text(code)} but {len(shape.points)} at the first one, or some are not"
+                    f" finite.",
                     "run gf-usd check for details, then bake the asset again",
                 )
             if prim in self._vanishing and not is_visible(prim, time):

@@ -23,6 +23,7 @@ from gf_usd.core.scene import (
     RenderSplats,
     Scene,
 )
+from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.camera import find_camera, read_camera
 from gf_usd.readers.pictures.extent import (
@@ -278,8 +279,8 @@ class PictureStage:
         times = self.motion.time_codes
         if time_code is not None and times and not times[0] <= time_code <= times[-1]:
             raise UsageError(
-                f"--frame {time_code:g} is outside the motion of {self._path}.",
-                f"its time codes run from {times[0]:g} to {times[-1]:g}",
+                f"--frame {code_text(time_code)} is outside the motion of {self._path}.",
+                f"its time codes run from {code_text(times[0])} to {code_text(times[-1])}",
             )
 
     def speeds(self, codes: Sequence[float]) -> Floats | None:

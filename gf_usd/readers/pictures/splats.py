@@ -9,6 +9,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.scene import RenderSplats
+from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import frame_times, is_visible
 from gf_usd.readers.pictures.prims import placed_prims, read_splats
@@ -97,7 +98,7 @@ class SplatMotion:
                 if count != expected:
                     raise InputError(
                         f"{self._path}: <{splats.name}> has {count} Gaussians that are finite at "
-                        f"time code {code:g} and {expected} at the first one.",
+                        f"time code {code_text(code)} and {expected} at the first one.",
                         "run gf-usd check for details, then bake the asset again",
                     )
             yield found
@@ -108,7 +109,8 @@ class SplatMotion:
             return read_splats(prim, time, place, self._unit, self._notes)
         except SkippedPrim as reason:
             raise InputError(
-                f"{self._path}: <{prim.GetPath()}> {reason} at time code {time.GetValue():g}.",
+                f"{self._path}: <{prim.GetPath()}> {reason} at time code"
+                f" {code_text(time.GetValue())}.",
                 "run gf-usd check for details, then bake the asset again",
             ) from reason
 

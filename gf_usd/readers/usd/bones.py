@@ -38,6 +38,7 @@ from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.matrices import signed_polar
 from gf_usd.core.stage import Bone, Skeleton
+from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.skeleton import Skins
@@ -358,7 +359,7 @@ def _world(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
     if not np.isfinite(rows).all() or abs(np.linalg.det(rows[:3, :3])) == 0.0:
         raise InputError(
             f"{facts.path}: --flesh: the transform of <{rig.path}> cannot be inverted at time "
-            f"code {code:g}",
+            f"code {code_text(code)}",
             "repair the animation of the skeleton, or of a prim above it",
         )
     return rows
@@ -376,7 +377,8 @@ def _posed(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
             else f"moves joint {rig.joints[int(bad.argmax())]} to a position that is not finite"
         )
         raise InputError(
-            f"{facts.path}: --flesh: the animation of <{rig.path}> {what} at time code {code:g}",
+            f"{facts.path}: --flesh: the animation of <{rig.path}> {what} at time code"
+            f" {code_text(code)}",
             "repair the animation (SkelAnimation), or author restTransforms, one for each joint",
         )
     return rows

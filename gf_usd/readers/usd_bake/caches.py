@@ -16,6 +16,7 @@ from pxr import Usd, UsdGeom
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
+from gf_usd.core.units import code_text
 from gf_usd.readers.usd.bones import lead_in
 from gf_usd.readers.usd.mesh import posed_points
 from gf_usd.readers.usd.select import named_prim
@@ -106,6 +107,6 @@ def _require_same(
         if now[path].shape != points.shape:
             raise InputError(
                 f"{facts.path}: --flesh: <{path}> has {len(points)} points at the first frame "
-                f"but {len(now[path])} at time code {code:g}",
+                f"but {len(now[path])} at time code {code_text(code)}",
                 "give a cache with the same number of points in all frames",
             )

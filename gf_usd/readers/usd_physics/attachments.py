@@ -36,6 +36,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Region
+from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import read_surface
 from gf_usd.readers.usd.select import named_prim
@@ -315,7 +316,7 @@ class _Targets:
         if places.shape != still.shape:
             raise InputError(
                 f"{self._where}: {self.name} has {len(places)} positions at time code "
-                f"{time.GetValue():g} but {len(still)} at rest",
+                f"{code_text(time.GetValue())} but {len(still)} at rest",
                 "author the same number of positions at all times",
             )
         M = matrix(self._carrier, self._readings.at(time))

@@ -13,6 +13,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Collider
+from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT
 from gf_usd.readers.usd.mesh import Reading, posed_points, read_surface
@@ -154,8 +155,8 @@ def _follow(
             else:
                 deforming.discard(k)
                 notes.add(
-                    f"has {len(points)} points at time code {code:g} but {shapes[k].n_points} "
-                    f"at rest: it only follows its transform",
+                    f"has {len(points)} points at time code {code_text(code)} but"
+                    f" {shapes[k].n_points} at rest: it only follows its transform",
                     _name(shapes[k].prim),
                 )
     return [
@@ -175,8 +176,8 @@ def _require_unmirrored(prim: Usd.Prim, frame: Floats, at_rest: Floats, reading:
         return
     raise InputError(
         f"{reading.path}: the collider <{prim.GetPath()}> is a mirror image of its rest pose at"
-        f" time code {reading.time.GetValue():g}: its scale, or that of a prim above it, changes"
-        f" sign",
+        f" time code {code_text(reading.time.GetValue())}: its scale, or that of a prim above it,"
+        f" changes sign",
         "animate the scale without a change of sign, or bake frames with one sign (--start,"
         " --frames)",
     )

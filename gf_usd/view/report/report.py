@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gf_usd.core.scene import MotionFrame, Recording
+from gf_usd.core.units import code_text
 from gf_usd.view.compare import Comparison
 from gf_usd.view.report.curves import LENGTHS, Plot, comparison_plots, plots, unit_for
 from gf_usd.view.report.html import (
@@ -102,7 +103,7 @@ def _build_page(
         codes = [motion.time_codes[frame] for frame, _ in key_frames]
         uris = render_pictures(recording, source.frames(codes), camera_for(motion))
         captions = [
-            f"{code:g}" + (f" · {w}" if w else "") for code, (_, w) in zip(codes, key_frames)
+            code_text(code) + (f" · {w}" if w else "") for code, (_, w) in zip(codes, key_frames)
         ]
         pictures_of_variants.append(
             [(f, w, uri) for (f, _), w, uri in zip(key_frames, captions, uris)]
@@ -187,7 +188,7 @@ def _variant_json(
     low, high = bounds(motion)
     return {
         "name": name,
-        "codes": [float(f"{code:.8g}") for code in motion.time_codes],
+        "codes": [float(code_text(code)) for code in motion.time_codes],
         "seconds": [float(f"{recording.seconds(code):.6g}") for code in motion.time_codes],
         "up": "Z" if recording.up[2] > 0.5 else "Y",
         "ground": recording.ground,

@@ -13,6 +13,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.matrices import ellipsoids
 from gf_usd.core.radiance import Y_0, linear_to_srgb, turned
 from gf_usd.core.scene import RenderSplats, to_frame
+from gf_usd.core.units import code_text
 from gf_usd.view.report.html import (
     SHORT,
     SPEEDS,
@@ -261,7 +262,7 @@ def _variant_json(
     first = splats.source.time_codes[0]
     return {
         "name": name,
-        "codes": [float(f"{code:.8g}") for code in splats.time_codes],
+        "codes": [float(code_text(code)) for code in splats.time_codes],
         "seconds": [
             float(f"{(code - first) / splats.source.rate:.6g}") for code in splats.time_codes
         ],

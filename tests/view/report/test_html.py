@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import pytest
 from recordings import FRAMES, FallingBox, report_of
 
+from gf_usd.core.scene import MotionFrame, Recording
 from gf_usd.view.report.curves import ENERGIES, plots, unit_for
 from gf_usd.view.report.html import Html, data_script, join, policy, tag
 from gf_usd.view.report.moments import choose_key_frames
@@ -158,3 +161,25 @@ def test_pictures_are_taken_where_something_happens():
 def test_energies_of_large_bodies_have_a_prefix():
     # a car of 467 m that falls by 418 m
     assert [unit_for([energy], ENERGIES) for energy in (5.977e13, 2e9, 999.0)] == [1e12, 1e9, 1.0]
+
+
+class LateBox(FallingBox):
+    """The falling box from time code 1,000,001 on, as in a long sequence."""
+
+    def recording(self) -> Recording:
+        first = super().recording()
+        return replace(first, time_codes=tuple(1e6 + code for code in first.time_codes))
+
+    def frames(self, time_codes: Sequence[float]) -> Iterator[MotionFrame]:
+        for frame in super().frames([code - 1e6 for code in time_codes]):
+            yield replace(frame, time_code=frame.time_code + 1e6)
+
+
+def test_time_codes_of_seven_digits_are_whole():
+    page = build_report([LateBox()], report_of(), "", Limits())
+    (variant,) = json.loads(data_of(page))["variants"]
+    assert variant["codes"] == [1e6 + k for k in range(1, FRAMES + 1)]
+    shown = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    # captions of six pictures, which were 1e+06
+    assert len(set(re.findall(r"\b100000\d\b", shown))) == 6
+    assert "1e+06" not in shown
