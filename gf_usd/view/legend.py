@@ -31,6 +31,11 @@ def text_size(height: int) -> int:
     return max(MIN_FONT_SIZE, round(height / 32))
 
 
+def label_size(height: int) -> int:
+    """Font size [pixels] of labels of a picture of a height [pixels]: 13 at 240."""
+    return max(MIN_FONT_SIZE, round(height / 18))
+
+
 @cache
 def font(size: int) -> Font:
     """Pillow's default font, independent of fonts of the system; it has ASCII characters only."""
@@ -149,7 +154,7 @@ def _draw_color_bar(
 def label(pixels: Pixels, text: str) -> Pixels:
     """The picture (H, W, 3) with a text in its upper left corner."""
     picture = Image.fromarray(pixels)
-    font_size = max(MIN_FONT_SIZE, round(pixels.shape[0] / 18))
+    font_size = label_size(pixels.shape[0])
     pad = max(3, round(0.4 * font_size))
     layer = Image.new("RGBA", picture.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
@@ -160,3 +165,18 @@ def label(pixels: Pixels, text: str) -> Pixels:
     draw.text((2 * pad, 2 * pad), text, TEXT_COLOR, font(font_size))
     picture.paste(layer, (0, 0), layer)
     return np.asarray(picture)
+
+
+def caption(pixels: Pixels, text: str) -> Pixels:
+    """The picture (H, W, 3) with a text in a band above it, which covers nothing of it.
+
+    Where the text is too wide, its first words are left out.
+    """
+    font_size = label_size(pixels.shape[0])
+    pad = round(0.4 * font_size)
+    band = Image.new("RGB", (pixels.shape[1], font_size + 2 * pad), PANEL_COLOR[:3])
+    draw = ImageDraw.Draw(band)
+    while " " in text and draw.textlength(text, font(font_size)) > band.width - 2 * pad:
+        text = text.partition(" ")[2]
+    draw.text((pad, 0.5 * band.height), text, TEXT_COLOR, font(font_size), "lm")
+    return np.concatenate([np.asarray(band), pixels])

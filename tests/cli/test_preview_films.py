@@ -90,9 +90,9 @@ def test_a_sheet_has_a_tile_for_each_frame(stage, tmp_path):
     arguments = ("--sheet", "3", "--columns", "3", "--size", "120x90")
     assert run(stage, "-o", out, *arguments).exit_code == 0
     page = pixels(out)
-    gap = 2
-    assert page.shape[:2] == (90 + 2 * gap, 3 * 120 + 4 * gap)
-    tiles = [page[gap : gap + 90, gap + i * (120 + gap) :][:, :120] for i in range(3)]
+    gap, band = 2, 19  # captions of 11 pixels
+    assert page.shape[:2] == (band + 90 + 2 * gap, 3 * 120 + 4 * gap)
+    tiles = [page[gap + band : -gap, gap + i * (120 + gap) :][:, :120] for i in range(3)]
     rows = [np.flatnonzero((t[..., 0] > 2 * t[..., 1]).any(axis=1)).mean() for t in tiles]
     assert rows[0] < rows[1] < rows[2]
 
@@ -108,7 +108,7 @@ def test_a_time_at_which_nothing_is_visible_is_an_empty_tile(stage, tmp_path, or
     assert done.exit_code == 0, done.output
     assert "note: pictures of times at which nothing is visible are empty" in done.output
     page = pixels(tmp_path / "a.png")
-    tiles = [page[2:92, 2 + i * 122 :][:, :120] for i in range(2)]
+    tiles = [page[21:111, 2 + i * 122 :][:, :120] for i in range(2)]
     red = [int((tile[..., 0] > 2 * tile[..., 1]).sum()) for tile in tiles]
     assert red[order.split().index("inherited")] > 200
     assert red[order.split().index("invisible")] == 0

@@ -8,7 +8,7 @@ import pytest
 from gf_usd.core.errors import UsageError
 from gf_usd.core.scene import Quantity, RenderEllipsoids, RenderMesh, RenderSplats, Scene
 from gf_usd.view.colormap import color_by_value, color_map, colors, fraction
-from gf_usd.view.legend import MIN_PICTURE_SIZE, Legend, label
+from gf_usd.view.legend import MIN_PICTURE_SIZE, Legend, caption, label
 from gf_usd.view.ticks import format_number, round_up, si_prefix, ticks
 
 # CIE XYZ of linear Rec. 709 (IEC 61966-2-1)
@@ -161,3 +161,18 @@ def test_a_label_stays_in_its_corner():
     assert (marked[:60, :160] != 128).any()
     assert np.array_equal(marked[60:], blank[60:])
     assert np.array_equal(marked[:, 160:], blank[:, 160:])
+
+
+def test_a_caption_covers_nothing_of_its_picture():
+    """A label in the corner covered bodies at the top of their pictures."""
+    blank = np.full((90, 120, 3), 128, dtype=np.uint8)
+    one, other = (caption(blank, text) for text in ("time code 1", "time code 2"))
+    band = len(one) - len(blank)
+    assert 11 < band < 25
+    assert np.array_equal(one[band:], blank)
+    assert not np.array_equal(one[:band], other[:band])
+    # where there is no place for all, the number is what remains
+    narrow = blank[:, :60]
+    one, other = (caption(narrow, f"time code {code}") for code in (1000001, 1000002))
+    assert one.shape == (len(blank) + band, 60, 3)
+    assert not np.array_equal(one, other)

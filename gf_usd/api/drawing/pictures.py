@@ -18,7 +18,7 @@ from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.view.colormap import color_by_value
 from gf_usd.view.contact_sheet import choose_frames, contact_sheet, sheet_columns
 from gf_usd.view.film import MAX_FPS, write_gif, write_mp4
-from gf_usd.view.legend import Legend, label
+from gf_usd.view.legend import Legend, caption
 from gf_usd.view.render.camera import fit_camera
 from gf_usd.view.render.lights import studio
 from gf_usd.view.render.render import render
@@ -162,7 +162,7 @@ def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixe
     speeds = draw.speeds(codes) if options.span is None else None
     chosen = [codes[i] for i in choose_frames(len(codes), options.sheet or 1, speeds)]
     tiles = [
-        label(draw(code, legend=i == 0), f"time code {code_text(code)}")
+        caption(draw(code, legend=i == 0), f"time code {code_text(code)}")
         for i, code in enumerate(chosen)
     ]
     aspect = options.size[0] / options.size[1]

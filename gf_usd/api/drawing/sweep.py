@@ -11,7 +11,7 @@ from gf_usd.core.units import code_text
 from gf_usd.pipeline.result import BakeResult
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.view.contact_sheet import choose_frames, contact_sheet
-from gf_usd.view.legend import label
+from gf_usd.view.legend import caption
 from gf_usd.view.render.camera import fit_camera
 from gf_usd.view.render.image import write_png
 
@@ -36,5 +36,5 @@ def draw_sweep(result: BakeResult, target: Path) -> None:
     for bake, source in zip(result.bakes, sources):
         draw = Drawing(source, TILE, fitted=camera)
         texts = [bake.variant, *(f"time code {code_text(code)}" for code in codes[1:])]
-        tiles += [label(draw(code), text) for code, text in zip(codes, texts)]
+        tiles += [caption(draw(code), text) for code, text in zip(codes, texts)]
     write_png(target, contact_sheet(tiles, len(codes)))
