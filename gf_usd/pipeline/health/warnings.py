@@ -256,8 +256,9 @@ def _inside(h: HealthSummary) -> MessageAndHint:
     share = h["inside_at_end_share"]
     if share is None or share <= INSIDE:
         return None
-    # the faces of a coarse mesh cut through what its body bends around
-    coarse = (h.get("outside_mesh_max_share") or 0.0) > OUTSIDE
+    # The faces of a coarse mesh cut through what its body bends around.  Where it is dented without
+    # bulging elsewhere, as a foam is, no particle is outside; None: no mesh has long faces.
+    coarse = h.get("outside_mesh_max_share") is not None
     first = "divide the faces of the coarse mesh (--max-edge-length auto); then " if coarse else ""
     return (
         f"{100.0 * share:.2g} % of the surface is half a spacing or more inside a body at the"
