@@ -209,9 +209,28 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
             prim.GetVariantSet(VARIANT_SET).SetVariantSelection(name)
         for finding in check_stage(stage).findings:
             key = _key(finding, named=named)
-            if finding.severity == "error" and key not in known:
+            theirs = key in known and not (named and _lost_on_the_way(finding, stage, source))
+            if finding.severity == "error" and not theirs:
                 seen.setdefault(key, _plain(finding))
     return list(seen.values())
+
+
+def _lost_on_the_way(finding: Finding, package: Usd.Stage, source: Path) -> bool:
+    """Whether a finding in a package is of a file that the source has, although the source lacks
+    another one of the same name: the same attribute finds it there.
+    """
+    name = _name_in_package(finding.subject)
+    if not finding.rule.endswith(UNRESOLVED):
+        return False
+    stage = Usd.Stage.Open(str(source), Usd.Stage.LoadAll)
+    for prim in prims(package):
+        for attribute in prim.GetAuthoredAttributes():
+            mine = attribute.Get()
+            if isinstance(mine, Sdf.AssetPath) and not mine.resolvedPath and mine.path == name:
+                theirs = stage.GetAttributeAtPath(attribute.GetPath())
+                if theirs and theirs.Get() and theirs.Get().resolvedPath:
+                    return True
+    return False
 
 
 def _key(finding: Finding, *, named: bool = False) -> Key:
@@ -223,8 +242,12 @@ def _key(finding: Finding, *, named: bool = False) -> Key:
     """
     subject = finding.subject
     if named and finding.rule.endswith(UNRESOLVED):
-        subject = Path(subject.rstrip("]").rpartition("[")[2]).name
+        subject = _name_in_package(subject)
     return finding.severity, finding.rule, str(finding.prim_path), subject
+
+
+def _name_in_package(subject: str) -> str:
+    return Path(subject.rstrip("]").rpartition("[")[2]).name
 
 
 def _plain(finding: Finding) -> dict[str, str]:

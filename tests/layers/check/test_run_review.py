@@ -206,6 +206,28 @@ def test_a_lost_file_of_the_source_hides_no_other(suffix: str, tmp_path: Path) -
     assert found["message"].endswith("gone.png'.")
 
 
+def test_a_file_that_a_package_lost_is_told_from_one_of_the_source_by_its_folder(
+    tmp_path: Path,
+) -> None:
+    """A package has the names alone of files that cannot be found."""
+    other = PICTURE.replace("picture", "other").replace("./lost.png", "./kept/lost.png")
+    asset = replace(PLAIN, body=PLAIN.body + PICTURE + other).asset(tmp_path)
+    kept = tmp_path / "kept" / "lost.png"
+    kept.parent.mkdir()
+    kept.write_bytes(b"a picture")
+    root, _, _ = bake(asset, tmp_path)
+    for name, is_there in (("whole", True), ("less", False)):
+        path = tmp_path / f"{name}.usdz"
+        if not is_there:
+            kept.unlink()
+        write_flat(path, root, asset, source=asset.facts.path, choices=Choices())
+        publish(path)
+        kept.write_bytes(b"a picture")
+        found = [one["message"] for one in review(path, asset.facts.path)]
+        assert len(found) == (0 if is_there else 1)
+        assert all(message.endswith("lost.png'.") for message in found)
+
+
 def test_a_fault_of_another_property_is_the_bake_s(tmp_path: Path) -> None:
     """The source has colors that are not finite, which are not the points of the bake."""
     asset = replace(PLAIN, body=PLAIN.body.replace("[(1, 0, 0)]", "[(nan, 0, 0)]")).asset(tmp_path)
