@@ -207,30 +207,31 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
     for name in names:
         for prim in prims:
             prim.GetVariantSet(VARIANT_SET).SetVariantSelection(name)
-        for finding in check_stage(stage).findings:
-            key = _key(finding, named=named)
-            theirs = key in known and not (named and _lost_on_the_way(finding, stage, source))
+        found = [(_key(f, named=named), f) for f in check_stage(stage).findings]
+        lost: set[str] = set()
+        if named and any(key in known and f.rule.endswith(UNRESOLVED) for key, f in found):
+            lost = _lost_files(stage, Usd.Stage.Open(str(source), Usd.Stage.LoadAll))
+        for key, finding in found:
+            theirs = key in known and not (finding.rule.endswith(UNRESOLVED) and key[-1] in lost)
             if finding.severity == "error" and not theirs:
                 seen.setdefault(key, _plain(finding))
     return list(seen.values())
 
 
-def _lost_on_the_way(finding: Finding, package: Usd.Stage, source: Path) -> bool:
-    """Whether a finding in a package is of a file that the source has, although the source lacks
-    another one of the same name: the same attribute finds it there.
+def _lost_files(package: Usd.Stage, source: Usd.Stage) -> set[str]:
+    """The names of files that attributes of a package do not find, while the same attributes of the
+    source find theirs.
     """
-    name = _name_in_package(finding.subject)
-    if not finding.rule.endswith(UNRESOLVED):
-        return False
-    stage = Usd.Stage.Open(str(source), Usd.Stage.LoadAll)
+    out: set[str] = set()
     for prim in prims(package):
         for attribute in prim.GetAuthoredAttributes():
             mine = attribute.Get()
-            if isinstance(mine, Sdf.AssetPath) and not mine.resolvedPath and mine.path == name:
-                theirs = stage.GetAttributeAtPath(attribute.GetPath())
-                if theirs and theirs.Get() and theirs.Get().resolvedPath:
-                    return True
-    return False
+            if isinstance(mine, Sdf.AssetPath) and mine.path and not mine.resolvedPath:
+                same = source.GetAttributeAtPath(attribute.GetPath())
+                theirs = same.Get() if same else Sdf.AssetPath()
+                if isinstance(theirs, Sdf.AssetPath) and theirs.resolvedPath:
+                    out.add(mine.path)
+    return out
 
 
 def _key(finding: Finding, *, named: bool = False) -> Key:
