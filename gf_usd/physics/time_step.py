@@ -97,7 +97,7 @@ class StableStep:
         damped a strained body is need not be known: its part is at most 1 at dt, and at most 1 / n
         at dt / n.
         """
-        d = dt / MARGIN
+        d = dt / max(self.safety, MARGIN)
         stiff, damped = 0.0, 1.0
         if dt >= SHORT * self.dt:
             stiff = (0.5 * self.elastic * d) ** 2

@@ -213,3 +213,9 @@ def test_springs_and_dampers_of_different_samples_do_not_add_up():
         x += short * v
     assert np.abs(v[0]) < 20.0 * np.sqrt(k)
     assert np.abs(v[1]) < 1e-6
+
+
+@pytest.mark.parametrize("safety", [0.5, 0.9, 1.0])
+def test_without_springs_it_takes_no_more_substeps(safety):
+    rest = step(safety=safety)
+    assert rest.substeps_with_contact(rest.dt, lambda _: 0.0) == pytest.approx(1.0)
