@@ -39,16 +39,16 @@ sys.dont_write_bytecode = False
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels of tests quickly, and give each of their processes its own cores.
+    """Unless the acceptance is selected: compile kernels quickly, and give each process its cores.
 
     With `without_common_subexpressions`, a kernel of the Total Lagrangian solver takes 2 CPU
-    seconds to compile, not 7, and results are the same to the bit.  Programs that tests start, and
-    tests of the acceptance, have the kernels of users.
+    seconds to compile, not 7, and results are the same to the bit.  Programs that tests start have
+    the kernels of users, and so have all tests where `-m` does not leave out the acceptance.
     `tests/physics/total_lagrangian/test_merging.py` compares the two.
 
     The threads of a kernel wait for each other: where two processes share two cores, one with two
-    threads took seventy times as long as it does alone.  A process has one thread by default then:
-    tests of more state the number.
+    threads took seventy times as long as it does alone.  The default number of threads is that of
+    the process's share of the cores then, one of two: tests of more state the number.
     """
     if "not acceptance" not in config.option.markexpr:
         return
@@ -93,7 +93,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     def order(path: Path) -> tuple[bool, int, int]:
         """The modules of LONG first, the others by the number of their tests."""
-        name = path.relative_to(TESTS).as_posix()
+        name = Path(os.path.relpath(path, TESTS)).as_posix()  # may be outside of them
         return name not in LONG, -tests[path], place[path]
 
     def started(item: pytest.Item) -> tuple[int, int]:

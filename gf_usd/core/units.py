@@ -83,6 +83,16 @@ def plausible_unit(width: float, usual: tuple[float, ...] = USUAL_UNITS) -> floa
     return next((unit for unit in usual if low <= width * unit <= high), usual[0])
 
 
+# From which length [m] on, per meter, and the name.
+LENGTHS = (
+    (1e3, 1e-3, "km"),
+    (1.0, 1.0, "m"),
+    (1e-2, 1e2, "cm"),
+    (1e-3, 1e3, "mm"),
+    (0.0, 1e6, "µm"),
+)
+
+
 def bytes_text(count: float) -> str:
     """A number of bytes to three significant digits, in B, kB, MB or GB (powers of 1000)."""
     value = float(count)
@@ -95,15 +105,15 @@ def bytes_text(count: float) -> str:
 
 def code_text(code: float) -> str:
     """A time code to five decimals, without an exponent: 1000000 is not 1e+06."""
-    return f"{round(code, 5):.15g}"
+    return f"{round(code, 5) + 0.0:.15g}"  # without the sign of -0
 
 
 def length_text(meters: float) -> str:
     """A length to three significant digits, in µm, mm, cm, m or km."""
-    for limit, scale, name in ((1e-3, 1e6, "µm"), (1e-2, 1e3, "mm"), (1.0, 1e2, "cm")):
-        if meters < limit:
-            return f"{meters * scale:.3g} {name}"
-    return f"{meters:.3g} m" if meters < 1000.0 else f"{meters / 1000.0:.3g} km"
+    near = (unit for unit in LENGTHS if abs(meters) >= 0.9995 * unit[0])  # rounds to its start
+    _, scale, name = next(near, LENGTHS[-1])
+    value = scale * meters
+    return f"{value:.3g} {name}" if abs(value) < 999.5 else f"{value:.0f} {name}"
 
 
 def check_unit(meters_per_unit: float | None) -> None:

@@ -84,24 +84,31 @@ class StableStep:
         """(w_c dt / 2)^2 + c_c dt / 2 of its contact springs with a step dt [s]."""
         return (0.5 * self.contact * dt) ** 2 + 0.5 * self.contact_damping * dt
 
-    def substeps_with_contact(self, dt: float, share: Callable[[float], float]) -> float:
-        """Substeps with contact springs for one of dt [s] without: >= 1, up to `CLOSE` times more
-        than needed.
+    def substeps_with_contact(
+        self, dt: float, share: Callable[[float], float], strained: float = np.inf
+    ) -> float:
+        """Substeps with contact springs for one of dt [s] without: >= 1, as a rule up to `CLOSE`
+        times more than needed.
 
         dt : stable without them, and at most that of this step; shorter where the body is strained.
         share : the largest eigenvalue of M~^-1 (K d^2 / 4 + C d / 2) of the springs, for a step d
         [s]; with that of the body it is at most 1.
+        strained : [s] limit of the body in its strain, with its own contact.
 
         With e its value at the step d, it is at most the larger, and at least the smaller, of e s
-        and e s^2 at the step s d: one value bounds the number from both sides. How stiff and how
-        damped a strained body is need not be known: its part is at most 1 at dt, and at most 1 / n
-        at dt / n.
+        and e s^2 at the step s d: one value bounds the number from both sides. A body that is
+        hardly strained has the damping that it has at rest, and the stiffness by which `strained`
+        is its limit. How stiff and how damped one is that takes a shorter step need not be known:
+        its part is at most 1 at dt, and at most 1 / n at dt / n.
         """
         d = dt / max(self.safety, MARGIN)
         stiff, damped = 0.0, 1.0
         if dt >= SHORT * self.dt:
-            stiff = (0.5 * self.elastic * d) ** 2
-            damped = 0.5 * self.viscous_time * self.elastic**2 * d
+            rate = self.viscous_time * self.elastic**2
+            stiff, damped = (0.5 * self.elastic * d) ** 2, 0.5 * rate * d
+            if strained < np.inf:
+                left = 1.0 - self.contact_share(strained) - 0.5 * rate * strained
+                stiff = max(stiff, left * (dt / strained) ** 2)
         n, least, most = FIRST_GUESS, 1.0, np.inf
         for _ in range(GUESSES):
             part = share(d / n)

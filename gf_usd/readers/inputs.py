@@ -105,15 +105,24 @@ def require_packable(file: Path, named: Path) -> None:
     """
     with reading(file):
         stage = open_stage(file)  # an object that must outlive its range of prims
-        # What a flattened layer has: also overs and classes, and what instances share.
-        for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimIsActive)):
-            for where, found in _packed(prim):
-                if _is_empty(found):
-                    raise InputError(
-                        f"{named}: {found} is empty (0 bytes), and USD cannot put it into a"
-                        f" package; {where} refers to it",
-                        "export it again, or write layers instead of a .usdz: -o NAME.usda",
-                    )
+        for where, found in _all_packed(stage):
+            if _is_empty(found):
+                raise InputError(
+                    f"{named}: {found} is empty (0 bytes), and USD cannot put it into a package;"
+                    f" {where} refers to it",
+                    "export it again, or write layers instead of a .usdz: -o NAME.usda",
+                )
+
+
+def _all_packed(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
+    """The results of `_packed` of what a flattened layer has: also of overs and classes, and of
+    what instances share; and the files of the metadata of the layer itself.
+    """
+    for key, value in stage.GetPseudoRoot().GetAllAuthoredMetadata().items():
+        for path in _in_metadata(value):
+            yield f"{key} of the stage", path
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimIsActive)):
+        yield from _packed(prim)
 
 
 def _packed(prim: Usd.Prim) -> Iterator[tuple[str, str]]:

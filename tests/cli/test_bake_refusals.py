@@ -204,6 +204,7 @@ METADATA = {
     "assetInfo of </World>": "assetInfo = {{ dictionary deep = {{ {} }} }}",
     "customData of </World.note>": "customData = {{ {} }}",
     "customData of </World.target>": "customData = {{ {} }}",
+    "customLayerData of the stage": "customLayerData = {{ dictionary deep = {{ {} }} }}",
 }
 
 
@@ -217,8 +218,10 @@ def test_an_empty_file_that_metadata_names_is_refused_where_a_package_is_written
     of_prim, of_note, of_target = (
         metadata if where.endswith(f"</World{name}>") else "" for name in ("", ".note", ".target")
     )
+    of_layer = f"({metadata})" if where.endswith("the stage") else ""
     (here / "cube.usda").write_text(
         f"""#usda 1.0
+{of_layer}
 def Xform "World" (
     {of_prim}
 )

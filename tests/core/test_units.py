@@ -28,7 +28,18 @@ def test_bytes_have_the_unit_that_fits(count: float, text: str):
 
 @pytest.mark.parametrize(
     ("meters", "text"),
-    [(2e-6, "2 µm"), (0.0042, "4.2 mm"), (0.1234, "12.3 cm"), (1.0, "1 m"), (2345.0, "2.35 km")],
+    [
+        (2e-6, "2 µm"),
+        (0.0042, "4.2 mm"),
+        (0.1234, "12.3 cm"),
+        (1.0, "1 m"),
+        (2345.0, "2.35 km"),
+        (999.96, "1 km"),
+        (0.9999, "1 m"),
+        (0.9999e-3, "1 mm"),
+        (1e6, "1000 km"),
+        (-0.004, "-4 mm"),
+    ],
 )
 def test_lengths_have_the_unit_that_fits(meters: float, text: str):
     assert length_text(meters) == text
@@ -36,7 +47,14 @@ def test_lengths_have_the_unit_that_fits(meters: float, text: str):
 
 @pytest.mark.parametrize(
     ("code", "text"),
-    [(0.0, "0"), (-24.0, "-24"), (25 / 24, "1.04167"), (1_000_001.0, "1000001"), (1e9, f"{10**9}")],
+    [
+        (0.0, "0"),
+        (-24.0, "-24"),
+        (25 / 24, "1.04167"),
+        (1_000_001.0, "1000001"),
+        (1e9, f"{10**9}"),
+        (-1e-7, "0"),
+    ],
 )
 def test_time_codes_have_no_exponent(code: float, text: str):
     assert code_text(code) == text

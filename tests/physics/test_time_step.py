@@ -219,3 +219,22 @@ def test_springs_and_dampers_of_different_samples_do_not_add_up():
 def test_without_springs_it_takes_no_more_substeps(safety):
     rest = step(safety=safety)
     assert rest.substeps_with_contact(rest.dt, lambda _: 0.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("strain", [1.0, 1.5, 1.9])
+@pytest.mark.parametrize("contact", [0.3, 1.0, 10.0])
+def test_a_body_that_its_strain_makes_stiffer_within_its_safety_is_stable_with_springs(
+    strain, contact
+):
+    rest = step(safety=0.5, viscous_time=1e-4, contact_omega2=1e3, contact_damping=2.0)
+    stiff = replace(rest, elastic=strain * rest.elastic, safety=1.0)
+    stiff = replace(stiff, viscous_time=rest.viscous_time / strain**2)  # the damping rate stays
+    springs = replace(rest, contact=contact * rest.elastic, contact_damping=5.0)
+    assert rest.dt <= stiff.dt
+    by = rest.substeps_with_contact(rest.dt, springs.contact_share, stiff.dt)
+    short, rate = rest.dt / by, rest.viscous_time * rest.elastic**2
+    part = (0.5 * stiff.elastic * short) ** 2 + 0.5 * rate * short
+    assert part + springs.contact_share(short) <= 1.0
+    without = rest.substeps_with_contact(rest.dt, springs.contact_share)
+    assert without <= by < 1.7 * without
+    assert rest.substeps_with_contact(rest.dt, lambda _: 0.0, stiff.dt) == pytest.approx(1.0)

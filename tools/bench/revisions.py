@@ -153,18 +153,22 @@ def main() -> int:
     parser.add_argument("--turns", type=int, help="default: 101, 3 of a bake")
     parser.add_argument("--bake", nargs=argparse.REMAINDER, metavar="ASSET OPTION")
     args = parser.parse_args()
+    if args.bake == []:
+        parser.error("--bake needs an asset")
     with tempfile.TemporaryDirectory() as temporary, contextlib.ExitStack() as stack:
         folder = Path(temporary)
         trees = [stack.enter_context(checked_out(r, folder)) for r in (args.old, args.new)]
         if args.bake:
             asset, *more = args.bake
-            seen = bakes(trees, str(Path(asset).resolve()), more, args.turns or 3)
+            seen = bakes(
+                trees, str(Path(asset).resolve()), more, 3 if args.turns is None else args.turns
+            )
             print("\n".join(bake_table(args.old, args.new, seen)))
             return 0
         print(f"| | {args.old} | {args.new} | new / old | half of the turns | fastest tenths |")
         print("|---|---:|---:|---:|---:|---:|")
         for law in LAWS:
-            seen = substeps(trees, law, args.particles, args.turns or 101)
+            seen = substeps(trees, law, args.particles, 101 if args.turns is None else args.turns)
             print(row(f"{law}, a particle-substep", "ns", seen), flush=True)
     return 0
 

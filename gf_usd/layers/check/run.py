@@ -6,7 +6,7 @@ check at the end of every bake, for faults that the source does not have.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -225,13 +225,22 @@ def _lost_files(package: Usd.Stage, source: Usd.Stage) -> set[str]:
     out: set[str] = set()
     for prim in prims(package):
         for attribute in prim.GetAuthoredAttributes():
-            mine = attribute.Get()
-            if isinstance(mine, Sdf.AssetPath) and mine.path and not mine.resolvedPath:
-                same = source.GetAttributeAtPath(attribute.GetPath())
-                theirs = same.Get() if same else Sdf.AssetPath()
-                if isinstance(theirs, Sdf.AssetPath) and theirs.resolvedPath:
-                    out.add(mine.path)
+            if same := source.GetAttributeAtPath(attribute.GetPath()):
+                out |= {
+                    mine.path
+                    for mine, theirs in zip(_asset_paths(attribute), _asset_paths(same))
+                    if mine.path and not mine.resolvedPath and theirs.resolvedPath
+                }
     return out
+
+
+def _asset_paths(attribute: Usd.Attribute) -> Iterator[Sdf.AssetPath]:
+    """The asset paths of an attribute, over all its samples."""
+    if attribute.GetTypeName().scalarType != Sdf.ValueTypeNames.Asset:
+        return
+    for time in attribute.GetTimeSamples() or [Usd.TimeCode.Default()]:
+        value = attribute.Get(time)
+        yield from [value] if isinstance(value, Sdf.AssetPath) else value or ()
 
 
 def _key(finding: Finding, *, named: bool = False) -> Key:

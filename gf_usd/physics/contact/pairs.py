@@ -56,6 +56,7 @@ from gf_usd.physics.contact.samples import MovingSamples
 from gf_usd.physics.contact.self_contact.bodies import OwnContacts
 from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import CALM, PairSprings
+from gf_usd.physics.grid.bodies import bodies_of
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
@@ -88,7 +89,7 @@ class BodyContact:
             contact_setup=self.contact_setup, reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
         self._skins = BodySkins(self._make_skin, len(samples.X))
-        self._budget = self._make_budget(body, len(skins))
+        self._budget = self._make_budget()
         own = {k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)}
         self._own = OwnContacts(
             own, self.members, len(samples.X), reach=self._reach, spacing=self._spacing
@@ -137,11 +138,11 @@ class BodyContact:
         skin, m = self.contact_setup.skins[body], self.members[body]
         return BodySkin(skin, body, self._body.stencil, m, self._X[m])
 
-    def _make_budget(self, body: Body, count: int) -> EnergyBudget:
-        """For `count` bodies."""
-        of, g = body.particles.body_of, float(np.linalg.norm(body.settings.gravity))
-        mass, volume = (np.bincount(of, a, count) for a in (body.m, body.particles.V0))
-        return EnergyBudget.of_bodies(mass, volume, len(self._obstacles), g)
+    def _make_budget(self) -> EnergyBudget:
+        bodies = bodies_of(self._body.particles, self._body.per["density"])
+        assert bodies.count == len(self.members)
+        g = float(np.linalg.norm(self._body.settings.gravity))
+        return EnergyBudget.of_bodies(bodies.mass, bodies.radius, len(self._obstacles), g)
 
     def _make_own(self, body: int, samples: SurfaceSamples) -> SelfContact:
         m = self.members[body]
@@ -305,6 +306,7 @@ class BodyContact:
         floor: Callable[[float], Ints] | None = None,
         shorter: float = 1.0,
         stable: float | None = None,
+        strained: float = np.inf,
     ) -> tuple[int, int]:
         """Set the planes for the next substeps.
 
@@ -317,6 +319,7 @@ class BodyContact:
         shorter : least number of substeps for each of dt, by what else pushes the samples.
         stable : [s] stable step of the body alone; dt is shorter where a failed frame is repeated,
             and so are the substeps then.  None: dt.
+        strained : [s] limit of the body alone in its strain.
         """
         now, elapsed = state.view(), done * dt
         frame = index - 1 + elapsed / self._body.settings.frame_time
@@ -362,7 +365,7 @@ class BodyContact:
             fall=self._pull * span, calm=calm[self.planes.bodies(self._of)],
         )  # fmt: skip
         near = floor(span) if floor else np.arange(len(self._X))
-        by = springs.step_ratio(self._body, self.contact, near, stable or dt)
+        by = springs.step_ratio(self._body, self.contact, near, stable or dt, strained)
         gap = self._gap - self._rest_gaps.of_planes(self.planes) - NEARLY * self._spacing
         free = until_contact(self.planes, gap, v, AHEAD) / dt
         if free >= min(chunk, FEWEST) and (by - 1.0) * min(chunk, free) >= FEWEST:

@@ -57,11 +57,14 @@ class PairSprings:
     fall: float  # [m/s] bound of the speed gained from body forces until then
     calm: Ints  # (n,) whether a sample is of a body at rest on others, which gains no speed
 
-    def step_ratio(self, body: Body, contact: FloorContact, near: Ints, stable: float) -> float:
+    def step_ratio(
+        self, body: Body, contact: FloorContact, near: Ints, stable: float, strained: float
+    ) -> float:
         """Substeps of a solver's bodies with these springs over those where nothing touches.
 
         near : (k,) samples that may reach the floor until the next detection; stable : [s] of the
-        substeps where nothing touches.  1 where the number of substeps is given.
+        substeps where nothing touches; strained : [s] limit of the bodies in their strain.  1 where
+        the number of substeps is given.
         """
         if body.settings.substeps:
             return 1.0
@@ -69,8 +72,9 @@ class PairSprings:
             near = near[:0]
         if body.regions:
             crowded = self.crowded_step(contact, body.step, CROWD * contact.pair_ratio)
-            return body.step.substeps_with_contact(stable, crowded.contact_share)
-        return body.step.substeps_with_contact(stable, self.share(contact, body.mass, near))
+            return body.step.substeps_with_contact(stable, crowded.contact_share, strained)
+        share = self.share(contact, body.mass, near)
+        return body.step.substeps_with_contact(stable, share, strained)
 
     def share(self, contact: FloorContact, mass: NodalMass, near: Ints) -> Callable[[float], float]:
         """The share that these springs, and those of the floor on the samples `near` (k,), have of
@@ -85,8 +89,8 @@ class PairSprings:
         return lambda dt: stiffest(B, mass, 0.25 * dt * dt * k + 0.5 * dt * c)
 
     def crowded_step(self, contact: FloorContact, rest: StableStep, crowd: float) -> StableStep:
-        """The same for a body with rigid regions: with `crowd` times as many springs on each sample
-        as the floor has.
+        """The stable step of a body with rigid regions: with `crowd` times as many springs on each
+        sample as the floor has.
         """
         deepest = float(self.touching[1].max(initial=1.0))
         floor = replace(
@@ -149,8 +153,8 @@ def stretches(
 
 
 def stiffest(B: sparse.csr_matrix, mass: NodalMass, k: Floats) -> float:
-    """The largest eigenvalue [1/s^2] of M~^-1 B^T K B, or an upper bound of it; k : (m +
-    l,) [N/m].
+    """The largest eigenvalue of M~^-1 B^T K B, or an upper bound of it, in the unit of k over kg; k
+    : (m + l,), for example [N/m].
     """
     if not k.any():
         return 0.0

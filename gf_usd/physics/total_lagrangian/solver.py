@@ -183,6 +183,7 @@ class TotalLagrangian(Solver):
             if pairs:
                 chunk, parts = pairs.detect(
                     state, index, whole, substeps - left, chunk, shorter=shorter, stable=stable,
+                    strained=self.frame_time / self.strained,
                     floor=partial(self.active.nearer, state, near),
                 )  # fmt: skip
                 low = self.active.nearer(state, near, chunk * whole)

@@ -21,7 +21,6 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.presets import presets
 from gf_usd.core.stage import PrimBake, Subject
-from gf_usd.core.units import code_text
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.attributes import count, flag, number, role, word
@@ -326,7 +325,7 @@ def _require_within(values: Floats, least: float, most: float, where: str) -> No
         limits = f"between {least:g} and {most:g}" if np.isfinite(most) else f"above {least:g}"
         raise InputError(
             f"{where} has {int(bad.sum())} of {len(values)} values out of range; the first is"
-            f" {code_text(first)}",
+            f" {first:g}",
             f"paint finite values {limits}, in units of the stage",
         )
 

@@ -95,32 +95,25 @@ def test_between_bodies_and_obstacles_the_true_depth_is_reached_at_every_detecti
     assert (new.depth[pair == 1] < 0.26).all(), "of the body with itself"
 
 
-def ball_energy(mass: float, volume: float) -> float:
-    """m g r [J] of a ball, with g = 10 m/s^2."""
-    return mass * 10.0 * (3.0 * volume / (4.0 * np.pi)) ** (1.0 / 3.0)
-
-
 def test_each_body_has_a_reserve_of_its_own():
     """What a heavy body may be given is no measure of a light one."""
-    made = EnergyBudget.of_bodies(np.array([1e3, 1e-3]), np.array([1.0, 1e-6]), 0, 10.0)
+    made = EnergyBudget.of_bodies(np.array([1e3, 1e-3]), np.array([0.6, 6e-3]), 0, 10.0)
     light = np.full(N, 3)
     nothing_pressed, deep = stored(np.zeros(N), light), stored(np.full(N, 0.3), light)
     for _ in range(20):
         continued(nothing_pressed, deep, ease=1.0, budget=made, elapsed=10.0)
-    np.testing.assert_allclose(made.given, [0.0, 4e-4 * ball_energy(1e-3, 1e-6)], rtol=1e-9)
+    np.testing.assert_allclose(made.given, [0.0, 4e-4 * 1e-3 * 10.0 * 6e-3], rtol=1e-9)
 
 
 def test_a_pair_has_the_power_of_its_lighter_body_whatever_else_is_in_the_scene():
     """Each pair of a heap of bodies had the power of the whole heap."""
-    mass, volume = np.array([5.0, 1e3, 0.2, 1e3]), np.array([5e-3, 1.0, 2e-4, 1.0])
-    made = EnergyBudget.of_bodies(mass, volume, 1, 10.0)  # five partners each: first the obstacle
-    missing = np.full(20, 1e9)
-    given = made.spend(missing, 2.0).reshape(4, 5)
-    radius = (3.0 * volume / (4.0 * np.pi)) ** (1.0 / 3.0)
-    power = 1e-4 * ball_energy(mass, volume) * np.sqrt(9.81 / radius)
-    np.testing.assert_allclose(given[:, 0], 2.0 * power, rtol=1e-3)
-    for a, b in ((0, 1), (0, 2), (1, 2), (2, 3)):
-        np.testing.assert_allclose(given[a, 1 + b], 2.0 * min(power[a], power[b]), rtol=1e-3)
+    mass, radius = np.array([5.0, 1e3, 0.2, 1e3]), np.array([0.1, 0.6, 0.04, 0.6])
+    made = EnergyBudget.of_bodies(mass, radius, 1, 10.0)  # five partners each: first the obstacle
+    given = made.spend(np.full(20, 1e9), 2.0).reshape(4, 5)
+    power = 1e-4 * mass * 10.0 * radius * np.sqrt(9.81 / radius)
+    np.testing.assert_allclose(given[:, 0], 2.0 * power, rtol=1e-12)
+    for a, b in ((0, 1), (0, 2), (1, 2), (1, 3)):
+        np.testing.assert_allclose(given[a, 1 + b], 2.0 * min(power[a], power[b]), rtol=1e-12)
         assert given[a, 1 + b] == given[b, 1 + a]
-    few = EnergyBudget.of_bodies(mass[:1], volume[:1], 1, 10.0)
-    assert few.spend(np.full(1, 1e9), 2.0) == given[0, 0]
+    alone = EnergyBudget.of_bodies(mass[:1], radius[:1], 1, 10.0)
+    assert alone.spend(np.full(1, 1e9), 2.0) == given[0, 0]

@@ -13,6 +13,7 @@ with their length. Otherwise they are released.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +25,6 @@ from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 EASE = 0.1  # [spacings] largest increase of a sample's depth by a detection
 # Bound of f, for a pair with hardly a sample left inside after a detection.
 MOST = 2.0
-TINY = 1e-30  # [s]
 # Fractions of m g r: power per T by which detections may bring a pair to its true depths, and the
 # energy in all that they may add to a body's contact with itself.
 POWER = 1e-4
@@ -39,12 +39,12 @@ class EnergyBudget:
     with itself the total energy is bounded, too: a sample between two sheets, whose plane changes
     sides at every detection, would gain energy without limit.
 
-    power : [W] for each pair, (p,) or the same for all; own : (B,) numbers of the pairs of a body
-    with itself; reserve : (B,) [J] for each of these.
+    power : [W] of pairs, by their numbers (k,), or of every pair; own : (B,) numbers of the pairs
+    of a body with itself; reserve : (B,) [J] for each of these.
     """
 
-    def __init__(self, power: Floats | float, own: Ints, reserve: Floats) -> None:
-        self._power, self._own, self._reserve = np.asarray(power, float), own, reserve
+    def __init__(self, power: Callable[[Ints], Floats] | float, own: Ints, reserve: Floats) -> None:
+        self._power, self._own, self._reserve = power, own, reserve
         self.given = np.zeros(len(own))  # (B,) [J] of the reserve; less what was taken back
 
     @classmethod
@@ -57,27 +57,32 @@ class EnergyBudget:
         return cls(power, np.zeros(0, np.int64), np.zeros(0))
 
     @classmethod
-    def of_bodies(cls, mass: Floats, volume: Floats, obstacles: int, g: float) -> EnergyBudget:
-        """For bodies of masses [kg] and volumes [m^3] (B,), and O obstacles.
+    def of_bodies(cls, mass: Floats, radius: Floats, obstacles: int, g: float) -> EnergyBudget:
+        """For bodies of masses [kg] and radii [m] (B,), and O obstacles.
 
         Pair k (O + B) + j is that of body k with obstacle j, and k (O + B) + O + i that with body
         i: it has the power of the one of the two that has less.
         """
-        radius = (3.0 * volume / (4.0 * np.pi)) ** (1.0 / 3.0)
         energy = mass * g * radius
-        power = POWER * energy / np.array([max(time_scale(r), TINY) for r in radius])
-        pairs = np.hstack([np.tile(power[:, None], obstacles), np.minimum.outer(power, power)])
+        power = POWER * energy / np.array([time_scale(float(r)) for r in radius])
         number = np.arange(len(mass))
-        own = number * pairs.shape[1] + obstacles + number
-        return cls(pairs.ravel(), own, RESERVE * energy)
+
+        def of_pairs(pair: Ints) -> Floats:
+            body, other = np.divmod(pair, obstacles + len(mass))
+            theirs = power[np.maximum(other - obstacles, 0)]
+            return np.where(other < obstacles, power[body], np.minimum(power[body], theirs))
+
+        own = number * (obstacles + len(mass)) + obstacles + number
+        return cls(of_pairs, own, RESERVE * energy)
 
     def spend(self, missing: Floats, elapsed: float) -> Floats:
         """(p,) [J] by which the energy of each pair changes.
 
         missing : (p,) [J] to the true energy; elapsed : [s] since the last detection.
         """
-        most = elapsed * (self._power[: len(missing)] if self._power.ndim else self._power)
-        given = np.clip(missing, -most, most)
+        given, pairs = np.zeros(len(missing)), np.flatnonzero(missing)
+        most = elapsed * (self._power(pairs) if callable(self._power) else self._power)
+        given[pairs] = np.clip(missing[pairs], -most, most)
         some = np.flatnonzero(self._own < len(given))
         own = self._own[some]
         given[own] = np.minimum(given[own], np.maximum(self._reserve - self.given, 0.0)[some])
