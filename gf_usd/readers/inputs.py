@@ -147,7 +147,8 @@ def _in_metadata(value: object) -> Iterator[str]:
         for one in value.values():
             yield from _in_metadata(one)
     elif isinstance(value, Sdf.AssetPath):
-        yield from filter(None, [value.resolvedPath])
+        if value.resolvedPath:
+            yield value.resolvedPath
     elif isinstance(value, Sdf.AssetPathArray):
         paths: Any = value  # iterable, which its type does not say
         for one in paths:

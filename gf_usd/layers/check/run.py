@@ -252,12 +252,8 @@ def _key(finding: Finding, *, named: bool = False) -> Key:
     """
     subject = finding.subject
     if named and finding.rule.endswith(UNRESOLVED):
-        subject = _name_in_package(subject)
+        subject = Path(subject.rstrip("]").rpartition("[")[2]).name
     return finding.severity, finding.rule, str(finding.prim_path), subject
-
-
-def _name_in_package(subject: str) -> str:
-    return Path(subject.rstrip("]").rpartition("[")[2]).name
 
 
 def _plain(finding: Finding) -> dict[str, str]:

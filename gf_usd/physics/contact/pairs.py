@@ -43,7 +43,13 @@ from gf_usd.physics.contact.planes.contact_planes import (
     moved,
     nothing,
 )
-from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
+from gf_usd.physics.contact.planes.continuity import (
+    EASE,
+    EnergyBudget,
+    PairNumbers,
+    Stored,
+    continued,
+)
 from gf_usd.physics.contact.planes.intervals import (
     Lateness,
     until_contact,
@@ -89,6 +95,7 @@ class BodyContact:
             contact_setup=self.contact_setup, reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
         self._skins = BodySkins(self._make_skin, len(samples.X))
+        self._pair_numbers = PairNumbers(obstacles=len(self._obstacles), bodies=len(skins))
         self._budget = self._make_budget()
         own = {k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)}
         self._own = OwnContacts(
@@ -126,7 +133,7 @@ class BodyContact:
         self.injected = 0.0  # [J] since `begin`
         self.released = 0  # most samples at once, since `begin`
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
-        self._deepest_pair = -1  # its number, see `_pair_number`; -1: none
+        self._deepest_pair = -1  # its number, see `PairNumbers`; -1: none
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
         self._gap = np.full(n + points, -np.inf)
 
@@ -206,12 +213,8 @@ class BodyContact:
         of_body = (planes.partner >= 0) & (planes.obstacle < 0)
         others = self._of[planes.partner] + len(self._obstacles)
         theirs = np.where(of_body, others, planes.obstacle)
-        mine = self._pair_number(planes.bodies(self._of), theirs)
+        mine = self._pair_numbers.of(planes.bodies(self._of), theirs)
         return np.where(planes.partner == NOBODY, -1, mine)
-
-    def _pair_number(self, body: Ints, theirs: Ints) -> Ints:
-        """The number of pairs of a body and what it faces: obstacles first, then bodies."""
-        return body * (len(self._obstacles) + len(self.members)) + theirs
 
     def imminent(self, now: StateView, time: float, still: Ints | None = None) -> bool:
         """Whether anything may touch before the next frame; bodies `still` (B,) do not move.
@@ -258,7 +261,7 @@ class BodyContact:
 
     def deepest_pair(self) -> str | None:
         """The prim paths of the body that was deepest since `begin`, and of what it was in."""
-        pair = divmod(self._deepest_pair, len(self._obstacles) + len(self.members))
+        pair = self._pair_numbers.split(self._deepest_pair)
         return self.contact_setup.pair_text(*pair) if self._deepest_pair >= 0 else None
 
     def totals(self, state: State) -> tuple[float, float, float]:

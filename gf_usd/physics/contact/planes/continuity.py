@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,22 @@ MOST = 2.0
 # energy in all that they may add to a body's contact with itself.
 POWER = 1e-4
 RESERVE = 4e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairNumbers:
+    """The pairs of one of B bodies and what it faces as numbers: first O obstacles, then bodies."""
+
+    obstacles: int  # O
+    bodies: int  # B
+
+    def of(self, body: Ints, other: Ints) -> Ints:
+        """The numbers of pairs of a body and an obstacle, or O + another body."""
+        return body * (self.obstacles + self.bodies) + other
+
+    def split(self, pair: Any) -> tuple[Any, Any]:
+        """The inverse of `of`; pair : (k,) numbers, or one."""
+        return divmod(pair, self.obstacles + self.bodies)
 
 
 class EnergyBudget:
@@ -58,22 +75,21 @@ class EnergyBudget:
 
     @classmethod
     def of_bodies(cls, mass: Floats, radius: Floats, obstacles: int, g: float) -> EnergyBudget:
-        """For bodies of masses [kg] and radii [m] (B,), and O obstacles.
+        """For bodies of masses [kg] and radii [m] (B,), with pairs as in `PairNumbers`.
 
-        Pair k (O + B) + j is that of body k with obstacle j, and k (O + B) + O + i that with body
-        i: it has the power of the one of the two that has less.
+        A pair of bodies has the power of the one of the two that has less.
         """
         energy = mass * g * radius
         power = POWER * energy / np.array([time_scale(float(r)) for r in radius])
-        number = np.arange(len(mass))
+        numbers = PairNumbers(obstacles=obstacles, bodies=len(mass))
 
         def of_pairs(pair: Ints) -> Floats:
-            body, other = np.divmod(pair, obstacles + len(mass))
+            body, other = numbers.split(pair)
             theirs = power[np.maximum(other - obstacles, 0)]
             return np.where(other < obstacles, power[body], np.minimum(power[body], theirs))
 
-        own = number * (obstacles + len(mass)) + obstacles + number
-        return cls(of_pairs, own, RESERVE * energy)
+        body = np.arange(len(mass))
+        return cls(of_pairs, numbers.of(body, obstacles + body), RESERVE * energy)
 
     def spend(self, missing: Floats, elapsed: float) -> Floats:
         """(p,) [J] by which the energy of each pair changes.
