@@ -113,6 +113,26 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.fixture
+def monkeypatch(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    """pytest's, which also checks that no module keeps a replacement for the tests that follow.
+
+    A module that is first imported while a function is replaced, and that imports it by name, has
+    the replacement for the rest of the process.
+    """
+    before = set(sys.modules)
+    yield monkeypatch
+    monkeypatch.undo()
+    loaded = [name for name in set(sys.modules) - before if name.startswith("gf_usd")]
+    kept = [
+        f"{module}.{name}"
+        for module in loaded
+        for name, value in vars(sys.modules[module]).items()
+        if str(TESTS) in getattr(getattr(value, "__code__", None), "co_filename", "")
+    ]
+    assert not kept, f"imported with replacements of this test: {kept}; import it before"
+
+
 @pytest.fixture(scope="module")
 def small_pictures() -> Iterator[None]:
     """Coarse shadows and small pictures of reports, where tests look at neither.

@@ -202,8 +202,8 @@ def test_a_picture_names_the_variants(
 
     monkeypatch.setattr("gf_usd.view.legend.label", label)
     monkeypatch.setattr(
-        "gf_usd.view.render.render.render",
-        lambda scene, camera, size: np.zeros((size[1], size[0], 3), np.uint8),
+        "gf_usd.view.render.render.render_linear",  # which no other module imports by name
+        lambda scene, camera, size: np.zeros((size[1], size[0], 3), np.float32),
     )
     both, one = tmp_path / "box.usda", tmp_path / "box.jelly.usda"
     for path in (both, one):
