@@ -57,18 +57,27 @@ CATCH_ALL = {"Exception", "BaseException"}
 Rule = Callable[[Path, ast.Module], Iterator[str]]
 
 
-def imports(file: Path, tree: ast.Module) -> Iterator[str]:
+@cache
+def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
+    """All nodes of a file, found once for all rules."""
+    return tuple(ast.walk(tree))
+
+
+@cache
+def imports(file: Path, tree: ast.Module) -> tuple[str, ...]:
     """Full names of all that a file of the package imports, at its top or anywhere inside."""
     package = (PACKAGE / file).relative_to(PACKAGE.parent).parent.parts
-    for node in ast.walk(tree):
+    found: list[str] = []
+    for node in nodes(tree):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             above = package[: len(package) - node.level + 1] if node.level else ()
             home = ".".join([*above, *([node.module] if node.module else [])])
-            yield from (f"{home}.{alias.name}" for alias in node.names)
+            found += [f"{home}.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.Constant) and DYNAMIC.fullmatch(str(node.value)):
-            yield str(node.value).split(":")[0]
+            found.append(str(node.value).split(":")[0])
+    return tuple(found)
 
 
 def packages_import_in_one_direction(file: Path, tree: ast.Module) -> Iterator[str]:
@@ -111,7 +120,7 @@ def only_the_command_line_prints(file: Path, tree: ast.Module) -> Iterator[str]:
     """Library code reports by values and errors."""
     if file.parts[0] == "cli":
         return
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.Call) and ast.unparse(node.func) in (
             "print", "sys.stdout.write", "sys.stderr.write",
         ):  # fmt: skip
@@ -120,7 +129,7 @@ def only_the_command_line_prints(file: Path, tree: ast.Module) -> Iterator[str]:
 
 def nothing_catches_everything(file: Path, tree: ast.Module) -> Iterator[str]:
     """An except clause, or a suppress(), names what it expects."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.ExceptHandler):
             caught = node.type
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("suppress"):
@@ -134,10 +143,9 @@ def nothing_catches_everything(file: Path, tree: ast.Module) -> Iterator[str]:
 
 def no_string_is_a_statement(file: Path, tree: ast.Module) -> Iterator[str]:
     """A string on a line of its own is a docstring, not the lost end of the message before it."""
-    nodes = list(ast.walk(tree))
     owners = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    docstrings = {id(n.body[0]) for n in nodes if isinstance(n, owners) and n.body}
-    for node in nodes:
+    docstrings = {id(n.body[0]) for n in nodes(tree) if isinstance(n, owners) and n.body}
+    for node in nodes(tree):
         if not isinstance(node, ast.Expr) or id(node) in docstrings:
             continue
         value = node.value.value if isinstance(node.value, ast.Constant) else node.value

@@ -104,6 +104,7 @@ def test_a_body_in_self_contact_continues_bit_identically():
     assert np.array_equal(whole(solver), whole(other))
 
 
+@pytest.mark.slow
 def test_samples_far_from_the_floor_are_left_out_without_a_trace(monkeypatch):
     """Between two detections only what the floor may reach until then is looked at.
 

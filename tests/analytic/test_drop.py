@@ -77,6 +77,7 @@ def test_rubber_bounces_and_jelly_hardly_does():
     assert rebound("metal") > rebound("rubber")
 
 
+@pytest.mark.slow
 def test_a_ball_rebounds_by_its_own_damping_and_not_by_that_of_contact():
     # As the guide says: the springs of contact store little of the energy of an impact.
     inert, elastic = (rebound("metal", restitution=e) for e in (0.0, 1.0))

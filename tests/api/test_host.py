@@ -36,6 +36,7 @@ seen = []
 """
 
 
+@pytest.mark.slow
 def test_a_bake_after_stages_were_opened(tmp_path: Path) -> None:
     output = run(
         tmp_path,

@@ -161,6 +161,7 @@ def test_a_saved_state_continues_bit_identically() -> None:
     assert np.array_equal(again.F, once.F)
 
 
+@pytest.mark.slow
 def test_a_state_of_contact_is_loaded_where_there_is_none_yet() -> None:
     """How many samples may touch is no property of the scene."""
 
@@ -182,6 +183,7 @@ def test_a_state_of_contact_is_loaded_where_there_is_none_yet() -> None:
     assert np.array_equal(again.positions, expected.positions)
 
 
+@pytest.mark.slow
 def test_states_from_before_and_after_a_conversion_are_loaded() -> None:
     """The solver, and with it the arrays of the state, change where bodies begin to flow."""
     scene = gf_usd.Scene()
@@ -502,6 +504,7 @@ def test_a_body_that_begins_below_the_floor_is_refused() -> None:
         gf_usd.simulate(alone(floor=1.5), particles=100)
 
 
+@pytest.mark.slow
 def test_a_body_is_converted_and_another_is_not() -> None:
     scene = gf_usd.Scene()
     for name, x in (("one", 0.0), ("other", 3.0)):

@@ -79,6 +79,7 @@ def test_keys_as_a_text_are_those_of_pairs(ball: Path, tmp_path: Path) -> None:
     assert text.value.message == pairs.value.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message", "hint"),
     [

@@ -114,6 +114,7 @@ def test_repairs_are_not_suggested_for_a_scene() -> None:
     assert note == "</body0> is filled despite 1 of 1 shell inside out"
 
 
+@pytest.mark.slow
 def test_notes_and_warnings_of_a_bake_name_keywords(tmp_path: Path) -> None:
     path = tmp_path / "two.usda"
     body = f'prepend apiSchemas = ["PhysicsRigidBodyAPI"]\nreferences = @{SPHERE}@'

@@ -101,6 +101,7 @@ def test_a_material_file_counts_by_its_content(tmp_path: Path) -> None:
     assert name_of(of) != before
 
 
+@pytest.mark.slow
 def test_no_bake_runs_what_the_code_leaves_out() -> None:
     """The hash of the code is over everything but these; nothing else may import them."""
     apart = {f"gf_usd.{package}" for package in APART}

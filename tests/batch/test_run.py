@@ -102,6 +102,7 @@ def test_each_job_ends_in_its_own_way(tmp_path: Path, monkeypatch: pytest.Monkey
     assert states == {"good": "done"}
 
 
+@pytest.mark.slow
 def test_an_asset_that_changes_under_the_bake_is_not_done(tmp_path: Path) -> None:
     jobs = [job(tmp_path, "good")]
     children = Bakes({"good": [(0, {}, "")] * 3})

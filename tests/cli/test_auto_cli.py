@@ -243,6 +243,7 @@ def test_no_server_is_asked_without_its_name(gf_usd, here, stage, server, vision
     assert server.requests == []
 
 
+@pytest.mark.slow
 def test_a_server_that_is_not_there_is_an_error(gf_usd, here, stage, server, vision, monkeypatch):
     server.shutdown()
     server.server_close()
@@ -253,6 +254,7 @@ def test_a_server_that_is_not_there_is_an_error(gf_usd, here, stage, server, vis
     assert names(here) == []
 
 
+@pytest.mark.slow
 def test_a_model_that_babbles_is_an_error(gf_usd, here, stage, server, vision, monkeypatch):
     babble = {"choices": [{"message": {"content": "I think it is a cube."}}]}
     monkeypatch.setattr(sys.modules["stub_server"], "reply_to", lambda request: babble)
@@ -261,6 +263,7 @@ def test_a_model_that_babbles_is_an_error(gf_usd, here, stage, server, vision, m
     assert "the model's reply is not the JSON that was asked for" in done.err
 
 
+@pytest.mark.slow
 def test_the_picture_is_a_png_of_the_asset(tmp_path):
     plan = prepare(SAMPLES / "duck.usda", output=str(tmp_path) + "/", particles=100).plan
     path = tmp_path / "duck.png"

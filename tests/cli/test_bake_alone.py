@@ -56,6 +56,7 @@ def test_a_result_that_came_after_the_look_is_not_replaced(here: Path, block: Pa
     assert not lock_path(here / f"{STEM}.usda").exists()
 
 
+@pytest.mark.slow
 def test_frames_of_one_name_have_one_writer(gf_usd, here: Path, tmp_path: Path) -> None:
     path = write_ply(tmp_path / "ball.ply", ball(300, degree=0))
     held = acquire(here / "all" / "ball.rubber.ply")

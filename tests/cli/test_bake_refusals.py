@@ -259,7 +259,10 @@ def test_words_that_are_no_option(gf_usd, here: Path, block: Path) -> None:
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize(
     ("number", "status", "word"),
-    [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted")],
+    [
+        (signal.SIGTERM, 143, "terminated"),
+        pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.slow),
+    ],
 )
 def test_a_bake_that_is_stopped_leaves_partial_files_only(
     here: Path, block: Path, number: int, status: int, word: str

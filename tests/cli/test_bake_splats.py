@@ -149,6 +149,7 @@ def test_several_captures_of_a_stage(gf_usd, here, tmp_path):
     assert "0 errors, 0 warnings" in gf_usd("check", "two.jelly.usda").out
 
 
+@pytest.mark.slow
 def test_two_materials_have_two_sequences(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
     done = gf_usd("bake", path, "--material", "jelly,rubber", *SMALL, "--export-spz", "frames")

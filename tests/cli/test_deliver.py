@@ -16,6 +16,7 @@ from gf_usd.core.units import bytes_text
 from gf_usd.delivery.deliver import DeliveredSplats
 
 
+@pytest.mark.slow
 def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     source = moving_splats(tmp_path / "ball.usdc", mesh=False)
     done = gf_usd("deliver", source, "-o", tmp_path / "out.glb", "--error", "2%")
@@ -49,6 +50,7 @@ def test_the_mesh_file_that_was_baked_is_not_replaced(gf_usd, tmp_path: Path, fl
         assert gf_usd("deliver", root, "-o", tmp_path / "out.glb", "--error", "2%").status == 0
 
 
+@pytest.mark.slow
 def test_obstacles_that_stand_still_are_named_in_one_line(gf_usd, tmp_path: Path) -> None:
     text = """#usda 1.0
 (

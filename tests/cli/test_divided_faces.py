@@ -75,6 +75,7 @@ def test_a_coarse_mesh_is_warned_of_and_a_divided_one_is_not(cube: Path) -> None
     assert len(points(stage, 1)) == len(rest)
 
 
+@pytest.mark.slow
 def test_the_layer_is_used_again_for_the_same_and_refused_for_another(cube: Path) -> None:
     options = {**OPTIONS, "frames": 2}
     bake(cube, **options, max_edge_length=0.5)
@@ -105,6 +106,7 @@ def test_lengths_that_are_none_are_refused(cube: Path, given: str, message: str)
     assert "auto" in error.value.hint
 
 
+@pytest.mark.slow
 def test_two_spacings_of_the_particles(cube: Path) -> None:
     options = {**OPTIONS, "frames": 2}
     by_count = bake(cube, **options, max_edge_length="auto")

@@ -159,6 +159,7 @@ def test_a_full_disk_ends_the_bake_in_words(gf_usd, here: Path, block: Path) -> 
     assert "Traceback" not in done.err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="no SIGTERM")
 def test_a_signal_is_reported(here: Path, block: Path) -> None:
     arguments = (

@@ -39,6 +39,7 @@ def test_one_file_and_a_report(gf_usd, here: Path, block: Path, name: str) -> No
     assert {layer.realPath for layer in stage.GetUsedLayers()} == {str(here / name), ""}
 
 
+@pytest.mark.slow
 def test_the_suffix_decides_and_the_name_has_a_default(gf_usd, here: Path, block: Path) -> None:
     assert gf_usd("bake", block, *SMALL, "-q", "-o", "a.usdz").status == 0
     assert gf_usd("bake", block, *SMALL, "-q", "--flatten").status == 0
@@ -109,6 +110,7 @@ def _read(resolved: str) -> bytes:
     return bytes(Sdf.ZipFile.Open(outer).GetFile(inner))
 
 
+@pytest.mark.slow
 def test_a_failure_leaves_the_layers_it_worked_on(
     gf_usd, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

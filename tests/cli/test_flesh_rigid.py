@@ -35,6 +35,7 @@ def booted(folder: Path) -> Path:
     return write(folder, arm().rstrip().removesuffix("}") + BOOT)
 
 
+@pytest.mark.slow
 def test_a_mesh_of_one_joint_is_named_with_the_way_to_keep_it_rigid(tmp_path: Path) -> None:
     path, out = booted(tmp_path), tmp_path / "out.usda"
     plan, _ = prepare(path, **FEW, output=out, draw=None)
@@ -141,6 +142,7 @@ def test_a_mesh_of_several_joints_that_no_flesh_holds_has_springs(
         assert skin == 0.0
 
 
+@pytest.mark.slow
 def test_a_cape_that_no_flesh_holds_moves_with_its_skin(tmp_path: Path) -> None:
     """It fell, although it is bound to joints."""
     path = write(tmp_path, arm().rstrip().removesuffix("}") + cape(1.5))

@@ -105,6 +105,7 @@ def test_the_floor_that_is_proposed_is_under_animated_points(tmp_path: Path) -> 
     assert where == "under its poses in these frames,"
 
 
+@pytest.mark.slow
 def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
     write(here, arm())
     few = ("arm.usda", "--particles", "300")
@@ -118,6 +119,7 @@ def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
         assert "none, first" not in loose.out
 
 
+@pytest.mark.slow
 def test_frames_before_the_animation_are_distinguished(
     gf_usd: Callable[..., Done], here: Path
 ) -> None:

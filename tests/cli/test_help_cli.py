@@ -89,6 +89,7 @@ def test_the_command_line_takes_back_an_option_of_a_folder(gf_usd, here: Path, b
         assert json.loads(plain.out) == json.loads(wanted.out)
 
 
+@pytest.mark.slow
 def test_what_follows_the_default_counts_and_what_was_before_does_not(gf_usd, block: Path) -> None:
     def frames(*arguments: str) -> int:
         done = gf_usd("bake", block, "--particles", "100", "--dry-run", "--json", *arguments)

@@ -142,6 +142,7 @@ def test_bake_repairs_and_reports_it(gf_usd, odd, tmp_path):
     assert "--repair" in report["command"]
 
 
+@pytest.mark.slow
 def test_a_face_that_encloses_nothing_does_not_make_a_bake_slow(gf_usd, tmp_path: Path) -> None:
     path = tmp_path / "fin.usda"
     path.write_text(

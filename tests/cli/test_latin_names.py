@@ -47,6 +47,7 @@ def test_a_result_cannot_have_such_a_name(gf_usd: Call, block: Path, here: Path)
     assert r"-o d\udcfcck.usda: its path has bytes that are not UTF-8" in done.err
 
 
+@pytest.mark.slow
 def test_a_batch_with_such_a_name_has_its_page(gf_usd: Call, here: Path, asset: Path) -> None:
     done = gf_usd("batch", LATIN, "-o", "out", "--no-warm", "-q")
     assert done.status == 1

@@ -110,6 +110,7 @@ def test_bakes_of_one_file_share_its_layer(gf_usd, tmp_path):
     assert Sdf.Layer.OpenAsAnonymous(str(source)).pseudoRoot.GetInfo("upAxis") == "Z"
 
 
+@pytest.mark.slow
 def test_no_layer_of_another_mesh_file_is_replaced(gf_usd, tmp_path):
     """Bakes of `box.obj` lie over `box.source.usdc`: they would show `box.ply`."""
     box = trimesh.creation.box((0.2, 0.4, 0.6))

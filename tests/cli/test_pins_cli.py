@@ -86,6 +86,7 @@ def test_pins_and_floors_that_do_nothing_are_refused(arm: Path) -> None:
         assert sorted(p.name for p in arm.parent.iterdir()) == ["arm.usda"]
 
 
+@pytest.mark.slow
 def test_a_ball_rolls_down_a_tilted_floor(tmp_path: Path) -> None:
     ball = tmp_path / "ball.usda"
     ball.write_text(
@@ -126,7 +127,9 @@ def test_a_rigid_region_next_to_the_body_is_refused(arm: Path) -> None:
     assert caught.value.hint
 
 
-@pytest.mark.parametrize(("gravity", "warned"), [(10, False), (60, True)])
+@pytest.mark.parametrize(
+    ("gravity", "warned"), [pytest.param(10, False, marks=pytest.mark.slow), (60, True)]
+)
 def test_a_body_that_expands_below_its_pin_is_warned_of(
     gf_usd, tmp_path: Path, gravity: float, warned: bool
 ) -> None:

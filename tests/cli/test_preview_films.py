@@ -52,6 +52,7 @@ def test_a_film_is_its_frames_in_real_time(stage, tmp_path):
     assert np.abs(frames[2] - frames[0]).max() > 100
 
 
+@pytest.mark.slow
 def test_quiet_prints_no_frames(stage, tmp_path):
     done = run(stage, "-o", tmp_path / "a.gif", "--size", "80x60", "-q")
     assert (done.exit_code, done.output) == (0, "")

@@ -114,6 +114,7 @@ def test_a_batch_by_its_former_options(gf_usd, here: Path, block: Path) -> None:
     assert "note: --out is now called --output" in done.err
 
 
+@pytest.mark.slow
 def test_a_picture_by_the_former_options(gf_usd, here: Path) -> None:
     (here / "box.usda").write_text(FALLING_BOX, encoding="utf-8")
     arguments = ("preview", "box.usda", "--size", "60x40")

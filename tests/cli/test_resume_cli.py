@@ -142,6 +142,7 @@ def test_killed_at_any_moment_it_leaves_whole_files_and_continues(
     require_same(here / "one", here / "two")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_signal_says_how_to_resume(gf_usd, here: Path, block: Path) -> None:
     arguments = (

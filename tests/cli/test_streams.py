@@ -28,6 +28,7 @@ def run(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", slow_but(["2>&-", "2>/dev/full", "<&- 2>&-"], "<&- 2>&-"))
 def test_what_is_said_on_the_way_ends_nothing(here: Path, block: Path, where: str) -> None:
     done = run(here, f"GF bake {block} --particles 100 --dry-run {where}")
@@ -65,6 +66,7 @@ def test_a_reader_that_has_enough_gets_no_traceback(here: Path) -> None:
 
 
 # `head` is gone when the jobs begin; of events, the first is out before
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "status", "message"),
     slow_but([("| head -1", 0, ""), (">/dev/full", 1, NO_ROOM)], (">/dev/full", 1, NO_ROOM)),

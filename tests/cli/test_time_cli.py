@@ -44,6 +44,7 @@ def baked(gf_usd, here: Path, block: Path):
     return run
 
 
+@pytest.mark.slow
 def test_samples_between_frames_are_simulated_states(baked) -> None:
     whole, _ = baked("whole", "--frames", "14")
     fine, result = baked("fine", "--frames", "14", "--samples-per-frame", "4")

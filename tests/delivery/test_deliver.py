@@ -336,6 +336,7 @@ def test_a_mesh_below_a_mesh_is_refused_where_it_would_not_move(tmp_path: Path, 
     assert deliver(bake_file, tmp_path / "out.glb", kind=kind).error <= 0.005
 
 
+@pytest.mark.slow
 def test_a_body_far_from_the_origin_has_a_hint_at_it(tmp_path: Path) -> None:
     bake_file = moving_ball(tmp_path / "ball.usda")
     stage = Usd.Stage.Open(str(bake_file))

@@ -170,6 +170,7 @@ def test_the_bounds_above_a_body_contain_all_below_it(tmp_path: Path) -> None:
         assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_bounds_follow_what_moves_below_what_does_not(tmp_path: Path) -> None:
     asset = tmp_path / "post.usda"
     asset.write_text(PROPS.replace('def Cube "body"', POST), encoding="utf-8")
@@ -182,7 +183,7 @@ def test_the_bounds_follow_what_moves_below_what_does_not(tmp_path: Path) -> Non
         assert (low[2], high[2]) == pytest.approx((-7.1, 9.1), abs=1e-5)
 
 
-@pytest.mark.parametrize("apart", [True, False])
+@pytest.mark.parametrize("apart", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_bodies_have_skel_roots_of_their_own_that_do_not_nest(tmp_path: Path, apart: bool) -> None:
     asset = tmp_path / "two.usda"
     start, end = PROPS.index('        def Xform "soft"'), PROPS.index('        def Cube "crate"')

@@ -175,6 +175,7 @@ def test_light_turns_with_the_axes_of_the_file(alone: Path, tmp_path: Path, kind
     np.testing.assert_allclose(theirs, ours, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_which_gaussians_are_written(over_mesh: Path, tmp_path: Path) -> None:
     written = {}
     for splats in ("captured", "all", "only", "none"):

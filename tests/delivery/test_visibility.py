@@ -169,7 +169,7 @@ def sand(folder: Path, **options: Any) -> Path:
     ).root  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".usda"])
+@pytest.mark.parametrize("suffix", [pytest.param(".glb", marks=pytest.mark.slow), ".usda"])
 def test_the_hint_about_what_flows_can_be_followed(tmp_path: Path, suffix: str) -> None:
     bake = sand(tmp_path)
     with pytest.raises(InputError, match="flows without limit: particles replace") as caught:

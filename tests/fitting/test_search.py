@@ -60,6 +60,7 @@ def test_a_search_repeats_itself() -> None:
     assert np.array_equal(found(target).z, found(target).z)
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     hits, runs = np.zeros(2), 60
     widths = []

@@ -27,6 +27,7 @@ def test_triangles_against_the_rest_are_turned():
     assert "turned 400 triangles" in done.messages()[0]
 
 
+@pytest.mark.slow
 def test_a_part_that_is_inside_out_is_turned():
     good, bad = sphere(), sphere(radius=0.8, center=(1.2, 0.0, 0.0))  # neither in the other
     body = joined(good, turned(bad, slice(None)))
@@ -40,7 +41,11 @@ def test_a_part_that_is_inside_out_is_turned():
     assert build_solid(asset(mended)).inside(lens)[0]
 
 
-@pytest.mark.parametrize("flipped", [False, True], ids=["outward", "inside out"])
+@pytest.mark.parametrize(
+    "flipped",
+    [pytest.param(False, marks=pytest.mark.slow), True],
+    ids=["outward", "inside out"],
+)
 def test_a_cavity_stays_a_cavity(flipped):
     hollow = joined(sphere(), turned(sphere(radius=0.6), slice(None)))
     body = turned(hollow, slice(None)) if flipped else hollow

@@ -23,10 +23,12 @@ def nested(*sizes: float) -> Surface:
     ("sizes", "inner", "volume"),
     [
         ((1.0, 0.5), 1, 1.0),
-        ((1.0, 0.6, 0.3), 2, 1.0),
+        pytest.param((1.0, 0.6, 0.3), 2, 1.0, marks=pytest.mark.slow),
         ((1.0, -0.5), 0, 1.0 - 0.125),  # a cavity
         ((1.0, -0.5, 0.25), 0, 1.0 - 0.125 + 0.25**3),  # something loose in it
-        ((1.0, 0.6, -0.3), 0, 1.0),  # winding 1 in the innermost: flesh, while the 0.6 is there
+        pytest.param(
+            (1.0, 0.6, -0.3), 0, 1.0, marks=pytest.mark.slow
+        ),  # winding 1 in the innermost: flesh, while the 0.6 is there
     ],
 )
 def test_inner_shells_are_dropped_and_the_solid_stays(sizes, inner: int, volume: float) -> None:

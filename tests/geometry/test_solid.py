@@ -103,6 +103,7 @@ def test_spheres_that_overlap_are_counted_once():
     np.testing.assert_array_equal(body.inside(X), union)
 
 
+@pytest.mark.slow
 def test_one_mesh_of_two_overlapping_shells_is_counted_once_too():
     a, b = sphere(), sphere(center=(1.0, 0.0, 0.0))
     both = surface(
@@ -112,6 +113,7 @@ def test_one_mesh_of_two_overlapping_shells_is_counted_once_too():
     assert solid(both).volume == pytest.approx(solid(a, b).volume, rel=2.0 * COUNTED)
 
 
+@pytest.mark.slow
 def test_opposite_orientations_of_overlapping_surfaces_do_not_cancel():
     a, b = sphere(path="/A"), sphere(center=(1.0, 0.0, 0.0), path="/B")
     turned = surface(b.points, b.triangles[:, ::-1], path="/B")

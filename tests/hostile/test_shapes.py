@@ -152,6 +152,7 @@ def test_every_format_cut_short(tmp_path: Path, cut: float) -> None:
     assert stopped(files, EACH) == {}
 
 
+@pytest.mark.slow
 def test_two_layers_that_refer_to_each_other(tmp_path: Path) -> None:
     for name, other in (("a", "b"), ("b", "a")):
         (tmp_path / f"{name}.usda").write_text(

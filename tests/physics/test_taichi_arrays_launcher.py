@@ -16,7 +16,7 @@ ti = import_taichi()
 SPEED = 40.0
 
 
-@pytest.mark.parametrize("real", [np.float32, np.float64])
+@pytest.mark.parametrize("real", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
     ends = []
     for quick in (True, False):
@@ -43,6 +43,7 @@ def test_launchers_of_two_bodies_keep_to_their_own() -> None:
     np.testing.assert_array_equal(taichi_arrays.values(one.state.arrays["u"]), before)
 
 
+@pytest.mark.slow
 def test_it_complains_as_taichi_does() -> None:
     solver = made()
     with pytest.raises(Exception, match="missing"):
@@ -66,6 +67,7 @@ def test_launches_on_arrays_do_what_the_kernel_does() -> None:
         np.testing.assert_array_equal(out[:, :3], of + by)
 
 
+@pytest.mark.slow
 def test_launches_on_arrays_survive_a_restart_of_taichi() -> None:
     quick, of, out = on_arrays(_shifted), np.ones((2, 3)), aligned(2, 4)
     for threads in (1, 2, 1):

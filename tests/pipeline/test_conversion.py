@@ -47,6 +47,7 @@ def count(stage: Usd.Stage, path: str, code: float) -> int:
     return len(UsdGeom.Points(stage.GetPrimAtPath(path)).GetPointsAttr().Get(code))
 
 
+@pytest.mark.slow
 def test_particles_are_shown_instead_of_the_mesh_from_the_first_converted_on(
     blocks: Path, tmp_path: Path
 ) -> None:
@@ -139,10 +140,13 @@ def test_a_bake_that_was_ended_continues_identically(
             marks=pytest.mark.slow,
         ),
         {"precision": 0.005, "adaptive_samples": True, "clip_frames": 3, "surface": True},
-        {"samples_per_frame": 2, "flatten": True},
-        {"internal": True, "stress": True, "deformation_gradients": True},
+        pytest.param({"samples_per_frame": 2, "flatten": True}, marks=pytest.mark.slow),
+        pytest.param(
+            {"internal": True, "stress": True, "deformation_gradients": True},
+            marks=pytest.mark.slow,
+        ),
         {"only": "gaussians"},
-        {"only": "mesh"},
+        pytest.param({"only": "mesh"}, marks=pytest.mark.slow),
         {"only": "mesh", "surface": True},
         pytest.param({"solver": "ul"}, marks=pytest.mark.slow),
     ],
@@ -169,6 +173,7 @@ def test_it_can_be_combined_with_other_output_options(
         assert shown(stage, "/World/Other", 5.0) == (share == 2)
 
 
+@pytest.mark.slow
 def test_solids_that_overlap_stay_one_body_of_which_a_part_is_converted(tmp_path: Path) -> None:
     """They were torn apart, since only one of them can be converted."""
     path = scene(
@@ -222,6 +227,7 @@ def test_a_body_that_passes_through_an_obstacle_does_so_alone(tmp_path: Path) ->
     assert x[~block, 1].max() < 0.0
 
 
+@pytest.mark.slow
 def test_a_box_without_a_vertex_in_it_converts_what_it_holds(tmp_path: Path) -> None:
     """The prim was taken for one that stays solid."""
     corners = np.array([(x, y, z) for x in (0, 2) for y in (0.0, 0.1) for z in (0.0, 0.1)])

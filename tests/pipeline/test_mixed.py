@@ -108,6 +108,7 @@ def test_what_flows_must_not_start_inside_a_solid_body(tmp_path: Path) -> None:
         gf_usd.bake(scene(tmp_path, body(*water), body(*ball)), **SMALL)
 
 
+@pytest.mark.slow
 def test_samples_of_flowing_bodies_next_to_solid_ones_are_left_out(
     castle: Path, tmp_path: Path
 ) -> None:

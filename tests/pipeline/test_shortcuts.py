@@ -134,6 +134,7 @@ def test_of_several_materials_the_stiff_metal_is_offered_mass_scaling() -> None:
     assert found(rows, [soft, stiff, steel]) == ()
 
 
+@pytest.mark.slow
 def test_mass_scaling_takes_as_long_as_promised(monkeypatch: pytest.MonkeyPatch) -> None:
     """The costs of frames and of the start, and the contact of a softer body, were scaled too."""
     monkeypatch.setattr(hints, "LONG", 1.0)

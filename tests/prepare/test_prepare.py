@@ -167,6 +167,7 @@ def test_what_the_fill_tolerates_is_said_and_what_repair_did(stage, tmp_path, mo
     assert row["watertight"] is False
 
 
+@pytest.mark.slow
 def test_repair_leaves_the_skin_as_it_is(stage, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = stage(ball(rows=slice(3, None)))
@@ -186,6 +187,7 @@ def test_a_refusal_that_repair_would_lift_says_so(stage):
     assert inspect(path, repair=True, **FEW).refusal is None
 
 
+@pytest.mark.slow
 def test_a_fill_that_faults_have_hollowed_out_is_warned_of(stage):
     """Two balls of one mesh that overlap, one inside out: where both are they cancel."""
     body = sphere(subdivisions=2)

@@ -130,6 +130,7 @@ def test_the_frames_before_it_are_kept(here: Path, fault: Fault) -> None:
     assert written["check"] == []
 
 
+@pytest.mark.slow
 def test_the_same_frames_as_of_a_whole_bake(here: Path, fault: Fault) -> None:
     with pytest.raises(gf_usd.SolverError):
         bake()
@@ -159,6 +160,7 @@ def test_a_good_result_is_not_touched(here: Path, fault: Fault) -> None:
     assert "failed" in report(here / f"{STEM}.report.partial.json")
 
 
+@pytest.mark.slow
 def test_a_bake_that_works_clears_away_what_failed(here: Path, fault: Fault) -> None:
     with pytest.raises(gf_usd.SolverError):
         bake()
@@ -219,7 +221,7 @@ def test_variants_are_published_only_together(here: Path, fault: Fault) -> None:
     [
         # a ball of a meter that lands at 44 m/s, and one that weighs three thousand times as much,
         # 97 of its Young's moduli: one of a hundred is refused
-        (
+        pytest.param(
             {
                 "drop": "100r",
                 "fps": 6,
@@ -229,6 +231,7 @@ def test_variants_are_published_only_together(here: Path, fault: Fault) -> None:
                 "damping_time": 0.0,
             },  # without the shock viscosity
             "inside-out",
+            marks=pytest.mark.slow,
         ),
         ({"drop": "3r", "fps": 100, "frames": 10, "gravity": "29000"}, "inside-out"),
     ],

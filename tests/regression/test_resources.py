@@ -143,6 +143,7 @@ def test_a_memory_that_is_too_small_is_refused_before_work(
     assert names(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> None:
     """The frames, a layer that opens them and a report are there; --resume ends what was begun."""
     options = {**FEW, "frames": 12, "clip_frames": 2}

@@ -51,7 +51,8 @@ def scene(path: Path, depth: float, *, other: str) -> Path:
 @pytest.mark.parametrize(
     ("other", "depth"),
     [
-        ("obstacle", 0.02), ("body", 0.2),
+        ("obstacle", 0.02),
+        pytest.param("body", 0.2, marks=pytest.mark.slow),
         pytest.param("obstacle", 0.2, marks=pytest.mark.slow),
         pytest.param("body", 0.02, marks=pytest.mark.slow),
     ],

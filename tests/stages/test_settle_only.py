@@ -75,6 +75,7 @@ def test_one_frame_at_rest_is_no_rest(frame_time: float) -> None:
     assert [rest.reached(still, 4), rest.reached(still, 5)] == [False, True]
 
 
+@pytest.mark.slow
 def test_a_body_so_small_that_a_frame_is_longer_than_T_falls(tmp_path: Path) -> None:
     asset = tmp_path / "small.usda"
     stage = Usd.Stage.CreateNew(str(asset))

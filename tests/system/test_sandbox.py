@@ -154,7 +154,7 @@ def test_this_process_reads_nothing_itself(tmp_path: Path) -> None:
     assert done.stdout.split() == ["4", "False"]
 
 
-@pytest.mark.parametrize("task", ["count_and_hang", "count"])
+@pytest.mark.parametrize("task", ["count_and_hang", pytest.param("count", marks=pytest.mark.slow)])
 def test_a_child_that_takes_too_long_is_not_tried_again(tmp_path: Path, task: str) -> None:
     file, count = tmp_path / "a.usda", tmp_path / "starts"
     file.write_text("#usda 1.0\n")
@@ -225,6 +225,7 @@ def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
         os.kill(program, signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_many_at_once_while_threads_run(tmp_path: Path) -> None:
     """Nothing of this process's threads and locks reaches a child."""
     file = tmp_path / "a.usda"

@@ -71,8 +71,18 @@ def test_generated_files_are_what_the_generator_writes() -> None:
     ("name", "old", "new"),
     [
         ("docs/schema.md", "GaussianFleshBakeAPI", "GaussianFleshBake"),
-        ("schemas/gaussianFlesh/generatedSchema.usda", "corotated", "linear"),
-        ("schemas/gaussianFlesh/plugInfo.json", '"Root": "."', '"Root": ".."'),
+        pytest.param(
+            "schemas/gaussianFlesh/generatedSchema.usda",
+            "corotated",
+            "linear",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "schemas/gaussianFlesh/plugInfo.json",
+            '"Root": "."',
+            '"Root": ".."',
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_hand_edit_is_found(tmp_path: Path, name: str, old: str, new: str) -> None:

@@ -55,6 +55,7 @@ def test_the_mesh_is_one_closed_shell_and_exactly_symmetric(stage: Usd.Stage) ->
     assert {tuple(p) for p in points + 0.0} == mirrored
 
 
+@pytest.mark.slow
 def test_texture_coordinates_are_not_flipped_and_the_texture_is_there(stage: Usd.Stage) -> None:
     st = UsdGeom.PrimvarsAPI(body(stage)).GetPrimvar("st")
     uv = np.array(st.ComputeFlattened(), dtype=float).reshape(-1, 4, 2)

@@ -75,6 +75,7 @@ def test_a_stage_is_sound_and_as_the_tool_writes_it(tmp_path: Path, name: str) -
     assert [e.GetMessage() for e in errors] == []
 
 
+@pytest.mark.slow
 def test_the_castle_flows_and_the_duck_holds_together() -> None:
     plan = gf_usd.inspect(SAMPLES / "sandcastle.usda", particles=800).plan
     assert plan is not None

@@ -82,6 +82,7 @@ def test_the_suggested_number_fills_the_part():
     assert parts_of(sphere(), crumb, particles=found.suggested) == ()
 
 
+@pytest.mark.slow
 def test_a_thin_region_of_a_filled_shell_is_found():
     (brim,) = parts_of(hat(), particles=500)
     assert (brim.path, brim.shell, brim.kind) == ("/Hat", 0, "thin region")

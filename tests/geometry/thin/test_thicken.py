@@ -85,7 +85,7 @@ def test_spacing_and_sheets_agree_on_the_number_of_particles() -> None:
 
 
 @pytest.mark.parametrize("wave", [0.0, 0.05])
-@pytest.mark.parametrize("wanted", [500, 3000])
+@pytest.mark.parametrize("wanted", [500, pytest.param(3000, marks=pytest.mark.slow)])
 def test_a_sheet_has_as_many_particles_as_asked_for(wave: float, wanted: int) -> None:
     """Of any resolution: with volume / a^3 of them a flat one has twice, a bent one up to four."""
     mended, repairs = repair_asset(asset(sheet(16, wave=wave)))

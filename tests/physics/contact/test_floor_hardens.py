@@ -71,6 +71,7 @@ def test_a_mass_that_k_is_too_soft_for_stops_where_the_springs_hold_its_energy(s
     assert np.abs(energies / start - 1.0).max() <= 2.0 * error + 1e-5
 
 
+@pytest.mark.slow
 def test_no_step_is_longer_than_the_springs_allow_as_hard_as_they_come_to_be():
     share, frame = 1.0 / 64.0, 1.0
     seen = collide(share, frame)

@@ -155,6 +155,7 @@ def test_the_updated_lagrangian_solver_bounds_them_by_its_own_rows(shape: str) -
     assert (contact.mass < 0.5 * contact.layer).any()
 
 
+@pytest.mark.slow
 def test_a_blade_comes_to_rest_on_the_floor_a_tenth_of_a_spacing_deep_at_most() -> None:
     """A sheet a third of a spacing thick lies on it with its own weight."""
     shape = cube(edge=(2.0, 0.03, 2.0))

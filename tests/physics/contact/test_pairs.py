@@ -137,7 +137,7 @@ def test_scenes_around_the_origin_keep_it():
     np.testing.assert_allclose(layout.origin_of(X + (0.0, 1000.0, 0.0)), (0.0, 992.0, 0.0))
 
 
-@pytest.mark.parametrize("material", ["clay", "jelly"])
+@pytest.mark.parametrize("material", ["jelly", pytest.param("clay", marks=pytest.mark.slow)])
 def test_what_falls_along_with_a_body_meets_it_when_the_floor_stops_it(material):
     """They had no relative velocity, so that nothing was looked for before the end of the frame.
 

@@ -72,6 +72,7 @@ def at_rest() -> Run:
     return settled()
 
 
+@pytest.mark.slow
 def test_a_stack_at_rest_is_searched_seldom_and_stays_where_it_is(monkeypatch, at_rest) -> None:
     never(monkeypatch)
     usual = settled()
@@ -257,6 +258,7 @@ def test_planes_of_an_obstacle_that_moved_are_found_anew() -> None:
     assert kept.kept(planes, now)[0]
 
 
+@pytest.mark.slow
 def test_a_body_that_slides_slowly_over_another_is_not_held_by_kept_planes(monkeypatch) -> None:
     """Near the edges of the upper one planes are tilted: kept for long, they were a wall."""
 

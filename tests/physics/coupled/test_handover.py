@@ -102,6 +102,7 @@ def test_momenta_and_energy_are_those_before() -> None:
     assert now.kinetic == pytest.approx(before.kinetic, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_what_is_converted_goes_to_random_places() -> None:
     """Where the motion of each particle takes them, with the momenta of before."""
     run = converting(("rubber", "rubber"), {0: at(2.0)}, scatter=True, frames=5)
@@ -147,6 +148,7 @@ def test_velocities_are_those_of_the_random_places() -> None:
     np.testing.assert_allclose(one.v, one.x @ A.T, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_frame_says_what_the_change_of_solver_gave() -> None:
     run = converting(("rubber",), {0: at(2.0)}, frames=6)
     seen = list(run.frames())

@@ -162,6 +162,7 @@ def test_both_kernels_move_them_alike(fork) -> None:
     np.testing.assert_allclose(one, other, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_state_is_taken_up_to_the_bit(fork) -> None:
     particles, skin, _, copy = fork
     whole = swung(particles, skin, copy, frames=5)

@@ -73,6 +73,7 @@ BODY = block((0.0, 0.0, 0.0), (2, 2, 2), 0.5)
 SOFT = [elastic(E=1e5, nu=0.3, density=1000.0)]
 
 
+@pytest.mark.slow
 def test_a_free_body_falls_as_keys_of_gravity_say_and_no_energy_is_made_up() -> None:
     """Gravity turns over within a second: v(t) = g0 (t - t^2), held constant over each frame."""
     g0, n = -9.81, 24

@@ -16,6 +16,7 @@ import gf_usd
 from gf_usd.system.taichi_runtime import MERGE_OPTIONS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ["rubber", pytest.param("clay", marks=pytest.mark.acceptance)])
 def test_the_search_for_what_is_written_twice_changes_no_bit(tmp_path: Path, material: str) -> None:
     """Rubber is elastic, and clay has a history and a return mapping besides.

@@ -160,6 +160,7 @@ def test_without_gravity_nothing_sleeps():
     assert not any(frame.health.sleeping for frame in solver.frames())
 
 
+@pytest.mark.slow
 def test_a_body_that_falls_on_a_sleeper_wakes_it():
     solver = contact_solver(
         ball(0.0, path="/Sleeper"), ball(3.0, path="/Faller"), particles=250, frames=24, fps=FPS,

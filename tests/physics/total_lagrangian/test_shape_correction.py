@@ -150,6 +150,7 @@ def test_a_body_that_is_pinned_has_no_shape_correction():
 # All of them
 
 
+@pytest.mark.slow
 def test_off_they_leave_no_trace():
     solver = made()
     assert solver.body.options == DEFAULT == options_of(settings())

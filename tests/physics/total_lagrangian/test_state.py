@@ -59,6 +59,7 @@ def test_what_is_handed_out_cannot_be_changed(solver):
         solver.state.view().u[0] = 1.0
 
 
+@pytest.mark.slow
 def test_a_solver_that_nobody_holds_is_gone_at_once() -> None:
     particles, _ = ball(120)
     solver = TotalLagrangian(particles, [preset_material("rubber", particles)], settings(frames=3))

@@ -49,6 +49,7 @@ def frames(run: UpdatedLagrangian, count: int):
     return [next(walk) for _ in range(count + 1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", slow_but(["honey", "powder-snow", "dry-sand", "toothpaste"], "powder-snow")
 )

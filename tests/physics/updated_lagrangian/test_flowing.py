@@ -23,6 +23,7 @@ def solver(name: str = "dry-sand", **changes) -> UpdatedLagrangian:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_but(["dry-sand", "honey", "water"], "dry-sand"))
 def test_the_points_of_a_mesh_have_the_velocities_that_they_move_at(name: str) -> None:
     """In a flow that turns and shears: what of it is plastic does not carry the points along."""

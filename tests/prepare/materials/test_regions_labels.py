@@ -80,6 +80,7 @@ def test_particles_have_the_preset_of_the_nearest_gaussian(tmp_path: Path, kind:
     assert "--material-label label=3:metal" in plan.command
 
 
+@pytest.mark.slow
 def test_boxes_hold_before_labels(tmp_path: Path) -> None:
     path = labeled_ply(tmp_path / "ball.ply")
     plan = prepare(
@@ -120,6 +121,7 @@ def test_what_is_not_there_is_refused(tmp_path: Path, label: str, message: str) 
     assert "--material-label" in seen.refusal.message
 
 
+@pytest.mark.slow
 def test_splats_without_labels_are_said_to_have_none(tmp_path: Path) -> None:
     captures.write_ply(tmp_path / "bare.ply", halves())
     with pytest.raises(InputError, match="property label of whole numbers; they have none\n"):
@@ -129,6 +131,7 @@ def test_splats_without_labels_are_said_to_have_none(tmp_path: Path) -> None:
         )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_label_without_particles_is_refused(tmp_path: Path) -> None:
     path = labeled_ply(tmp_path / "ball.ply")
     with pytest.raises(InputError, match="boxes override it for all of its particles"):

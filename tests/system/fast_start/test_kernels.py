@@ -314,6 +314,7 @@ def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_pat
     assert on[2] == off[2]
 
 
+@pytest.mark.slow
 def test_taichi_asks_no_network_whether_it_is_the_newest() -> None:
     code = (
         "from gf_usd.system.taichi_runtime import import_taichi, init_taichi\n"

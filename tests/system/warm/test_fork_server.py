@@ -153,9 +153,11 @@ def _ahead(file: Path, task: str, threads: int = 0) -> list[str]:
     [
         ("loaded_already", "1"),
         ("crash", "caused its reader to crash (signal 11, SIGSEGV)"),
-        ("hang", "took longer than 1 s"),
+        pytest.param("hang", "took longer than 1 s", marks=pytest.mark.slow),
         ("fail", "caused its reader to fail: KeyError: 'points'"),
-        ("vanish", "caused its reader to crash (without output)"),
+        pytest.param(
+            "vanish", "caused its reader to crash (without output)", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_child_that_is_forked_ahead_is_as_isolated_as_any(

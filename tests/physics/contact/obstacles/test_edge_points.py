@@ -226,6 +226,7 @@ def ridge(z: float) -> Collider:
     return obstacle(points, [[0, 1, 2], [3, 5, 4], *sides], friction=0.0)
 
 
+@pytest.mark.slow
 def test_a_body_slides_along_edges_without_being_braked() -> None:
     """The surface in front of a point looks along the edge: with its normal the body lost 8 % of
     its speed in 30 frames, or gained 3 %."""

@@ -98,6 +98,7 @@ def test_pairs_without_contact_are_not_measured() -> None:
     assert solver.pairs.pierced(solver.state.view(), LAST) == {"pierced": 0.0}
 
 
+@pytest.mark.slow
 def test_an_edge_that_comes_through_a_cloth_counts_as_overlap() -> None:
     """Every sample of the cloth stayed out of the post, and the reported overlap was small."""
     way = [(0.0, k * 0.02, 0.0) for k in range(9)]

@@ -51,6 +51,7 @@ def test_shear_relaxes_tension_is_cut_and_the_volume_is_kept(real, rounding, siz
     assert 50 < (trace > TIP).sum() < 250
 
 
+@pytest.mark.slow
 def test_the_tension_at_the_tip_is_that_of_cavitation() -> None:
     E, _, _ = returned(1.2 * np.eye(3)[None], np.zeros((1, 1)))
     P = evaluate(LAW, E, MU, LAM)[1]

@@ -74,6 +74,7 @@ def test_what_is_borne_above_the_yield_stress_is_the_power_of_the_rate(exponent,
         assert (loss >= 0.0).all()
 
 
+@pytest.mark.slow
 def test_without_viscosity_it_lands_on_the_yield_stress_whatever_the_exponent() -> None:
     F = gradients(64, 0.2)
     seen = [returned(F, np.zeros((64, 1)), n, 1e-3, eta=0.0, hardening=0.0) for n in (0.1, 1.0)]

@@ -63,6 +63,7 @@ def test_stretches_are_clamped_and_the_rest_is_plastic(real: type, rounding: flo
     np.testing.assert_allclose(np.linalg.det(E) * after[:, 0], whole, rtol=near, atol=0.0)
 
 
+@pytest.mark.slow
 def test_what_is_inside_out_returns_upright() -> None:
     F = gradients(64, PRESSED, TORN)
     F[:, :, 0] *= -1.0

@@ -34,6 +34,7 @@ def dropped(cells, law="neoHookean", real=np.float32, **changes):
     return np.concatenate([now.u, now.v, [now.offset]]), frames
 
 
+@pytest.mark.slow
 def test_a_thread_a_cell_takes_the_same_sums_to_the_bit() -> None:
     (groups, _), (cells, frames) = dropped(False), dropped(True)
     assert frames[-1].health.penetration > 0.0
