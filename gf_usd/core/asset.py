@@ -132,6 +132,7 @@ class Surface:
     # that was put around them, which is not written; None: all are
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] of the prim's own space, in world
     limit: LimitSurface | None = None  # of a cage that is far from it; None: the cage is drawn
+    component: str = ""  # the model of kind component that the prim belongs to; "": none
 
     @cached_property
     def representative(self) -> Ints:

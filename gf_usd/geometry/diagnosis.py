@@ -9,7 +9,7 @@ This module also classifies duplicate triangles (`classify_duplicates`) and zero
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -238,13 +238,21 @@ def tolerated_defects(seen: Diagnosis) -> str:
 FILLED_SHARE = 0.9  # of the enclosed volume, overlaps counted twice: a warning if less is filled
 
 
-def lost_volume_warning(seen: Sequence[Diagnosis], volume: float) -> str:
+def lost_volume_warning(
+    seen: Sequence[Diagnosis], volume: float, enclosed: Callable[[], Collection[str]]
+) -> str:
     """A warning where much of the volume that faulty meshes enclose is not filled; else "".
 
-    volume : [m^3] that was filled.
+    volume : [m^3] that was filled; enclosed : prim paths of meshes inside others, which add nothing
+    to it (`Solid.enclosed`).
     """
+    if not any(faults(one) for one in seen):
+        return ""
     whole = sum(one.volume for one in seen)
-    if volume >= FILLED_SHARE * whole or not any(faults(one) for one in seen):
+    if volume < FILLED_SHARE * whole:
+        inner = enclosed()
+        whole = sum(one.volume for one in seen if one.path not in inner)
+    if volume >= FILLED_SHARE * whole:
         return ""
     return (
         f"only {volume:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"

@@ -45,6 +45,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.units import check_unit
 from gf_usd.geometry.diagnosis import Diagnosis, diagnose, lost_volume_warning
 from gf_usd.geometry.repair import Repairs
+from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.thin.parts import Part, suggestion
 from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.cost.budget import Cost
@@ -202,12 +203,12 @@ def refusal_json(error: InputError | None) -> dict[str, str] | None:
     return None if error is None else {"message": error.message, "hint": error.hint}
 
 
-def lost_volume(seen: Inspection) -> str:
+def lost_volume(seen: Inspection, solid: Solid) -> str:
     """A warning where defects of the meshes remove much of the enclosed volume; else ""."""
     if seen.plan is None or seen.repairs:
         return ""
     filled = [d for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
-    return lost_volume_warning(filled, seen.plan.particles.volume)
+    return lost_volume_warning(filled, seen.plan.particles.volume, solid.enclosed)
 
 
 def _part(part: Part) -> dict[str, Any]:
@@ -277,7 +278,7 @@ def inspect(
         seen, plan=prepared.plan, cost=prepared.cost, shortcuts=prepared.shortcuts,
         thickness=thickness(solid),
     )  # fmt: skip
-    lost = lost_volume(seen)
+    lost = lost_volume(seen, solid)
     # where defects remove much of the volume, they also cause the thin parts
     parts = () if lost else poor_parts(solid, plan.particles, plan.samples)
     warnings = (implausible_size(asset), lost)

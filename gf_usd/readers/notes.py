@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Iterable
 
 from gf_usd.core.asset import ASSUMED, FILE, OPTION
 
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
+
+
+ALONE = re.compile(r"<(?P<path>/[^<>]*)>(?P<text> (?:is|has|was) .*)", re.DOTALL)  # of one prim
 
 
 class Notes:
@@ -39,6 +43,20 @@ class Notes:
             for text, places in self._places.items()
             if text not in without
         )
+
+
+def merged(notes: Iterable[str]) -> tuple[str, ...]:
+    """Notes in which ``<PATH> is TEXT`` of several prims is ``each of <PATH> and 3 more is TEXT``.
+
+    They are in order of first appearance.  Instances of one asset have such notes.
+    """
+    places: dict[str, list[str]] = {}
+    for note in notes:
+        alone = ALONE.fullmatch(note)
+        places.setdefault(alone["text"] if alone else note, []).extend(
+            [alone["path"]] if alone else []
+        )
+    return tuple(_some(found) + text if found else text for text, found in places.items())
 
 
 def source_of(given: object | None, known: bool) -> str:

@@ -205,6 +205,16 @@ def test_a_fill_that_faults_have_hollowed_out_is_warned_of(stage):
     assert mended.as_json()["body"]["volume_m3"] == pytest.approx(0.95 * union, rel=0.03)
 
 
+def test_meshes_inside_others_are_no_lost_volume(stage):
+    """A faulty ball in a ball: the inner one is filled by the outer one already."""
+    ball = sphere(subdivisions=2)
+    inner = mesh("Core", 0.9 * ball.points, ball.triangles[:-1])  # lacks a face
+    seen = inspect(stage(mesh("Ball", ball.points, ball.triangles) + inner), **FEW)
+    assert seen.warnings == ()
+    assert not any("try --repair" in note for note in seen.notes)
+    assert any("filled despite 1 hole" in note for note in seen.notes)
+
+
 @pytest.mark.parametrize(
     ("radius", "unit", "message"),
     [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.notes import Notes, merged
 
 
 def test_texts_are_in_the_singular_however_many_prims_they_concern():
@@ -16,4 +16,22 @@ def test_texts_are_in_the_singular_however_many_prims_they_concern():
         "</P0>: is 1",
         "each of </P0> and </P1>: is 2",
         "each of </P0> and 3 more: is 4",
+    )
+
+
+def test_equal_notes_on_several_prims_are_one():
+    assert merged(
+        [
+            "</A> is filled despite 2 holes; --repair fixes this",
+            "the floor is at height 0",
+            "</B> is filled despite 1 hole; --repair fixes this",
+            *(f"</C{k}> is filled despite 2 holes; --repair fixes this" for k in range(3)),
+            "</A> and </B> is no sentence",
+            "the floor is at height 0",
+        ]
+    ) == (
+        "each of </A> and 3 more is filled despite 2 holes; --repair fixes this",
+        "the floor is at height 0",
+        "</B> is filled despite 1 hole; --repair fixes this",
+        "</A> and </B> is no sentence",
     )

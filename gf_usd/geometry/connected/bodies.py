@@ -1,7 +1,8 @@
 """Bodies: groups of surfaces that overlap or touch at rest, or that a physics body of USD contains.
 
 Bodies interact by contact only.  Surfaces of two physics bodies are never in the same body, even
-where they touch.
+where they touch, and surfaces of two components only where they overlap: a chess piece stands on
+the board, but the wheel of a car is inside its wheelhouse.
 
 `part_weights` gives weights of the parts of a surface (such as its material subsets) at points of
 the body, which blend across the border between parts.
@@ -44,6 +45,9 @@ def find_bodies(
     owners = owners or [""] * count
     close = _close(points, reach)
     label, held = _owned(owners, np.zeros(count, int) if kinds is None else kinds)
+    components = [{s.component} - {""} for s in solid.surfaces]
+    for k, one in enumerate(label):
+        components[one] |= components[k]
     pairs = (
         (a, b)
         for a in range(count)
@@ -55,8 +59,11 @@ def find_bodies(
         # two physics bodies are never merged, not even by a surface that touches both
         if one == two or (held[one] and held[two]):
             continue
-        if _meets(points[a], solid, b, reach) or _meets(points[b], solid, a, reach):
+        apart = bool(components[one] and components[two]) and not components[one] & components[two]
+        meets = _enters if apart else _meets
+        if meets(points[a], solid, b, reach) or meets(points[b], solid, a, reach):
             held[one] = held[one] or held[two]
+            components[one] |= components[two]
             label[label == two] = one
     _, first, label = np.unique(label, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[label]

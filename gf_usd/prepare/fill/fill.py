@@ -55,7 +55,7 @@ from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Plan, embedded_points
 from gf_usd.prepare.settings import Animation
-from gf_usd.readers.notes import ANIMATED
+from gf_usd.readers.notes import ANIMATED, merged
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
@@ -160,7 +160,7 @@ def fill(
         tets=tets,
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
-        notes=notes,
+        notes=merged(notes),
     )
     return plan, solid
 

@@ -71,7 +71,7 @@ def build_meshes(
     diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
     defects = (
         *(tolerated_defects(diagnosis) for diagnosis in diagnoses),
-        lost_volume_warning(diagnoses, solid.volume),
+        lost_volume_warning(diagnoses, solid.volume, solid.enclosed),
     )
     return FilledMeshes(asset=asset, solid=solid, notes=(*turned, *filter(None, defects)))
 

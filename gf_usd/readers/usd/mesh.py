@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Kind, Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
@@ -110,7 +110,18 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         skinned=place.skinned,
         own_points=None if carriers is None else authored,
         origin=_origin(prim, reading),
+        component=_component(prim),
     )
+
+
+def _component(prim: Usd.Prim) -> str:
+    """Path of the outermost prim of kind component that contains a prim or is it; "": none."""
+    found = ""
+    while prim:
+        if Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
+            found = str(prim.GetPath())
+        prim = prim.GetParent()
+    return found
 
 
 def with_limit(prim: Usd.Prim, surface: Surface) -> Surface:

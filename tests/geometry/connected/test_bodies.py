@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from solids import cube, solid, sphere
 
+from gf_usd.core.asset import Surface
 from gf_usd.geometry.connected.bodies import find_bodies, overlapping
 
 
@@ -55,6 +58,33 @@ def test_what_two_owners_hold_is_never_one_body() -> None:
     assert found(*stack, owners=["/A", "/B", "/C"]) == [0, 1, 2]
     assert found(*stack, owners=["/A", "", "/C"]) == [0, 0, 1]
     assert found(*stack, owners=["/A", "/B", "/A"]) == [0, 1, 0]
+
+
+def part(component: str, low: float, height: float = 1.0) -> Surface:
+    made = cube(
+        (0.0, low, 0.0), (1.0, height, 1.0), path=f"{component}/Mesh_{low:g}".replace(".", "_")
+    )
+    return replace(made, component=component)
+
+
+def test_components_that_touch_are_separate_and_those_that_overlap_are_not() -> None:
+    assert found(part("/Board", 0.0), part("/Piece", 1.0)) == [0, 1]
+    assert found(part("/Board", 0.0), part("/Piece", 0.99)) == [0, 1]  # a tenth of a spacing deep
+    assert found(part("/Board", 0.0), part("/Piece", 0.9)) == [0, 0]
+    assert found(part("/Board", 0.0), part("/Board", 1.0)) == [0, 0]  # parts of one component
+    assert found(part("/Board", 0.0), part("", 1.0)) == [0, 0]
+    assert found(part("/Board", 0.0), part("/Piece", 1.0), combine=True) == [0, 0]
+
+
+def test_what_belongs_to_no_component_joins_no_two() -> None:
+    cloth = part("", 1.0, 0.5)
+    assert found(part("/Table", 0.0), cloth, part("/Cup", 1.5)) == [0, 0, 1]
+    assert found(part("/Table", 0.0), cloth, part("/Cup", 1.2)) == [0, 0, 0]  # deep in the cloth
+
+
+def test_a_physics_body_may_hold_components() -> None:
+    stack = [part("/A", 0.0), part("/B", 1.0), part("/C", 2.0)]
+    assert found(*stack, owners=["/Rigid", "/Rigid", ""]) == [0, 0, 1]
 
 
 def test_an_owner_of_two_kinds_holds_a_body_of_each() -> None:

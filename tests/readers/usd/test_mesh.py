@@ -30,6 +30,38 @@ def test_the_plain_cube(read):
     assert not surface.skinned
 
 
+PIECES = """
+def Xform "Set" (kind = "assembly")
+{
+    def Mesh "Cloth" { CUBE }
+    def Xform "White" (kind = "group")
+    {
+        def Xform "King" (kind = "component")
+        {
+            def Xform "Crown" (kind = "subcomponent")
+            {
+                def Mesh "Cross" { CUBE }
+            }
+            def Xform "Base" (kind = "component")
+            {
+                def Mesh "Foot" { CUBE }
+            }
+        }
+    }
+}
+def Mesh "Board" (kind = "component") { CUBE }
+""".replace("CUBE", CUBE)
+
+
+def test_the_outermost_component_of_a_mesh(read):
+    assert {s.path: s.component for s in read(PIECES).surfaces} == {
+        "/Set/Cloth": "",
+        "/Set/White/King/Crown/Cross": "/Set/White/King",
+        "/Set/White/King/Base/Foot": "/Set/White/King",
+        "/Board": "/Board",
+    }
+
+
 TRANSFORM = """
     double3 xformOp:translate = (10, 0, 0)
     float3 xformOp:rotateXYZ = (0, 90, 0)
