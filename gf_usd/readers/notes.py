@@ -11,6 +11,7 @@ ANIMATED = "is animated: the simulation starts from its pose at the first frame"
 
 
 ALONE = re.compile(r"<(?P<path>/[^<>]*)>(?P<text> (?:is|has|was) .*)", re.DOTALL)  # of one prim
+MANY = 3  # prims with equal notes, from which on they are one note
 
 
 class Notes:
@@ -46,17 +47,23 @@ class Notes:
 
 
 def merged(notes: Iterable[str]) -> tuple[str, ...]:
-    """Notes in which ``<PATH> is TEXT`` of several prims is ``each of <PATH> and 3 more is TEXT``.
+    """Notes in which ``<PATH> is TEXT`` of `MANY` prims is ``each of <PATH> and 3 more is TEXT``.
 
     They are in order of first appearance.  Instances of one asset have such notes.
     """
     places: dict[str, list[str]] = {}
-    for note in notes:
-        alone = ALONE.fullmatch(note)
-        places.setdefault(alone["text"] if alone else note, []).extend(
-            [alone["path"]] if alone else []
+    whole = dict.fromkeys(notes)  # each once
+    for note in whole:
+        if alone := ALONE.fullmatch(note):
+            places.setdefault(alone["text"], []).append(alone["path"])
+    many = {text: found for text, found in places.items() if len(found) >= MANY}
+    texts = {note: alone["text"] for note in whole if (alone := ALONE.fullmatch(note))}
+    return tuple(
+        dict.fromkeys(
+            _some(many[texts[note]]) + texts[note] if texts.get(note) in many else note
+            for note in whole
         )
-    return tuple(_some(found) + text if found else text for text, found in places.items())
+    )
 
 
 def source_of(given: object | None, known: bool) -> str:
