@@ -20,7 +20,7 @@ from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import Nearest, nearest
-from gf_usd.geometry.thin.thickness import chords, spread
+from gf_usd.geometry.thin.thickness import chords, shell_chords, spread
 
 FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] three quarters of a cell: a thinner wall may have no cell of its own that is more
@@ -56,6 +56,7 @@ class Part:
     wall: float  # [m] 2 V / A: the thickness of a plate, the radius of a rod
     suggested: int | None  # particles of the bake that would fill it; None: above `SENSIBLE`
     rays: tuple[Floats, Floats]  # points (n, 3) [m] of its surface, and normals
+    within: Floats  # (n,) [m] lengths of these rays in a whole shell by itself; nan: of a region
     thickness: float = 0.0  # [m] median along rays inward: the diameter of a rod
 
     @property
@@ -120,6 +121,8 @@ def _poor_shells(
         if not kind:
             continue
         spacing = min(wall, float(np.cbrt(volume[k] / FEW)))
+        rays = spread(points, triangles[rows], RAYS)
+        within = shell_chords(points, triangles[rows], *rays, np.full(RAYS, CLEAR_OF_WALL * wall))
         found.append(
             Part(
                 path=solid.surfaces[number].path,
@@ -130,7 +133,8 @@ def _poor_shells(
                 area=float(area[k]),
                 particles=count,
                 wall=wall,
-                rays=spread(points, triangles[rows], RAYS),
+                rays=rays,
+                within=within,
                 suggested=_particles_for(solid, spacing),
             )
         )
@@ -192,6 +196,7 @@ def _poor_regions(
                 particles=int(count[k]),
                 wall=wall,
                 rays=(moved[some], normal[some]),
+                within=np.full(len(some), np.nan),
                 suggested=_particles_for(solid, wall / WHOLE_LAYER),
             )
         )
@@ -199,7 +204,11 @@ def _poor_regions(
 
 
 def _with_thickness(solid: Solid, parts: Sequence[Part]) -> list[Part]:
-    """The parts with their thickness, which is the wall where no ray gives one."""
+    """The parts with their thickness, which is the wall where no ray gives one.
+
+    A ray ends where it leaves the union, as in the wall of a hollow shell, or a whole shell, as in
+    a plate that lies on a body.
+    """
     parts = [replace(part, thickness=part.wall) for part in parts]
     solids = [part for part in parts if part.wall > 0.0]
     if not solids:
@@ -207,7 +216,8 @@ def _with_thickness(solid: Solid, parts: Sequence[Part]) -> list[Part]:
     start, normal = (np.concatenate(ends) for ends in zip(*(part.rays for part in solids)))
     counts = [len(part.rays[0]) for part in solids]
     clear = np.repeat([CLEAR_OF_WALL * part.wall for part in solids], counts)
-    lengths = np.split(chords(solid, start, normal, clear), np.cumsum(counts)[:-1])
+    within = np.concatenate([part.within for part in solids])
+    lengths = np.split(np.fmin(chords(solid, start, normal, clear), within), np.cumsum(counts)[:-1])
     found = {
         id(part): replace(part, thickness=float(np.nanmedian(length)))
         for part, length in zip(solids, lengths, strict=True)

@@ -3,19 +3,22 @@
 The thickness at a surface point is the length of the ray along the inward normal to where it leaves
 the solid: the thickness of a plate, the diameter of a rod.  (The shape diameter function of
 Shapira, Shamir and Cohen-Or 2008 averages a cone of such rays, which underestimates the thickness
-near the edges of a box.)  A ray ends where it leaves the union of all surfaces.  Points are sampled
-uniformly by area, so that shares of points are shares of the surface.
+near the edges of a box.)  A ray ends where it leaves the union of all surfaces; `shell_chords` also
+end where they leave a single shell.  Points are sampled uniformly by area, so that shares of points
+are shares of the surface.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import igl
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
-from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.solid import Bounds, Solid
+from gf_usd.geometry.winding import Flags
 
 RAYS = 1000  # a share of 5 % is 50 of them, with a standard deviation of 0.7 %
 THIN_SHARE = 0.05  # of the surface area is thinner than `Thickness.thin`
@@ -47,9 +50,8 @@ def ray_lengths(solid: Solid, rays: int) -> Floats:
 
     Points inside another surface, and rays that leave through a hole, are left out.
     """
-    points, faces = _mesh(solid)
     clear = CLEAR * float(np.linalg.norm(solid.high - solid.low))
-    length = chords(solid, *spread(points, faces, rays), np.full(rays, clear))
+    length = chords(solid, *spread(*_mesh(solid), rays), np.full(rays, clear))
     return length[np.isfinite(length)]
 
 
@@ -62,11 +64,36 @@ def chords(solid: Solid, start: Floats, normal: Floats, clear: Floats) -> Floats
         unambiguous inside test.
     """
     center = 0.5 * (solid.low + solid.high)
-    points, faces = _mesh(solid)
+    return _chords(*_mesh(solid), center, solid.inside, start, normal, clear)
+
+
+def shell_chords(
+    points: Floats, faces: Ints, start: Floats, normal: Floats, clear: Floats
+) -> Floats:
+    """`chords` of a shell of points (V, 3) [m] and triangles as if there were no other.
+
+    That of a plate on a body is as long as the plate is thick; that of a hollow ball its diameter.
+    """
+    used, local = np.unique(faces, return_inverse=True)
+    points, faces = points[used], np.ascontiguousarray(local.reshape(-1, 3), np.int64)
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return _chords(points, faces, center, Bounds(points, faces).inside, start, normal, clear)
+
+
+def _chords(
+    points: Floats,
+    faces: Ints,
+    center: Floats,
+    contains: Callable[[Floats], Flags],
+    start: Floats,
+    normal: Floats,
+    clear: Floats,
+) -> Floats:
+    """See `chords`; contains : X (n, 3) [m] -> (n,) whether these points are inside."""
     points = points - center
     length = np.full(len(start), np.nan)
     start, clear = start - center, clear[:, None]
-    ahead, behind = (solid.inside(start + side * clear * normal + center) for side in (1.0, -1.0))
+    ahead, behind = (contains(start + side * clear * normal + center) for side in (1.0, -1.0))
     bounds = ahead != behind
     inward = np.where(ahead[bounds, None], 1.0, -1.0) * normal[bounds]
     clear = clear[bounds]
@@ -85,7 +112,7 @@ def chords(solid: Solid, start: Floats, normal: Floats, clear: Floats) -> Floats
     ends_inside = np.isfinite(gap) & ~goes_on
     middle = np.where(ends_inside, ends + 0.5 * np.where(ends_inside, gap, 0.0), 0.0)
     probes = start[:, None, :] + middle[:, :, None] * inward[:, None, :]
-    goes_on[ends_inside] = solid.inside(probes[ends_inside] + center)
+    goes_on[ends_inside] = contains(probes[ends_inside] + center)
     last = np.argmin(goes_on, axis=1)
     found = ends[np.arange(len(ends)), last] + clear[:, 0]
     length[bounds] = np.where(np.isfinite(found), found, np.nan)

@@ -63,6 +63,26 @@ def test_shells_thinner_than_a_spacing_are_named():
     assert suggestion(found) == small.suggested
 
 
+@pytest.mark.parametrize("meshes", [1, 2])
+@pytest.mark.parametrize("gap", [0.0, -0.001, 0.01], ids=["touching", "sunk", "above"])
+def test_a_plate_on_a_body_is_as_thick_as_without_it(gap, meshes):
+    """Rays through it went on through the body."""
+    plate = cube(low=(0.2, 0.2, 1.0 + gap), edge=(0.6, 0.6, 0.003), path="/Plate")
+    body = (shells_of(cube(), plate),) if meshes == 1 else (cube(), plate)
+    (part,) = parts_of(*body, particles=2000)
+    assert (part.path, part.shell) == (("/Body", 1) if meshes == 1 else ("/Plate", 0))
+    assert part.thickness == pytest.approx(0.003, rel=1e-3)
+
+
+def test_a_hollow_shell_is_as_thick_as_its_wall():
+    """Not as its outer surface is wide."""
+    inner = sphere(0.0999)
+    hollow = surface(inner.points, inner.triangles[:, ::-1])
+    found = parts_of(shells_of(cube(low=(3.0, 0.0, 0.0)), sphere(0.1), hollow), particles=2000)
+    assert [part.shell for part in found] == [1]
+    assert found[0].thickness == pytest.approx(1e-4, rel=0.05)
+
+
 def test_loose_faces_have_no_thickness():
     """Only the rounding error of their volume."""
     corners = np.array([[0.0, 0.0, 0.0], [0.7, 0.1, 0.2], [0.6, 0.8, 0.3], [-0.1, 0.7, 0.1]])
