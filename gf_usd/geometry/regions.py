@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import igl
 import numpy as np
@@ -141,8 +142,12 @@ def _nearest_to(region: Region, solid: Solid, at: int) -> Callable[[Floats], Flo
     """A test of points X (n, 3) [m]: (n,) whether the patch is the nearest part of its surface."""
     patch = Shape(region.points, region.triangles)
     whole = Shape(solid.surfaces[at].points, solid.triangles[at])
-    slack = _tolerance(solid)
-    return lambda X: np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
+    return partial(_as_near, patch, whole, _tolerance(solid))
+
+
+def _as_near(patch: Shape, whole: Shape, slack: float, X: Floats) -> Floats:
+    """(n,) whether a patch is nearest to X (n, 3) [m], up to some slack [m], of a whole surface."""
+    return np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
 
 
 def _tolerance(solid: Solid) -> float:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.arrays import Ints
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings
@@ -149,8 +149,16 @@ def soft_attachment_goals(
     return replace(FREE, attached=attached)
 
 
+def _rest_pose(X: Floats) -> Callable[[float], Floats]:
+    return lambda frame: X
+
+
+def _no_rate(X: Floats) -> Floats:
+    return np.zeros(len(X))
+
+
 # Springs that pull nothing.
-FREE = Goals(pose=lambda X: lambda frame: X, rate=lambda X: np.zeros(len(X)), moving=False)
+FREE = Goals(pose=_rest_pose, rate=_no_rate, moving=False)
 
 
 def _require_overlap(region: Region, asset: Asset, option: str) -> None:

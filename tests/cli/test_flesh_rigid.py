@@ -6,33 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm import FIRST, LAST, arm, drawn, write
+from arm import BOOT, BOOT_CORNERS, BOOT_FACES, FIRST, LAST, arm, booted, drawn, write
 from pxr import Usd
 
 import gf_usd
 from gf_usd.prepare.prepare import prepare
 
 FEW = {"particles": 400, "preroll": 6, "flesh": True, "material": "jelly"}
-CORNERS = np.array([[x, y, z] for x in (1.7, 2.1) for y in (-0.3, 0.3) for z in (-0.3, 0.3)])
-FACES = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
-BOOT = f"""
-    def Mesh "Boot" ( prepend apiSchemas = ["SkelBindingAPI"] )
-    {{
-        uniform token subdivisionScheme = "none"
-        point3f[] points = [{", ".join(str(tuple(p)) for p in CORNERS.tolist())}]
-        int[] faceVertexCounts = {[4] * 6}
-        int[] faceVertexIndices = {FACES}
-        rel skel:skeleton = </Arm/Skel>
-        int[] primvars:skel:jointIndices = {[1] * 8} ( elementSize = 1; interpolation = "vertex" )
-        float[] primvars:skel:jointWeights = {[1] * 8} ( elementSize = 1; interpolation = "vertex" )
-    }}
-}}
-"""
-
-
-def booted(folder: Path) -> Path:
-    """The arm with a boot on its end, which joint B alone carries."""
-    return write(folder, arm().rstrip().removesuffix("}") + BOOT)
 
 
 @pytest.mark.slow
@@ -84,21 +64,21 @@ def test_a_rigid_boot_moves_with_its_joint(tmp_path: Path) -> None:
         for code, angle in ((FIRST, 20.0), (LAST, 60.0)):
             c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
             R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            posed = (CORNERS - [1.0, 0.0, 0.0]) @ R.T + [1.0, 0.0, 0.0]
+            posed = (BOOT_CORNERS - [1.0, 0.0, 0.0]) @ R.T + [1.0, 0.0, 0.0]
             away = np.abs(drawn(stage, code, "/Arm/Boot") - posed).max()
             assert (away < 1e-5) if rigid else (away > 1e-3)
 
 
 def cape(height: float) -> str:
     """A box over the middle of the arm that both joints carry, as far above it as given [m]."""
-    points = [(x, 0.2 + height + y, z) for x, y, z in (CORNERS - (0.9, -0.3, 0.0)).tolist()]
+    points = [(x, 0.2 + height + y, z) for x, y, z in (BOOT_CORNERS - (0.9, -0.3, 0.0)).tolist()]
     return f"""
     def Mesh "Cape" ( prepend apiSchemas = ["SkelBindingAPI"] )
     {{
         uniform token subdivisionScheme = "none"
         point3f[] points = {points}
         int[] faceVertexCounts = {[4] * 6}
-        int[] faceVertexIndices = {FACES}
+        int[] faceVertexIndices = {BOOT_FACES}
         rel skel:skeleton = </Arm/Skel>
         int[] primvars:skel:jointIndices = {[0, 1] * len(points)} (
             elementSize = 2

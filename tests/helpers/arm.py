@@ -12,6 +12,21 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 RINGS, WIDTH = 9, 0.4  # [m] of a side; the prism is 2 m long, with the joints at x = 0 and 1
 FIRST, LAST = 1, 13  # time codes of the animation
 ALONG = np.linspace(0.0, 2.0, RINGS)
+BOOT_CORNERS = np.array([[x, y, z] for x in (1.7, 2.1) for y in (-0.3, 0.3) for z in (-0.3, 0.3)])
+BOOT_FACES = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+BOOT = f"""
+    def Mesh "Boot" ( prepend apiSchemas = ["SkelBindingAPI"] )
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points = [{", ".join(str(tuple(p)) for p in BOOT_CORNERS.tolist())}]
+        int[] faceVertexCounts = {[4] * 6}
+        int[] faceVertexIndices = {BOOT_FACES}
+        rel skel:skeleton = </Arm/Skel>
+        int[] primvars:skel:jointIndices = {[1] * 8} ( elementSize = 1; interpolation = "vertex" )
+        float[] primvars:skel:jointWeights = {[1] * 8} ( elementSize = 1; interpolation = "vertex" )
+    }}
+}}
+"""
 
 
 def points() -> NDArray[np.float64]:
@@ -115,6 +130,11 @@ def write(folder: Path, text: str) -> Path:
     path = folder / "arm.usda"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def booted(folder: Path) -> Path:
+    """The arm with a boot on its end, which joint B alone carries."""
+    return write(folder, arm().rstrip().removesuffix("}") + BOOT)
 
 
 def cached(path: Path, *, every: int = 1, with_range: bool = True, more: str = "") -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arm import arm, booted, cached, write
 from physics_stages import head, mesh
 from planned import at
 from solids import asset, facts, fill, preset_material, settings, solid, sphere
@@ -208,3 +209,50 @@ def test_a_plan_is_values_alone(tmp_path: Path) -> None:
     for field in fields(made):
         with pytest.raises(FrozenInstanceError):
             setattr(made, field.name, None)
+
+
+GOAL = "float primvars:gaussianFlesh:goal.timeSamples = { 1: 0.2, 13: 0.8 }"
+FOREARM = """def GeomSubset "Forearm"
+{
+    uniform token elementType = "face"
+    int[] indices = [1, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33]
+}"""
+
+
+@pytest.mark.parametrize(
+    ("more", "options"),
+    [
+        ("", {"flesh": True, "goal_frequency": 3.0, "squish": 0.75, "stretch": 0.4}),
+        (GOAL, {"flesh": True, "goal_frequency": 3.0}),
+        (FOREARM, {"rigid": ["/Arm/Skin/Forearm"]}),
+        ("cached", {"flesh": True, "goal_frequency": 3.0}),
+        ("booted", {"flesh": True, "rigid": ["/Arm/Boot"]}),
+    ],
+    ids=["limits", "goals over time", "rigid patch", "animated points", "rigid mesh"],
+)
+def test_plans_of_flesh_can_be_pickled(tmp_path: Path, more: str, options: dict[str, Any]) -> None:
+    """Their functions were closures, which processes of other programs cannot be sent."""
+    named = more in ("cached", "booted")
+    path = (
+        booted(tmp_path) if more == "booted" else write(tmp_path, arm(more="" if named else more))
+    )
+    if more == "cached":
+        path.write_text(cached(path), encoding="utf-8")
+    made = prepare(path, output=tmp_path / "out.usda", particles=300, **options).plan
+    again = pickle.loads(pickle.dumps(made))
+    assert describe(again) == describe(made)
+    X, frame = made.particles.X, made.settings.frames - 1.0
+
+    def results(plan: Plan) -> list[Any]:
+        out = [(pin.inside(X), pin.nearest(X)) for pin in plan.pins]
+        if (goals := plan.goals) is not None:
+            out.append((goals.pose(X)(frame), goals.rate(X)))
+            out += [goals.rates(X)(frame)] if goals.rates else []
+            out += [goals.limits.carried(X)(frame)[0]] if goals.limits else []
+            out += [(goals.limits.toward(X), goals.limits.away(X))] if goals.limits else []
+        return out
+
+    assert len(made.pins) > 0
+    assert (made.goals is not None) == ("goal_frequency" in options)
+    for one, other in zip(results(again), results(made), strict=True):
+        np.testing.assert_equal(one, other)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,10 @@ class Cores:
             best[deeper], out[deeper] = depth[deeper], core.bone
         return out
 
+    def owns(self, bone: int, X: Floats) -> NDArray[np.bool_]:
+        """(n,) whether the core of a bone contains each point (n, 3) [m]."""
+        return self.owner(X) == bone
+
 
 def bone_cores(
     bones: Sequence[Bone], solid: Solid, share: float, cell: float
@@ -133,12 +138,20 @@ def bone_pins(bones: Sequence[Bone], cores: Cores) -> tuple[Pin, ...]:
 def _pin(bone: Bone, cores: Cores, number: int) -> Pin:
     return Pin(
         name=bone.name,
-        inside=lambda X: cores.owner(X) == number,
-        nearest=lambda X: X,
+        inside=partial(cores.owns, number),
+        nearest=itself,
         anchors=bone.anchors,
         path=bone.path,
         sharp=False,
     )
+
+
+def itself(X: Floats) -> Floats:
+    """The points X (n, 3) themselves: `Pin.nearest` of a region whose boundary holds nothing.
+
+    A function of the module, since plans with lambdas cannot be pickled.
+    """
+    return X
 
 
 def _along(start: Floats, end: Floats) -> NDArray[np.float64]:

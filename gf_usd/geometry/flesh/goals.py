@@ -75,56 +75,80 @@ def flesh_goals(
         each frame; empty: they are constant.
     """
     skin = on_skin(solid, samples.X)
-    drawn = _skin_samples(solid, samples, skeleton, painted, spacing, skin)
     linear, offset = affine(skeleton)
-    moving = bool((linear != np.eye(3)).any() or offset.any())
-
     offsets = skeleton.samples.offsets if skeleton.samples else ()
+    moving = bool((linear != np.eye(3)).any() or offset.any())
     moving = moving or any(one.any() for one in offsets)
-
-    def pose(X: Floats) -> Callable[[float], Floats]:
-        around = drawn.around(X)
-        weights = around @ drawn.weights
-        known = np.asarray(weights.sum(1)).ravel()
-        weights = sparse.csr_matrix(sparse.diags_array(1.0 / np.where(known, known, 1.0)) @ weights)
-
-        def at(frame: float) -> Floats:
-            k = int(np.clip(round(frame), 0, len(linear) - 1))
-            A = (weights @ linear[k].reshape(-1, 9)).reshape(-1, 3, 3)
-            moved = np.einsum("nab,nb->na", A, X) + weights @ offset[k]
-            if len(offsets):
-                moved += around @ offsets[k]
-            return np.where(known[:, None] > 0.0, moved, X)
-
-        return at
-
-    def of_goal(around: sparse.csr_matrix, goal: Floats) -> Floats:
-        posed = np.asarray((around @ drawn.weights).sum(1)).ravel()
-        g = np.clip(around @ goal, 0.0, 1.0)
-        if frequency == 0.0:
-            return np.zeros(around.shape[0])
-        with np.errstate(divide="ignore"):
-            return np.asarray(2.0 * np.pi * frequency * posed * np.sqrt(g / (1.0 - g)))
-
-    keyed = [_painted_goal(solid, skin, key, len(samples.X)) for key in keys]
-
-    def rates(X: Floats) -> Callable[[float], Floats]:
-        around = drawn.around(X)
-
-        def at(frame: float) -> Floats:
-            k = int(np.clip(round(frame), 0, len(key_of_frame) - 1))
-            return of_goal(around, keyed[key_of_frame[k]])
-
-        return at
-
+    springs = _Springs(
+        drawn=_skin_samples(solid, samples, skeleton, painted, spacing, skin),
+        linear=linear,
+        offset=offset,
+        offsets=tuple(offsets),
+        frequency=frequency,
+        keyed=tuple(_painted_goal(solid, skin, key, len(samples.X)) for key in keys),
+        key_of_frame=tuple(key_of_frame),
+    )
     return Goals(
-        pose=pose,
-        rate=lambda X: of_goal(drawn.around(X), drawn.goal),
-        rates=rates if keys else None,
+        pose=springs.pose,
+        rate=springs.rate,
+        rates=springs.rates if keys else None,
         damping=damping,
         moving=moving or len(keys) > 1,
         limits=limits,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Springs:
+    """The functions of `Goals`; a class, because plans with closures cannot be pickled."""
+
+    drawn: SkinSamples
+    linear: Floats  # (F, bones, 3, 3) as in `affine`
+    offset: Floats  # (F, bones, 3) [m]
+    offsets: tuple[Floats, ...]  # of each frame, (n, 3) [m] that samples are shifted besides
+    frequency: float  # [Hz]
+    keyed: tuple[Floats, ...]  # (n,) goal weights of the samples over time
+    key_of_frame: tuple[int, ...]
+
+    def pose(self, X: Floats) -> Callable[[float], Floats]:
+        """See `Goals`."""
+        around = self.drawn.around(X)
+        weights = around @ self.drawn.weights
+        known = np.asarray(weights.sum(1)).ravel()
+        weights = sparse.csr_matrix(sparse.diags_array(1.0 / np.where(known, known, 1.0)) @ weights)
+
+        def at(frame: float) -> Floats:
+            k = int(np.clip(round(frame), 0, len(self.linear) - 1))
+            A = (weights @ self.linear[k].reshape(-1, 9)).reshape(-1, 3, 3)
+            moved = np.einsum("nab,nb->na", A, X) + weights @ self.offset[k]
+            if len(self.offsets):
+                moved += around @ self.offsets[k]
+            return np.where(known[:, None] > 0.0, moved, X)
+
+        return at
+
+    def rate(self, X: Floats) -> Floats:
+        """See `Goals`."""
+        return self._of_goal(self.drawn.around(X), self.drawn.goal)
+
+    def rates(self, X: Floats) -> Callable[[float], Floats]:
+        """See `Goals`."""
+        around = self.drawn.around(X)
+
+        def at(frame: float) -> Floats:
+            k = int(np.clip(round(frame), 0, len(self.key_of_frame) - 1))
+            return self._of_goal(around, self.keyed[self.key_of_frame[k]])
+
+        return at
+
+    def _of_goal(self, around: sparse.csr_matrix, goal: Floats) -> Floats:
+        """(n,) [rad/s]; around : (n, samples) of `SkinSamples.around`; goal : of the samples."""
+        posed = np.asarray((around @ self.drawn.weights).sum(1)).ravel()
+        g = np.clip(around @ goal, 0.0, 1.0)
+        if self.frequency == 0.0:
+            return np.zeros(around.shape[0])
+        with np.errstate(divide="ignore"):
+            return np.asarray(2.0 * np.pi * self.frequency * posed * np.sqrt(g / (1.0 - g)))
 
 
 def affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -13,6 +13,8 @@ q and s are relative to r, so that one value suits thin and thick limbs.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -35,32 +37,44 @@ def flesh_limits(
     squish, stretch : q and s; None: no such constraint.  cell : [m] edge of a cell.
     """
     linear, offset = affine(skeleton)
+    bones = _Bones(cores=cores, linear=linear, offset=offset, cell=cell)
+    return FleshLimits(
+        carried=bones.carried,
+        toward=partial(bones.ways, None if squish is None else 1.0 - squish),
+        away=partial(bones.ways, stretch),
+    )
 
-    def carried(X: Floats) -> Callable[[float], tuple[Floats, Floats]]:
-        bone, way = nearest_bone(cores, X)
+
+@dataclass(frozen=True, kw_only=True)
+class _Bones:
+    """The functions of `FleshLimits`; a class, because plans with closures cannot be pickled."""
+
+    cores: Cores
+    linear: Floats  # (F, bones, 3, 3) as in `affine`
+    offset: Floats  # (F, bones, 3) [m]
+    cell: float  # [m]
+
+    def carried(self, X: Floats) -> Callable[[float], tuple[Floats, Floats]]:
+        """See `FleshLimits`."""
+        bone, way = nearest_bone(self.cores, X)
         # no division by 0: a point on the axis is in a core, whose motion is prescribed
         way = np.where((way != 0.0).any(1, keepdims=True), way, np.eye(3)[0])
 
         def at(frame: float) -> tuple[Floats, Floats]:
-            k = int(np.clip(round(frame), 0, len(linear) - 1))
-            A = linear[k][bone]
+            k = int(np.clip(round(frame), 0, len(self.linear) - 1))
+            A = self.linear[k][bone]
             n = np.einsum("nab,nb->na", A, way)
-            place = np.einsum("nab,nb->na", A, X) + offset[k][bone]
+            place = np.einsum("nab,nb->na", A, X) + self.offset[k][bone]
             return place, n / np.linalg.norm(n, axis=1, keepdims=True)
 
         return at
 
-    def share(X: Floats, of: float | None) -> Floats:
-        if of is None:
+    def ways(self, share: float | None, X: Floats) -> Floats:
+        """(n,) [m] the share of r at points X (n, 3) [m]; None: inf."""
+        if share is None:
             return np.full(len(X), np.inf)
-        r = np.linalg.norm(nearest_bone(cores, X)[1], axis=1)
-        return np.asarray(of * np.maximum(r, cell))
-
-    return FleshLimits(
-        carried=carried,
-        toward=lambda X: share(X, None if squish is None else 1.0 - squish),
-        away=lambda X: share(X, stretch),
-    )
+        r = np.linalg.norm(nearest_bone(self.cores, X)[1], axis=1)
+        return np.asarray(share * np.maximum(r, self.cell))
 
 
 def nearest_bone(cores: Cores, X: Floats) -> tuple[Ints, Floats]:

@@ -7,13 +7,14 @@ apart from the flesh, such as a sword next to a hand, are always rigid.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.stage import Pin, Skeleton
-from gf_usd.geometry.flesh.cores import WIDER, Cores
+from gf_usd.geometry.flesh.cores import WIDER, Cores, itself
 from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
@@ -135,8 +136,10 @@ def single_joint_pins(
     return tuple(
         Pin(
             name=path,
-            inside=_around(Shape(*filled[path]), WIDER * cell) if path in filled else _nothing,
-            nearest=lambda X: X,
+            inside=partial(_around, Shape(*filled[path]), WIDER * cell)
+            if path in filled
+            else _nothing,
+            nearest=itself,
             anchors=skeleton.bones[bound[path]].anchors,
             path=skeleton.bones[bound[path]].path,
             sharp=False,
@@ -146,8 +149,9 @@ def single_joint_pins(
     )
 
 
-def _around(shape: Shape, width: float) -> Callable[[Floats], Floats]:
-    return lambda X: np.asarray(shape.encloses(X) | (shape.closest(X)[0] < width))
+def _around(shape: Shape, width: float, X: Floats) -> Floats:
+    """(n,) whether points X (n, 3) [m] are in a shape, or within a width [m] of it."""
+    return np.asarray(shape.encloses(X) | (shape.closest(X)[0] < width))
 
 
 def _nothing(X: Floats) -> Floats:
