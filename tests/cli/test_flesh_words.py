@@ -7,10 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from arm import arm, cached, write
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from arm import arm, cached, captured, write
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from small_bakes import Done
 
+from gf_usd.core.errors import InputError
 from gf_usd.physics.frame_loop import Solver
 from gf_usd.pipeline.prepared import prepare, solver_of
 from gf_usd.prepare.plan import Plan
@@ -103,6 +104,46 @@ def test_the_floor_that_is_proposed_is_under_animated_points(tmp_path: Path) -> 
     assert float(height) == pytest.approx(last, rel=0.01)
     assert float(height) <= last
     assert where == "under its poses in these frames,"
+
+
+def test_the_floor_that_is_proposed_is_under_poses_next_to_a_capture_without_any(
+    tmp_path: Path,
+) -> None:
+    """It was under the rest shape of all, since one of the surfaces has no joint weights."""
+    path = captured(tmp_path)
+    stage = Usd.Stage.Open(str(path))
+    sinking = Sdf.Layer.FindOrOpen(str(write(tmp_path, arm(lift=(0.0, -1.5)))))
+    for prim in ("/Arm/Skin", "/Arm/Anim"):
+        Sdf.CopySpec(sinking, prim, stage.GetRootLayer(), prim)
+    stage.Save()
+    (note,) = (note for note in plan_of(path).notes if note.startswith("there is no floor"))
+    assert note == (  # 0.2 below the bone that sinks by 1.5
+        "there is no floor under the animation; --floor -1.7, under its poses in these frames and"
+        " the rest shape of </Arm/Person>, adds one"
+    )
+
+
+@pytest.mark.parametrize("animated", ["transform", "mesh"])
+def test_an_animation_of_captured_gaussians_is_refused(tmp_path: Path, animated: str) -> None:
+    """Without a skeleton it ended in a traceback, as did that of a mesh beside them."""
+    path = captured(tmp_path)
+    stage = Usd.Stage.Open(str(path))
+    person = stage.GetPrimAtPath("/Arm/Person")
+    for prim in ("/Arm/Skel", "/Arm/Anim"):
+        stage.RemovePrim(prim)
+    if animated == "transform":
+        sinks = UsdGeom.Xformable(person).AddTranslateOp()
+        sinks.Set(Gf.Vec3d(0.0, 0.0, 0.0), 1.0)
+        sinks.Set(Gf.Vec3d(0.0, -1.0, 0.0), 13.0)
+    else:
+        (tmp_path / "cache.usda").write_text(cached(write(tmp_path, arm())), encoding="utf-8")
+        points = Sdf.Layer.FindOrOpen(str(tmp_path / "cache.usda"))
+        Sdf.CopySpec(points, "/Arm/Skin", stage.GetRootLayer(), "/Arm/Skin")
+    stage.Save()
+    with pytest.raises(InputError, match="captured Gaussians themselves is not followed") as caught:
+        plan_of(path)
+    assert "</Arm/Person>" in caught.value.message
+    assert "whose nearest bones they follow" in caught.value.hint
 
 
 @pytest.mark.slow

@@ -51,6 +51,14 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     if not (posed or has_animated_points(file, paths, asset.facts)):
         nearest = lone_skeleton(file)
     cached = not (posed or nearest)
+    captures = [s.path for s in asset.surfaces if s.splats is not None]
+    if cached and captures:
+        raise InputError(
+            f"{asset.facts.path}: --flesh: no skeleton poses <{captures[0]}>, and an animation of"
+            " captured Gaussians themselves is not followed",
+            "add a Skeleton under a SkelRoot (UsdSkel), the only one of the stage, whose nearest"
+            " bones they follow; leave them out with --prim; or bake without --flesh",
+        )
     loose = _surface_points(asset) if nearest else None
     if cached:
         first, last = cache_range(file, paths, asset.facts)
@@ -80,6 +88,14 @@ def _surface_points(asset: Asset) -> dict[str, Floats]:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Poses:
+    """How low an animation takes the surfaces."""
+
+    lowest: float  # [m] height of the lowest point in all poses, of the surfaces that have any
+    still: tuple[str, ...] = ()  # prim paths of surfaces without joint weights next to others
+
+
+@dataclass(frozen=True, kw_only=True)
 class Flesh:
     """The pins and goals of a character's flesh."""
 
@@ -87,7 +103,7 @@ class Flesh:
     goals: Goals | None = None  # springs to the skinned pose
     notes: tuple[str, ...] = ()
     rigid: tuple[str, ...] = ()  # what of --rigid moves with its joints
-    lowest: float | None = None  # [m] of the lowest point in the poses of all frames; None: unknown
+    poses: Poses | None = None  # of all frames
 
 
 def flesh_of(
@@ -123,24 +139,24 @@ def flesh_of(
         goals=goals,
         notes=tuple(dict.fromkeys(note for one in every for note in one.notes)),
         rigid=tuple(dict.fromkeys(name for one in every for name in one.rigid)),
-        lowest=_least([one.lowest for one in every]),
+        poses=_joined([one.poses for one in every if one.poses]),
     )
 
 
-def _least(heights: Sequence[float | None]) -> float | None:
-    """The least of some heights; None where one of them is unknown."""
-    known = [height for height in heights if height is not None]
-    return min(known, default=None) if len(known) == len(heights) else None
+def _joined(every: Sequence[Poses]) -> Poses:
+    """The poses of one or several characters."""
+    return Poses(
+        lowest=min(one.lowest for one in every),
+        still=tuple(path for one in every for path in one.still),
+    )
 
 
-def _lowest(asset: Asset, skeleton: Skeleton) -> float | None:
-    """[m] height of the lowest point of the surfaces in all poses; None where they have no weights.
+def _poses(asset: Asset, skeleton: Skeleton) -> Poses:
+    """The poses of the surfaces that have weights.
 
     Linear blend skinning: x = sum_j w_j (x0_j + (X - X0_j) E_j^-1 D_j), with the edges of the
     anchors of bone j at rest, E, and posed, D.
     """
-    if any(s.path not in skeleton.weights for s in asset.surfaces):
-        return None
     up, anchors = asset.facts.up, np.stack([bone.anchors for bone in skeleton.bones])
     paths = np.stack([bone.path for bone in skeleton.bones], axis=1)  # (F, J, 4, 3)
     edges = (paths[:, :, 1:] - paths[:, :, :1]) @ up
@@ -148,11 +164,14 @@ def _lowest(asset: Asset, skeleton: Skeleton) -> float | None:
     offsets = paths[:, :, 0] @ up - np.einsum("fja,ja->fj", slopes, anchors[:, 0])
     least = np.inf
     for surface in asset.surfaces:
+        if surface.path not in skeleton.weights:
+            continue
         weights, X = skeleton.weights[surface.path], surface.points
         for slope, offset in zip(slopes, offsets, strict=True):
             heights = ((weights @ slope) * X).sum(axis=1) + weights @ offset
             least = min(least, float(heights.min(initial=np.inf)))
-    return least
+    still = tuple(s.path for s in asset.surfaces if s.path not in skeleton.weights)
+    return Poses(lowest=least, still=still)
 
 
 def _of_character(
@@ -190,7 +209,7 @@ def _of_character(
     cell, radius = 2.0 * lattice, share or BONE_RADIUS
     times, lead = _animation_times(settings, animation, cycle, repeats)
     different, frame_rows = np.unique(times, return_inverse=True)
-    skeleton, cores, lowest, notes = _read_bones(
+    skeleton, cores, poses, notes = _read_bones(
         asset, solid, X, samples, animation, file, different.tolist(),
         radius=radius, cell=cell, spacing=spacing,
     )  # fmt: skip
@@ -214,14 +233,14 @@ def _of_character(
     )
     notes = (*notes, *pin_notes, *goal_notes)
     if frequency is None and limits is None:
-        return Flesh(pins=pins, notes=notes, rigid=tuple(kept), lowest=lowest)
+        return Flesh(pins=pins, notes=notes, rigid=tuple(kept), poses=poses)
     goals, key_notes = _springs(
         asset, solid, samples, skeleton, painted, animation, file, different, frame_rows,
         frequency=frequency or 0.0,  # limits alone: no springs
         damping=GOAL_DAMPING if damping is None else damping, spacing=spacing, limits=limits,
     )  # fmt: skip
     notes = (*notes, *key_notes)
-    return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept), lowest=lowest)
+    return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept), poses=poses)
 
 
 def _read_bones(
@@ -236,10 +255,9 @@ def _read_bones(
     radius: float,
     cell: float,
     spacing: float,
-) -> tuple[Skeleton, Cores | None, float | None, tuple[str, ...]]:
+) -> tuple[Skeleton, Cores | None, Poses, tuple[str, ...]]:
     """The bones at some time codes: of the skeleton, or pieces of a body without one, whose cores
-    are found with them.  The cores, else None; the height [m] of the lowest point of the surfaces
-    in all poses, None where it is unknown; notes.
+    are found with them.  The cores, else None; the poses; notes.
     """
     from gf_usd.geometry.flesh.medial import medial_skeleton
     from gf_usd.readers.usd.bones import read_skeleton
@@ -250,7 +268,7 @@ def _read_bones(
     if not animation.cached:
         loose = _surface_points(asset) if animation.nearest else None
         skeleton = read_skeleton(file, paths, asset.facts, **when, loose=loose)
-        return skeleton, None, _lowest(asset, skeleton), ()
+        return skeleton, None, _poses(asset, skeleton), ()
     lows: list[float] = []
     poses = _with_lows(read_cache(file, paths, asset.facts, **when), asset.facts.up, lows)
     skeleton, cores = medial_skeleton(
@@ -261,7 +279,7 @@ def _read_bones(
         f"it has no skeleton: {len(skeleton.bones)} pieces along its medial axis follow its"
         f" animated points as bones"
     )
-    return skeleton, cores, min(lows, default=None), (note,)
+    return skeleton, cores, Poses(lowest=min(lows)), (note,)
 
 
 def _with_lows(

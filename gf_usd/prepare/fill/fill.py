@@ -26,6 +26,7 @@ from gf_usd.prepare.bodies.contact import (
     separate_limbs,
 )
 from gf_usd.prepare.bodies.facing import turned_to_bodies
+from gf_usd.prepare.bodies.flesh import Poses
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.grounds import ground_notes
 from gf_usd.prepare.bodies.sampling import SampledBodies
@@ -126,7 +127,7 @@ def fill(
     notes = (
         *_ground_notes(inputs), *_asset_notes(asset, shot.animation),
         *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
-        *stage_notes, *_floor_notes(floating, asset, constraints.flesh.lowest),
+        *stage_notes, *_floor_notes(floating, asset, constraints.flesh.poses),
         *shot.notes, *constraints.attachment_notes, *goal_notes,
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
         *_cage_notes(inputs, filled, materials), *unpinned,
@@ -165,8 +166,8 @@ def fill(
     return plan, solid
 
 
-def _floor_notes(floating: bool, asset: Asset, lowest: float | None) -> tuple[str, ...]:
-    return (proposed_floor(asset, lowest),) if floating else ()
+def _floor_notes(floating: bool, asset: Asset, poses: Poses | None) -> tuple[str, ...]:
+    return (proposed_floor(asset, poses.lowest, poses.still),) if floating and poses else ()
 
 
 def _ground_notes(inputs: Inputs) -> tuple[str, ...]:

@@ -67,23 +67,22 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
 ON_FLOOR = 1e-3  # of the height of an asset that is less far below the floor: it stands on it
 
 
-def proposed_floor(asset: Asset, lowest: float | None) -> str:
+def proposed_floor(asset: Asset, lowest: float, still: Sequence[str] = ()) -> str:
     """A note on the floor that a bake with flesh does not have, at a height that clears its poses.
 
-    lowest : [m] height of the lowest point of the poses in the frames of the bake; None: unknown.
+    lowest : [m] height of the lowest point of the poses in the frames of the bake.
+    still : prim paths of surfaces without poses, which count as they are at rest.
     """
     heights = np.concatenate([s.face_points @ asset.facts.up for s in asset.surfaces])
-    at_rest, below = float(heights.min()), ", under its poses in these frames,"
-    if lowest is None:
-        lowest, below = at_rest, ", under its rest shape,"
+    others = f" and the rest shape of {listed(still)}" if still else ""
     # one at height 0 would cut through a bind pose about the origin
-    lowest = min(lowest, at_rest) / asset.facts.units.length
+    lowest = min(lowest, float(heights.min())) / asset.facts.units.length
     if lowest > -ON_FLOOR * float(np.ptp(heights)) / asset.facts.units.length:
         lowest = 0.0
     # three digits, rounded down: a point below the floor is pushed out at once
     digit = 10.0 ** (math.floor(math.log10(-lowest)) - 2) if lowest else 1.0
     height = math.floor(lowest / digit + 1e-6) * digit
-    where = below if lowest < 0.0 else ""
+    where = f", under its poses in these frames{others}," if lowest < 0.0 else ""
     return f"there is no floor under the animation; --floor {height:.3g}{where} adds one"
 
 
