@@ -24,7 +24,7 @@ from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.physics.contact.narrow_phase import TRAVEL
 from gf_usd.physics.contact.planes.continuity import EASE
 from gf_usd.physics.contact.planes.support_triangles import turn
-from gf_usd.physics.grid.bodies import fastest
+from gf_usd.physics.grid.bodies import bodies_of, fastest
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.planes import SolidContact
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
@@ -44,6 +44,7 @@ class SolidBodies:
         self._spacing = solver.particles.spacing
         self.stiffness, self.mass = contact.pair_stiffness, contact.mass
         self.friction, self.restitution = contact.friction, contact.restitution
+        self.bodies = bodies_of(solver.particles, solver.body.per["density"])
 
     def motion(self) -> tuple[Floats, Floats]:
         """x [m] and v [m/s] of the contact samples, (m, 3)."""

@@ -34,6 +34,7 @@ from gf_usd.physics.contact.obstacles.obstacle import Obstacle, obstacles
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued
 from gf_usd.physics.contact.planes.support_triangles import spin
+from gf_usd.physics.grid.bodies import Bodies
 
 # Layout of a plane in the kernels' array: springs; position and motion; accumulated results.
 STIFFNESS, DAMPING, FRICTION, HARDENING = range(4)
@@ -65,6 +66,7 @@ class Solids(Protocol):
     mass: Floats  # (m,) [kg]
     friction: Floats  # (m,)
     restitution: Floats  # (m,)
+    bodies: Bodies
 
     def motion(self) -> tuple[Floats, Floats]:
         """Positions [m] and velocities [m/s] of the contact samples now, (m, 3)."""
@@ -111,7 +113,11 @@ class FlowPlanes:
         self._walls = [(c.spec.friction, c.spec.restitution) for c in setup.colliders]
         self._obstacles: tuple[Obstacle, ...] = obstacles(setup.colliders, frame_time)
         self._g = float(np.linalg.norm(gravity))
-        self._budget = EnergyBudget.of_mass(float(contact.mass.sum()), radius, self._g)
+        none = np.zeros(0)
+        others = (solids.bodies.mass, solids.bodies.radius) if solids else (none, none)
+        self._budget = EnergyBudget.of_flow(
+            float(contact.mass.sum()), radius, others, len(self._obstacles), self._g
+        )
         self._frame_time = frame_time
         self.reach = (FACING + TRAVEL) * spacing
         self.hardening = (HARD * spacing) ** -2

@@ -117,3 +117,14 @@ def test_a_pair_has_the_power_of_its_lighter_body_whatever_else_is_in_the_scene(
         assert given[a, 1 + b] == given[b, 1 + a]
     alone = EnergyBudget.of_bodies(mass[:1], radius[:1], 1, 10.0)
     assert alone.spend(np.full(1, 1e9), 2.0) == given[0, 0]
+
+
+def test_a_flow_and_a_body_have_the_power_of_the_one_that_has_less():
+    """A pebble on a ton of sand had the power of the sand."""
+    mass, radius = np.array([1e-2, 5e3]), np.array([0.01, 0.9])
+    made = EnergyBudget.of_flow(1e3, 0.5, (mass, radius), 2, 10.0)
+    given = made.spend(np.full(4, 1e9), 2.0)  # two obstacles first
+    flow, pebble, _ = (
+        1e-4 * np.array([1e3, *mass]) * 10.0 * np.sqrt(9.81 * np.array([0.5, *radius]))
+    )
+    np.testing.assert_allclose(given, 2.0 * np.array([flow, flow, pebble, flow]), rtol=1e-12)

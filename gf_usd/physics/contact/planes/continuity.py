@@ -65,13 +65,19 @@ class EnergyBudget:
         self.given = np.zeros(len(own))  # (B,) [J] of the reserve; less what was taken back
 
     @classmethod
-    def of_mass(cls, mass: float, radius: float, g: float) -> EnergyBudget:
-        """For bodies that are not distinguished, without self-contact.
+    def of_flow(
+        cls, mass: float, radius: float, solids: tuple[Floats, Floats], obstacles: int, g: float
+    ) -> EnergyBudget:
+        """For a flow of mass [kg] and radius [m], which has no self-contact.
 
-        mass : [kg], radius : [m] of all together; g : [m/s^2] gravity.
+        A pair is numbered as what the flow faces: first O obstacles, then bodies.  The flow and a
+        solid body have the power of the one of the two that has less.
+
+        solids : masses [kg] and radii [m] (B,) of the solid bodies.
         """
-        power = POWER * mass * g * radius / time_scale(radius)
-        return cls(power, np.zeros(0, np.int64), np.zeros(0))
+        flow, each = _power(np.array([mass]), np.array([radius]), g), _power(*solids, g)
+        power = np.concatenate([np.repeat(flow, obstacles), np.minimum(flow, each)])
+        return cls(lambda pair: power[pair], np.zeros(0, np.int64), np.zeros(0))
 
     @classmethod
     def of_bodies(cls, mass: Floats, radius: Floats, obstacles: int, g: float) -> EnergyBudget:
@@ -79,8 +85,7 @@ class EnergyBudget:
 
         A pair of bodies has the power of the one of the two that has less.
         """
-        energy = mass * g * radius
-        power = POWER * energy / np.array([time_scale(float(r)) for r in radius])
+        power = _power(mass, radius, g)
         numbers = PairNumbers(obstacles=obstacles, bodies=len(mass))
 
         def of_pairs(pair: Ints) -> Floats:
@@ -89,7 +94,7 @@ class EnergyBudget:
             return np.where(other < obstacles, power[body], np.minimum(power[body], theirs))
 
         body = np.arange(len(mass))
-        return cls(of_pairs, numbers.of(body, obstacles + body), RESERVE * energy)
+        return cls(of_pairs, numbers.of(body, obstacles + body), RESERVE * mass * g * radius)
 
     def spend(self, missing: Floats, elapsed: float) -> Floats:
         """(p,) [J] by which the energy of each pair changes.
@@ -104,6 +109,11 @@ class EnergyBudget:
         given[own] = np.minimum(given[own], np.maximum(self._reserve - self.given, 0.0)[some])
         self.given[some] += given[own]
         return given
+
+
+def _power(mass: Floats, radius: Floats, g: float) -> Floats:
+    """(B,) [W] `POWER` m g r / T of masses [kg] and radii [m] (B,); g : [m/s^2]."""
+    return POWER * mass * g * radius / np.array([time_scale(float(r)) for r in radius])
 
 
 @dataclass(frozen=True, kw_only=True)
