@@ -26,7 +26,11 @@ OPEN_FRACTION = 0.25  # share of holes in the closed area above which a surface 
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat
 PROBES = 200_000  # sample points for volumes without a closed form
 LEAST_PROBES = 2_000  # of them in each group of surfaces whose boxes overlap
-TOUCHING = 1e-6  # share of the smaller box, along an axis, by which boxes that touch may overlap
+# By which boxes that touch may overlap along an axis: the rounding of two coordinates to float32,
+# and at least and at most these shares of the smaller box.  Where rounding is coarser, boxes that
+# overlap cannot be told from others.
+ROUNDING = float(np.finfo(np.float32).eps)  # of the largest coordinate
+TOUCHING, MOST_TOUCHING = 1e-6, 1e-2
 RECURRENCE = 1.2207440846057596
 INSIDE = 0.5
 # Triangles of a surface from which its hierarchy is released after filling: it takes some 200 bytes
@@ -274,16 +278,19 @@ def _one_shell(triangles: Ints) -> bool:
 def _by_box(solid: Solid) -> tuple[Ints, Ints]:
     """(S,) surfaces in order of groups of transitively overlapping boxes.
 
-    Second: the start of each group but the first.  Boxes that touch, up to the rounding of float32,
-    do not overlap.
+    Second: the start of each group but the first.  Boxes that touch, up to the rounding of float32
+    where they are, do not overlap.
     """
     low = np.array([s.face_points.min(0) for s in solid.surfaces])
     high = np.array([s.face_points.max(0) for s in solid.surfaces])
-    n = len(low)
+    far, n = np.maximum(np.abs(low), np.abs(high)), len(low)
     one, two = [], []
     for k in range(n):
         shared = np.minimum(high, high[k]) - np.maximum(low, low[k])
-        near = np.flatnonzero((shared > TOUCHING * np.minimum(high - low, high[k] - low[k])).all(1))
+        size = np.minimum(high - low, high[k] - low[k])
+        rounding = ROUNDING * np.maximum(far, far[k])
+        slack = np.clip(rounding, TOUCHING * size, MOST_TOUCHING * size)
+        near = np.flatnonzero((shared > slack).all(1))
         one.append(np.full(len(near), k))
         two.append(near)
     rows, columns = np.concatenate(one), np.concatenate(two)

@@ -240,3 +240,23 @@ def test_bodies_that_touch_have_the_exact_volume_of_their_sum(gap: float):
     boxes = [cube(low=(k * (1.0 + gap), 0.3 * k, 0.0), path=f"/B{k}") for k in range(3)]
     body = solid(*boxes)
     assert body.volume == pytest.approx(3.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("far", [1e3, 1e4, 1e5])
+def test_bodies_that_touch_far_from_the_origin_have_the_exact_volume_of_their_sum(far: float):
+    """Points in float32 next to a transform in float64: rounded up, a box reaches into the next."""
+    low = far + 0.2  # which is rounded up
+    box, other = cube(low=(low, 0.0, 0.0), path="/A"), cube(low=(low + 1.0, 0.0, 0.0), path="/B")
+    rounded = surface(box.points.astype(np.float32), box.triangles, path="/A")
+    shared = rounded.points[:, 0].max() - other.points[:, 0].min()
+    assert 0.0 < shared < 0.01
+    assert solid(rounded, other).volume == pytest.approx(2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.05])
+def test_bodies_that_overlap_far_from_the_origin_are_counted_once(shift: float):
+    """Also boxes that are no larger than the rounding of float32 there."""
+    boxes = [
+        cube(low=(1e5 + 0.01 * k * shift, 0.0, 0.0), edge=0.01, path=f"/{k}") for k in range(2)
+    ]
+    assert solid(*boxes).volume == pytest.approx(1e-6 * (1.0 + shift), rel=COUNTED)
