@@ -158,6 +158,10 @@ def test_strain_has_colors_and_a_legend(browser: Browser) -> None:
     assert page.is_visible("#legend")
     assert "stretch" in page.inner_text("#legend")
     assert browser.picture() != plain
+    reaches = page.evaluate("['stretch', 'ratio'].map(n => player.variant.arrays[n].reach)")
+    for show, reach in (("mesh", reaches[0]), ("gaussians", reaches[1]), ("both", max(reaches))):
+        page.click(f"[data-show={show}]")
+        assert page.inner_text("#legend-high") == f"≥ {2**reach:.2g}"
 
 
 def test_elastic_and_plastic_strain_are_colors_of_the_gaussians(browser: Browser) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.matrices import ellipsoids
+from gf_usd.core.mesh import areas
 from gf_usd.core.radiance import linear_to_srgb
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording
 from gf_usd.view.report.surface import DisplayMesh, corner_colors, make_display_mesh
@@ -43,6 +44,7 @@ class Motion:
     points: NDArray[np.float32]  # (F, K, 3) [m]
     stretch: NDArray[np.float32]  # (F, K) principal stretch of the surface that is furthest from 1,
     # within its `stretch_range`
+    areas: Floats  # (K,) [m^2] at rest of the thinned surface around a vertex; 0: not a soft body's
     gaussian_indices: NDArray[np.int64]  # (G,) into all Gaussians of the recording
     positions: NDArray[np.float32]  # (F, G, 3) [m]
     rotations: NDArray[np.float32]  # (F, G, 4) unit quaternions (x, y, z, w), continuous in time
@@ -198,6 +200,7 @@ class _FrameArrays:
             mesh=mesh,
             points=array_or_empty("points", 3),
             stretch=array_or_empty("stretch"),
+            areas=_vertex_areas(recording, mesh),
             gaussian_indices=gaussian_indices,
             positions=array_or_empty("positions", 3),
             rotations=array_or_empty("rotations", 4),
@@ -206,6 +209,15 @@ class _FrameArrays:
             measured=measured,
             curves=curves,
         )
+
+
+def _vertex_areas(recording: Recording, mesh: DisplayMesh) -> Floats:
+    """See `Motion.areas`: a third of the area of each triangle at a vertex."""
+    points = np.concatenate([np.zeros((0, 3)), *(m.points for m in recording.meshes)])[mesh.kept]
+    baked = np.repeat(recording.baked, [len(m.points) for m in recording.meshes])[mesh.kept]
+    triangles = mesh.source[mesh.corners]
+    third = np.repeat(areas(points, triangles) / 3.0, 3)
+    return np.bincount(triangles.ravel(), third, minlength=len(points)) * baked
 
 
 OMITTED = 1e-3  # of the area at rest, at each end of the stretches of a surface

@@ -19,6 +19,8 @@ from gf_usd.core.arrays import Floats
 from gf_usd.view.report.motion import Motion
 
 OCTAVES = 2.0  # range of stretches on either side of 1: 1/4 to 4
+REACHES = (0.125, 0.25, 0.5, 1.0, OCTAVES)  # [octaves] of the colors, on either side of 1
+COVERED = 0.98  # of the area of the bodies, or of the Gaussians, in all frames: within the colors
 
 
 @dataclass
@@ -66,7 +68,8 @@ def pack(motion: Motion) -> tuple[dict[str, dict[str, Any]], str]:
     packer.add("shade", mesh.shade.astype(np.uint32))
     packer.add("meshColors", mesh.colors)
     add_positions(packer, "points", motion.points)
-    packer.add("stretch", encode_stretch(motion.stretch), moving=True)
+    codes = encode_stretch(motion.stretch)
+    packer.add("stretch", codes, moving=True, reach=color_reach(codes, motion.areas))
     if motion.gaussians is not None:
         colors = np.clip(motion.gaussians.colors[motion.gaussian_indices], 0.0, 1.0)
         # the square root avoids banding of dark colors in 8 bits
@@ -74,7 +77,9 @@ def pack(motion: Motion) -> tuple[dict[str, dict[str, Any]], str]:
         add_positions(packer, "positions", motion.positions)
         packer.add("turns", np.round(motion.rotations * 127.0).astype(np.int8), moving=True)
         add_scales(packer, motion.scales)
-        packer.add("ratio", encode_stretch(motion.ratio), moving=True)
+        codes = encode_stretch(motion.ratio)
+        reach = color_reach(codes, np.ones(codes.shape[1]))  # their volumes are about the same
+        packer.add("ratio", codes, moving=True, reach=reach)
     if motion.flow is not None:
         flow = motion.flow
         packer.add("flowStarts", flow.starts.astype(np.uint32))
@@ -92,6 +97,19 @@ def encode_stretch(values: Floats) -> NDArray[np.uint8]:
     """Codes 1 to 255 of stretches 1/4 to 4, logarithmic; 128 is a stretch of 1."""
     log = np.log2(np.maximum(values, 1e-9)) / OCTAVES
     return np.round(128.0 + 127.0 * np.clip(log, -1.0, 1.0)).astype(np.uint8)
+
+
+def color_reach(codes: NDArray[np.uint8], weights: Floats) -> float:
+    """[octaves] the least of `REACHES` that holds `COVERED` of codes (F, n) of `encode_stretch`.
+
+    weights : (n,) of each; 0 in all: the least of `REACHES`.
+    """
+    counts = np.zeros(256)
+    for row in codes:
+        counts += np.bincount(row, weights, minlength=256)
+    away = (np.abs(np.arange(256) - 128) - 0.5) / 127.0 * OCTAVES  # codes are rounded
+    total = counts.sum()
+    return next(r for r in REACHES if counts[away <= r].sum() >= COVERED * total or r == OCTAVES)
 
 
 def add_positions(

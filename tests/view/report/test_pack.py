@@ -10,7 +10,7 @@ from recordings import FRAMES, FallingBox, unpack
 from scipy.spatial.transform import Rotation
 
 from gf_usd.view.report.motion import Motion, collect
-from gf_usd.view.report.pack import Packer, encode_stretch, pack
+from gf_usd.view.report.pack import Packer, color_reach, encode_stretch, pack
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +96,38 @@ def test_a_small_body_is_not_left_out_of_the_stretches():
     assert collect(two, frames, 100, 30).curves["surface_max"] == pytest.approx([5.0] * FRAMES)
 
 
+@pytest.mark.parametrize("beside", ["nothing", "fine part", "ground"])
+def test_the_colors_reach_what_the_area_of_the_bodies_is_stretched_by(beside):
+    """Vertices were counted: a finely divided part of a thousandth of the area made the range."""
+    source = FallingBox(gaussians=0)
+    recording, box = source.recording(), source.recording().meshes[0]
+    grid = np.array([(x, 0.0, z) for x in range(20) for z in range(20)], float)
+    corner = np.array([20 * i + j for i in range(19) for j in range(19)])
+    faces = np.concatenate([corner[:, None] + [0, 1, 21], corner[:, None] + [0, 21, 20]])
+    meshes, baked = [box], [True]
+    if beside != "nothing":
+        points = grid * (1e-4 if beside == "fine part" else 10.0)
+        colors = np.full((len(faces), 3, 3), 0.5)
+        meshes.append(replace(box, name="/Two", points=points, triangles=faces, colors=colors))
+        baked.append(beside == "fine part")
+    frames = [
+        replace(frame, meshes=[box.points * (1.9, 1.0, 1.0), *(m.points for m in meshes[1:])])
+        for frame in source.frames(recording.time_codes)
+    ]
+    seen = replace(recording, meshes=tuple(meshes), baked=tuple(baked))
+    table, _ = pack(collect(seen, frames, 1000, 30))
+    assert table["stretch"]["reach"] == 1.0  # octaves: 1.9 is 0.93 of one
+
+
+def test_the_colors_reach_most_of_the_gaussians(motion):
+    """Their volumes are 0.5 to 1.1 of those at rest, at the worst in one frame of seven."""
+    assert pack(motion)[0]["ratio"]["reach"] == 1.0
+    assert color_reach(encode_stretch(np.array([[1.0] * 99 + [4.0]])), np.ones(100)) == 0.125
+    assert color_reach(encode_stretch(np.array([[1.0] * 97 + [4.0] * 3])), np.ones(100)) == 2.0
+
+
 def test_slivers_have_no_colors_beyond_the_curves():
-    """They made the range of colors: vertices are counted, and slivers have as many as others."""
+    """They made the range of colors, in which vertices were counted: slivers have as many."""
     source = FallingBox()
     recording, box = source.recording(), source.recording().meshes[0]
     sliver = np.array([(0.5, 0.0, 0.0), (0.5, 1e-4, 0.0), (0.5, 0.0, 0.1)])

@@ -97,20 +97,8 @@ function topSpeed(variant) {
   return top || 1;
 }
 
-// How far from 1 the strain colors reach: a power of two that holds 98 in 100 of the values.
-function strainReach(variant) {
-  const counts = new Float64Array(129);
-  let total = 0;
-  for (const name of ["stretch", "ratio"]) {
-    for (const code of variant.arrays[name]?.values ?? []) {
-      counts[Math.abs(code - 128)]++;
-      total++;
-    }
-  }
-  let seen = 0;
-  for (let d = 0; d < counts.length; d++) {
-    seen += counts[d];
-    if (seen >= 0.98 * total) return [0.125, 0.25, 0.5, 1, 2].find((r) => (d / 127) * 2 <= r) ?? 2;
-  }
-  return 1;
+// How far from 1 the strain colors reach, in octaves: of what is shown.
+function strainReach(variant, show) {
+  const names = { mesh: ["stretch"], gaussians: ["ratio"] }[show] ?? ["stretch", "ratio"];
+  return Math.max(...names.map((name) => variant.arrays[name]?.reach ?? 0)) || 1;
 }

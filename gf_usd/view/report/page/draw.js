@@ -63,7 +63,7 @@ function common(view, { at }, camera, valued) {
   gl.uniform3fv(at.stops, map.flat().map((v) => v / 255));
   gl.uniform1i(at.mode, mode !== "color" && valued ? 1 : 0);
   // strain codes reach two octaves either way about 128
-  gl.uniform1f(at.gain, mode === "strain" ? 2 / variant.reach : 1);
+  gl.uniform1f(at.gain, mode === "strain" ? 2 / strainReach(variant, view.show) : 1);
   gl.uniform1f(at.middle, mode === "strain" ? 128 / 255 : 0);
 }
 

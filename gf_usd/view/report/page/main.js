@@ -115,7 +115,7 @@ class Controls extends Transport {
   scale(mode, variant) {
     const show = (v) => Number(v.toPrecision(2)).toString();
     if (mode === "strain") {
-      const top = 2 ** variant.reach;
+      const top = 2 ** strainReach(variant, this.viewer.show);
       const what = { mesh: "stretch of the surface", gaussians: "volume ratio |J|" };
       const title = what[this.viewer.show] ?? "stretch of the surface, volume ratio of Gaussians";
       return { low: `≤ ${show(1 / top)}`, middle: "1", high: `≥ ${show(top)}`, title };

@@ -19,7 +19,6 @@ class Player {
     await loadVariant(this.variants[number], number);
     this.number = number;
     this.variant.topSpeed ??= topSpeed(this.variant);
-    this.variant.reach ??= strainReach(this.variant);
     this.viewer?.open(this.variant);
     for (const heard of this.listeners) heard.variant?.(this.variant, number);
     this.seek(this.frameAt(at));
