@@ -276,7 +276,7 @@ def inspect(
     prepared = with_shot_length(Prepared(plan=plan))
     seen = replace(
         seen, plan=prepared.plan, cost=prepared.cost, shortcuts=prepared.shortcuts,
-        thickness=thickness(solid),
+        thickness=thickness(solid, plan.bodies.of_surface if plan.bodies else None),
     )  # fmt: skip
     lost = lost_volume(seen, solid)
     # where defects remove much of the volume, they also cause the thin parts

@@ -3,9 +3,9 @@
 The thickness at a surface point is the length of the ray along the inward normal to where it leaves
 the solid: the thickness of a plate, the diameter of a rod.  (The shape diameter function of
 Shapira, Shamir and Cohen-Or 2008 averages a cone of such rays, which underestimates the thickness
-near the edges of a box.)  A ray ends where it leaves the union of all surfaces; `shell_chords` also
-end where they leave a single shell.  Points are sampled uniformly by area, so that shares of points
-are shares of the surface.
+near the edges of a box.)  A ray ends where it leaves the union of the surfaces of its body;
+`shell_chords` also end where they leave a single shell.  Points are sampled uniformly by area, so
+that shares of points are shares of the surface.
 """
 
 from __future__ import annotations
@@ -37,21 +37,32 @@ class Thickness:
         return self.thin / spacing
 
 
-def thickness(solid: Solid, rays: int = RAYS) -> Thickness | None:
-    """The thickness of a solid; None where no ray leaves it through a surface."""
-    length = ray_lengths(solid, rays)
+def thickness(solid: Solid, bodies: Ints | None = None, rays: int = RAYS) -> Thickness | None:
+    """The thickness of a solid; None where no ray leaves it through a surface.
+
+    bodies : (S,) the body of each surface, in which its rays end; None: a single body.
+    """
+    length = ray_lengths(solid, bodies, rays)
     if not len(length):
         return None
     return Thickness(thin=float(np.quantile(length, THIN_SHARE)), median=float(np.median(length)))
 
 
-def ray_lengths(solid: Solid, rays: int) -> Floats:
-    """(n,) [m] lengths of inward rays from n <= `rays` points on the surface of the union.
+def ray_lengths(solid: Solid, bodies: Ints | None, rays: int) -> Floats:
+    """(n,) [m] lengths of inward rays from n <= `rays` points on the surfaces of the bodies.
 
-    Points inside another surface, and rays that leave through a hole, are left out.
+    Points inside another surface of the body, and rays that leave through a hole, are left out.
+
+    bodies : see `thickness`.
     """
-    clear = CLEAR * float(np.linalg.norm(solid.high - solid.low))
-    length = chords(solid, *spread(*_mesh(solid), rays), np.full(rays, clear))
+    start, normal, face = _spread(*_mesh(solid), rays)
+    clear = np.full(rays, CLEAR * float(np.linalg.norm(solid.high - solid.low)))
+    of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
+    body = np.repeat(of, [len(triangles) for triangles in solid.triangles])[face]
+    length = np.empty(rays)
+    for k in np.unique(body):
+        part, mine = solid.part(np.flatnonzero(of == k)), body == k
+        length[mine] = chords(part, start[mine], normal[mine], clear[mine])
     return length[np.isfinite(length)]
 
 
@@ -128,6 +139,12 @@ def _mesh(solid: Solid) -> tuple[Floats, Ints]:
 
 def spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
     """(count, 3) points on triangles, sampled uniformly by area, and their unit normals."""
+    X, normal, _ = _spread(points, faces, count)
+    return X, normal
+
+
+def _spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats, Ints]:
+    """See `spread`; third: (count,) the triangle of each point."""
     a, b, c = np.moveaxis(points[faces], 1, 0)
     normal = cross(b - a, c - a)
     twice = np.linalg.norm(normal, axis=1)
@@ -138,4 +155,4 @@ def spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
     X = a[face] + u * (b - a)[face] + v * (c - a)[face]
-    return X, normal[face] / twice[face, None]
+    return X, normal[face] / twice[face, None], face

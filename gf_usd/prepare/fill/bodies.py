@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.bodies.characters import characters_of
 from gf_usd.prepare.bodies.sampling import SampledBodies, count_notes, sample_bodies
 from gf_usd.prepare.fill.inputs import Inputs, resolution_of
+from gf_usd.prepare.settings import DEFAULT_PARTICLES
 
 if TYPE_CHECKING:
     from gf_usd.geometry.thin.thickness import Thickness
@@ -31,28 +36,31 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
     """
     request, meshes, paper = inputs.request, inputs.meshes, inputs.paper
     asset, solid = inputs.asset, inputs.solid
+    owners, notes = {}, ()
+    if request.flesh and inputs.file:
+        owners, notes = characters_of(asset, inputs.file)
+    characters = bool(owners)
+    combine = (
+        request.combine or paper or request.solver == "ul" or (request.flesh and not characters)
+    )
+    owners = owners or {path: body.owner for path, body in inputs.spec.bodies.items()}
 
     def thin() -> tuple[float, Thickness | None]:
         from gf_usd.geometry.thin.thickness import thickness
 
-        return solid.volume, thickness(solid)
+        return solid.volume, thickness(solid, None if combine else _touching(inputs, owners))
 
     requested = resolution_of(
         request, inputs.spec, inputs.unit, meshes.volumes, None if meshes.thickened else thin
     )
     count = 0 if paper or (requested.spacing and not meshes.spacing) else requested.particles
-    owners, notes = {}, ()
-    if request.flesh and inputs.file:
-        owners, notes = characters_of(asset, inputs.file)
-    characters = bool(owners)
     filled = sample_bodies(
         asset, solid, replace(requested, spacing=meshes.spacing or requested.spacing), inputs.flow,
         seed=request.seed or 0,
         paper=paper,
         mixed=inputs.mixed,
-        combine=request.combine or paper or request.solver == "ul"
-        or (request.flesh and not characters),
-        owners=owners or {path: body.owner for path, body in inputs.spec.bodies.items()},
+        combine=combine,
+        owners=owners,
         characters=characters,
         can_combine=inputs.file is not None,
     )  # fmt: skip
@@ -67,6 +75,23 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
         character_notes=notes,
         characters=characters,
     )
+
+
+def _touching(inputs: Inputs, owners: Mapping[str, str]) -> Ints | None:
+    """(S,) the body of each surface, where some may touch: of different owners or components, or
+    solid and flow.
+
+    Else None: rays into a body then meet no other one.
+    """
+    from gf_usd.geometry.connected.bodies import find_bodies
+
+    solid, kinds = inputs.solid, inputs.flow.first if inputs.mixed else None
+    owned = [owners.get(s.path, "") for s in solid.surfaces]
+    components = {s.component for s in solid.surfaces} - {""}
+    if kinds is None and len(set(owned) - {""}) < 2 and len(components) < 2:
+        return None
+    spacing = float(np.cbrt(solid.volume / DEFAULT_PARTICLES))
+    return find_bodies(solid, spacing, owners=owned, kinds=kinds)
 
 
 def _require_one_body(count: int, *, skin: str | None, wls: bool, procrustes: bool) -> None:

@@ -16,7 +16,7 @@ def test_a_plate_is_as_thick_as_across_it() -> None:
     assert seen is not None
     assert seen.thin == pytest.approx(0.1, rel=1e-6)
     assert seen.median == pytest.approx(0.1, rel=1e-6)
-    length = ray_lengths(solid(cube(edge=(1.0, 1.0, 0.1))), 1200)
+    length = ray_lengths(solid(cube(edge=(1.0, 1.0, 0.1))), None, 1200)
     assert (length > 0.5).mean() == pytest.approx(0.4 / 2.4, abs=1 / 1200 * 8)
 
 
@@ -49,8 +49,21 @@ def test_a_thin_part_counts_by_its_area() -> None:
 def test_surfaces_that_overlap_are_one() -> None:
     one = cube(path="/One")
     two = cube(low=(0.5, 0.0, 0.0), path="/Two")
-    length = ray_lengths(solid(one, two), 1000)
+    length = ray_lengths(solid(one, two), None, 1000)
     np.testing.assert_allclose(np.unique(length.round(6)), [1.0, 1.5])
+
+
+def test_a_body_is_as_thick_as_without_those_it_touches() -> None:
+    """A plate on a box as one body; as a body of its own it is to be filled by itself."""
+    both = solid(cube(path="/Box"), cube(low=(0.0, 0.0, 1.0), edge=(1.0, 1.0, 0.1), path="/Plate"))
+    one, two = thickness(both), thickness(both, np.arange(2))
+    assert one is not None
+    assert two is not None
+    assert one.thin == pytest.approx(1.0, rel=1e-6)
+    assert two.thin == pytest.approx(0.1, rel=1e-6)
+    # 2 of 8.4 of the area are the faces of the plate, and 6 those of the box
+    length = ray_lengths(both, np.arange(2), 1000)
+    assert (length < 0.5).mean() == pytest.approx(2.0 / 8.4, abs=8 / 1000)
 
 
 def test_which_way_faces_look_does_not_matter() -> None:
@@ -70,7 +83,7 @@ def test_it_scales_and_repeats() -> None:
 def test_rays_through_a_hole_are_left_out() -> None:
     whole = cube()
     open_above = without(whole, [2])  # a triangle of the top
-    length = ray_lengths(solid(open_above), 1000)
+    length = ray_lengths(solid(open_above), None, 1000)
     assert len(length) < 1000
     np.testing.assert_allclose(length, 1.0, rtol=1e-6)
 
