@@ -108,14 +108,20 @@ def test_sheets_have_as_many_particles_as_asked_for_or_a_note_says_so(plan) -> N
     assert noted(seen, f"{len(seen.particles)} particles instead of 20: --spacing")
 
 
-def test_a_plate_that_is_a_body_is_filled_by_its_own_thickness(plan) -> None:
+@pytest.mark.parametrize("kind", ["physics bodies", "components"])
+def test_a_plate_that_is_a_body_is_filled_by_its_own_thickness(plan, kind: str) -> None:
     """Rays through it went on through the body that it lies on."""
     lies = (
         "double3 xformOp:translate = (0, 1, 0)\nfloat3 xformOp:scale = (1, 0.14, 1)\n"
         'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]'
     )
-    apis = ("PhysicsRigidBodyAPI",)
-    seen = plan(mesh("Box", apis=apis) + mesh("Plate", lies, apis=apis), particles=None)
+    if kind == "components":
+        model = 'def Xform "%s" (kind = "component")\n{\n%s\n}\n'
+        stage = model % ("A", mesh("Box")) + model % ("B", mesh("Plate", lies))
+    else:
+        apis = ("PhysicsRigidBodyAPI",)
+        stage = mesh("Box", apis=apis) + mesh("Plate", lies, apis=apis)
+    seen = plan(stage, particles=None)
     assert seen.bodies is not None
     assert seen.bodies.count == 2
     # three across 0.14 m of 1.14 m^3; 8,000 without it
