@@ -15,12 +15,12 @@ from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
 from gf_usd.pipeline.cost.budget import (
     Cost,
     Solvers,
-    duration,
     estimate,
     fall_frames,
     first_contact,
     typical_rest,
 )
+from gf_usd.pipeline.cost.cpu import cpu_time_ratio, first_seconds
 from gf_usd.pipeline.cost.forecast import (
     FILLING,
     READING,
@@ -93,6 +93,7 @@ class Prepared:
             if ends
             else (),
             ends_early=ends or plan.until_periodic,
+            cpu_ratio=cpu_time_ratio(),
         )
 
     @cached_property
@@ -165,6 +166,7 @@ def prepare(
             "start over with --overwrite, or omit --certify",
         )
     stages.begin(READING, Path(path).name)
+    first_seconds()
     refills: list[Refill] = []
     with gathered() as warned, watching(stages.compile):
         plan, converted = prepare_plan(
@@ -192,7 +194,7 @@ def with_shot_length(prepared: Prepared) -> Prepared:
 
     The limits are REST_WORK, and REST_SECONDS of playback, which bodies tens of meters wide
     typically exceed. They are counts of substeps and frames, so the length is the same on every
-    machine.
+    machine. So is the note, which is in the report: it has no estimate of time.
     """
     plan = prepared.plan
     if not plan.choices.open_end:
@@ -205,8 +207,7 @@ def with_shot_length(prepared: Prepared) -> Prepared:
     frames = shot_frames(plan.settings.frames)
     note = (
         f"{frames} frames are simulated, not until rest, which usually takes about {usual} frames,"
-        f" at most {plan.settings.frames} frames in about"
-        f" {duration(prepared.cost['estimated_seconds'])}; use --frames rest for that"
+        f" at most {plan.settings.frames}; use --frames rest for that"
     )
     settings = replace(plan.settings, frames=frames)
     choices, notes = split_again(

@@ -126,6 +126,49 @@ def test_a_gpu_pays_for_each_substep_and_hardly_for_each_particle(plan: Plan) ->
     assert moving("cpu", 100_000) / moving("cpu", 10_000) > 9.0
 
 
+@pytest.mark.parametrize("ratio", [0.5, 3.0])
+def test_seconds_are_those_of_the_machine(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, ratio: float
+) -> None:
+    """A bake took 2.5 times as long as estimated on another CPU than that of the constants."""
+
+    def known(value: float) -> Mapping[str, Any]:
+        monkeypatch.setattr("gf_usd.pipeline.prepared.cpu_time_ratio", lambda: value)
+        return cost(replace(plan, materials=(plan.materials[0], stiff(plan, 1e6))))
+
+    one, here = known(1.0), known(ratio)
+    for whole in ("estimated_seconds", "usual_seconds"):
+        assert here[whole] == pytest.approx(ratio * one[whole])
+    for before, after in zip(one["per_material"], here["per_material"], strict=True):
+        times = {name for name in before if name.endswith("seconds")}
+        assert len(times) == 5
+        for name, value in before.items():
+            factor = ratio if name in times else 1.0
+            assert after[name] == (pytest.approx(factor * value) if name in times else value)
+    assert here["cpu_ratio"] == ratio
+    counts = ("substeps_per_frame", "estimated_bytes", "estimated_memory_bytes")
+    assert [here[name] for name in counts] == [one[name] for name in counts]
+
+
+def test_seconds_of_a_gpu_do_not_follow_the_cpu(plan: Plan) -> None:
+    def seconds(device: str, substeps: int, ratio: float, paired: int = 0) -> float:
+        found = budget.estimate(
+            replace(plan.settings, device=device), plan.materials, [substeps], particles=10_000,
+            vertices=0, paired=paired, frame_bytes=0.0, first_contact=None, cpu_ratio=ratio,
+        )  # fmt: skip
+        return float(found["estimated_seconds"])
+
+    def of_substeps(device: str, ratio: float, paired: int = 0) -> float:
+        return seconds(device, 1000, ratio, paired) - seconds(device, 0, ratio)
+
+    assert of_substeps("cpu", 3.0) == pytest.approx(3.0 * of_substeps("cpu", 1.0))
+    assert of_substeps("cuda", 3.0) == pytest.approx(of_substeps("cuda", 1.0))
+    # the CPU detects contact, and starts the bake and makes its frames
+    contact = [of_substeps("cuda", r, 50_000) - of_substeps("cuda", r) for r in (1.0, 3.0)]
+    assert contact[1] > 2.9 * contact[0] > 0.0
+    assert seconds("cuda", 0, 3.0) == pytest.approx(3.0 * seconds("cuda", 0, 1.0))
+
+
 @pytest.mark.slow
 def test_the_papers_skin_costs_every_vertex_with_every_particle(plan: Plan) -> None:
     def more(count: int) -> float:

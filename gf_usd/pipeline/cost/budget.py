@@ -1,9 +1,9 @@
 """Cost of a bake: the estimate, the check against the machine, and the guard while it runs.
 
-Costs were measured in CPU seconds on two cores of an x86-64 server: ``python -m
-tools.bench.estimates`` compares thirty pairs of an asset and a preset with what their bakes take,
-of which nine in ten are within a factor of two (docs/performance.md).  Memory is that of
-``/usr/bin/time -v``.
+Costs were measured in CPU seconds on two cores of an x86-64 server, and are scaled by the speed of
+this one's (`cpu`): ``python -m tools.bench.estimates`` compares thirty pairs of an asset and a
+preset with what their bakes take, of which nine in ten are within a factor of two
+(docs/performance.md).  Memory is that of ``/usr/bin/time -v``.
 
 A bake that needs too much is refused before it starts.  A bake during which other programs fill
 the disk or the memory ends while there is still space for its results: the frames so far, a layer
@@ -138,12 +138,13 @@ def estimate(
     contact: Sequence[float] = (),
     usual: Sequence[int] = (),
     ends_early: bool = False,
+    cpu_ratio: float = 1.0,
 ) -> dict[str, Any]:
     """Estimated substeps, seconds, disk and memory, per material and in total.
 
     Materials are baked one after another. Disk is the sum over all materials; seconds too, except
     for the start-up, which is paid once. Memory counts every solver that is kept until its bake
-    (KEPT). Seconds assume an idle machine and compiled kernels.
+    (KEPT). Seconds assume compiled kernels, and an idle machine with the CPU of `cpu_ratio`.
 
     substeps : of one frame of each material, all samples together.
     tables : the materials of all bodies, for each of `materials`; (): all bodies have that one.
@@ -159,14 +160,18 @@ def estimate(
         ends there; the seconds up to that frame are reported in addition. (): all frames are
         simulated.
     ends_early : the number of frames is an upper limit.
+    cpu_ratio : CPU time that this machine needs, relative to the one on which the constants were
+        measured (`cpu.cpu_time_ratio`). It scales all seconds but those of a GPU.
     """
     n, frames, samples = particles, settings.frames, settings.samples_per_frame
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are expensive to build
     memory = _memory(settings, n * waiting, vertices, paired)
-    substep = _substep_seconds(settings, n, paired * crowd)
-    frame = _frame_seconds(settings, n, vertices)
-    start = START_SECONDS + VERTEX_SECONDS * vertices
+    substep = _substep_seconds(settings, n, paired * crowd, cpu_ratio)
+    frame = cpu_ratio * _frame_seconds(settings, n, vertices)
+    start = cpu_ratio * (START_SECONDS + VERTEX_SECONDS * vertices)
+    law = cpu_ratio * LAW_SECONDS
+    fill = cpu_ratio * PARTICLE_SECONDS * n
     moving = max(0, frames - 1 - flying)
     rows = []
     ratios = damping or [0.0] * len(materials)
@@ -181,7 +186,7 @@ def estimate(
             many *= landing_factor(table, settings, fall) * (CROWD if paired and crowd else 1.0)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
-        seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end
+        seconds = start + law + fill + end
         seconds += frames * samples * frame + moving * work
         less = (1.0 - last / frames) * (frames * samples * frame + end)
         less += (moving - max(0, last - 1 - flying)) * work
@@ -207,12 +212,13 @@ def estimate(
             }
         )
     laws = len({material.law for material in materials})
-    shared = start * (len(rows) - 1) + LAW_SECONDS * (len(rows) - laws)
+    shared = start * (len(rows) - 1) + law * (len(rows) - laws)
     return {
         "substeps_per_frame": {row["name"]: row["substeps_per_frame"] for row in rows},
         "estimated_seconds": sum(row["seconds"] for row in rows) - shared,
         "usual_seconds": sum(row["usual_seconds"] for row in rows) - shared,
         "ends_early": ends_early,
+        "cpu_ratio": cpu_ratio,
         "usual_frames": max(ends),
         "estimated_bytes": sum(row["disk_bytes"] for row in rows),
         "estimated_memory_bytes": int(memory),
@@ -228,10 +234,16 @@ def _memory(settings: Settings, particles: int, vertices: int, paired: int) -> f
     return memory + CONTACT_PAIR_MEMORY * paired
 
 
-def _substep_seconds(settings: Settings, particles: int, paired: int) -> float:
-    """[s] of a substep in contact; paired : samples of bodies that can touch others."""
-    fixed, each = GPU_SUBSTEP_SECONDS if _on_gpu(settings) else SUBSTEP_SECONDS[settings.solver]
-    seconds = CONTACT * (fixed + each * particles) + CONTACT_PAIR_SECONDS * paired
+def _substep_seconds(settings: Settings, particles: int, paired: int, cpu_ratio: float) -> float:
+    """[s] of a substep in contact.
+
+    paired : samples of bodies that can touch others, which the CPU detects; cpu_ratio : see
+    `estimate`.
+    """
+    gpu = _on_gpu(settings)
+    fixed, each = GPU_SUBSTEP_SECONDS if gpu else SUBSTEP_SECONDS[settings.solver]
+    seconds = (1.0 if gpu else cpu_ratio) * CONTACT * (fixed + each * particles)
+    seconds += cpu_ratio * CONTACT_PAIR_SECONDS * paired
     if settings.solver == "tl" and settings.device == "cpu":
         seconds /= max(1, min(settings.threads or cores(), particles // ALONE))
     return seconds
