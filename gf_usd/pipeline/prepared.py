@@ -82,7 +82,7 @@ class Prepared:
             frame_bytes=plan.frame_bytes,
             first_contact=None if reason_not_free_fall(plan) else contact,
             flying=flying(plan),
-            fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
+            radius=0.0 if plan.held or plan.goals else plan.particles.radius,
             damping=[self.solvers.damping(variant) for variant in plan.variants],
             contact=[self.solvers.contact(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),

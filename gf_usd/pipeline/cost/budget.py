@@ -91,9 +91,9 @@ GPU_SUBSTEP_SECONDS = (7e-5, 1.7e-10)  # the same on a GPU with 4.8 TB/s (tools/
 CONTACT = 1.4  # longer with the contact of a shot, in the mean
 FLOW = 1.3  # longer where the law flows
 ALONE = 1500  # particles for each thread: fewer threads share a substep of fewer particles
-# More substeps than at rest where bodies land at m times their wave speed: 1 + STRAINED m^3, up to
-# MOST; fitted to the pairs of `tools.bench.estimates`.
-STRAINED, MOST = 1.3, 5.0
+# More substeps than at rest where bodies sag by their weight: 1 + SAG rho g r / E, up to MOST.
+# Fitted, with CROWD, to 38 bakes of one to ten bodies of 1 kPa to 200 GPa (docs/performance.md).
+SAG, MOST = 0.7, 3.0
 CROWD = 1.3  # times as many substeps where bodies fall on each other
 START_SECONDS = 1.1  # imports: between the times on an idle and on a busy machine
 LAW_SECONDS = 0.9  # load the compiled kernels of a law; the very first bake compiles them
@@ -132,7 +132,7 @@ def estimate(
     frame_bytes: float,
     first_contact: int | None,
     flying: int = 0,
-    fall: float = 0.0,
+    radius: float = 0.0,
     crowd: bool = True,
     damping: Sequence[float] = (),
     contact: Sequence[float] = (),
@@ -152,8 +152,9 @@ def estimate(
     paired : contact samples of bodies that can touch others or themselves; 0: none can.
     frame_bytes : bytes on the disk per frame.
     first_contact : frame of the first contact; None: unknown or none.
-    flying : frames at the start without substeps; fall : [m] height of fall before the first
-        contact.
+    flying : frames at the start without substeps.
+    radius : [m] of a ball of the volume of all bodies, where they bear their weight; 0: they are
+        held.
     crowd : several bodies or obstacles can touch.
     damping, contact : ratio and factor of each material, of `Solvers`; (): unknown.
     usual : frames after which each material is typically at rest (`typical_rest`), for a bake that
@@ -183,7 +184,7 @@ def estimate(
     ):
         many = float(count)
         if not settings.substeps:
-            many *= landing_factor(table, settings, fall) * (CROWD if paired and crowd else 1.0)
+            many *= sag_factor(table, settings, radius) * (CROWD if paired and crowd else 1.0)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + law + fill + end
@@ -263,17 +264,20 @@ def _on_gpu(settings: Settings) -> bool:
     return settings.solver == "tl" and settings.device == "cuda"
 
 
-def landing_factor(table: Sequence[Material], settings: Settings, fall: float) -> float:
-    """Mean substeps after a fall, relative to those at rest: 1 + STRAINED m^3, at most MOST.
+def sag_factor(table: Sequence[Material], settings: Settings, radius: float) -> float:
+    """Mean substeps of bodies that bear their weight, relative to those at rest without it.
 
-    m = sqrt(2 g h) / c is the Mach number of the impact, with c the wave speed at rest; the strain
-    of the impact is of the same size.  All bodies have the same substeps, those of the fastest
-    waves: soft bodies that are strained matter only where their waves become as fast.
-    table : the materials of the bodies; fall : h [m].
+    It is 1 + SAG rho g r / E, at most MOST: the strain by which a body sags. The height of a fall
+    is not in it, as contact springs that stop a fast body determine the substeps at rest already.
+    All bodies have the same substeps, those of the fastest waves: soft bodies that are strained
+    matter only where their waves become as fast.
+
+    table : the materials of the bodies; radius : r [m], see `estimate`.
     """
-    speed = math.sqrt(2.0 * float(np.linalg.norm(settings.gravity)) * fall)
+    gravity = float(np.linalg.norm(settings.gravity))
+    sags = [one.density * gravity * radius / one.youngs_modulus for one in table]
     waves = [one.wave_speed for one in table]
-    strained = [c * min(MOST, 1.0 + STRAINED * (speed / c) ** 3) for c in waves]
+    strained = [c * min(MOST, 1.0 + SAG * sag) for c, sag in zip(waves, sags, strict=True)]
     return max(strained) / max(waves)
 
 
