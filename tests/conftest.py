@@ -115,7 +115,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture
 def monkeypatch(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
-    """pytest's, which also checks that no module keeps a replacement for the tests that follow.
+    """pytest's, which also checks that no module keeps a function of a test for those that follow.
 
     A module that is first imported while a function is replaced, and that imports it by name, has
     the replacement for the rest of the process.

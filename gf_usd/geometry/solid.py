@@ -108,12 +108,15 @@ class Solid:
 
     def enclosed(self) -> set[str]:
         """Prim paths of surfaces that are inside another one, and add nothing to the union."""
+        points = [s.face_points for s in self.surfaces]
+        low, high = np.array([p.min(0) for p in points]), np.array([p.max(0) for p in points])
+        within = ((low[:, None] >= low) & (high[:, None] <= high)).all(2)
+        np.fill_diagonal(within, False)
         found = set()
-        for a, one in enumerate(self.surfaces):
-            X = one.face_points
+        for a, X in enumerate(points):
             X = X[:: max(1, len(X) // TESTED)]
-            if any(b != a and bounds.inside(X).all() for b, bounds in enumerate(self.bounds)):
-                found.add(one.path)
+            if any(self.bounds[b].inside(X).all() for b in np.flatnonzero(within[a])):
+                found.add(self.surfaces[a].path)
         return found
 
     def release(self) -> None:

@@ -8,10 +8,10 @@ units       meters_per_unit, kilograms_per_unit, up_axis, and for the first and 
 time        codes_per_second, frames_per_second, start, end: as authored
 size        widths of the box around everything, along x, y, z
 meshes      of each: path, type, points, faces, triangles, quads, ngons, largest_face, fill
-            (filled | rides along | refused), reason, watertight, boundary_edges, holes, hole_share,
-            volume_m3, area_m2, collapsed, slivers, duplicates, non_manifold_edges, repairs {};
-            shells: index, triangles, low, size, volume_m3, area_m2, winding, against, and holes:
-            edges, size, center, share
+            (filled | rides along | stays | refused), reason, watertight, boundary_edges, holes,
+            hole_share, volume_m3, area_m2, collapsed, slivers, duplicates, non_manifold_edges,
+            repairs {}; shells: index, triangles, low, size, volume_m3, area_m2, winding, against,
+            and holes: edges, size, center, share
 body        particles, spacing, volume_m3, radius, frames, fps, start, drop, first_contact_frame
             (of a fall on the floor; None also where it is not estimated, as with obstacles),
             thickness_5_percent (of the surface is no thicker), thickness_median, and the
@@ -80,9 +80,11 @@ class Inspection:
         return self.plan.notes if self.plan else self.asset.facts.notes
 
     def fill_of(self, path: str) -> tuple[str, str]:
-        """(filled | rides along | refused, reason) of a mesh."""
+        """(filled | rides along | stays | refused, reason) of a mesh."""
         if self.plan is None:
             return "refused", ""
+        if path in (left := dict(self.plan.asset.skipped)):
+            return "stays", left[path]
         reason = dict(self.plan.embedded).get(path)
         return ("filled", "") if reason is None else ("rides along", reason)
 

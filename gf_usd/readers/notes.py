@@ -11,7 +11,7 @@ ANIMATED = "is animated: the simulation starts from its pose at the first frame"
 
 
 ALONE = re.compile(r"<(?P<path>/[^<>]*)>(?P<text> (?:is|has|was) .*)", re.DOTALL)  # of one prim
-MANY = 3  # prims with equal notes, from which on they are one note
+MANY = 4  # prims with equal notes, from which on they are one note
 
 
 class Notes:
@@ -46,24 +46,27 @@ class Notes:
         )
 
 
-def merged(notes: Iterable[str]) -> tuple[str, ...]:
+def merged(notes: Iterable[str], without: Collection[str] = ()) -> tuple[str, ...]:
     """Notes in which ``<PATH> is TEXT`` of `MANY` prims is ``each of <PATH> and 3 more is TEXT``.
 
     They are in order of first appearance.  Instances of one asset have such notes.
+
+    without : notes that stay as they are.
     """
-    places: dict[str, list[str]] = {}
     whole = dict.fromkeys(notes)  # each once
+    texts: dict[str, str] = {}
+    places: dict[str, list[str]] = {}
     for note in whole:
-        if alone := ALONE.fullmatch(note):
+        alone = None if note in without else ALONE.fullmatch(note)
+        if alone:
+            texts[note] = alone["text"]
             places.setdefault(alone["text"], []).append(alone["path"])
-    many = {text: found for text, found in places.items() if len(found) >= MANY}
-    texts = {note: alone["text"] for note in whole if (alone := ALONE.fullmatch(note))}
-    return tuple(
-        dict.fromkeys(
-            _some(many[texts[note]]) + texts[note] if texts.get(note) in many else note
-            for note in whole
-        )
-    )
+    joined = {
+        note: _some(places[text]) + text
+        for note, text in texts.items()
+        if len(places[text]) >= MANY
+    }
+    return tuple(dict.fromkeys(joined.get(note, note) for note in whole))
 
 
 def source_of(given: object | None, known: bool) -> str:

@@ -27,6 +27,18 @@ def grid_points(low: float, high: float, n: int = 12) -> np.ndarray:
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
 
 
+def test_surfaces_inside_others_are_found() -> None:
+    core, shell = sphere(0.4, path="/Core"), sphere(1.0, path="/Shell")
+    beside = cube((0.8, 0.0, 0.0), 0.3, path="/Beside")  # reaches out of the shell
+    # most of its points are inside, but not all of it
+    joined = surface(
+        np.concatenate([core.points, cube((2.0, 0.0, 0.0)).points]),
+        np.concatenate([core.triangles, CUBE_TRIANGLES + len(core.points)]),
+        path="/Both",
+    )
+    assert solid(core, shell, beside, joined).enclosed() == {"/Core"}
+
+
 def test_a_closed_box_has_its_exact_volume_and_inside():
     body = solid(cube(low=(1.0, 2.0, 3.0), edge=(2.0, 3.0, 0.5)))
     assert body.volume == pytest.approx(3.0, rel=1e-14)

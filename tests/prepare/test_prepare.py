@@ -187,7 +187,6 @@ def test_a_refusal_that_repair_would_lift_says_so(stage):
     assert inspect(path, repair=True, **FEW).refusal is None
 
 
-@pytest.mark.slow
 def test_a_fill_that_faults_have_hollowed_out_is_warned_of(stage):
     """Two balls of one mesh that overlap, one inside out: where both are they cancel."""
     body = sphere(subdivisions=2)

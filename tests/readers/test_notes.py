@@ -26,14 +26,19 @@ def test_equal_notes_on_several_prims_are_one():
             "the floor is at height 0",
             "</B> is filled despite 1 hole; --repair fixes this",
             *(f"</C{k}> is filled despite 2 holes; --repair fixes this" for k in range(3)),
+            "</B> is foam",
+            *(f"</C{k}> is foam" for k in range(3)),
             "</D> is filled despite 1 hole; --repair fixes this",
             "</A> and </B> is no sentence",
             "the floor is at height 0",
-        ]
+        ],
+        ["</B> is foam"],
     ) == (
         "each of </A> and 3 more is filled despite 2 holes; --repair fixes this",
         "the floor is at height 0",
         "</B> is filled despite 1 hole; --repair fixes this",
+        "</B> is foam",
+        *(f"</C{k}> is foam" for k in range(3)),
         "</D> is filled despite 1 hole; --repair fixes this",
         "</A> and </B> is no sentence",
     )

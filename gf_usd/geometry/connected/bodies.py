@@ -10,7 +10,8 @@ the body, which blend across the border between parts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import igl
@@ -18,11 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.mesh import areas, signed_volume
 from gf_usd.geometry.solid import INSIDE, Solid
 
 INNER = 256  # points inside a surface that are tested, about: a copy has all of them inside
 FINEST = 64  # subdivisions of an edge at most: bounds the samples of very large triangles
 TOUCHING = 0.25  # [spacings] nearer than this, surfaces count as touching
+THIN = 0.25  # of the mean thickness, where that is less
+PROBES = 6  # points along each edge of the box that two surfaces have in common
 
 
 def find_bodies(
@@ -45,26 +49,48 @@ def find_bodies(
     owners = owners or [""] * count
     close = _close(points, reach)
     label, held = _owned(owners, np.zeros(count, int) if kinds is None else kinds)
-    components = [{s.component} - {""} for s in solid.surfaces]
+    own = [s.component for s in solid.surfaces]
+    components = [{one} - {""} for one in own]
     for k, one in enumerate(label):
         components[one] |= components[k]
-    pairs = (
+    pairs = [
         (a, b)
         for a in range(count)
         for b in range(a + 1, count)
         if close[a, b] and (kinds is None or kinds[a] == kinds[b])
-    )
-    for a, b in pairs:
-        one, two = label[a], label[b]
-        # two physics bodies are never merged, not even by a surface that touches both
-        if one == two or (held[one] and held[two]):
-            continue
-        apart = bool(components[one] and components[two]) and not components[one] & components[two]
-        meets = _enters if apart else _meets
-        if meets(points[a], solid, b, reach) or meets(points[b], solid, a, reach):
+    ]
+
+    @cache
+    def touch(a: int, b: int) -> bool:
+        return _meets(points[a], solid, b, reach) or _meets(points[b], solid, a, reach)
+
+    def join(found: Callable[[int, int], bool]) -> bool:
+        """Make one body of the pairs found; whether there were any."""
+        joined = False
+        for a, b in pairs:
+            one, two = label[a], label[b]
+            # two physics bodies are never merged, not even by a surface that touches both
+            if one == two or (held[one] and held[two]) or not found(a, b):
+                continue
             held[one] = held[one] or held[two]
             components[one] |= components[two]
             label[label == two] = one
+            joined = True
+        return joined
+
+    def one_thing(a: int, b: int) -> bool:
+        if own[a] == own[b]:
+            return touch(a, b)
+        return _overlap(solid, points, a, b, reach)
+
+    def compatible(a: int, b: int) -> bool:
+        """Whether surfaces touch whose bodies so far share a component, or one has none."""
+        one, two = components[label[a]], components[label[b]]
+        return (not one or not two or bool(one & two)) and touch(a, b)
+
+    join(one_thing)  # first, since what belongs to no component must not decide
+    while join(compatible):
+        pass
     _, first, label = np.unique(label, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[label]
 
@@ -164,6 +190,45 @@ def _enters(X: Floats, solid: Solid, surface: int, depth: float) -> bool:
     w = igl.fast_winding_number(points, triangles, X)
     squared = igl.point_mesh_squared_distance(X, points, triangles)[0]
     return bool(((np.abs(np.asarray(w)) > INSIDE) & (np.asarray(squared) > depth**2)).any())
+
+
+def _overlap(solid: Solid, points: Sequence[Floats], a: int, b: int, reach: float) -> bool:
+    """Whether two surfaces overlap: a point is in both, and deeper than `reach` [m] in one of them.
+
+    Where that one is thin, a quarter of its mean thickness 2 V / A is enough.  points : (n, 3) [m]
+    on each surface.  Points on a lattice are tested besides: of a copy at the same place no point
+    of the surface is inside.
+    """
+    depth = [min(reach, THIN * _mean_thickness(solid, k)) for k in (a, b)]
+    ends = [
+        (solid.surfaces[k].face_points.min(0), solid.surfaces[k].face_points.max(0)) for k in (a, b)
+    ]
+    low, high = np.max([ends[0][0], ends[1][0]], 0), np.min([ends[0][1], ends[1][1]], 0)
+    if (high - low).min() <= min(depth):
+        return False
+    ticks = np.stack(np.meshgrid(*3 * [(np.arange(PROBES) + 0.5) / PROBES], indexing="ij"), -1)
+    lattice = low + ticks.reshape(-1, 3) * (high - low)
+    inner = lattice[solid.bounds[a].inside(lattice)]
+    return _deeper(np.concatenate([points[a], inner]), solid, b, depth[1]) or _deeper(
+        np.concatenate([points[b], inner]), solid, a, depth[0]
+    )
+
+
+def _deeper(X: Floats, solid: Solid, surface: int, depth: float) -> bool:
+    """Whether a point (n, 3) [m] is inside a surface and farther than depth [m] from it."""
+    X = X[solid.bounds[surface].inside(X)]
+    if not len(X):
+        return False
+    points, center = solid.surfaces[surface].points, solid.surfaces[surface].points.mean(0)
+    squared = igl.point_mesh_squared_distance(X - center, points - center, solid.triangles[surface])
+    return bool((np.asarray(squared[0]) > depth**2).any())
+
+
+def _mean_thickness(solid: Solid, surface: int) -> float:
+    """[m] 2 V / A of a surface: of a plate its thickness, of a long rod its radius."""
+    points, triangles = solid.surfaces[surface].points, solid.triangles[surface]
+    area = float(areas(points, triangles).sum())
+    return 2.0 * abs(signed_volume(points, triangles)) / area if area else 0.0
 
 
 NEARER = 1e-7  # [1] of the distance

@@ -1,16 +1,59 @@
-"""Meshes that look like the ground of a scene, but are baked like all others."""
+"""Meshes that look like the ground or the backdrop of a scene."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Surface
+from gf_usd.core.asset import Asset, Surface
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
 
 FLAT = 0.05  # its height, as a share of its smaller width
 SUNK = 0.05  # how far others are below its top, as a share of their height
+LARGER = 3.0  # the diagonal of scenery, over that of all bodies
+SCENERY = (
+    "it encloses no volume, lies under the bodies and reaches far beyond them, as a ground or a"
+    " backdrop does"
+)
+
+
+def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:
+    """The asset and its solid, with open meshes that are scenery among the prims that are skipped.
+
+    They would follow a body that is much smaller than they are, whose motion is not theirs.
+    """
+    embedded = dict(solid.embedded)
+    filled = [s.face_points for s in asset.surfaces if s.path not in embedded]
+    axis = int(np.abs(asset.facts.up).argmax())
+    across = [k for k in range(3) if k != axis]
+    low, high = (np.min([p.min(0) for p in filled], 0), np.max([p.max(0) for p in filled], 0))
+
+    def surrounds(surface: Surface) -> bool:
+        least, most = surface.face_points.min(0), surface.face_points.max(0)
+        return bool(
+            (least <= low)[across].all()
+            and (most >= high)[across].all()
+            and least[axis] <= low[axis] + SUNK * (high - low)[axis]
+            and np.linalg.norm(most - least) >= LARGER * np.linalg.norm(high - low)
+        )
+
+    found = {
+        s.path
+        for s in asset.surfaces
+        if s.path in embedded and not s.skinned and s.splats is None and surrounds(s)
+    }
+    if not found:
+        return asset, solid
+    kept = tuple(s for s in asset.surfaces if s.path not in found)
+    skipped = (*asset.skipped, *((path, SCENERY) for path in embedded if path in found))
+    left = tuple(one for one in solid.embedded if one[0] not in found)
+    return replace(asset, surfaces=kept, skipped=skipped), replace(solid, embedded=left)
 
 
 def ground_notes(

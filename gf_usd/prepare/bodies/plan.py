@@ -137,8 +137,8 @@ def _touching(
     return [
         f"{count} meshes that touch are {what}: {'; '.join(_listed(one) for one in found[:4])}"
         + (f"; and {len(found) - 4} more" if len(found) > 4 else "")
-        + f"; to keep them apart, make them rigid or deformable bodies (UsdPhysics) or move them"
-        f" more than {away} apart"
+        + f"; to keep them apart, make them rigid or deformable bodies (UsdPhysics), move them"
+        f" more than {away} apart, or, if they only touch, make them models of kind component"
     ]
 
 
@@ -202,11 +202,13 @@ def _embedded(
 ) -> dict[str, int]:
     """The body that each surface moves with: its own, or the one nearest to most of its points.
 
-    A surface with an owner moves with a body of that owner, if there is one.
+    A surface with an owner moves with a body of that owner, if there is one, and one of a component
+    with a body of that.
     """
     of_owner: dict[str, set[int]] = {}
+    belongs = {s.path: owners.get(s.path, "") or s.component for s in asset.surfaces}
     for path, k in filled.items():
-        of_owner.setdefault(owners.get(path, ""), set()).add(k)
+        of_owner.setdefault(belongs.get(path, ""), set()).add(k)
     every = set(filled.values())
     trees: dict[frozenset[int], Any] = {}
     out = {}
@@ -214,7 +216,7 @@ def _embedded(
         if surface.path in filled:
             out[surface.path] = filled[surface.path]
             continue
-        owner = owners.get(surface.path, "")
+        owner = belongs[surface.path]
         mine = frozenset(of_owner.get(owner, every) if owner else every)
         rows = np.flatnonzero(np.isin(body, list(mine)))
         if not len(rows):  # its own body is too small for a particle

@@ -28,7 +28,7 @@ from gf_usd.prepare.bodies.contact import (
 from gf_usd.prepare.bodies.facing import turned_to_bodies
 from gf_usd.prepare.bodies.flesh import Poses
 from gf_usd.prepare.bodies.flow import flow_of
-from gf_usd.prepare.bodies.grounds import ground_notes
+from gf_usd.prepare.bodies.grounds import ground_notes, without_scenery
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
@@ -94,6 +94,9 @@ def fill(
         asset, repair=repair, resolution=resolution_function(request, spec, unit), paper=paper,
         known=known, built=built,
     )  # fmt: skip
+    if file is not None and not request.flesh:
+        asset, solid = without_scenery(meshes.asset, meshes.solid)
+        meshes = replace(meshes, asset=asset, solid=solid)
     asset, solid = meshes.asset, meshes.solid
     gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()
     flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)
@@ -161,7 +164,7 @@ def fill(
         tets=tets,
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
-        notes=merged(notes),
+        notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
+import pytest
 from solids import cube, solid, sphere
 
 from gf_usd.core.asset import Surface
@@ -76,10 +78,43 @@ def test_components_that_touch_are_separate_and_those_that_overlap_are_not() -> 
     assert found(part("/Board", 0.0), part("/Piece", 1.0), combine=True) == [0, 0]
 
 
+def of(component: str, surface: Surface, name: str) -> Surface:
+    return replace(surface, component=component, path=f"{component}/{name}")
+
+
+@pytest.mark.parametrize("spacing", [0.1, 0.5])
+def test_thin_components_that_overlap_are_one(spacing: float) -> None:
+    """No point of a plate thinner than half a spacing is a quarter of a spacing deep."""
+    flat = of("/A", cube((0.0, 0.0, 0.0), (1.0, 0.04, 1.0)), "M")
+    across = of("/B", cube((0.5, -0.5, 0.0), (0.04, 1.0, 1.0)), "M")
+    beside = of("/B", cube((0.5, 0.0, 0.0), (1.0, 0.04, 1.0)), "M")
+    above = of("/B", cube((0.0, 0.04, 0.0), (1.0, 0.04, 1.0)), "M")
+    rod = of("/B", cube((-20.0, 0.0, 0.0), (40.0, 0.1, 0.1)), "M")
+    assert found(flat, across, spacing=spacing) == [0, 0]
+    assert found(flat, beside, spacing=spacing) == [0, 0]
+    assert found(flat, above, spacing=spacing) == [0, 1]
+    assert found(of("/A", cube((0.0, -0.5, -0.5)), "M"), rod, spacing=spacing) == [0, 0]
+
+
+def test_components_at_the_same_place_are_one() -> None:
+    """No point of one surface is inside the other one."""
+    assert found(of("/A", cube(), "M"), of("/B", cube(), "M")) == [0, 0]
+    assert found(of("/A", sphere(), "M"), of("/B", sphere(), "M")) == [0, 0]
+
+
+def test_bodies_of_components_do_not_depend_on_the_order() -> None:
+    """a and a2 are of A, b and b2 of B; a touches a2 and b, and a2 overlaps b2."""
+    a = of("/A", cube((0.0, 0.0, 0.0)), "a")
+    a2 = of("/A", cube((1.0, 0.0, 0.0)), "a2")
+    b = of("/B", cube((0.0, 1.0, 0.0)), "b")
+    b2 = of("/B", cube((1.5, 0.2, 0.2), (1.0, 0.5, 0.5)), "b2")
+    assert all(found(*order) == [0, 0, 0, 0] for order in permutations((a, a2, b, b2)))
+
+
 def test_what_belongs_to_no_component_joins_no_two() -> None:
     cloth = part("", 1.0, 0.5)
     assert found(part("/Table", 0.0), cloth, part("/Cup", 1.5)) == [0, 0, 1]
-    assert found(part("/Table", 0.0), cloth, part("/Cup", 1.2)) == [0, 0, 0]  # deep in the cloth
+    assert found(part("/Table", 0.0), cloth, part("/Cup", 1.2)) == [0, 1, 1]  # deep in the cloth
 
 
 def test_a_physics_body_may_hold_components() -> None:

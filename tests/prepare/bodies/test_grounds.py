@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from gf_usd import inspect
+from gf_usd.pipeline.inspect import Inspection
+from gf_usd.prepare.bodies.grounds import SCENERY
 
 # Y up, centimeters; the ground is closed, and 4 cm high
 SCENE = """#usda 1.0
@@ -63,19 +65,50 @@ def test_another_plate_is_not(tmp_path: Path, other: dict) -> None:
     assert notes(tmp_path / "a.usda", **other) == []
 
 
-def test_a_sheet_moves_with_the_nearest_body(tmp_path: Path) -> None:
+def with_sheet(path: Path, size: float = 100.0, y: float = 4.0, wall: float = 0.0) -> Inspection:
+    """The ball over a sheet, of which one end goes up by `wall`."""
     sheet = """def Mesh "Plate"
     {
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
-        point3f[] points = [(-50, 4, 50), (50, 4, 50), (50, 4, -50), (-50, 4, -50)]
+        int[] faceVertexCounts = [4, 4]
+        int[] faceVertexIndices = [0, 1, 2, 3, 3, 2, 4, 5]
+        point3f[] points = [(-SIZE, Y, SIZE), (SIZE, Y, SIZE), (SIZE, Y, -SIZE), (-SIZE, Y, -SIZE),
+            (SIZE, TOP, -SIZE), (-SIZE, TOP, -SIZE)]
     }
 }
 """
-    head = SCENE[: SCENE.index("def Cube")]
-    (tmp_path / "a.usda").write_text(head + sheet, encoding="utf-8")
-    assert any(
-        note.startswith("</World/Plate> is flat and lies under everything else, as a ground does,")
-        and "but it moves with the nearest body: " in note
-        for note in inspect(tmp_path / "a.usda", particles=300).notes
-    )
+    for name, value in (("SIZE", size / 2.0), ("TOP", y + wall), ("Y", y)):
+        sheet = sheet.replace(name, f"{value:g}")
+    path.write_text(SCENE[: SCENE.index("def Cube")] + sheet, encoding="utf-8")
+    return inspect(path, particles=300)
+
+
+@pytest.mark.parametrize("wall", [0.0, 60.0], ids=["ground", "backdrop"])
+def test_a_sheet_that_reaches_far_beyond_the_bodies_stays(tmp_path: Path, wall: float) -> None:
+    """A backdrop of 2 m went up and down with a ball of 20 cm, and folded."""
+    seen = with_sheet(tmp_path / "a.usda", 200.0, wall=wall)
+    assert seen.fill_of("/World/Plate") == ("stays", SCENERY)
+    assert [mesh["fill"] for mesh in seen.as_json()["meshes"]] == ["filled", "stays"]
+    assert seen.plan is not None
+    assert [s.path for s in seen.plan.asset.surfaces] == ["/World/Ball"]
+    (note,) = (note for note in seen.notes if "/World/Plate" in note)
+    assert note.startswith("</World/Plate> is not baked: it encloses no volume, lies under the")
+    assert note.endswith("does not follow what is baked: apply PhysicsCollisionAPI to make it an"
+                         " obstacle")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("size", "y", "wall", "flat"),
+    [
+        (40.0, 4.0, 0.0, True),  # a saucer
+        (200.0, 24.0, 0.0, False),  # on top of it
+        (200.0, 14.0, 60.0, False),  # through its middle
+    ],
+)
+def test_another_sheet_moves_with_the_nearest_body(
+    tmp_path: Path, size: float, y: float, wall: float, flat: bool
+) -> None:
+    seen = with_sheet(tmp_path / "a.usda", size, y, wall)
+    assert seen.fill_of("/World/Plate")[0] == "rides along"
+    grounds = [note for note in seen.notes if "as a ground does" in note]
+    assert len(grounds) == flat
+    assert all("but it moves with the nearest body: " in note for note in grounds)
