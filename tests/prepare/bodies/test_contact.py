@@ -34,6 +34,23 @@ def test_what_one_rigid_body_holds_is_one(plan) -> None:
     assert seen.bodies.surfaces == (("/Car/One", "/Car/Two"), ("/Three",))
 
 
+def test_a_sheet_moves_with_a_body_of_its_component(plan) -> None:
+    """A label in front of the foot of a chess piece is nearer to the board."""
+    sheet = (
+        "int[] faceVertexCounts = [4]\nint[] faceVertexIndices = [0, 1, 2, 3]\n"
+        "point3f[] points = [(1.2, 1.05, 0), (1.4, 1.05, 0), (1.4, 1.05, 1), (1.2, 1.05, 1)]"
+    )
+    size = "float3 xformOp:scale = (3, 1, 1)\nuniform token[] xformOpOrder = ['xformOp:scale']"
+    kind = 'kind = "component"'
+    piece = mesh("Foot", at(0.0, 1.0)), prim("Mesh", "Label", sheet)
+    seen = plan(
+        prim("Xform", "Board", mesh("Top", size.replace("'", '"')), meta=kind),
+        prim("Xform", "Piece", *piece, meta=kind),
+    )
+    assert seen.bodies.surfaces == (("/Board/Top",), ("/Piece/Foot",))
+    assert seen.bodies.embedded["/Piece/Label"] == 1
+
+
 def crumb(x: float, y: float, *lines: str, apis: tuple[str, ...] = ()) -> str:
     """/Crumb, a cube of a fifth of a meter of the lowest corner (x, y, 0)."""
     placed = (
