@@ -110,7 +110,7 @@ class Solid:
         """Prim paths of surfaces that are inside another one, and add nothing to the union."""
         points = [s.face_points for s in self.surfaces]
         low, high = np.array([p.min(0) for p in points]), np.array([p.max(0) for p in points])
-        within = ((low[:, None] >= low) & (high[:, None] <= high)).all(2)
+        within = np.asarray(((low[:, None] >= low) & (high[:, None] <= high)).all(2))
         np.fill_diagonal(within, False)
         found = set()
         for a, X in enumerate(points):
