@@ -72,7 +72,9 @@ def svg(curve: dict[str, Any]) -> str:
     for value in ticks(across, xs):
         x = across(value)
         out.append(f'<path d="M{x:.1f} {floor}v4" stroke="{INK}"/>')
-        out.append(text(x, floor + 16, f"{value:.12g}" if not log else f"{value:.3g}"))
+        # three digits, but numbers of particles, such as 1500, whole
+        digits = 12 if not log else 3 if value < 1000.0 else 6
+        out.append(text(x, floor + 16, f"{value:.{digits}g}"))
     for value in ticks(upward, ys):
         y = upward(value)
         out.append(f'<path d="M{left} {y:.1f}h-4" stroke="{INK}"/>')
