@@ -246,12 +246,11 @@ def lost_volume_warning(
     volume : [m^3] that was filled; enclosed : prim paths of meshes inside others, which add nothing
     to it (`Solid.enclosed`).
     """
-    if not any(faults(one) for one in seen):
-        return ""
     whole = sum(one.volume for one in seen)
-    if volume < FILLED_SHARE * whole:
-        inner = enclosed()
-        whole = sum(one.volume for one in seen if one.path not in inner)
+    if volume >= FILLED_SHARE * whole or not any(faults(one) for one in seen):
+        return ""
+    inner = enclosed()
+    whole = sum(one.volume for one in seen if one.path not in inner)
     if volume >= FILLED_SHARE * whole:
         return ""
     return (

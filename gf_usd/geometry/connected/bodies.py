@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.mesh import areas, signed_volume
-from gf_usd.geometry.solid import INSIDE, Solid
+from gf_usd.geometry.solid import Solid
 
 INNER = 256  # points inside a surface that are tested, about: a copy has all of them inside
 FINEST = 64  # subdivisions of an edge at most: bounds the samples of very large triangles
@@ -171,25 +171,21 @@ def _meets(X: Floats, solid: Solid, surface: int, reach: float) -> bool:
     near = ((points.min(0) - reach <= X) & (points.max(0) + reach >= X)).all(1)
     if not near.any():
         return False
-    X, points = np.ascontiguousarray(X[near] - center), np.ascontiguousarray(points - center)
-    squared = igl.point_mesh_squared_distance(X, points, triangles)[0]
+    X = X[near]
+    squared = igl.point_mesh_squared_distance(X - center, points - center, triangles)[0]
     if np.asarray(squared).min() <= reach**2:
         return True
-    w = igl.fast_winding_number(points, triangles, X)
-    return bool((np.abs(np.asarray(w)) > INSIDE).any())
+    return bool(solid.bounds[surface].inside(X).any())
 
 
 def _enters(X: Floats, solid: Solid, surface: int, depth: float) -> bool:
     """Whether a point (n, 3) [m] is inside a surface and farther than depth [m] from it."""
-    points, triangles = solid.surfaces[surface].points, solid.triangles[surface]
-    center = points.mean(0)
-    near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
-    if not near.any():
+    X = X[solid.bounds[surface].inside(X)]
+    if not len(X):
         return False
-    X, points = np.ascontiguousarray(X[near] - center), np.ascontiguousarray(points - center)
-    w = igl.fast_winding_number(points, triangles, X)
-    squared = igl.point_mesh_squared_distance(X, points, triangles)[0]
-    return bool(((np.abs(np.asarray(w)) > INSIDE) & (np.asarray(squared) > depth**2)).any())
+    points, center = solid.surfaces[surface].points, solid.surfaces[surface].points.mean(0)
+    squared = igl.point_mesh_squared_distance(X - center, points - center, solid.triangles[surface])
+    return bool((np.asarray(squared[0]) > depth**2).any())
 
 
 def _overlap(solid: Solid, points: Sequence[Floats], a: int, b: int, reach: float) -> bool:
@@ -200,28 +196,16 @@ def _overlap(solid: Solid, points: Sequence[Floats], a: int, b: int, reach: floa
     of the surface is inside.
     """
     depth = [min(reach, THIN * _mean_thickness(solid, k)) for k in (a, b)]
-    ends = [
-        (solid.surfaces[k].face_points.min(0), solid.surfaces[k].face_points.max(0)) for k in (a, b)
-    ]
-    low, high = np.max([ends[0][0], ends[1][0]], 0), np.min([ends[0][1], ends[1][1]], 0)
+    low = np.maximum(points[a].min(0), points[b].min(0))
+    high = np.minimum(points[a].max(0), points[b].max(0))
     if (high - low).min() <= min(depth):
         return False
     ticks = np.stack(np.meshgrid(*3 * [(np.arange(PROBES) + 0.5) / PROBES], indexing="ij"), -1)
     lattice = low + ticks.reshape(-1, 3) * (high - low)
     inner = lattice[solid.bounds[a].inside(lattice)]
-    return _deeper(np.concatenate([points[a], inner]), solid, b, depth[1]) or _deeper(
+    return _enters(np.concatenate([points[a], inner]), solid, b, depth[1]) or _enters(
         np.concatenate([points[b], inner]), solid, a, depth[0]
     )
-
-
-def _deeper(X: Floats, solid: Solid, surface: int, depth: float) -> bool:
-    """Whether a point (n, 3) [m] is inside a surface and farther than depth [m] from it."""
-    X = X[solid.bounds[surface].inside(X)]
-    if not len(X):
-        return False
-    points, center = solid.surfaces[surface].points, solid.surfaces[surface].points.mean(0)
-    squared = igl.point_mesh_squared_distance(X - center, points - center, solid.triangles[surface])
-    return bool((np.asarray(squared[0]) > depth**2).any())
 
 
 def _mean_thickness(solid: Solid, surface: int) -> float:

@@ -28,18 +28,18 @@ def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:
 
     They would follow a body that is much smaller than they are, whose motion is not theirs.
     """
+    if not solid.embedded:
+        return asset, solid
     embedded = dict(solid.embedded)
     filled = [s.face_points for s in asset.surfaces if s.path not in embedded]
-    axis = int(np.abs(asset.facts.up).argmax())
-    across = [k for k in range(3) if k != axis]
+    up = asset.facts.up
     low, high = (np.min([p.min(0) for p in filled], 0), np.max([p.max(0) for p in filled], 0))
 
     def surrounds(surface: Surface) -> bool:
         least, most = surface.face_points.min(0), surface.face_points.max(0)
         return bool(
-            (least <= low)[across].all()
-            and (most >= high)[across].all()
-            and least[axis] <= low[axis] + SUNK * (high - low)[axis]
+            _beyond((least, most), (low, high), up)
+            and least @ up <= low @ up + SUNK * ((high - low) @ up)
             and np.linalg.norm(most - least) >= LARGER * np.linalg.norm(high - low)
         )
 
@@ -54,6 +54,12 @@ def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:
     skipped = (*asset.skipped, *((path, SCENERY) for path in embedded if path in found))
     left = tuple(one for one in solid.embedded if one[0] not in found)
     return replace(asset, surfaces=kept, skipped=skipped), replace(solid, embedded=left)
+
+
+def _beyond(box: tuple[Floats, Floats], other: tuple[Floats, Floats], up: Floats) -> bool:
+    """Whether a box, of its low and its high corner, reaches as far as another across up."""
+    across = up == 0.0
+    return bool((box[0] <= other[0])[across].all() and (box[1] >= other[1])[across].all())
 
 
 def ground_notes(
@@ -81,8 +87,7 @@ def ground_notes(
         lowest, highest = heights[0].min(), heights[1].max()
         flat = top - bottom <= FLAT * (high - low)[across].min()
         under = top <= lowest + SUNK * (highest - lowest)
-        beyond = (low <= lows.min(0))[across].all() and (high >= highs.max(0))[across].all()
-        if flat and under and beyond:
+        if flat and under and _beyond(boxes[k], (lows.min(0), highs.max(0)), up):
             does = (
                 "moves with the nearest body" if surface.path in embedded else "is soft and falls"
             )

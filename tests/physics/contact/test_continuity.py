@@ -18,9 +18,14 @@ def stored(depth, pair) -> Stored:
     return Stored(planes=planes, depth=depth, stiffness=k, hardening=A**-2, pair=pair)
 
 
+def alike(power: float):
+    """The power [W] of every pair."""
+    return lambda pairs: np.full(len(pairs), power)
+
+
 def budget(power: float, reserve: float = 1e9) -> EnergyBudget:
     """Of three bodies that meet only themselves."""
-    return EnergyBudget(power, np.arange(3), np.full(3, reserve))
+    return EnergyBudget(alike(power), np.arange(3), np.full(3, reserve))
 
 
 def energies(one: Stored, pairs: int = 3):
@@ -88,7 +93,7 @@ def test_between_bodies_and_obstacles_the_true_depth_is_reached_at_every_detecti
     """What slides in a bowl follows its planes a little too deep, again and again."""
     pair = np.arange(N) % 3
     old, true = stored(np.full(N, 0.25), pair), stored(np.full(N, 0.3), pair)
-    limited = EnergyBudget(5.0, np.array([1]), np.array([0.7]))
+    limited = EnergyBudget(alike(5.0), np.array([1]), np.array([0.7]))
     for _ in range(100):
         new = continued(old, true, ease=1.0, budget=limited, elapsed=1.0)
         np.testing.assert_allclose(new.depth[pair != 1], 0.3, rtol=1e-9)

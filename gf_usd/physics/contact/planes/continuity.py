@@ -56,11 +56,11 @@ class EnergyBudget:
     with itself the total energy is bounded, too: a sample between two sheets, whose plane changes
     sides at every detection, would gain energy without limit.
 
-    power : [W] of pairs, by their numbers (k,), or of every pair; own : (B,) numbers of the pairs
+    power : [W] of pairs, by their numbers (k,); own : (B,) numbers of the pairs
     of a body with itself; reserve : (B,) [J] for each of these.
     """
 
-    def __init__(self, power: Callable[[Ints], Floats] | float, own: Ints, reserve: Floats) -> None:
+    def __init__(self, power: Callable[[Ints], Floats], own: Ints, reserve: Floats) -> None:
         self._power, self._own, self._reserve = power, own, reserve
         self.given = np.zeros(len(own))  # (B,) [J] of the reserve; less what was taken back
 
@@ -102,7 +102,7 @@ class EnergyBudget:
         missing : (p,) [J] to the true energy; elapsed : [s] since the last detection.
         """
         given, pairs = np.zeros(len(missing)), np.flatnonzero(missing)
-        most = elapsed * (self._power(pairs) if callable(self._power) else self._power)
+        most = elapsed * self._power(pairs)
         given[pairs] = np.clip(missing[pairs], -most, most)
         some = np.flatnonzero(self._own < len(given))
         own = self._own[some]
