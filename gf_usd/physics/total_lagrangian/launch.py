@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.errors import GfUsdError
-from gf_usd.physics.taichi_arrays import Launcher
+from gf_usd.physics.taichi_arrays import DeviceState, Launcher
 from gf_usd.physics.total_lagrangian.layout import LANES
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS, STUCK
@@ -107,15 +107,20 @@ class Launches:
         """Launch the resident kernel. Raises GfUsdError where a block did not start."""
         began = time.perf_counter()
         self._kernel(*counts, *tail)
-        if state.get("queue")[STUCK]:  # reading it waits for the launch to end
-            raise GfUsdError(
-                f"the GPU did not run {counts[-1]} blocks of {BLOCK} threads at once",
-                "close what else runs on the GPU, or use --device cpu",
-            )
+        require_resident(state, counts[-1])
         self._pace = (time.perf_counter() - began) / tail[0]
 
     def _launch_queued(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
         self._kernel(*counts, threads, *tail)
+
+
+def require_resident(state: DeviceState, blocks: int) -> None:
+    """Wait for a launch of resident blocks to end. Raises GfUsdError where one did not start."""
+    if state.get("queue")[STUCK]:
+        raise GfUsdError(
+            f"the GPU did not run {blocks} blocks of {BLOCK} threads at once",
+            "close what else runs on the GPU, or use --device cpu",
+        )
 
 
 def filter_schedule(rate: float, dt: float) -> tuple[int, float]:

@@ -26,6 +26,7 @@ from gf_usd.physics.total_lagrangian.setup import (
     surface_contact,
     viscosities,
 )
+from gf_usd.physics.total_lagrangian.stages import QUEUE
 from gf_usd.physics.updated_lagrangian.embedded_points import (
     SUPPORT,
     EmbeddedPoints,
@@ -33,7 +34,8 @@ from gf_usd.physics.updated_lagrangian.embedded_points import (
     embed,
 )
 from gf_usd.physics.updated_lagrangian.planes import ROW
-from gf_usd.physics.updated_lagrangian.walls import Planes, Wall, planes
+from gf_usd.physics.updated_lagrangian.walls import PARTS, Planes, Wall, planes
+from gf_usd.system.taichi_runtime import epoch, resident_blocks
 
 if TYPE_CHECKING:
     from types import SimpleNamespace
@@ -85,7 +87,6 @@ def build_body(
     import taichi as ti
 
     from gf_usd.physics.updated_lagrangian.kernels.substep import build, pack_type
-    from gf_usd.system.taichi_runtime import epoch
 
     per = per_particle(particles, materials)
     m = per["density"] * per["V0"]
@@ -130,7 +131,9 @@ def build_body(
         law=law,
         walls=planes(walls, particles.X + lift, at_rest.origin + lift, h) if walls else None,
         pair_contact=pair_contact,
-        kernels=build(law.set, damped, clamp, cap, bool(walls), kind, epoch(), pair_contact),
+        kernels=build(
+            law.set, damped, clamp, cap, bool(walls), kind, epoch(), pair_contact, resident_blocks()
+        ),
         pack_type=pack_type(kind, epoch()),
     )
 
@@ -234,8 +237,9 @@ def arrays(body: Body) -> dict[str, Floats]:
         "history": body.law.history.ravel() if body.law.set.flows else np.zeros(1),
         "viscosity": viscosities(per, body.h).ravel(),
         "push": np.zeros(12 * n),
-        "wall_impulse": np.zeros(3),
-        "grid": np.zeros(6, int),  # see `kernels.sorting`
+        "wall_impulse": np.zeros(3 * (PARTS if resident_blocks() else 1)),
+        "grid": np.zeros(7, int),  # see `kernels.sorting`
+        "queue": np.zeros(QUEUE, int),
         **whole,
         **_contact_arrays(body.contact, body.embedding, n, body.pair_contact),
     }
@@ -286,5 +290,5 @@ def grid_arrays(nodes: int, cells: int, walled: bool) -> dict[str, Floats]:
         "cell_at": np.zeros(3 * cells, int),
         "cell_nodes": np.zeros(27 * cells, int),
         "cell_count": np.zeros(cells, int),
-        "cell_start": np.zeros(cells + 1, int),
+        "cell_start": np.zeros(cells, int),
     }

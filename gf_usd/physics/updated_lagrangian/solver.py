@@ -11,6 +11,7 @@ digits, and the grid does not shift relative to the world.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -28,7 +29,9 @@ from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.time_step import per_cell, strained_step, substeps_of
+from gf_usd.physics.total_lagrangian.launch import GUESS, LAUNCH_SECONDS, require_resident
 from gf_usd.physics.total_lagrangian.setup import floor_height
+from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS
 from gf_usd.physics.updated_lagrangian.conversion import Conversions
 from gf_usd.physics.updated_lagrangian.energies import (
     Losses,
@@ -41,7 +44,8 @@ from gf_usd.physics.updated_lagrangian.setup import Body, build_body, refuse
 from gf_usd.physics.updated_lagrangian.state import State
 from gf_usd.physics.updated_lagrangian.walls import Wall
 
-SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch of one thread
+# particles; on a CPU smaller bodies run all substeps in one launch of one thread
+SERIAL_BELOW = 12_000
 ROUNDING = 1e-9  # relative tolerance of the length of a substep
 
 
@@ -90,7 +94,11 @@ class UpdatedLagrangian(Solver):
         self.planes: FlowPlanes | None = None
         # largest ratio of the stiffness of planes to that of the floor
         self._stiffness_ratio = body.contact.pair_ratio if body.contact else 1.0
-        self._launcher: tuple[Any, Launcher] | None = None  # for the current arrays
+        small = len(particles) < SERIAL_BELOW
+        on_cpu = "serial" if small else "parallel"
+        self.kernel = "resident" if settings.device == "cuda" else on_cpu
+        self._launched: tuple[Any, Launcher] | None = None  # see `_launcher`
+        self._pace = GUESS * len(particles)  # [s] a substep of the resident kernel
         if contact_setup is not None and contact_setup.colliders and body.pair_contact:
             passing = {c for _, c in contact_setup.through_colliders}
             count = len(body.contact.mass) if body.contact else 0
@@ -260,15 +268,41 @@ class UpdatedLagrangian(Solver):
             s.stress_cap or 0.0, low, high, body.converged,
             *(whole(a.tolist()) for a in (planes.first, planes.last, planes.stuck)),
         )  # fmt: skip
-        if n < SERIAL_BELOW and s.device == "cpu":
-            if self._launcher is None or self._launcher[0] is not state.pack:
-                self._launcher = state.pack, Launcher(body.kernels.serial, state.pack)
-            self._launcher[1](n, active, *capacities, substeps, *tail)
-            return
-        body.kernels.start(state.pack, n, 0.5 * dt)
-        for k in range(substeps):
-            drift = dt if k < substeps - 1 else 0.5 * dt
-            body.kernels.parallel(state.pack, n, active, *capacities, *tail, drift)
+        launch = self._launcher()
+        if self.kernel == "serial":
+            launch(n, active, *capacities, substeps, *tail)
+        elif self.kernel == "resident":
+            self._launch_resident((n, active, *capacities), substeps, tail)
+        else:
+            body.kernels.start(state.pack, n, 0.5 * dt)
+            for k in range(substeps):
+                drift = dt if k < substeps - 1 else 0.5 * dt
+                launch(n, active, *capacities, *tail, drift)
+                if self.on_launch:
+                    self.on_launch()
+
+    def _launcher(self) -> Launcher:
+        """The launcher of the kernel for the current arrays."""
+        pack = self.state.pack
+        if self._launched is None or self._launched[0] is not pack:
+            self._launched = pack, Launcher(getattr(self.body.kernels, self.kernel), pack)
+        return self._launched[1]
+
+    def _launch_resident(
+        self, counts: tuple[int, ...], substeps: int, tail: tuple[Any, ...]
+    ) -> None:
+        """Launch the resident kernel, several times where the substeps take long."""
+        launch, n = self._launcher(), counts[0]
+        blocks = min(self.body.kernels.held, -(-n // BLOCK))
+        done = 0
+        while done < substeps:
+            many = max(1, min(substeps - done, int(LAUNCH_SECONDS / self._pace)))
+            ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
+            began = time.perf_counter()
+            launch(*counts, blocks, many, ends, *tail)
+            require_resident(self.state, blocks)
+            self._pace = (time.perf_counter() - began) / many
+            done += many
             if self.on_launch:
                 self.on_launch()
 

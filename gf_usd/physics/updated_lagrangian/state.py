@@ -104,7 +104,7 @@ class State(DeviceState):
     def take_wall_impulse(self) -> None:
         """Add the impulse of the walls in a frame."""
         if self._body.walls is not None:
-            self.wall_impulse = self.wall_impulse + self.get("wall_impulse").astype(float)
+            self.wall_impulse = self.wall_impulse + self.rows("wall_impulse").sum(0)
 
     def save(self) -> dict[str, Any]:
         """See `DeviceState`."""

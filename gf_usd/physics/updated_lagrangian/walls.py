@@ -27,6 +27,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
 
+PARTS = 64  # of the nodes, whose impulses as many threads of a GPU sum
 NOWHERE = 1 << 28  # index of an absent plane
 NEAR = 1e-4  # [half cells] tolerance of a plane's position: the accuracy of f32 positions
 

@@ -18,6 +18,9 @@ from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 from gf_usd.verify.bodies import elastic
 
 
+KERNELS = ["serial", "parallel", "resident"]
+
+
 def dropped(frames: int = 8, threads: int | None = None, real: type = np.float32, **changes):
     """A rubber ball of 10 cm that meets the floor at once."""
     body, samples = ball(700, radius=0.1)
@@ -35,38 +38,45 @@ def state(solver: UpdatedLagrangian) -> np.ndarray:
     )
 
 
-def landed(threads: int) -> np.ndarray:
+def landed(kernel: str, threads: int) -> np.ndarray:
     solver = dropped(threads=threads)
+    solver.kernel = kernel
     assert max(f.health.penetration for f in solver.frames()) > 0.0
     return state(solver)
 
 
 @cache
-def first(serial_below: int) -> np.ndarray:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "SERIAL_BELOW", serial_below)
-        return landed(threads=1)
+def first(kernel: str) -> np.ndarray:
+    return landed(kernel, threads=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("serial_below", slow_but([10**9, 0], 10**9), ids=["serial", "parallel"])
-def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below, threads):
-    monkeypatch.setattr(module, "SERIAL_BELOW", serial_below)
-    assert np.array_equal(first(serial_below), landed(threads))
+@pytest.mark.parametrize("kernel", slow_but(KERNELS, "serial"))
+def test_reruns_and_thread_counts_agree_to_the_bit(kernel, threads):
+    assert np.array_equal(first(kernel), landed(kernel, threads))
 
 
 @pytest.mark.slow
-def test_the_two_paths_agree(monkeypatch):
+@pytest.mark.parametrize("kernel", KERNELS[1:])
+def test_the_kernels_agree(kernel):
     # The same sums in the same order, but compiled apart: see test_determinism.
-    seen = []
-    for below in (10**9, 0):
-        monkeypatch.setattr(module, "SERIAL_BELOW", below)
-        solver = dropped()
+    serial, other = dropped(), dropped()
+    other.kernel = kernel
+    for solver in (serial, other):
         list(solver.frames())
-        x = solver.state.motion()[0] + solver.state.offset
-        seen.append(x)
-    np.testing.assert_allclose(seen[0], seen[1], atol=1e-5)
+    x, y = (solver.state.motion()[0] + solver.state.offset for solver in (serial, other))
+    np.testing.assert_allclose(x, y, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_how_substeps_are_cut_into_launches_does_not_change_a_bit(monkeypatch):
+    whole, cut = dropped(frames=3), dropped(frames=3)
+    for solver, seconds in ((whole, 1e9), (cut, 1e-9)):
+        solver.kernel = "resident"
+        monkeypatch.setattr(module, "LAUNCH_SECONDS", seconds)
+        list(solver.frames())
+    assert np.array_equal(state(whole), state(cut))
 
 
 @pytest.mark.slow
@@ -197,10 +207,10 @@ def test_more_nodes_than_memory_allows_is_a_solver_error():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
-def test_what_flies_apart_has_a_grid_wherever_it_goes(monkeypatch, serial_below):
-    monkeypatch.setattr(module, "SERIAL_BELOW", serial_below)
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_what_flies_apart_has_a_grid_wherever_it_goes(kernel):
     solver = bursting()
+    solver.kernel = kernel
     first, *_, last = solver.frames()
     n = len(solver.particles)
     # Positions are kept to 6e-8 of the distance, and none is moved by another.

@@ -7,7 +7,8 @@ enters it and kept until too many cells are empty; then all are discarded and nu
 Particles seldom change cells, so that few hash lookups occur.
 
 `grid` contains the number of nodes (0), of cells (1) and of cells with particles (2), a flag that a
-particle has no cell yet (3), a fault code (4), and the number of hash entries to be cleared (5).
+particle has no cell yet (3), a fault code (4), the number of hash entries to be cleared (5), and
+the number of particles in the cells that have a range of the list (6).
 After a fault there are no cells and nodes, so that nothing is computed and no array is exceeded.
 
 The numbering of cells and nodes does not affect the result: a node sums over its cells in the order
@@ -18,7 +19,7 @@ bit-identical for any number of threads.
 import taichi as ti
 
 FAR = 1e6  # [cells] distance from the origin at which a position is a fault, as is one not finite
-NODES, CELLS, FILLED, MISSING, FAULT, CLEARED = range(6)  # of `grid`
+NODES, CELLS, FILLED, MISSING, FAULT, CLEARED, PLACED = range(7)  # of `grid`
 NOT_A_PLACE = 1  # faults
 OVERFLOW = 2
 FEW = 64  # empty cells allowed in addition to half the number of the others
@@ -155,8 +156,25 @@ def number_particles(body: ti.template()):
         body.cell_start[cell] = total
         total += count
         filled += ti.min(count, 1)
-    body.cell_start[body.grid[CELLS]] = total
     body.grid[FILLED] = filled
+
+
+@ti.func
+def begin_ranges(body: ti.template()):
+    """Before `claim_range` of every cell."""
+    body.grid[FILLED] = 0
+    body.grid[PLACED] = 0
+
+
+@ti.func
+def claim_range(body: ti.template(), cell):
+    """Start of a cell's range of particles, for many threads: the ranges of cells are in arbitrary
+    order, on which the result does not depend.
+    """
+    count = body.cell_count[cell]
+    if count > 0:
+        body.cell_start[cell] = ti.atomic_add(body.grid[PLACED], count)
+        ti.atomic_add(body.grid[FILLED], 1)
 
 
 @ti.func
@@ -170,7 +188,7 @@ def place_particle(body: ti.template(), p):
 def sort_cell(body: ti.template(), cell):
     """Insertion sort of a cell's list, which threads have filled in arbitrary order."""
     first = body.cell_start[cell]
-    for at in range(first + 1, body.cell_start[cell + 1]):
+    for at in range(first + 1, first + body.cell_count[cell]):
         p = body.order[at]
         to = at
         while to > first and body.order[ti.max(to - 1, first)] > p:

@@ -284,14 +284,15 @@ def dot(a, b):
 @ti.func
 def batches(body: ti.template(), cell):
     """Number of batches of eight of the cell's particles."""
-    return (body.cell_start[cell + 1] - body.cell_start[cell] + LANES - 1) // LANES
+    return (body.cell_count[cell] + LANES - 1) // LANES
 
 
 @unrolled
 def members(body, cell, b):
     """The eight particles of batch b of a cell."""
-    first = let(at(body.cell_start, cell) + LANES * b)
-    last = let(at(body.cell_start, cell + 1) - 1)
+    start = let(at(body.cell_start, cell))
+    first = let(start + LANES * b)
+    last = let(start + at(body.cell_count, cell) - 1)
     return [at(body.order, ti.min(first + lane, last)) for lane in range(LANES)]
 
 
@@ -305,7 +306,7 @@ def in_order(b, n):
 @unrolled
 def not_filler(body, cell, b):
     """Which lanes of batch b of a cell are no fillers."""
-    left = let(at(body.cell_start, cell + 1) - at(body.cell_start, cell) - LANES * b)
+    left = let(at(body.cell_count, cell) - LANES * b)
     return lanes([0.5 + lane for lane in range(LANES)]) < every(left)
 
 

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from gf_usd.physics.updated_lagrangian.kernels.particles import node_sum, vector
-from gf_usd.physics.updated_lagrangian.kernels.sorting import find_node
+from gf_usd.physics.updated_lagrangian.kernels.sorting import NODES, find_node
 
 REACH = 4  # [half cells] distance from a plane of nodes whose images may have particles in reach
 
@@ -84,10 +84,12 @@ def move_walled_node(
 
 
 @ti.func
-def sum_wall_impulses(body: ti.template()):
-    """Sum the impulses of the planes in a substep, in the order of the nodes. Runs on one
-    thread.
+def sum_wall_impulses(body: ti.template(), part, parts):
+    """Add the impulses of the planes on one of `parts` parts of the nodes in a substep, in their
+    order, to the sum of this part.
     """
-    for n in range(body.grid[0]):
+    many = (body.grid[NODES] + parts - 1) // parts
+    for n in range(many * part, ti.min(many * (part + 1), body.grid[NODES])):
         for d in ti.static(range(3)):
-            body.wall_impulse[d] = body.wall_impulse[d] + body.node_given[3 * n + d]
+            o = 3 * part + d
+            body.wall_impulse[o] = body.wall_impulse[o] + body.node_given[3 * n + d]
