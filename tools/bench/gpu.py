@@ -1,19 +1,24 @@
 """Substeps per second on a GPU, and whether its results repeat: the GPU table of BENCHMARKS.md.
 
     python -m tools.bench.gpu [--device cuda] [--particles N]... [--substeps N] [--runs N]
+                              [--jobs N]
 
 Rubber in free flight, as in `tools.bench.solver`, with the APIC filter.  Every row has a law, with
 and without viscosity, and the median of the runs. Only the launches are timed, until they end: the
-other work of a frame (poses, health, contact detection) runs on the CPU on every device.
+other work of a frame (poses, health, contact detection) runs on the CPU on every device. With
+several jobs, rows are set up in as many processes at a time, which take turns on the GPU.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import statistics
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -52,18 +57,19 @@ def repeats(made: TotalLagrangian) -> bool:
     return bool(np.isfinite(v).all() and np.array_equal(u, again_u) and np.array_equal(v, again_v))
 
 
-def row(particles: int, law: str, damped: bool, args: argparse.Namespace) -> str:
-    """A line of the table."""
+def row(particles: int, law: str, damped: bool, args: argparse.Namespace, turn: Any) -> str:
+    """A line of the table; turn : the lock that its process holds while it uses the GPU."""
     made = solver(particles, law, damped, args.device)
-    began = time.perf_counter()
-    same = repeats(made)
-    first = time.perf_counter() - began
     seconds = []
-    for _ in range(args.runs):
+    with turn:
         began = time.perf_counter()
-        made.launches.run(made.state, args.substeps, made.body.step.dt, 0)
-        made.state.get("sample_active")  # waits for the launches
-        seconds.append((time.perf_counter() - began) / args.substeps)
+        same = repeats(made)
+        first = time.perf_counter() - began
+        for _ in range(args.runs):
+            began = time.perf_counter()
+            made.launches.run(made.state, args.substeps, made.body.step.dt, 0)
+            made.state.get("sample_active")  # waits for the launches
+            seconds.append((time.perf_counter() - began) / args.substeps)
     middle, count = statistics.median(seconds), len(made.particles)
     size = sum(made.state.get(name).nbytes for name in made.state.arrays)
     return (
@@ -80,6 +86,7 @@ def main() -> int:
     parser.add_argument("--particles", type=int, action="append", default=[])
     parser.add_argument("--substeps", type=int, default=100, help="of a run; default: %(default)s")
     parser.add_argument("--runs", type=int, default=7, help="default: %(default)s")
+    parser.add_argument("--jobs", type=int, default=1, help="default: %(default)s")
     args = parser.parse_args()
     print(
         "| particles | law | viscosity | us a substep | million particle-substeps a second"
@@ -87,10 +94,17 @@ def main() -> int:
         "|---:|---|---|---:|---:|---:|---:|---|---:|",
         flush=True,
     )
-    for particles in args.particles or SIZES:
-        for law in LAWS:
-            for damped in (False, True):
-                print(row(particles, law, damped, args), flush=True)
+    sizes = args.particles or SIZES
+    rows = [(n, law, damped) for n in sizes for law in LAWS for damped in (False, True)]
+    spawn = multiprocessing.get_context("spawn")
+    with (
+        spawn.Manager() as manager,
+        ProcessPoolExecutor(args.jobs, mp_context=spawn, max_tasks_per_child=1) as pool,
+    ):
+        turn = manager.Lock()
+        lines = [pool.submit(row, *one, args, turn) for one in rows]
+        for line in lines:
+            print(line.result(), flush=True)
     return 0
 
 
