@@ -237,7 +237,7 @@ def arrays(body: Body) -> dict[str, Floats]:
         "history": body.law.history.ravel() if body.law.set.flows else np.zeros(1),
         "viscosity": viscosities(per, body.h).ravel(),
         "push": np.zeros(12 * n),
-        "wall_impulse": np.zeros(3 * (PARTS if resident_blocks() else 1)),
+        "wall_impulse": np.zeros(3 * PARTS),
         "grid": np.zeros(7, int),  # see `kernels.sorting`
         "queue": np.zeros(QUEUE, int),
         **whole,

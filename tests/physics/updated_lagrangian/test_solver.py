@@ -17,7 +17,6 @@ from gf_usd.physics.updated_lagrangian import state as state_module
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 from gf_usd.verify.bodies import elastic
 
-
 KERNELS = ["serial", "parallel", "resident"]
 
 

@@ -38,15 +38,15 @@ def test_half_of_a_symmetric_body_moves_as_the_whole() -> None:
 
 
 @pytest.mark.slow  # compiles kernels of its own
-def test_momentum_is_what_planes_and_weight_gave_and_none_passes_them() -> None:
+@pytest.mark.parametrize("kernel", ["serial", "resident"])
+def test_momentum_is_what_planes_and_weight_gave_and_none_passes_them(kernel) -> None:
     body = block((0.0, 0.0, 0.0), (2, 2, 1), H)
     walls = [
         Wall(axis=0, at=0.0), Wall(axis=1, at=0.0, sticks=True), Wall(axis=2, at=0.0),
         Wall(axis=2, at=H, above=False),
     ]  # fmt: skip
-    solver = run(
-        body, walls, (-1.0, -2.0, 0.0), gravity=(0.0, -9.81, 0.0)
-    )  # fmt: skip
+    solver = run(body, walls, (-1.0, -2.0, 0.0), gravity=(0.0, -9.81, 0.0))
+    solver.kernel = kernel
     first, *_, last = solver.frames()
     m = first.health.mass
     fell = np.array([0.0, -9.81 * last.time, 0.0])

@@ -108,7 +108,6 @@ def build(
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
     ivec = ti.types.vector(3, ti.i32)
-    parts = PARTS if held else 1
 
     @ti.kernel
     def serial(
@@ -310,8 +309,8 @@ def build(
                             move_node(body, node, g, dt, keep)
                     done = barrier(body, z, blocks, done)
                     if ti.static(walled):
-                        for turn in range(turns(z, blocks, parts)):
-                            sum_wall_impulses(body, item(z, blocks, turn), parts)
+                        for turn in range(turns(z, blocks, PARTS)):
+                            sum_wall_impulses(body, item(z, blocks, turn), PARTS)
                     for turn in range(turns(z, blocks, body.grid[CELLS])):
                         gather_cell(body, item(z, blocks, turn), laws, drift, ih, phase)
                     done = barrier(body, z, blocks, done)
