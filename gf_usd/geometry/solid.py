@@ -187,7 +187,7 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
     """
     kept, triangles, sources, embedded = [], [], [], []
     for surface in asset.surfaces:
-        welded, source, reason = _welded(surface)
+        welded, source, reason = closed_triangles(surface)
         if reason:
             embedded.append((surface.path, reason))
             continue
@@ -211,8 +211,8 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
     return replace(partial, volume=_volume(partial, asset, repaired))
 
 
-def _welded(surface: Surface) -> tuple[Ints, Ints, str]:
-    """Welded triangles, their source rows, and why the surface is no solid ("" where it is)."""
+def closed_triangles(surface: Surface) -> tuple[Ints, Ints, str]:
+    """Welded triangles, rows in `Surface.triangles`, and why they bound no solid, "" if they do."""
     welded = surface.representative[surface.triangles]
     source = np.flatnonzero(proper(welded))
     welded = np.ascontiguousarray(welded[source], dtype=np.int64)

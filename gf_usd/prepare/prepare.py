@@ -121,8 +121,8 @@ def prepare(
         def refill(spacing: float) -> Plan:
             coarse = replace(request, particles=None, spacing=spacing / asset.facts.units.length)
             return fill(
-                asset, coarse, found.presets, law, files, found.file, spec=found.spec,
-                repair=repair, built=None if repair else solid,
+                asset if repair else plan.asset, coarse, found.presets, law, files, found.file,
+                spec=found.spec, repair=repair, built=None if repair else solid,
             )[0]  # fmt: skip
 
         once_filled(refill)
@@ -132,7 +132,7 @@ def prepare(
         up_axis=up_axis, repair=repair, **{k: v for k, v in options.items() if k not in lists},
         prims=tuple(prims), **lists,
     )  # fmt: skip
-    odd = implausible_size(asset)
+    odd = implausible_size(plan.asset)
     plan = replace(
         plan, command=command,
         notes=(*plan.notes, *((odd,) if odd else ()), *kernel_cache_notes()),

@@ -1,4 +1,4 @@
-"""Meshes that look like the ground or the backdrop of a scene."""
+"""Meshes that look like the ground, the backdrop, the room or the sky of a scene."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.mesh import signed_volume
 
 if TYPE_CHECKING:
-    from gf_usd.geometry.solid import Solid
+    from gf_usd.geometry.solid import Bounds, Solid
 
 FLAT = 0.05  # its height, as a share of its smaller width
 SUNK = 0.05  # how far others are below its top, as a share of their height
@@ -21,6 +22,64 @@ SCENERY = (
     "it encloses no volume, lies under the bodies and reaches far beyond them, as a ground or a"
     " backdrop does"
 )
+IN_IT = 0.5  # of the tested points of a mesh, from where it is in a room: it may reach into a wall
+TESTED = 64  # points of a mesh, about, that are tested
+FULL = 0.5  # of the volume of a mesh: one that others fill to more than that is no room
+HOLLOW = 0.5  # of the convex hull, that a room or a sky encloses: a body with limbs has less
+ROOM = "it faces inward around all other meshes, as a room or a sky does"
+
+
+def without_rooms(asset: Asset, *, repair: bool, bodies: Collection[str] = ()) -> Asset:
+    """The asset with closed meshes that face inward around all others among the prims skipped.
+
+    Their volume would be filled as one body with everything in it.  A body that is inside out by
+    mistake is no room: nothing that faces outward is in it, or it is far from convex, or what is in
+    it fills it.
+
+    repair : open meshes are filled too; bodies : paths of those that the stage makes soft or rigid.
+    """
+    from gf_usd.geometry.solid import Bounds, closed_triangles
+
+    volume = [signed_volume(s.points, s.triangles) for s in asset.surfaces]
+    if min(volume, default=0.0) >= 0.0 or len(volume) < 2:
+        return asset
+    closed = [closed_triangles(s) for s in asset.surfaces]
+    filled = {k for k, one in enumerate(closed) if repair or not one[2]}
+    found = []
+    for k in np.argsort(volume):  # the largest that faces inward first: a room may be under a sky
+        room, (triangles, _, fault) = asset.surfaces[k], closed[k]
+        others = [j for j in filled if j != k]
+        if volume[k] >= 0.0 or fault or room.skinned or room.splats or room.path in bodies:
+            continue
+        content = sum(volume[j] for j in others if volume[j] > 0.0)
+        outward = any(volume[j] > 0.0 or closed[j][2] for j in others)
+        if not outward or content > -FULL * volume[k] or not _convex(room, -volume[k]):
+            continue
+        bounds = Bounds(room.points, triangles)
+        if all(_share_in(bounds, asset.surfaces[j]) >= IN_IT for j in others):
+            found.append(room.path)
+            filled.remove(k)
+    if not found:
+        return asset
+    kept = tuple(s for s in asset.surfaces if s.path not in found)
+    return replace(
+        asset, surfaces=kept, skipped=(*asset.skipped, *((path, ROOM) for path in found))
+    )
+
+
+def _convex(surface: Surface, volume: float) -> bool:
+    """Whether a mesh encloses as much [m^3] of its convex hull as a room does."""
+    from gf_usd.prepare.bodies.convexity import SupportPoints
+
+    points = surface.face_points
+    hull = SupportPoints(points).hull_lower_bound() or float(np.prod(np.ptp(points, axis=0)))
+    return volume >= HOLLOW * hull
+
+
+def _share_in(bounds: Bounds, surface: Surface) -> float:
+    """Fraction of the points of a surface that are inside another one."""
+    X = surface.face_points
+    return float(bounds.inside(X[:: max(1, len(X) // TESTED)]).mean())
 
 
 def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:

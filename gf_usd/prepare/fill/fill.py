@@ -28,7 +28,7 @@ from gf_usd.prepare.bodies.contact import (
 from gf_usd.prepare.bodies.facing import turned_to_bodies
 from gf_usd.prepare.bodies.flesh import Poses
 from gf_usd.prepare.bodies.flow import flow_of
-from gf_usd.prepare.bodies.grounds import ground_notes, without_scenery
+from gf_usd.prepare.bodies.grounds import ground_notes, without_rooms, without_scenery
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
@@ -90,6 +90,9 @@ def fill(
 
     unit = asset.facts.units.length
     paper = request.preset == "paper"
+    if file is not None and not request.flesh:
+        owned = {path for path, body in spec.bodies.items() if body.owner}
+        asset = without_rooms(asset, repair=repair, bodies=owned)
     meshes = build_meshes(
         asset, repair=repair, resolution=resolution_function(request, spec, unit), paper=paper,
         known=known, built=built,

@@ -8,6 +8,7 @@ import pytest
 
 from gf_usd import inspect
 from gf_usd.pipeline.inspect import Inspection
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.prepare.bodies.grounds import SCENERY
 
 # Y up, centimeters; the ground is closed, and 4 cm high
@@ -112,3 +113,13 @@ def test_another_sheet_moves_with_the_nearest_body(
     grounds = [note for note in seen.notes if "as a ground does" in note]
     assert len(grounds) == flat
     assert all("but it moves with the nearest body: " in note for note in grounds)
+
+
+def test_it_stays_at_a_coarser_resolution_too(tmp_path: Path) -> None:
+    """In the coarse runs of --certify it followed the nearest body."""
+    path = tmp_path / "a.usda"
+    with_sheet(path, 200.0)
+    prepared = prepare(path, particles=4096, certify=True, output=tmp_path / "b.usda")
+    assert prepared.refill is not None
+    coarse = prepared.refill(2.0 * prepared.plan.particles.spacing)
+    assert [s.path for s in coarse.asset.surfaces] == ["/World/Ball"]
