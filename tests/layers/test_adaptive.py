@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pxr import Usd
 from small_sources import PLAIN, SOURCES, Source
-from small_stages import bake, frames_of, info_of, particles_of, world, write_cache
+from small_stages import RUBBER, bake, frames_of, info_of, particles_of, world, write_cache
 
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames import Choices, Health
 from gf_usd.core.units import Precision
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import check_file
@@ -91,6 +92,44 @@ def test_the_error_that_is_reported_is_the_largest_that_is_read(tmp_path: Path) 
     # every value has a sample at every frame: the health is complete
     health = mine.GetPrimAtPath("/duck").GetAttribute("gaussianFlesh:health:kineticEnergy")
     assert health.GetNumTimeSamples() == FRAMES
+
+
+def test_flowing_particles_next_to_a_solid_body_keep_the_tolerance_of_their_own(
+    tmp_path: Path,
+) -> None:
+    """It ended with a ValueError: the tolerances were those of all particles. The solid body is
+    the larger one, and the tolerance of each is a share of its radius.
+    """
+    asset = SOURCES["instances"].asset(tmp_path)
+    solid, sand = (s.path for s in asset.surfaces[:2])
+    particles = particles_of(asset)
+    of = (np.arange(len(particles)) % 4 == 0).astype(int)
+    particles = replace(particles, surface=of, body=of, material=of)
+    grains = np.flatnonzero(of)
+    dry = replace(RUBBER, name="sand", law="druckerPrager", parameters={"internal_friction": 0.6})
+    info = replace(info_of(asset, frames=FRAMES), materials=(RUBBER, dry))
+    choices = replace(ADAPTIVE, flowing=(sand,))
+    health = Health(plastic_dissipation=0.0)
+    frames = list(frames_of(asset, particles, info, choices))
+    with CacheWriter(tmp_path / "c.usdc", asset, particles, info, choices=choices) as writer:
+        for frame in frames:
+            meshes = {solid: frame.meshes[solid]}
+            writer.write(replace(frame, meshes=meshes, health=health))
+    publish(tmp_path / "c.usdc")
+    storage = writer.close().storage
+    assert storage is not None
+    stage = Usd.Stage.Open(str(tmp_path / "c.usdc"))
+    (flow,) = (prim for prim in stage.Traverse() if prim.GetName() == "Flow")
+    points = flow.GetAttribute("points")
+    assert 2 < points.GetNumTimeSamples() < FRAMES
+    unit = asset.facts.units.length
+    limit = SHARE * particles.radii[1]
+    assert limit < 0.8 * SHARE * particles.radii[0]
+    worst = 0.0
+    for frame in frames:
+        apart = unit * np.asarray(points.Get(frame.time_code)) - frame.gaussians.positions[grains]
+        worst = max(worst, float(np.linalg.norm(apart, axis=1).max()))
+    assert 0.5 * limit < worst <= limit
 
 
 def test_prims_of_the_particles_have_their_samples_together(tmp_path: Path) -> None:
