@@ -7,6 +7,7 @@ which is robust to overlapping shells, reversed winding and small holes.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -94,6 +95,8 @@ class Solid:
         tuple[str, str], ...
     ]  # (prim path, reason) of surfaces that are not filled and move with the body
     bounds: tuple[Bounds, ...] = field(repr=False)  # of each surface
+    walls: Mapping[str, str] = field(default_factory=dict)  # prim path of the surface that contains
+    # the triangles of an embedded one as the inner side of its wall, by that one's prim path
 
     def inside(self, X: Floats) -> NDArray[np.bool_]:
         """(n,) True for points (n, 3) [m] inside any of the surfaces."""

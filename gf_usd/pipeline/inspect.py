@@ -209,7 +209,9 @@ def lost_volume(seen: Inspection, solid: Solid) -> str:
     """A warning where defects of the meshes remove much of the enclosed volume; else ""."""
     if seen.plan is None or seen.repairs:
         return ""
-    filled = [d for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
+    joined = set(solid.walls.values())
+    whole = {s.path: diagnose(s) for s in solid.surfaces if s.path in joined}
+    filled = [whole.get(d.path, d) for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
     return lost_volume_warning(filled, seen.plan.particles.volume, solid.enclosed)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from gf_usd.core.arrays import triple
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Choices, Settings
-from gf_usd.core.stage import Pin, StageSpec, Triple
+from gf_usd.core.stage import PhysicsMaterialSpec, Pin, StageSpec, Triple
 from gf_usd.prepare.bodies.cages import cage_notes
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
@@ -90,14 +91,15 @@ def fill(
 
     unit = asset.facts.units.length
     paper = request.preset == "paper"
-    if file is not None and not request.flesh:
+    whole = file is not None and not request.flesh
+    if whole:
         owned = {path for path, body in spec.bodies.items() if body.owner}
         asset = without_rooms(asset, repair=repair, bodies=owned)
     meshes = build_meshes(
         asset, repair=repair, resolution=resolution_function(request, spec, unit), paper=paper,
-        known=known, built=built,
+        one_thing=partial(_one_thing, asset, spec) if whole else None, known=known, built=built,
     )  # fmt: skip
-    if file is not None and not request.flesh:
+    if whole:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
         meshes = replace(meshes, asset=asset, solid=solid)
     asset, solid = meshes.asset, meshes.solid
@@ -138,7 +140,7 @@ def fill(
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
         *_cage_notes(inputs, filled, materials), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
-        *softness, *length.physics.notes, *not_filled_notes(solid.embedded),
+        *softness, *length.physics.notes, *not_filled_notes(solid),
         *not_baked_notes(asset.skipped), *SKIN_NOTES.get(settings.skin, ()),
         *paper_notes(materials.main, each), *split_notes,
         *no_internals_notes(materials.main, settings),
@@ -170,6 +172,21 @@ def fill(
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid
+
+
+def _one_thing(asset: Asset, spec: StageSpec, one: str, two: str) -> bool:
+    """Whether two meshes are of one physics body, component and material of the stage."""
+
+    def of(path: str) -> tuple[str, str | None, PhysicsMaterialSpec]:
+        body, bake = spec.bodies.get(path), spec.bakes.get(path)
+        return (
+            body.owner if body else "",
+            bake.material if bake else None,
+            body.spec if body else PhysicsMaterialSpec(),
+        )
+
+    component = {s.path: s.component for s in asset.surfaces if s.path in (one, two)}
+    return len(set(component.values())) == 1 and of(one) == of(two)
 
 
 def _floor_notes(floating: bool, asset: Asset, poses: Poses | None) -> tuple[str, ...]:

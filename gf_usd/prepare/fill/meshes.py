@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.mesh import signed_volume
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.connected.walls import Walls
     from gf_usd.geometry.diagnosis import Diagnosis
     from gf_usd.geometry.repair import Repairs
     from gf_usd.geometry.solid import Solid
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 Volumes = Callable[[], Mapping[str, float]]  # [m^3] of closed surfaces, by prim path
 ResolutionOf = Callable[[Volumes], "Resolution"]
+OneThing = Callable[[str, str], bool]  # whether two prim paths may be sides of one wall
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,39 +43,62 @@ def build_meshes(
     repair: bool,
     resolution: ResolutionOf,
     paper: bool,
+    one_thing: OneThing | None = None,
     known: Sequence[Diagnosis] = (),
     built: Solid | None = None,
 ) -> FilledMeshes:
     """The meshes of an asset and their solid.  Raises InputError where they cannot be filled.
 
     resolution : see `repair_for_fill`; paper : whether the fill is that of the paper.
+    one_thing : see `find_walls`; None: no two meshes are sides of one wall.
     known : result of `diagnose` for the surfaces, if available.
     built : the solid without `repair`, if available.
     """
+    from gf_usd.geometry.connected.walls import Walls, find_walls, with_walls
     from gf_usd.geometry.diagnosis import diagnose, lost_volume_warning, tolerated_defects
     from gf_usd.geometry.repair import consistently_oriented_asset, notes
     from gf_usd.geometry.solid import build_solid
 
+    oriented, turned = consistently_oriented_asset(asset)
+    walls = find_walls(oriented, one_thing) if one_thing else Walls()
+
+    def made(filled: Asset) -> Solid:
+        solid = build_solid(filled, repaired=repair)
+        embedded = (*solid.embedded, *walls.embedded)
+        return replace(solid, embedded=embedded, walls=walls.outer)
+
     if repair:
-        asset, filled, repairs, spacing = repair_for_fill(asset, resolution, paper=paper)
+        display, filled, repairs, spacing = repair_for_fill(
+            with_walls(asset, walls), resolution, paper=paper
+        )
         return FilledMeshes(
-            asset=asset,
-            solid=built or build_solid(filled, repaired=True),
-            notes=notes(repairs),
+            asset=_as_authored(display, asset, walls),
+            solid=built or made(filled),
+            notes=(*notes(repairs), *walls.notes),
             thickened=any(one.thickened for one in repairs),
             spacing=spacing,
         )
-    asset, turned = consistently_oriented_asset(asset)
     if built:
-        return FilledMeshes(asset=asset, solid=built)
-    solid = build_solid(asset, repaired=False)
-    by_path = {} if turned else {diagnosis.path: diagnosis for diagnosis in known}
+        return FilledMeshes(asset=oriented, solid=built)
+    solid = made(with_walls(oriented, walls))
+    joined = set(walls.outer.values())
+    by_path = {} if turned else {one.path: one for one in known if one.path not in joined}
     diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
     defects = (
         *(tolerated_defects(diagnosis) for diagnosis in diagnoses),
         lost_volume_warning(diagnoses, solid.volume, solid.enclosed),
     )
-    return FilledMeshes(asset=asset, solid=solid, notes=(*turned, *filter(None, defects)))
+    return FilledMeshes(
+        asset=oriented, solid=solid, notes=(*turned, *filter(None, defects), *walls.notes)
+    )
+
+
+def _as_authored(repaired: Asset, asset: Asset, walls: Walls) -> Asset:
+    """The repaired asset with the sides of walls as they were, each a surface of its own."""
+    by_path = {s.path: s for s in repaired.surfaces}
+    sides = {*walls.outer, *walls.outer.values()}
+    surfaces = (s if s.path in sides else by_path[s.path] for s in asset.surfaces)
+    return replace(repaired, surfaces=tuple(surfaces))
 
 
 def repair_for_fill(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.prepare import paper as paper_options
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
 
 MOST_NAMED = 3  # prims that each have a note of their own for the same reason
 
@@ -36,8 +40,11 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     return tuple(note(*group) for group in _by_reason(skipped))
 
 
-def not_filled_notes(embedded: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """The notes on meshes that move with a body, each with the reason why it is not filled."""
+def not_filled_notes(solid: Solid) -> tuple[str, ...]:
+    """The notes on meshes that move with a body, each with the reason why it is not filled.
+
+    Those on sides of walls are `Walls.notes`.
+    """
 
     def note(path: str, more: int, reason: str) -> str:
         if more:
@@ -49,7 +56,8 @@ def not_filled_notes(embedded: Iterable[tuple[str, str]]) -> tuple[str, ...]:
             f"<{path}> is not filled: it moves with the nearest body and does not collide; {reason}"
         )
 
-    return tuple(note(*group) for group in _by_reason(embedded))
+    left = (one for one in solid.embedded if one[0] not in solid.walls)
+    return tuple(note(*group) for group in _by_reason(left))
 
 
 def _by_reason(prims: Iterable[tuple[str, str]]) -> list[tuple[str, int, str]]:

@@ -1,0 +1,215 @@
+"""Walls whose two sides are meshes of their own, such as the outside and the inside of a mug.
+
+A mesh that faces inward, directly inside one that faces outward, bounds a cavity of it: together
+they bound a wall, as the shells of one mesh do (`winding.orientations`).  Two meshes that both face
+outward are a body in a body, whose volumes are united.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import igl
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import NO_COLOR, Asset, Surface
+from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.geometry.solid import Bounds, closed_triangles
+from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
+
+TESTED = 64  # triangles of a mesh, about, whose centers are tested for being inside another one
+INSIDE = 0.9  # of them: the flat faces of a coarse mesh may cut into a fine one
+# of the volume of a mesh: another one in it that holds more is likely the inner side of its wall
+HOLLOW = 0.5
+BOX = 1e-5  # of its largest width, by which the box of a mesh may reach out of another one
+MOST_NOTED = 3  # pairs
+ORIENTATION = " (in USD by the attribute orientation)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walls:
+    """Pairs of meshes that bound walls, by prim path."""
+
+    outer: Mapping[str, str] = field(default_factory=dict)  # of each inner side
+    unclear: tuple[tuple[str, str], ...] = ()  # (inner, outer) of those that face otherwise
+
+    @property
+    def embedded(self) -> tuple[tuple[str, str], ...]:
+        """The inner sides, each with the reason why it is not filled by itself."""
+        reason = "it faces inward and bounds the wall of <{}>, which is filled"
+        return tuple((path, reason.format(outer)) for path, outer in self.outer.items())
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on what is filled, and on pairs of which that is not clear."""
+        joined = tuple(
+            f"<{inner}> faces into <{outer}>, as the inner side of a wall does: only the wall"
+            f" between them is filled, with the material of <{outer}>. If <{inner}> is a body of"
+            f" its own, turn its faces outward{ORIENTATION}"
+            for inner, outer in self.outer.items()
+        )
+        more = len(self.unclear) - MOST_NOTED
+        return joined + tuple(
+            f"<{inner}> is inside <{outer}>"
+            + (f" (and {more} more pairs are alike)" if more > 0 and not k else "")
+            + ", and the volume of both is filled. If they are the two sides of a wall, turn the"
+            f" faces of <{outer}> outward and those of <{inner}> inward{ORIENTATION}"
+            for k, (inner, outer) in enumerate(self.unclear[:MOST_NOTED])
+        )
+
+
+def find_walls(asset: Asset, one_thing: Callable[[str, str], bool]) -> Walls:
+    """The walls among the surfaces of an asset, of consistent winding.
+
+    one_thing : of two prim paths, whether they may be sides of one wall.
+    """
+    own = [s for s in asset.surfaces if not s.skinned and s.splats is None]
+    volume = np.array([signed_volume(s.points, s.triangles) for s in own])
+    if len(own) < 2:
+        return Walls()
+    points = [s.face_points for s in own]
+    low, high = np.array([p.min(0) for p in points]), np.array([p.max(0) for p in points])
+    size = np.abs(volume)
+    # meshes with a common rim have a side of their boxes in common, up to rounding
+    slack = BOX * (high - low).max(1)[None, :, None]
+    around = ((low[:, None] >= low - slack) & (high[:, None] <= high + slack)).all(2)
+    around &= size[:, None] < size
+    faces_in = (volume < 0.0)[:, None] & (volume > 0.0)
+    candidates = around & (faces_in | (size[:, None] > HOLLOW * size))
+    bounds: dict[int, Bounds | None] = {}
+
+    def holds(outer: int, inner: int) -> bool:
+        if outer not in bounds:
+            triangles, _, fault = closed_triangles(own[outer])
+            bounds[outer] = None if fault else Bounds(own[outer].points, triangles)
+        one = bounds[outer]
+        return one is not None and _share_in(one, own[inner]) >= INSIDE
+
+    found: dict[str, str] = {}
+    unclear: list[tuple[str, str]] = []
+    for k in np.flatnonzero(candidates.any(1)):
+        if closed_triangles(own[k])[2]:
+            continue
+        hosts = np.flatnonzero(around[k])
+        hosts = hosts[np.argsort(size[hosts], kind="stable")]
+        host = next((int(h) for h in hosts if holds(int(h), int(k))), -1)
+        if host < 0 or not candidates[k, host] or not one_thing(own[k].path, own[host].path):
+            continue
+        if faces_in[k, host]:
+            found[own[k].path] = own[host].path
+        else:
+            unclear.append((own[k].path, own[host].path))
+    return Walls(outer=found, unclear=tuple(unclear))
+
+
+def _share_in(bounds: Bounds, surface: Surface) -> float:
+    """Fraction of a surface's triangles whose centers are inside another one."""
+    triangles = surface.triangles[:: max(1, len(surface.triangles) // TESTED)]
+    return float(bounds.inside(surface.points[triangles].mean(1)).mean())
+
+
+def with_walls(asset: Asset, walls: Walls) -> Asset:
+    """The asset to fill: the inner side of each wall is part of the surface of the outer one."""
+    by_path = {s.path: s for s in asset.surfaces}
+    for inner, outer in walls.outer.items():
+        by_path[outer] = _joined(by_path[outer], by_path[inner])
+    kept = (by_path[s.path] for s in asset.surfaces if s.path not in walls.outer)
+    return replace(asset, surfaces=tuple(kept))
+
+
+def _joined(outer: Surface, inner: Surface) -> Surface:
+    """A surface of both, and of the rim between them where both are open.
+
+    Its faces are those of the outer one: what the stage states of faces holds for the triangles of
+    the inner one next to them.
+    """
+    first = len(outer.points)
+    points = np.concatenate([outer.points, inner.points])
+    sides = np.concatenate([outer.triangles, first + inner.triangles])
+    made = replace(
+        outer,
+        points=points,
+        own_points=first if outer.own_points is None else outer.own_points,
+        triangles=sides,
+    )
+    rim = _rim(points, closed_triangles(made)[0], first)
+    center = outer.points.mean(0)
+    new = points[np.concatenate([first + inner.triangles, rim])].mean(1)
+    _, at, _ = igl.point_mesh_squared_distance(
+        new - center, outer.points - center, outer.triangles.astype(np.int64)
+    )
+    near = np.asarray(at).reshape(-1)
+    of_rim = near[len(inner.triangles) :]
+    materials = [
+        replace(one, texture=None) if of.triangle_uvs is None else one
+        for of in (outer, inner)
+        for one in of.materials
+    ]
+    colors = _both(outer.triangle_colors, inner.triangle_colors, outer, inner, NO_COLOR)
+    uvs = _both(outer.triangle_uvs, inner.triangle_uvs, outer, inner, (0.0, 0.0))
+    bound = _bound(outer, inner)
+    return replace(
+        made,
+        triangles=np.concatenate([sides, rim]),
+        triangle_corners=np.concatenate([outer.triangle_corners, outer.triangle_corners[near]]),
+        triangle_colors=None if colors is None else np.concatenate([colors, colors[of_rim]]),
+        triangle_uvs=None if uvs is None else np.concatenate([uvs, uvs[of_rim]]),
+        triangle_materials=None if bound is None else np.concatenate([bound, bound[of_rim]]),
+        materials=tuple(materials),
+    )
+
+
+def _rim(points: Floats, triangles: Ints, first: int) -> Ints:
+    """(R, 3) triangles between the boundary of an outer and of an inner mesh.
+
+    None where either has not one boundary loop, or where caps on both would be smaller.
+
+    triangles : (T, 3) welded, of both; first : the first of `points` (V, 3) of the inner one.
+    """
+    edges = Edges.of(triangles)
+    loops = [edges.directed[loop, 0] for loop in boundary_loops(edges)[0]]
+    none = np.zeros((0, 3), np.int64)
+    if len(loops) != 2 or (loops[0][0] < first) == (loops[1][0] < first):
+        return none
+    one, two = sorted(loops, key=lambda loop: int(loop[0]))
+    two = two[::-1]  # along the other one: the two meshes face opposite ways
+    two = np.roll(two, -int(np.linalg.norm(points[two] - points[one[0]], axis=1).argmin()))
+    made, i, j = [], 0, 0
+    while i < len(one) or j < len(two):
+        a, next_a = one[i % len(one)], one[(i + 1) % len(one)]
+        b, next_b = two[j % len(two)], two[(j + 1) % len(two)]
+        across = np.linalg.norm(points[[next_a, a]] - points[[b, next_b]], axis=1)
+        if j == len(two) or (i < len(one) and across[0] <= across[1]):
+            made.append((next_a, a, b))
+            i += 1
+        else:
+            made.append((b, next_b, a))
+            j += 1
+    rim = np.array(made)
+    caps = fan_area(points[one]) + fan_area(points[two])
+    return rim if areas(points, rim).sum() <= caps else none
+
+
+def _both(
+    one: Floats | None, two: Floats | None, outer: Surface, inner: Surface, missing: object
+) -> Floats | None:
+    """(T, 3, n) values at the corners of the triangles of both; None: of neither."""
+    if one is None and two is None:
+        return None
+    of = [
+        np.tile(missing, (len(surface.triangles), 3, 1)) if values is None else values
+        for values, surface in ((one, outer), (two, inner))
+    ]
+    return np.concatenate(of)
+
+
+def _bound(outer: Surface, inner: Surface) -> Ints | None:
+    """(T,) into the materials of both; None: neither has any."""
+    one, two = outer.triangle_materials, inner.triangle_materials
+    if one is None and two is None:
+        return None
+    one = np.full(len(outer.triangles), -1) if one is None else one
+    two = np.full(len(inner.triangles), -1) if two is None else two
+    return np.concatenate([one, np.where(two < 0, -1, two + len(outer.materials))])

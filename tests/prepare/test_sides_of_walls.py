@@ -1,0 +1,128 @@
+"""A wall whose two sides are meshes of their own, from the stage to the plan and the bake."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+from solids import sphere
+
+import gf_usd
+from gf_usd.pipeline.inspect import Inspection, inspect
+from gf_usd.pipeline.prepared import prepare
+
+SHELL = 4.0 / 3.0 * np.pi * (1.0 - 0.8**3)  # [m^3]
+SPHERES = 0.02  # of its volume, that the flat faces of a sphere lack
+RIGID = '(prepend apiSchemas = ["PhysicsRigidBodyAPI"])'
+
+
+def ball(name: str, radius: float, *, inward: bool = False, more: str = "") -> str:
+    """A Mesh prim as text."""
+    body = sphere(radius, (0.0, 2.0, 0.0), subdivisions=2)
+    corners = [int(i) for face in body.triangles for i in face]
+    values = ", ".join(f"({x:.9g}, {y:.9g}, {z:.9g})" for x, y, z in body.points)
+    return f"""
+    def Mesh "{name}" {more}
+    {{
+        uniform token orientation = "{"leftHanded" if inward else "rightHanded"}"
+        int[] faceVertexCounts = {[3] * len(body.triangles)}
+        int[] faceVertexIndices = {corners}
+        point3f[] points = [{values}]
+        uniform token subdivisionScheme = "none"
+    }}
+"""
+
+
+def stage(folder: Path, *prims: str) -> Path:
+    path = folder / "egg.usda"
+    path.write_text(
+        '#usda 1.0\n(\ndefaultPrim = "Root"\nmetersPerUnit = 1\nupAxis = "Y"\n)\n'
+        f'def Xform "Root"\n{{{"".join(prims)}}}\n',
+        encoding="utf-8",
+    )
+    return path
+
+
+def seen_of(folder: Path, *prims: str, **options: object) -> Inspection:
+    return inspect(stage(folder, *prims), spacing=0.2, **options)
+
+
+def volume(seen: Inspection) -> float:
+    assert seen.plan is not None
+    return seen.plan.particles.volume
+
+
+@pytest.mark.parametrize("repair", [False, True])
+def test_the_wall_of_an_egg_is_filled(tmp_path: Path, repair: bool) -> None:
+    """All of it was filled, 4 m^3 in place of 2."""
+    seen = seen_of(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8, inward=True), repair=repair)
+    assert volume(seen) == pytest.approx(SHELL, rel=5.0 * SPHERES)
+    assert seen.fill_of("/Root/Outer") == ("filled", "")
+    assert seen.fill_of("/Root/Inner") == (
+        "rides along",
+        "it faces inward and bounds the wall of </Root/Outer>, which is filled",
+    )
+    (note,) = (note for note in seen.notes if note.startswith("</Root/Inner>"))
+    assert note.startswith("</Root/Inner> faces into </Root/Outer>, as the inner side of a wall")
+    assert seen.warnings == ()
+    assert seen.plan is not None
+    assert [len(s.points) for s in seen.plan.asset.surfaces] == [162, 162]
+
+
+def test_the_inner_side_moves_with_its_wall_not_with_what_is_next_to_it(tmp_path: Path) -> None:
+    prims = ball("Outer", 1.0), ball("Inner", 0.8, inward=True), ball("Yolk", 0.7)
+    seen = seen_of(tmp_path, *prims)
+    assert seen.plan is not None
+    assert seen.plan.bodies is not None
+    assert seen.plan.bodies.embedded == {"/Root/Outer": 0, "/Root/Inner": 0, "/Root/Yolk": 1}
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        RIGID,
+        '(kind = "component")',
+        '(prepend apiSchemas = ["GaussianFleshBakeAPI"])',
+    ],
+    ids=["body", "component", "material"],
+)
+def test_a_mesh_that_the_stage_tells_apart_is_a_body(tmp_path: Path, more: str) -> None:
+    inner = ball("Inner", 0.8, inward=True, more=more)
+    if "Flesh" in more:
+        inner = inner.replace("{\n", '{\n        token gaussianFlesh:material = "jelly"\n', 1)
+    seen = seen_of(tmp_path, ball("Outer", 1.0), inner)
+    assert volume(seen) > 1.8 * SHELL
+    assert not any("as the inner side of a wall" in note for note in seen.notes)
+
+
+def test_two_that_face_outward_are_filled_with_a_hint(tmp_path: Path) -> None:
+    seen = seen_of(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8))
+    assert volume(seen) == pytest.approx(4.0 / 3.0 * np.pi, rel=2.0 * SPHERES)
+    (note,) = (note for note in seen.notes if "the two sides of a wall" in note)
+    assert note.endswith(
+        "turn the faces of </Root/Outer> outward and those of </Root/Inner> inward"
+        " (in USD by the attribute orientation)"
+    )
+
+
+def test_a_coarser_resolution_has_the_wall_too(tmp_path: Path) -> None:
+    path = stage(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8, inward=True))
+    prepared = prepare(path, spacing=0.1, certify=True, output=tmp_path / "b.usda")
+    assert prepared.refill is not None
+    coarse = prepared.refill(0.2)
+    assert coarse.particles.volume == pytest.approx(SHELL, rel=5.0 * SPHERES)
+    assert [s.path for s in coarse.asset.surfaces] == ["/Root/Outer", "/Root/Inner"]
+
+
+def test_a_bake_moves_both_sides(tmp_path: Path) -> None:
+    path = stage(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8, inward=True))
+    done = gf_usd.bake(path, spacing=0.2, frames=4, drop=2.0, output=tmp_path / "b.usda")
+    assert not done.findings
+    baked = Usd.Stage.Open(str(done.root))
+    for name in ("Outer", "Inner"):
+        points = UsdGeom.Mesh(baked.GetPrimAtPath(f"/Root/{name}")).GetPointsAttr()
+        first, last = (np.asarray(points.Get(code)) for code in (1.0, 4.0))
+        fallen = 0.5 * 9.81 * (3.0 / 24.0) ** 2
+        np.testing.assert_allclose(last - first, np.tile([0.0, -fallen, 0.0], (162, 1)), atol=1e-4)
