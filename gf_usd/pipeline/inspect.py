@@ -35,6 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -83,10 +84,19 @@ class Inspection:
         """(filled | rides along | stays | refused, reason) of a mesh."""
         if self.plan is None:
             return "refused", ""
-        if path in (left := dict(self.plan.asset.skipped)):
-            return "stays", left[path]
-        reason = dict(self.plan.embedded).get(path)
-        return ("filled", "") if reason is None else ("rides along", reason)
+        return self._not_filled.get(path, ("filled", ""))
+
+    @cached_property
+    def _not_filled(self) -> dict[str, tuple[str, str]]:
+        """What `fill_of` returns of the meshes of a plan that are not filled."""
+        assert self.plan is not None
+        return {path: ("rides along", reason) for path, reason in self.plan.embedded} | {
+            path: ("stays", reason) for path, reason in self.plan.asset.skipped
+        }
+
+    @cached_property
+    def _repairs(self) -> dict[str, Repairs]:
+        return {one.path: one for one in self.repairs}
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; the keys are documented at the top of gf_usd/pipeline/inspect.py."""
@@ -122,7 +132,7 @@ class Inspection:
 
     def _mesh(self, seen: Diagnosis) -> dict[str, Any]:
         fill, reason = self.fill_of(seen.path)
-        repairs = {r.path: r.as_dict() for r in self.repairs}.get(seen.path)
+        repairs = self._repairs.get(seen.path)
         return {
             "path": seen.path,
             "type": seen.type_name,
@@ -142,7 +152,7 @@ class Inspection:
             "slivers": seen.slivers,
             "duplicates": seen.duplicates,
             "non_manifold_edges": seen.non_manifold_edges,
-            "repairs": repairs,
+            "repairs": repairs.as_dict() if repairs else None,
             "shells": [
                 {
                     "index": s.index,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from physics_stages import mesh, prim
 from planned import at, noted, plan_fixture  # noqa: F401
 
 from gf_usd.core.stage import StageSpec
+from gf_usd.geometry.connected import bodies
 from gf_usd.geometry.thin.thickness import Thickness
 from gf_usd.prepare.settings import by_thickness, resolution
 
@@ -108,6 +111,30 @@ def test_sheets_have_as_many_particles_as_asked_for_or_a_note_says_so(plan) -> N
     assert noted(seen, f"{len(seen.particles)} particles instead of 20: --spacing")
 
 
+RIGID = ("PhysicsRigidBodyAPI",)
+
+
+@pytest.mark.parametrize(("thin", "searches"), [(False, 1), (True, 2)])
+def test_bodies_are_searched_once_for_each_spacing(
+    plan, monkeypatch: pytest.MonkeyPatch, thin: bool, searches: int
+) -> None:
+    """For the thickness at the default spacing, and again where thin parts take a finer one."""
+    found: list[float] = []
+    find_bodies = bodies.find_bodies
+
+    def counted(solid: Any, spacing: float, **options: Any) -> Any:
+        found.append(spacing)
+        return find_bodies(solid, spacing, **options)
+
+    monkeypatch.setattr(bodies, "find_bodies", counted)
+    flat = 'float3 xformOp:scale = (1, 0.14, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    one, two = mesh("One", *([flat] if thin else []), apis=RIGID), mesh("Two", at(3.0), apis=RIGID)
+    seen = plan(one, two, particles=None)
+    assert seen.bodies is not None
+    assert seen.bodies.count == 2
+    assert len(found) == len(set(found)) == searches
+
+
 @pytest.mark.parametrize("kind", ["physics bodies", "components"])
 def test_a_plate_that_is_a_body_is_filled_by_its_own_thickness(plan, kind: str) -> None:
     """Rays through it went on through the body that it lies on."""
@@ -119,8 +146,7 @@ def test_a_plate_that_is_a_body_is_filled_by_its_own_thickness(plan, kind: str) 
         model = 'def Xform "%s" (kind = "component")\n{\n%s\n}\n'
         stage = model % ("A", mesh("Box")) + model % ("B", mesh("Plate", lies))
     else:
-        apis = ("PhysicsRigidBodyAPI",)
-        stage = mesh("Box", apis=apis) + mesh("Plate", lies, apis=apis)
+        stage = mesh("Box", apis=RIGID) + mesh("Plate", lies, apis=RIGID)
     seen = plan(stage, particles=None)
     assert seen.bodies is not None
     assert seen.bodies.count == 2

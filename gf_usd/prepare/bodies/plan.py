@@ -48,6 +48,7 @@ def plan_bodies(
     spacing: float,
     sample: Callable[[Ints], Particles],
     owners: dict[str, str],
+    find: Callable[[float], Ints],
     *,
     combine: bool,
     kinds: Ints | None = None,
@@ -58,14 +59,14 @@ def plan_bodies(
 
     spacing : [m] approximate spacing of the particles; sample : particles for the body (S,) of each
         surface; owners : the physics body prim of each surface, by path, or the SkelRoot where
-        bodies are `characters` of --flesh; combine : a single body; can_combine : there
-        is such an option, for notes; kinds : (S,) surfaces of
-        different kinds are never one body; None: all are of one kind.
+        bodies are `characters` of --flesh; find : (S,) the body of each surface by `find_bodies`,
+        at a spacing [m]; combine : a single body; can_combine : there is such an option, for notes;
+        kinds : (S,) surfaces of different kinds are never one body; None: all are of one kind.
     """
-    from gf_usd.geometry.connected.bodies import TOUCHING, find_bodies, overlapping
+    from gf_usd.geometry.connected.bodies import TOUCHING, overlapping
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
-    of = find_bodies(solid, spacing, owners=owned, combine=combine, kinds=kinds)
+    of = find(spacing)
     notes = [] if combine else _touching(of, solid, owned, TOUCHING * spacing, asset)
     particles = sample(of)
     of, fused = _fuse_small(of, solid, particles, owned, kinds)

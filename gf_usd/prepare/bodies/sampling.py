@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,7 @@ def sample_bodies(
     mixed: bool,
     combine: bool,
     owners: dict[str, str],
+    find: Callable[[float], Ints],
     characters: bool,
     can_combine: bool,
 ) -> SampledBodies:
@@ -47,7 +49,7 @@ def sample_bodies(
 
     seed : of random places; paper : whether particles are placed as in the paper.
     mixed : there are solid and flowing bodies, each with its own solver.
-    combine, owners, characters, can_combine : see `plan_bodies`.
+    combine, owners, find, characters, can_combine : see `plan_bodies`.
     """
     from gf_usd.geometry.sampling.contact_samples import sample_surface
     from gf_usd.geometry.sampling.particles import expected_particles, sample_solid
@@ -65,10 +67,10 @@ def sample_bodies(
             later=None if paper else flow.flows & ~flow.first,
         )
 
-    spacing = resolution.spacing or float(np.cbrt(solid.volume / (resolution.particles or 1)))
+    spacing = resolution.spacing or spacing_of(solid.volume, resolution.particles or 1)
     expected_particles(solid, spacing)  # before the search for bodies samples surfaces as finely
     bodies, particles = plan_bodies(
-        asset, solid, spacing, sample, owners, combine=combine,
+        asset, solid, spacing, sample, owners, find, combine=combine,
         kinds=flow.first if mixed else None, characters=characters,
         can_combine=can_combine,
     )  # fmt: skip
@@ -85,6 +87,11 @@ def sample_bodies(
     if mixed:
         samples = samples.with_grains(particles, bodies.flows(flow.first))
     return SampledBodies(bodies=bodies, particles=particles, samples=samples)
+
+
+def spacing_of(volume: float, particles: int) -> float:
+    """[m] spacing of so many particles in a volume [m^3]."""
+    return float(np.cbrt(volume / particles))
 
 
 def count_notes(requested: int, particles: Particles, *, sheets: bool) -> tuple[str, ...]:

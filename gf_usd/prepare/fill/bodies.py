@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.bodies.characters import characters_of
-from gf_usd.prepare.bodies.sampling import SampledBodies, count_notes, sample_bodies
+from gf_usd.prepare.bodies.sampling import SampledBodies, count_notes, sample_bodies, spacing_of
 from gf_usd.prepare.fill.inputs import Inputs, resolution_of
 from gf_usd.prepare.settings import DEFAULT_PARTICLES
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
     from gf_usd.geometry.thin.thickness import Thickness
 
 
@@ -45,10 +45,21 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
     )
     owners = owners or {path: body.owner for path, body in inputs.spec.bodies.items()}
 
+    owned = [owners.get(s.path, "") for s in solid.surfaces]
+    kinds = inputs.flow.first if inputs.mixed else None
+
+    @cache  # the spacing is often the one for which thickness is measured
+    def find(spacing: float) -> Ints:
+        from gf_usd.geometry.connected.bodies import find_bodies
+
+        return find_bodies(solid, spacing, owners=owned, combine=combine, kinds=kinds)
+
     def thin() -> tuple[float, Thickness | None]:
         from gf_usd.geometry.thin.thickness import thickness
 
-        return solid.volume, thickness(solid, None if combine else _touching(inputs, owners))
+        apart = not combine and _some_touch(solid, owned, kinds)
+        bodies = find(spacing_of(solid.volume, DEFAULT_PARTICLES)) if apart else None
+        return solid.volume, thickness(solid, bodies)
 
     requested = resolution_of(
         request, inputs.spec, inputs.unit, meshes.volumes, None if meshes.thickened else thin
@@ -61,6 +72,7 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
         mixed=inputs.mixed,
         combine=combine,
         owners=owners,
+        find=find,
         characters=characters,
         can_combine=inputs.file is not None,
     )  # fmt: skip
@@ -77,21 +89,13 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
     )
 
 
-def _touching(inputs: Inputs, owners: Mapping[str, str]) -> Ints | None:
-    """(S,) the body of each surface, where some may touch: of different owners or components, or
-    solid and flow.
+def _some_touch(solid: Solid, owners: Sequence[str], kinds: Ints | None) -> bool:
+    """Whether bodies may touch: of different owners (S,) or components, or of different kinds (S,).
 
-    Else None: rays into a body then meet no other one.
+    Else rays into a body meet no other one.
     """
-    from gf_usd.geometry.connected.bodies import find_bodies
-
-    solid, kinds = inputs.solid, inputs.flow.first if inputs.mixed else None
-    owned = [owners.get(s.path, "") for s in solid.surfaces]
     components = {s.component for s in solid.surfaces} - {""}
-    if kinds is None and len(set(owned) - {""}) < 2 and len(components) < 2:
-        return None
-    spacing = float(np.cbrt(solid.volume / DEFAULT_PARTICLES))
-    return find_bodies(solid, spacing, owners=owned, kinds=kinds)
+    return kinds is not None or len(set(owners) - {""}) > 1 or len(components) > 1
 
 
 def _require_one_body(count: int, *, skin: str | None, wls: bool, procrustes: bool) -> None:
