@@ -221,6 +221,8 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
 def _lost_files(package: Usd.Stage, source: Usd.Stage) -> set[str]:
     """The names of files that attributes of a package do not find, while the same attributes of the
     source find theirs.
+
+    As composed: a package has only the selected variants of its source.
     """
     out: set[str] = set()
     for prim in prims(package):
@@ -235,7 +237,11 @@ def _lost_files(package: Usd.Stage, source: Usd.Stage) -> set[str]:
 
 
 def _asset_paths(attribute: Usd.Attribute) -> Iterator[Sdf.AssetPath]:
-    """The asset paths of an attribute, over all its samples."""
+    """The asset paths of an attribute, over all its samples.
+
+    `_resolved` of `readers/inputs.py` has the same loop: neither package imports the other, and the
+    only module below both that may import pxr registers the schema.
+    """
     if attribute.GetTypeName().scalarType != Sdf.ValueTypeNames.Asset:
         return
     for time in attribute.GetTimeSamples() or [Usd.TimeCode.Default()]:

@@ -176,6 +176,46 @@ def test_a_value_clip_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> No
     assert result.inherited == ()
 
 
+def test_a_file_that_only_another_variant_names_is_an_error_of_the_source(tmp_path: Path) -> None:
+    """A bake as a package has no other variant, and lacks none of their files."""
+    path = tmp_path / "ball.usda"
+    path.write_text(OTHER_VARIANT, encoding="utf-8")
+    (lost,) = check_file(path).findings
+    assert lost.rule.endswith("UnresolvableDependency")
+    assert "'gone.png'" in lost.message
+    for name in ("layers.usda", "package.usdz"):
+        done = gf_usd.bake(path, particles=100, frames=2, drop=2.0, output=tmp_path / name)
+        assert not done.findings
+        assert not check_file(done.root).findings
+
+
+OTHER_VARIANT = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Xform "World" (
+    variants = { string look = "bare" }
+    prepend variantSets = "look"
+)
+{
+    def Sphere "Ball"
+    {
+        float3[] extent = [(-1, -1, -1), (1, 1, 1)]
+    }
+    variantSet "look" = {
+        "bare" {
+        }
+        "rich" {
+            def Shader "Picture"
+            {
+                asset inputs:file = @gone.png@
+            }
+        }
+    }
+}
+"""
 PICTURE = """
 def Shader "picture"
 {
