@@ -193,7 +193,11 @@ def _rim(points: Floats, triangles: Ints, first: int) -> Ints:
 
 
 def _both(
-    one: Floats | None, two: Floats | None, outer: Surface, inner: Surface, missing: object
+    one: Floats | None,
+    two: Floats | None,
+    outer: Surface,
+    inner: Surface,
+    missing: tuple[float, ...],
 ) -> Floats | None:
     """(T, 3, n) values at the corners of the triangles of both; None: of neither."""
     if one is None and two is None:
