@@ -129,13 +129,13 @@ def make_rigid(region: Region, solid: Solid, drawn: Sequence[Surface] = ()) -> P
 
 def _surface_of_patch(region: Region, solid: Solid, option: str) -> int:
     """Index of the solid's surface that a patch is part of; raises InputError without one."""
-    paths = [s.path for s in solid.surfaces]
-    if region.body not in paths:
+    filled = solid.filled
+    if region.body not in filled:
         raise InputError(
             f"{option} {region.name} is part of <{region.body}>, which is not filled",
             "name a part of a mesh that is filled, or a box",
         )
-    return paths.index(region.body)
+    return filled[region.body]
 
 
 def _nearest_to(region: Region, solid: Solid, at: int) -> Callable[[Floats], Floats]:

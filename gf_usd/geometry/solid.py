@@ -97,6 +97,15 @@ class Solid:
     bounds: tuple[Bounds, ...] = field(repr=False)  # of each surface
     walls: Mapping[str, str] = field(default_factory=dict)  # prim path of the surface that contains
     # the triangles of an embedded one as the inner side of its wall, by that one's prim path
+    # prim paths of meshes that bound a volume together; the first is that of their surface
+    joined: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def filled(self) -> dict[str, int]:
+        """The surface that each filled mesh is, or is a part of, by prim path."""
+        index = {s.path: k for k, s in enumerate(self.surfaces)}
+        parts = {path: index[group[0]] for group in self.joined for path in group}
+        return index | {path: k for path, k in parts.items() if path not in index}
 
     def inside(self, X: Floats) -> NDArray[np.bool_]:
         """(n,) True for points (n, 3) [m] inside any of the surfaces."""

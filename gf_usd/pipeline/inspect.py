@@ -219,9 +219,14 @@ def lost_volume(seen: Inspection, solid: Solid) -> str:
     """A warning where defects of the meshes remove much of the enclosed volume; else ""."""
     if seen.plan is None or seen.repairs:
         return ""
-    joined = set(solid.walls.values())
+    joined = {*solid.walls.values(), *(group[0] for group in solid.joined)}
     whole = {s.path: diagnose(s) for s in solid.surfaces if s.path in joined}
-    filled = [whole.get(d.path, d) for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
+    parts = {path for group in solid.joined for path in group[1:]}
+    filled = [
+        whole.get(d.path, d)
+        for d in seen.diagnoses
+        if seen.fill_of(d.path)[0] == "filled" and d.path not in parts
+    ]
     return lost_volume_warning(filled, seen.plan.particles.volume, solid.enclosed)
 
 

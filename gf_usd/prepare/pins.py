@@ -67,7 +67,7 @@ def make_pins(
         )
         unit = asset.facts.units.length
         regions |= {name: box_region(name, unit, points, path, option) for name in boxes}
-    filled = [s.path for s in solid.surfaces]
+    filled = list(solid.filled)
     every = {name: (regions[name],) for name in regions} | {
         name: read_weighted(file, name, asset.facts, filled, rest=rest, times=times, option=option)
         for name in weights

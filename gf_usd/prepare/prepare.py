@@ -300,10 +300,11 @@ def reading(
 
 def would_fill(asset: Asset) -> bool:
     """Whether the surfaces of an asset enclose a volume."""
+    from gf_usd.geometry.connected.joined import joined_surfaces
     from gf_usd.geometry.solid import build_solid
 
     try:
-        build_solid(asset)
+        build_solid(joined_surfaces(asset).asset)
     except InputError:
         return False
     return True

@@ -1,4 +1,4 @@
-"""Meshes that look like the ground, the backdrop, the room or the sky of a scene."""
+"""Meshes that look like the ground, a wall, the backdrop, the room or the sky of a scene."""
 
 from __future__ import annotations
 
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 FLAT = 0.05  # its height, as a share of its smaller width
 SUNK = 0.05  # how far others are below its top, as a share of their height
 LARGER = 3.0  # the diagonal of scenery, over that of all bodies
+UPRIGHT = 0.5  # sine of the slope of a wall's normal, at most
+EMPTY = 0.25  # share of a room's volume that is filled, at most
+ON_WALL = 1e-3  # how far bodies reach beyond the box of a room, as a share of its size, at most
+TESTED = 64  # points of a body, about, that are tested for being in a room
 SCENERY = (
     "it encloses no volume, lies under the bodies and reaches far beyond them, as a ground or a"
     " backdrop does"
@@ -26,6 +30,10 @@ IN_IT = 0.5  # of the tested points of a mesh, from where it is in a room: it ma
 TESTED = 64  # points of a mesh, about, that are tested
 FULL = 0.5  # of the volume of a mesh: one that others fill to more than that is no room
 HOLLOW = 0.5  # of the convex hull, that a room or a sky encloses: a body with limbs has less
+WALL = (
+    "it encloses no volume, is flat and upright, and everything baked is on one side of it and far"
+    " smaller, as at a wall or a backdrop"
+)
 ROOM = "it faces inward around all other meshes, as a room or a sky does"
 
 
@@ -67,6 +75,21 @@ def without_rooms(asset: Asset, *, repair: bool, bodies: Collection[str] = ()) -
     )
 
 
+def without_room_parts(asset: Asset, *, repair: bool, bodies: Collection[str] = ()) -> Asset:
+    """`without_rooms`, also of rooms in several meshes, such as one for each material."""
+    from gf_usd.geometry.connected.joined import joined_surfaces
+
+    joined = joined_surfaces(asset, bodies)
+    left = without_rooms(joined.asset, repair=repair, bodies=bodies)
+    rooms = {path for path, reason in left.skipped if reason == ROOM}
+    parts = {group[0]: group for group in joined.groups}
+    out = [part for room in sorted(rooms) for part in parts.get(room, (room,))]
+    if not out:
+        return asset
+    kept = tuple(s for s in asset.surfaces if s.path not in out)
+    return replace(asset, surfaces=kept, skipped=(*asset.skipped, *((path, ROOM) for path in out)))
+
+
 def _convex(surface: Surface, volume: float) -> bool:
     """Whether a mesh encloses as much [m^3] of its convex hull as a room does."""
     from gf_usd.prepare.bodies.convexity import SupportPoints
@@ -102,15 +125,30 @@ def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:
             and np.linalg.norm(most - least) >= LARGER * np.linalg.norm(high - low)
         )
 
+    def beside(surface: Surface) -> bool:
+        points = surface.face_points
+        if np.linalg.norm(np.ptp(points, axis=0)) < LARGER * np.linalg.norm(high - low):
+            return False
+        center = points.mean(0)
+        axes = np.linalg.eigh((points - center).T @ (points - center))[1]
+        across, width = np.ptp((points - center) @ axes[:, :2], axis=0)
+        sides = np.concatenate([(p - center) @ axes[:, 0] for p in filled])
+        slack = SUNK * np.ptp(sides)
+        return bool(
+            across <= FLAT * width
+            and abs(axes[:, 0] @ up) <= UPRIGHT
+            and (sides.min() >= -slack or sides.max() <= slack)
+        )
+
     found = {
-        s.path
+        s.path: SCENERY if surrounds(s) else WALL
         for s in asset.surfaces
-        if s.path in embedded and not s.skinned and s.splats is None and surrounds(s)
+        if s.path in embedded and not s.skinned and s.splats is None and (surrounds(s) or beside(s))
     }
     if not found:
         return asset, solid
     kept = tuple(s for s in asset.surfaces if s.path not in found)
-    skipped = (*asset.skipped, *((path, SCENERY) for path in embedded if path in found))
+    skipped = (*asset.skipped, *((path, found[path]) for path in embedded if path in found))
     left = tuple(one for one in solid.embedded if one[0] not in found)
     return replace(asset, surfaces=kept, skipped=skipped), replace(solid, embedded=left)
 

@@ -29,7 +29,7 @@ from gf_usd.prepare.bodies.contact import (
 from gf_usd.prepare.bodies.facing import turned_to_bodies
 from gf_usd.prepare.bodies.flesh import Poses
 from gf_usd.prepare.bodies.flow import flow_of
-from gf_usd.prepare.bodies.grounds import ground_notes, without_rooms, without_scenery
+from gf_usd.prepare.bodies.grounds import ground_notes, without_room_parts, without_scenery
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
@@ -91,15 +91,16 @@ def fill(
 
     unit = asset.facts.units.length
     paper = request.preset == "paper"
-    whole = file is not None and not request.flesh
-    if whole:
-        owned = {path for path, body in spec.bodies.items() if body.owner}
-        asset = without_rooms(asset, repair=repair, bodies=owned)
+    in_scene = file is not None and not request.flesh
+    stated = _of_their_own(spec)
+    if in_scene:
+        asset = without_room_parts(asset, repair=repair, bodies=stated)
     meshes = build_meshes(
         asset, repair=repair, resolution=resolution_function(request, spec, unit), paper=paper,
-        one_thing=partial(_one_thing, asset, spec) if whole else None, known=known, built=built,
+        apart=stated if in_scene else None,
+        one_thing=partial(_one_thing, asset, spec) if in_scene else None, known=known, built=built,
     )  # fmt: skip
-    if whole:
+    if in_scene:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
         meshes = replace(meshes, asset=asset, solid=solid)
     asset, solid = meshes.asset, meshes.solid
@@ -187,6 +188,16 @@ def _one_thing(asset: Asset, spec: StageSpec, one: str, two: str) -> bool:
 
     component = {s.path: s.component for s in asset.surfaces if s.path in (one, two)}
     return len(set(component.values())) == 1 and of(one) == of(two)
+
+
+def _of_their_own(spec: StageSpec) -> set[str]:
+    """Paths of meshes with physics of their own, which one surface of several could not keep."""
+    bodies = {
+        body.path
+        for body in spec.physics.bodies
+        if body.owner or body.mass_of or body.material or body.subsets or body.density is not None
+    }
+    return bodies | set(spec.painted) | {path for path, bake in spec.bakes.items() if bake.material}
 
 
 def _floor_notes(floating: bool, asset: Asset, poses: Poses | None) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -43,6 +43,7 @@ def build_meshes(
     repair: bool,
     resolution: ResolutionOf,
     paper: bool,
+    apart: Collection[str] | None = None,
     one_thing: OneThing | None = None,
     known: Sequence[Diagnosis] = (),
     built: Solid | None = None,
@@ -50,17 +51,23 @@ def build_meshes(
     """The meshes of an asset and their solid.  Raises InputError where they cannot be filled.
 
     resolution : see `repair_for_fill`; paper : whether the fill is that of the paper.
+    apart : paths of meshes that are filled by themselves (see `joined_surfaces`); None: all are, as
+        with `repair`, which closes or thickens each.
     one_thing : see `find_walls`; None: no two meshes are sides of one wall.
     known : result of `diagnose` for the surfaces, if available.
     built : the solid without `repair`, if available.
     """
+    from gf_usd.geometry.connected.joined import Joined, joined_surfaces
     from gf_usd.geometry.connected.walls import Walls, find_walls, with_walls
     from gf_usd.geometry.diagnosis import diagnose, lost_volume_warning, tolerated_defects
     from gf_usd.geometry.repair import consistently_oriented_asset, notes
     from gf_usd.geometry.solid import build_solid
 
     oriented, turned = consistently_oriented_asset(asset)
-    walls = find_walls(oriented, one_thing) if one_thing else Walls()
+    joined = Joined(asset=oriented)
+    if apart is not None and not repair:
+        joined = joined_surfaces(oriented, apart)
+    walls = find_walls(joined.asset, one_thing) if one_thing else Walls()
 
     def made(filled: Asset) -> Solid:
         solid = build_solid(filled, repaired=repair)
@@ -80,17 +87,16 @@ def build_meshes(
         )
     if built:
         return FilledMeshes(asset=oriented, solid=built)
-    solid = made(with_walls(oriented, walls))
-    joined = set(walls.outer.values())
-    by_path = {} if turned else {one.path: one for one in known if one.path not in joined}
+    solid = replace(made(with_walls(joined.asset, walls)), joined=joined.groups)
+    changed = {*walls.outer.values(), *(paths[0] for paths in joined.groups)}
+    by_path = {} if turned else {one.path: one for one in known if one.path not in changed}
     diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
     defects = (
         *(tolerated_defects(diagnosis) for diagnosis in diagnoses),
         lost_volume_warning(diagnoses, solid.volume, solid.enclosed),
     )
-    return FilledMeshes(
-        asset=oriented, solid=solid, notes=(*turned, *filter(None, defects), *walls.notes)
-    )
+    notes_on = (*turned, *joined.notes, *filter(None, defects), *walls.notes)
+    return FilledMeshes(asset=oriented, solid=solid, notes=notes_on)
 
 
 def _as_authored(repaired: Asset, asset: Asset, walls: Walls) -> Asset:

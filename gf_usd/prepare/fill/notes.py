@@ -18,14 +18,16 @@ MOST_NAMED = 3  # prims that each have a note of their own for the same reason
 
 def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """The notes on prims that are not baked, each with a reason of the reader."""
-    from gf_usd.prepare.bodies.grounds import ROOM, SCENERY
+    from gf_usd.prepare.bodies.grounds import ROOM, SCENERY, WALL
     from gf_usd.readers.usd.select import KINDS, PROXY, REPEATED
 
     stays = "keeps the place and motion of its source and does not follow what is baked"
     ways = {
         KINDS: f"; it {stays}: attach it to a baked mesh in another program, or convert it to one",
         REPEATED: f"; it {stays}: attach its instances in another program, or make them prims",
-        SCENERY: f"; it {stays}: apply PhysicsCollisionAPI to make it an obstacle",
+        **dict.fromkeys(
+            (SCENERY, WALL), f"; it {stays}: apply PhysicsCollisionAPI to make it an obstacle"
+        ),
         ROOM: f"; it {stays}. Bodies collide with the floor of the bake, not with it: apply"
         " PhysicsCollisionAPI to make it an obstacle, or turn its faces outward to make it soft",
         PROXY: f"; it {stays}: viewers that draw proxies, as usdview does by default, show it at"

@@ -9,7 +9,7 @@ import pytest
 from gf_usd import inspect
 from gf_usd.pipeline.inspect import Inspection
 from gf_usd.pipeline.prepared import prepare
-from gf_usd.prepare.bodies.grounds import SCENERY
+from gf_usd.prepare.bodies.grounds import SCENERY, WALL
 
 # Y up, centimeters; the ground is closed, and 4 cm high
 SCENE = """#usda 1.0
@@ -123,3 +123,35 @@ def test_it_stays_at_a_coarser_resolution_too(tmp_path: Path) -> None:
     assert prepared.refill is not None
     coarse = prepared.refill(2.0 * prepared.plan.particles.spacing)
     assert [s.path for s in coarse.asset.surfaces] == ["/World/Ball"]
+
+
+WALL_MESH = """def Mesh "Plate"
+    {{
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [({x}, 0, {z}), ({x}, {height}, {z}), ({x}, {height}, -{z}),
+            ({x}, 0, -{z})]
+    }}
+}}
+"""
+
+
+def with_wall(path: Path, x: float, *, size: float = 200.0) -> Inspection:
+    """The ball, from 4 to 24 cm high and from x = -5 to 15 cm, next to a wall."""
+    wall = WALL_MESH.format(x=x, z=0.5 * size, height=size)
+    path.write_text(SCENE[: SCENE.index("def Cube")] + wall, encoding="utf-8")
+    return inspect(path, particles=300)
+
+
+@pytest.mark.parametrize("x", [-30.0, 15.0], ids=["behind", "touching"])
+def test_a_wall_far_larger_than_the_bodies_stays(tmp_path: Path, x: float) -> None:
+    """A wall of 8 m behind a table was folded and thrown about by it."""
+    seen = with_wall(tmp_path / "a.usda", x)
+    assert seen.fill_of("/World/Plate") == ("stays", WALL)
+    (note,) = (note for note in seen.notes if "/World/Plate" in note)
+    assert note.endswith("apply PhysicsCollisionAPI to make it an obstacle")
+
+
+@pytest.mark.parametrize(("x", "size"), [(5.0, 200.0), (-30.0, 40.0)], ids=["through", "small"])
+def test_another_wall_moves_with_the_body(tmp_path: Path, x: float, size: float) -> None:
+    assert with_wall(tmp_path / "a.usda", x, size=size).fill_of("/World/Plate")[0] == "rides along"

@@ -11,7 +11,7 @@ from solids import asset, cube, sphere, surface
 
 from gf_usd import inspect
 from gf_usd.core.asset import Surface
-from gf_usd.prepare.bodies.grounds import ROOM, SCENERY, without_rooms
+from gf_usd.prepare.bodies.grounds import ROOM, SCENERY, without_room_parts, without_rooms
 
 # the floor of the room is at the height 0
 STAGE = """#usda 1.0
@@ -95,6 +95,24 @@ def test_a_body_with_limbs_that_is_inside_out_is_filled() -> None:
 
 def test_a_case_that_faces_outward_is_filled() -> None:
     assert stay(BALL, inward(ROOM_WALLS), inward(SKY)) == []
+
+
+def test_a_room_in_several_meshes_stays() -> None:
+    """Its walls, floor and ceiling enclose a volume together, which was filled."""
+    whole = sorted(range(12), key=lambda k: ROOM_WALLS.points[ROOM_WALLS.triangles[k]].mean(0)[1])
+    parts = [
+        replace(
+            ROOM_WALLS, path=f"/Room/{name}", triangles=ROOM_WALLS.triangles[rows],
+            triangle_corners=ROOM_WALLS.triangle_corners[rows],
+        )
+        for name, rows in (("Floor", whole[:2]), ("Walls", whole[2:10]), ("Ceiling", whole[10:]))
+    ]  # fmt: skip
+    made = asset(BALL, *parts)
+    left = without_room_parts(made, repair=False)
+    assert [s.path for s in left.surfaces] == ["/Ball"]
+    assert {path for path, _ in left.skipped} == {part.path for part in parts}
+    outward = asset(BALL, *(inward(part) for part in parts))
+    assert without_room_parts(outward, repair=False) is outward
 
 
 def test_a_physics_body_is_baked() -> None:

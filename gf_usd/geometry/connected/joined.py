@@ -1,0 +1,192 @@
+"""Meshes that bound one volume together, such as a bottle that was split by its materials.
+
+Converters write one mesh for each material of an object, and terrain is often one mesh for each
+kind of ground.  Each of them is open where the next one begins, so that none has an inside, or only
+one that a flat cap would close.  Their borders coincide: edges of one triangle each in two meshes.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import NO_COLOR, Asset, Surface
+from gf_usd.core.mesh import areas, boundary_edges, weld
+from gf_usd.geometry.solid import closed_triangles
+
+MOST_LISTED = 4  # paths in a note
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joined:
+    """An asset whose surfaces of one volume are one surface."""
+
+    asset: Asset
+    groups: tuple[tuple[str, ...], ...] = ()  # prim paths; the first is that of their surface
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One on each group."""
+        return tuple(
+            f"{len(paths)} meshes share borders and enclose a volume only together: they are filled"
+            f" as one body: {_listed(paths)}"
+            for paths in self.groups
+        )
+
+
+def _listed(paths: Sequence[str]) -> str:
+    more = len(paths) - MOST_LISTED
+    return ", ".join(f"<{path}>" for path in paths[:MOST_LISTED]) + (
+        f" and {more} more" if more > 0 else ""
+    )
+
+
+def joined_surfaces(asset: Asset, apart: Collection[str] = ()) -> Joined:
+    """Join open meshes with common borders where they enclose a volume only together.
+
+    At least one of them has none by itself, and all of them are together as closed as a mesh must
+    be to be filled.  Meshes of different components are not joined.
+
+    apart : prim paths of meshes that are not joined.
+    """
+    pieces = [
+        s
+        for s in asset.surfaces
+        if s.type_name == "Mesh" and s.splats is None and s.own_points is None
+        and s.path not in apart
+    ]  # fmt: skip
+    if len(pieces) < 2:
+        return Joined(asset=asset)
+    found = [(s, boundary_edges(s.representative[s.triangles])) for s in pieces]
+    pieces, edges = [s for s, e in found if len(e)], [e for _, e in found if len(e)]
+    if len(pieces) < 2 or not any(closed_triangles(s)[2] for s in pieces):
+        return Joined(asset=asset)
+    made: dict[str, Surface | None] = {}
+    groups = []
+    for members, against in _adjacent(pieces, edges):
+        group = [pieces[k] for k in members]
+        if all(not closed_triangles(s)[2] for s in group):
+            continue
+        one = _one_surface(group, against)
+        if closed_triangles(one)[2]:
+            continue
+        made |= {s.path: None for s in group} | {one.path: one}
+        groups.append((one.path, *(s.path for s in group if s.path != one.path)))
+    kept = (made.get(s.path, s) for s in asset.surfaces)
+    return Joined(
+        asset=replace(asset, surfaces=tuple(s for s in kept if s is not None)),
+        groups=tuple(groups),
+    )
+
+
+def _adjacent(
+    pieces: Sequence[Surface], edges: Sequence[Ints]
+) -> list[tuple[list[int], NDArray[np.bool_]]]:
+    """Groups of pieces that common border edges connect, and which members face the other way
+    than the first.
+
+    edges : (E, 2) directed border edges of each piece.
+    """
+    ends = np.concatenate([s.points[e] for s, e in zip(pieces, edges, strict=True)])
+    owner = np.repeat(np.arange(len(pieces)), [len(e) for e in edges])
+    welded = weld(ends.reshape(-1, 3))[0].reshape(-1, 2)
+    low, high = welded.min(1), welded.max(1)
+    order = np.lexsort((high, low))
+    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
+    # votes of the common edges: neighbors that face the same way run along them in opposite
+    # directions
+    votes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))
+    for k in np.flatnonzero(same):
+        a, b = int(order[k]), int(order[k + 1])
+        one, two = int(owner[a]), int(owner[b])
+        if one != two and low[a] != high[a] and _may_join(pieces[one], pieces[two]):
+            vote = 1 if welded[a, 0] != welded[b, 0] else -1
+            votes[one][two] += vote
+            votes[two][one] += vote
+    against = np.zeros(len(pieces), bool)
+    seen: set[int] = set()
+    groups = []
+    for start in range(len(pieces)):
+        if start in seen or start not in votes:
+            continue
+        seen.add(start)
+        members = [start]
+        for k in members:
+            for other, vote in votes[k].items():
+                if other not in seen:
+                    seen.add(other)
+                    against[other] = against[k] ^ (vote < 0)
+                    members.append(other)
+        groups.append((sorted(members), against[sorted(members)]))
+    return groups
+
+
+def _may_join(one: Surface, two: Surface) -> bool:
+    return one.component == two.component and one.skinned == two.skinned
+
+
+def _one_surface(group: Sequence[Surface], against: NDArray[np.bool_]) -> Surface:
+    """One surface of several, under the path of the largest; against : which are reversed."""
+    largest = max(group, key=lambda s: areas(s.points, s.triangles).sum())
+    points = _starts([len(s.points) for s in group])
+    corners = _starts([len(s.face_indices) for s in group])
+    turn = [np.array([2, 1, 0] if back else [0, 1, 2]) for back in against]
+    materials = _starts([len(s.materials) for s in group])
+    limits = [s.limit for s in group if s.limit is not None]
+    return replace(
+        largest,
+        points=np.concatenate([s.points for s in group]),
+        face_counts=np.concatenate([s.face_counts for s in group]),
+        face_indices=np.concatenate([s.face_indices + n for s, n in zip(group, points)]),
+        triangles=np.concatenate([s.triangles[:, t] + n for s, t, n in zip(group, turn, points)]),
+        triangle_corners=np.concatenate(
+            [s.triangle_corners[:, t] + n for s, t, n in zip(group, turn, corners)]
+        ),
+        normals=None,
+        normals_interpolation="",
+        normal_points=None,
+        triangle_colors=_values([s.triangle_colors for s in group], group, turn, NO_COLOR),
+        triangle_uvs=_values([s.triangle_uvs for s in group], group, turn, (0.0, 0.0)),
+        triangle_materials=_material_rows(group, materials),
+        materials=tuple(one for s in group for one in s.materials),
+        limit=max(limits, key=lambda one: one.shift) if limits else None,
+    )
+
+
+def _starts(counts: Sequence[int]) -> list[int]:
+    return np.cumsum([0, *counts])[:-1].tolist()
+
+
+def _values(
+    values: Sequence[Floats | None], group: Sequence[Surface], turn: Sequence[Ints],
+    otherwise: tuple[float, ...],
+) -> Floats | None:  # fmt: skip
+    """Values at the corners of all triangles, with others for members that have none."""
+    if all(one is None for one in values):
+        return None
+    return np.concatenate(
+        [
+            np.broadcast_to(otherwise, (len(s.triangles), 3, len(otherwise)))
+            if one is None
+            else one[:, t]
+            for one, s, t in zip(values, group, turn, strict=True)
+        ]
+    )
+
+
+def _material_rows(group: Sequence[Surface], first: Sequence[int]) -> Ints | None:
+    if all(s.triangle_materials is None for s in group):
+        return None
+    return np.concatenate(
+        [
+            np.full(len(s.triangles), -1)
+            if s.triangle_materials is None
+            else np.where(s.triangle_materials < 0, -1, s.triangle_materials + n)
+            for s, n in zip(group, first, strict=True)
+        ]
+    )
