@@ -57,7 +57,8 @@ def without_rooms(asset: Asset, *, repair: bool, bodies: Collection[str] = ()) -
     for k in np.argsort(volume):  # the largest that faces inward first: a room may be under a sky
         room, (triangles, _, fault) = asset.surfaces[k], closed[k]
         others = [j for j in filled if j != k]
-        if volume[k] >= 0.0 or fault or room.skinned or room.splats or room.path in bodies:
+        captured = room.splats is not None
+        if volume[k] >= 0.0 or fault or room.skinned or captured or room.path in bodies:
             continue
         content = sum(volume[j] for j in others if volume[j] > 0.0)
         outward = any(volume[j] > 0.0 or closed[j][2] for j in others)
