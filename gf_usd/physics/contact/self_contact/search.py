@@ -46,6 +46,7 @@ THICK = 4.0  # [spacings] thickness of a limb up to which its two sides are not 
 SEE = 2.0  # [spacings] radius of the search ball in front of a sample, which reaches twice as far
 STEP = 0.75  # [spacings] most that a sample moves between two detections, against what is near
 ASIDE = 0.5  # cosine between a sample's normal and those of triangles next to what it faces
+NO_SIDE = 1e-6  # of the length of a pseudo-normal: below it the normals of its faces cancel
 TURN = 3.0  # [spacings] distance that an angle of a radian between normals counts as
 # [spacings] largest distance from a sample to what it may face, by the search ball and by TURN.
 WIDEST = float(np.hypot(2.0 * SEE, 2.0**0.5 * TURN))
@@ -250,8 +251,12 @@ class SelfContact:
         degree = (mesh.around[corners[np.arange(len(s)), weights.argmax(1)]] >= 0).sum(1)
         ends = seen < np.select([free == 3, free == 2], [1, 2], degree)
         rim |= ends & (now < 0.0)
-        pseudo /= np.maximum(np.linalg.norm(pseudo, axis=1, keepdims=True), 1e-30)
+        length = np.linalg.norm(pseudo, axis=1)
         on = least <= 1e-6 * self._spacing
+        # On the common place of faces that look in opposite directions, as those of a double-sided
+        # sheet or of an edge where two boxes meet, no side is the outer one.
+        between = on & (length <= NO_SIDE)
+        pseudo /= np.maximum(length, 1e-30)[:, None]
         n = np.where(
             on[:, None], pseudo, away * (side / np.where(least > 0.0, least, 1.0))[:, None]
         )
@@ -263,7 +268,7 @@ class SelfContact:
         outer = (gap[s] >= 0.0) & (height >= 0.0) & (along >= 0.0)
         was = np.where(same, gap[s], np.where(outer, came, np.inf))
         believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
-        keep = ~rim & believed
+        keep = ~rim & believed & ~between
         return Facing(
             rows=s[keep], gap=now[keep], normal=n[keep], point=q[keep],
             carriers=corners[keep], weights=weights[keep],

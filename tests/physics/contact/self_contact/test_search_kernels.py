@@ -13,6 +13,7 @@ from gf_usd.physics.contact.distance.closest import (
     NORMAL,
     PSEUDO,
     SEED,
+    TIES,
     TRIANGLE,
     WEIGHTS,
 )
@@ -116,3 +117,22 @@ def test_a_body_that_flies_apart_has_few_cells(own: SelfContact) -> None:
     found, which = own._closest(x, np.ones(len(x), bool), np.zeros(len(x), bool), REACH)
     assert np.isfinite(found[:, NORMAL : NORMAL + 3]).all()
     assert which[0, TRIANGLE] == -1
+
+
+@pytest.mark.parametrize(("length", "kept"), [(1.0, True), (1e-17, False), (0.0, False)])
+def test_a_sample_exactly_between_opposite_faces_has_no_plane(
+    own: SelfContact, length: float, kept: bool
+) -> None:
+    """The normal of such a plane was 0, and a chair with a double-sided seat became nan."""
+    x, mesh = own._X.copy(), own._mesh[0]
+    triangle = next(
+        t for t, corners in enumerate(mesh.triangles) if not own._mesh[1].near(0, corners).any()
+    )
+    x[0] = x[mesh.triangles[triangle]].mean(0)
+    found = np.zeros((1, PSEUDO + 4))
+    found[0, WEIGHTS:PSEUDO], found[0, PSEUDO], found[0, LEAST] = 1.0 / 3.0, length, 0.0
+    which = np.full((1, 3), -1, np.int32)
+    which[0, TRIANGLE], which[0, TIES] = triangle, 2
+    seen = own._sided(np.array([0]), found, which, x, x, np.zeros(len(x)))
+    assert seen.rows.tolist() == [0] * kept
+    assert np.allclose(np.linalg.norm(seen.normal, axis=1), 1.0)
