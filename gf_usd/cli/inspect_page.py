@@ -12,7 +12,7 @@ from rich.table import Table
 
 from gf_usd.cli.console import drops, frames_of, landing_of
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text, code_text, length_text
+from gf_usd.core.units import bytes_text, code_text, length_text, volume_text
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 
 MOST_MESHES, MOST_PARTS, MOST_LINES = 24, 8, 12  # rows shown; --json has all of them
+FLAT = 1e-9  # of (area)^(3/2): a volume below it is rounding
 PLAIN_WIDTH = 10_000  # columns if the page goes to a file: one line per entry, for grep
 
 
@@ -83,7 +84,7 @@ def _meshes(console: Console, seen: Inspection) -> None:
             _faces(mesh),
             _closed(mesh),
             str(len(mesh.shells)),
-            _volume(mesh.volume),
+            volume_text(0.0 if mesh.volume <= FLAT * mesh.area**1.5 else mesh.volume),
             _winding(mesh),
             {"filled": "filled", "refused": "[red]refused[/]"}.get(fill, f"[yellow]{fill}[/]"),
         )
@@ -132,7 +133,7 @@ def _body(console: Console, seen: Inspection) -> None:
     forecast = {"frames": s.frames, **cost}
     drop = f"drop {length_text(plan.drop)}" if drops(plan) else "no drop"
     console.print(
-        f"\n{len(p)} particles, {length_text(p.spacing)} apart, fill {_volume(p.volume)}"
+        f"\n{len(p)} particles, {length_text(p.spacing)} apart, fill {volume_text(p.volume)}"
         f" (as much as a ball of radius {length_text(p.radius)}); {frames_of(forecast)} at"
         f" {s.fps:g} fps, {drop}, {landing_of(plan, cost)}"
     )
@@ -235,13 +236,6 @@ def _lines(console: Console, what: str, lines: Sequence[str]) -> None:
         console.print(f"[dim]{what}:[/] {escape(line)}")
     if len(lines) > MOST_LINES:
         console.print(f"[dim]{what}:[/] and {len(lines) - MOST_LINES} more (--json lists all)")
-
-
-def _volume(cubic_meters: float) -> str:
-    for limit, scale, name in ((1e-6, 1e9, "mm³"), (1e-2, 1e6, "cm³")):
-        if cubic_meters < limit:
-            return f"{cubic_meters * scale:.3g} {name}"
-    return f"{cubic_meters:.3g} m³"
 
 
 def _duration(seconds: float) -> str:

@@ -116,6 +116,18 @@ def length_text(meters: float) -> str:
     return f"{value:.3g} {name}" if abs(value) < 999.5 else f"{value:.0f} {name}"
 
 
+# Below which volume [m^3], per cubic meter, and the name.
+VOLUMES = ((1e-6, 1e9, "mm³"), (1e-2, 1e6, "cm³"))
+
+
+def volume_text(cubic_meters: float) -> str:
+    """A volume to three significant digits, in mm³, cm³ or m³; up to 1e9 m³ without an exponent."""
+    small = (unit for unit in VOLUMES if cubic_meters < unit[0])
+    _, scale, name = next(small, (math.inf, 1.0, "m³"))
+    text = f"{scale * cubic_meters:.3g}"
+    return f"{float(text):.0f} {name}" if 1e3 <= float(text) < 1e9 else f"{text} {name}"
+
+
 def check_unit(meters_per_unit: float | None) -> None:
     """Raise UsageError for an option that is no size of a unit."""
     if meters_per_unit is not None and not LEAST < meters_per_unit < MOST:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gf_usd.core.units import bytes_text, code_text, length_text
+from gf_usd.core.units import bytes_text, code_text, length_text, volume_text
 
 
 @pytest.mark.parametrize(
@@ -43,6 +43,24 @@ def test_bytes_have_the_unit_that_fits(count: float, text: str):
 )
 def test_lengths_have_the_unit_that_fits(meters: float, text: str):
     assert length_text(meters) == text
+
+
+@pytest.mark.parametrize(
+    ("cubic_meters", "text"),
+    [
+        (0.0, "0 mm³"),
+        (2.986e-7, "299 mm³"),
+        (1.29e-4, "129 cm³"),
+        (1.7e-3, "1700 cm³"),  # it was 1.7e+03 cm³
+        (0.0099996, "10000 cm³"),
+        (0.0384, "0.0384 m³"),
+        (1088.0, "1090 m³"),
+        (5.1482e5, "515000 m³"),
+        (1e12, "1e+12 m³"),
+    ],
+)
+def test_volumes_have_three_digits_and_no_exponent(cubic_meters: float, text: str):
+    assert volume_text(cubic_meters) == text
 
 
 @pytest.mark.parametrize(

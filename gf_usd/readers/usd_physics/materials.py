@@ -21,6 +21,7 @@ from gf_usd.core.units import StageUnits
 PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
 OURS = "gaussianFlesh:"
 POISSON = 0.3  # the fallback of our schema, of Newton's and of the AOUSD proposal
+USUAL_DENSITIES = (10.0, 2e4)  # [kg/m^3]: one that was meant so, whatever the units of the stage
 INCOMPRESSIBLE = 0.47  # replaces 0.5: the greatest ratio without volumetric locking
 
 
@@ -54,7 +55,7 @@ def read_material_spec(
         nu = _poissons_ratio(authored, where, assume)
     density = _number(authored, "density", where, unstated=lenient)
     if density is not None:
-        density = _within(where, "density [kg/m^3]", density * units.density, 0.0, 1e6)
+        density = _density(where, density, units)
     law = authored(OURS + "law")
     if law is not None and law not in LAWS:
         raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAWS)}")
@@ -71,6 +72,20 @@ def read_material_spec(
         parameters=_parameters(authored, where, units)
         or _newtons(authored, where, units, law, say or assume),
     )
+
+
+def _density(where: str, authored: float, units: StageUnits) -> float:
+    """[kg/m^3] of a density in stage units."""
+    try:
+        return _within(where, "density [kg/m^3]", authored * units.density, 0.0, 1e6)
+    except InputError as error:
+        if units.density == 1.0 or not USUAL_DENSITIES[0] <= authored <= USUAL_DENSITIES[1]:
+            raise
+        raise InputError(
+            f"{error.message}: it is authored as {authored:g} mass units per cubic stage unit, of"
+            f" {units.kilograms_per_unit:g} kg and ({units.meters_per_unit:g} m)^3",
+            f"{error.hint}; 1000 kg/m^3 is {1000.0 / units.density:g} in this stage",
+        ) from None
 
 
 def states_modulus(authored: Authored) -> bool:

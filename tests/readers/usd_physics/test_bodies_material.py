@@ -12,6 +12,8 @@ from physics_stages import bound, head, mesh, physics_of, prim
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import StagePhysics
+from gf_usd.core.units import StageUnits
+from gf_usd.readers.usd_physics.materials import read_material_spec
 
 Write = Callable[..., Path]
 
@@ -259,3 +261,15 @@ def test_parts_that_are_no_faces(read_physics) -> None:
     with pytest.raises(InputError) as caught:
         read_physics(stage, duck(subset("beak", "5, 6", bound("/Hard"))))
     assert "</Duck/beak>: 1 of its 2 indices do not refer to any of the 6" in (caught.value.message)
+
+
+def test_a_density_in_kg_per_cubic_meter_on_a_stage_in_centimeters_is_explained() -> None:
+    """The message gave a density of 1e+09, which nobody had authored."""
+    authored = {"physics:density": 1000.0}.get
+    with pytest.raises(InputError) as caught:
+        read_material_spec(authored, "/M", StageUnits(meters_per_unit=0.01), where="a.usda: </M>")
+    assert caught.value.message == (
+        "a.usda: </M>: density [kg/m^3] is 1e+09: it is authored as 1000 mass units per cubic stage"
+        " unit, of 1 kg and (0.01 m)^3"
+    )
+    assert caught.value.hint.endswith("; 1000 kg/m^3 is 0.001 in this stage")
