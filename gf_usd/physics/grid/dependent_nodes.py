@@ -32,6 +32,8 @@ FIT_NEIGHBORS = 24  # free nodes in an affine fit
 FIT_LEAST = 1e-6  # least weight in a fit, relative to that of the nearest node
 TIE = 1e-9  # distances that differ by less are equal
 FIT_REACH = 2.0  # [cells] distance up to which a fit uses the nodes nearest to the point
+FAR_NEIGHBORS = 64  # nodes in a fit at a point beyond it: 24 stretch a lamp shade 5.6-fold, not 1.7
+FAR_WIDTH = 0.5  # width of its weights over its distance from the nearest node
 
 
 def affine_fit(ijk: Ints, free: Ints, reach: float | None = None) -> sparse.csr_matrix:
@@ -40,25 +42,52 @@ def affine_fit(ijk: Ints, free: Ints, reach: float | None = None) -> sparse.csr_
     Moving least squares with a linear basis about the mean C of the nodes and Gaussian weights B:
     e_j = B_j (1 / sum B + (X_j - C) . M^+ (X_i - C)), M = sum B (X_j - C) (X_j - C)^T, so that
     sum_j e_j = 1 and sum_j e_j X_j = X_i. Where the nodes are coplanar the field is constant across
-    the plane.
+    the plane.  At a point beyond `FIT_REACH` of the nodes, B is wider the farther it is, so that it
+    follows the mean deformation of a larger part.
 
     ijk : (n, 3), free : (m, 3) grid indices; reach : [cells] largest distance of a node.
     """
     if len(ijk) == 0:
         return sparse.csr_matrix((0, len(free)))
     tree = kd_tree(free)
+    gap = tree.query(ijk)[0]
+    far = np.flatnonzero(gap > FIT_REACH)
+    if not len(far):
+        return _fitted(ijk, ijk, tree, free, np.ones(len(ijk)), FIT_NEIGHBORS, reach)
+    close = np.flatnonzero(gap <= FIT_REACH)
     # For a distant point the nearest nodes may be coplanar: use the neighbors of the nearest ones.
-    around = np.array(ijk, float)
-    far = np.flatnonzero(tree.query(ijk)[0] > FIT_REACH)
-    if len(far):
-        gap, closest = nearest(tree, ijk[far], 1)
-        tied = np.isfinite(gap)
-        around[far] = np.where(tied[:, :, None], free[closest], 0).sum(1) / tied.sum(1)[:, None]
-    distance, near = nearest(tree, around, FIT_NEIGHBORS)
+    # A gradient of a few of them would be multiplied by the distance, with its errors: leaves of a
+    # plant grew to spikes.
+    distance, closest = nearest(tree, ijk[far], 1)
+    tied = np.isfinite(distance)
+    around = np.where(tied[:, :, None], free[closest], 0).sum(1) / tied.sum(1)[:, None]
+    width = np.maximum(1.0, FAR_WIDTH * gap[far])
+    rows = sparse.vstack(
+        [
+            _fitted(ijk[close], ijk[close], tree, free, np.ones(len(close)), FIT_NEIGHBORS, reach),
+            _fitted(ijk[far], around, tree, free, width, FAR_NEIGHBORS, reach),
+        ]
+    )
+    return sparse.csr_matrix(rows)[np.argsort(np.concatenate([close, far]))]
+
+
+def _fitted(
+    ijk: Ints, around: Floats, tree: cKDTree, free: Ints, width: Floats, count: int,
+    reach: float | None,
+) -> sparse.csr_matrix:  # fmt: skip
+    """Rows of `affine_fit` at (n, 3) to the nodes of a tree that are nearest to `around` (n, 3).
+
+    width : (n,) [cells] of the Gaussian weights, less the distance of the nearest; count : of
+    nodes, and those that are as near as the last.
+    """
+    if len(ijk) == 0:
+        return sparse.csr_matrix((0, len(free)))
+    distance, near = nearest(tree, around, count)
     if reach is not None:
         distance[distance > reach] = np.inf
     # With a single near node the gradient depends on far ones: their weights must exceed rounding.
-    B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
+    scale = distance[:, :1] + width[:, None]
+    B = np.maximum(np.exp(-((distance / scale) ** 2)), FIT_LEAST)
     B[np.isinf(distance)] = 0.0
     B /= B.sum(1, keepdims=True)
     center = np.einsum("nk,nka->na", B, free[near])

@@ -237,3 +237,13 @@ def test_bodies_share_no_node_however_near_they_are() -> None:
         u = both.free_X @ SLOPE.T
         np.testing.assert_allclose(A @ u, B @ (alone.free_X @ SLOPE.T), atol=1e-12)
     assert both.mass.sum() == pytest.approx(len(X))
+
+
+def test_a_fit_far_from_a_thin_part_hardly_magnifies_errors() -> None:
+    """Of leaves at a stem and of the shade of a lamp, which lie far from what is simulated."""
+    stem = np.stack(np.meshgrid(np.arange(3), np.arange(20), np.arange(3), indexing="ij"), -1)
+    stem = stem.reshape(-1, 3)
+    e = affine_fit(np.array([[12, 10, 1], [1, 30, 1]]), stem).toarray()
+    np.testing.assert_allclose(e @ stem, [[12, 10, 1], [1, 30, 1]], atol=FIT_ROUNDING * 30)
+    # 5.5 and 5.9 with the 24 nodes nearest to the stem
+    assert (np.linalg.norm(e, axis=1) < [1.8, 1.0]).all()
