@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
 from gf_usd.core.mesh import areas, boundary_edges, weld
+from gf_usd.geometry.connected.merged import corner_values, material_rows, starts
 from gf_usd.geometry.solid import closed_triangles
 
 MOST_LISTED = 4  # paths in a note
@@ -133,10 +134,13 @@ def _may_join(one: Surface, two: Surface) -> bool:
 def _one_surface(group: Sequence[Surface], against: NDArray[np.bool_]) -> Surface:
     """One surface of several, under the path of the largest; against : which are reversed."""
     largest = max(group, key=lambda s: areas(s.points, s.triangles).sum())
-    points = _starts([len(s.points) for s in group])
-    corners = _starts([len(s.face_indices) for s in group])
+    points = starts([len(s.points) for s in group])
+    corners = starts([len(s.face_indices) for s in group])
     turn = [np.array([2, 1, 0] if back else [0, 1, 2]) for back in against]
-    materials = _starts([len(s.materials) for s in group])
+
+    def turned(values: Sequence[Floats | None]) -> list[Floats | None]:
+        return [None if one is None else one[:, t] for one, t in zip(values, turn, strict=True)]
+
     limits = [s.limit for s in group if s.limit is not None]
     return replace(
         largest,
@@ -150,43 +154,9 @@ def _one_surface(group: Sequence[Surface], against: NDArray[np.bool_]) -> Surfac
         normals=None,
         normals_interpolation="",
         normal_points=None,
-        triangle_colors=_values([s.triangle_colors for s in group], group, turn, NO_COLOR),
-        triangle_uvs=_values([s.triangle_uvs for s in group], group, turn, (0.0, 0.0)),
-        triangle_materials=_material_rows(group, materials),
+        triangle_colors=corner_values(turned([s.triangle_colors for s in group]), group, NO_COLOR),
+        triangle_uvs=corner_values(turned([s.triangle_uvs for s in group]), group, (0.0, 0.0)),
+        triangle_materials=material_rows(group),
         materials=tuple(one for s in group for one in s.materials),
         limit=max(limits, key=lambda one: one.shift) if limits else None,
-    )
-
-
-def _starts(counts: Sequence[int]) -> list[int]:
-    return np.cumsum([0, *counts])[:-1].tolist()
-
-
-def _values(
-    values: Sequence[Floats | None], group: Sequence[Surface], turn: Sequence[Ints],
-    otherwise: tuple[float, ...],
-) -> Floats | None:  # fmt: skip
-    """Values at the corners of all triangles, with others for members that have none."""
-    if all(one is None for one in values):
-        return None
-    return np.concatenate(
-        [
-            np.broadcast_to(otherwise, (len(s.triangles), 3, len(otherwise)))
-            if one is None
-            else one[:, t]
-            for one, s, t in zip(values, group, turn, strict=True)
-        ]
-    )
-
-
-def _material_rows(group: Sequence[Surface], first: Sequence[int]) -> Ints | None:
-    if all(s.triangle_materials is None for s in group):
-        return None
-    return np.concatenate(
-        [
-            np.full(len(s.triangles), -1)
-            if s.triangle_materials is None
-            else np.where(s.triangle_materials < 0, -1, s.triangle_materials + n)
-            for s, n in zip(group, first, strict=True)
-        ]
     )

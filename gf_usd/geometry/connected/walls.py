@@ -16,6 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
 from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.geometry.connected.merged import corner_values, material_rows
 from gf_usd.geometry.solid import Bounds, closed_triangles
 from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
 
@@ -142,14 +143,15 @@ def _joined(outer: Surface, inner: Surface) -> Surface:
     )
     near = np.asarray(at).reshape(-1)
     of_rim = near[len(inner.triangles) :]
+    both = (outer, inner)
     materials = [
         replace(one, texture=None) if of.triangle_uvs is None else one
-        for of in (outer, inner)
+        for of in both
         for one in of.materials
     ]
-    colors = _both(outer.triangle_colors, inner.triangle_colors, outer, inner, NO_COLOR)
-    uvs = _both(outer.triangle_uvs, inner.triangle_uvs, outer, inner, (0.0, 0.0))
-    bound = _bound(outer, inner)
+    colors = corner_values([s.triangle_colors for s in both], both, NO_COLOR)
+    uvs = corner_values([s.triangle_uvs for s in both], both, (0.0, 0.0))
+    bound = material_rows(both)
     return replace(
         made,
         triangles=np.concatenate([sides, rim]),
@@ -190,30 +192,3 @@ def _rim(points: Floats, triangles: Ints, first: int) -> Ints:
     rim = np.array(made)
     caps = fan_area(points[one]) + fan_area(points[two])
     return rim if areas(points, rim).sum() <= caps else none
-
-
-def _both(
-    one: Floats | None,
-    two: Floats | None,
-    outer: Surface,
-    inner: Surface,
-    missing: tuple[float, ...],
-) -> Floats | None:
-    """(T, 3, n) values at the corners of the triangles of both; None: of neither."""
-    if one is None and two is None:
-        return None
-    of = [
-        np.tile(missing, (len(surface.triangles), 3, 1)) if values is None else values
-        for values, surface in ((one, outer), (two, inner))
-    ]
-    return np.concatenate(of)
-
-
-def _bound(outer: Surface, inner: Surface) -> Ints | None:
-    """(T,) into the materials of both; None: neither has any."""
-    one, two = outer.triangle_materials, inner.triangle_materials
-    if one is None and two is None:
-        return None
-    one = np.full(len(outer.triangles), -1) if one is None else one
-    two = np.full(len(inner.triangles), -1) if two is None else two
-    return np.concatenate([one, np.where(two < 0, -1, two + len(outer.materials))])
