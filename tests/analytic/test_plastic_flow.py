@@ -240,7 +240,6 @@ OPTIONS = {"clamp": (0.985, 1.015), "stress_cap": 250.0, "stress": True}
             ({"wls": True}, {}),
         ],
         ({}, {}),
-        (OPTIONS, {"damping_time": 1e-3}),
     ),
     ids=["plain", "damped", "limited", "wls"],
 )

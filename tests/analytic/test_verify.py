@@ -18,7 +18,10 @@ LONG = {  # more than half of the time of all
     "incline", "burst", "law-fluid", "manufactured", "limbs", "bar", "drop", "locking",
     "hydrostatic", "dam", "puddle", "drop-of-both",
 }  # fmt: skip
-LONGEST = {"hydrostatic", "puddle", "taylor", "arms"}  # which `gf-usd verify` of the acceptance has
+LONGEST = {  # which `gf-usd verify` of the acceptance has
+    "hydrostatic", "puddle", "taylor", "arms", "column", "incline", "law-crushable", "law-paste",
+    "expansion", "rim", "penetration",
+}  # fmt: skip
 
 
 def marks(name: str) -> list[pytest.MarkDecorator]:

@@ -59,6 +59,7 @@ print(gf_usd.inspect(SPHERE, particles=60).refusal)
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_errors_of_a_bake_in_another_process_are_the_same(tmp_path: Path) -> None:
     code = """
 def report(**more):
@@ -108,6 +109,7 @@ print(gf_usd.preview(result.root, size=(32, 24)).pixels.shape, mine.to_numpy())
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_program_that_starts_taichi_after_us_keeps_it(tmp_path: Path) -> None:
     output = run(
         tmp_path,

@@ -109,6 +109,7 @@ def test_a_dead_workers_job_is_done_by_another(
     assert out.count('"state": "kept"') == 2
 
 
+@pytest.mark.acceptance
 def test_sigterm_ends_the_bakes_on_the_workers(
     here: Path, block: Path, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:
@@ -134,6 +135,7 @@ def cut(block: Path) -> Job:
     return Job(name="cut", asset=asset, root=block.with_name("soft.usda"), options={})
 
 
+@pytest.mark.acceptance
 def test_a_result_lost_with_its_worker_is_computed_again(
     cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:

@@ -55,6 +55,7 @@ def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -
     assert "openjd_fail: 2 of 2 jobs failed: block.rubber.seed" in broken.stdout
 
 
+@pytest.mark.acceptance
 def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
     command = bundle(here, block, "--particles", "300", "--frames", "6000")
     # else openjd passes on what a task prints only once its buffer is full, after the bake
@@ -74,6 +75,7 @@ def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
     assert all(name.startswith(".") for name in final)
 
 
+@pytest.mark.acceptance
 def test_slices_of_a_bundle_come_to_the_bits_of_one_run(here: Path, block: Path) -> None:
     cut = block.with_name("cut.usda")
     cut.write_text(block.read_text("utf-8")[:500], encoding="utf-8")

@@ -48,6 +48,7 @@ def test_what_makes_no_sense_is_refused(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_cache_gives_back_its_material(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

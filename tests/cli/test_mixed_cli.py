@@ -14,6 +14,7 @@ from resumed import require_same
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_mixed_bake_is_whole_and_comes_to_the_same_bits(
     gf_usd, here: Path, tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from pasted import paste
+from slow_parameters import longest_but
 
 from tools.documents import ROOT, blocks
 
@@ -56,7 +57,7 @@ def test_the_parts_of_the_shot_are_those_of_the_sample() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("name", longest_but(MADE, "shot", "splats"))
 def test_the_commands_of_a_tutorial_run_in_order(name: str, tmp_path: Path) -> None:
     paste(fewer(script(name)), tmp_path, particles=200, frames=8)
     for made in MADE[name]:

@@ -29,7 +29,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.slow
 @given(options=COMBINED)
 @settings(
-    max_examples=400, deadline=timedelta(seconds=60), derandomize=True, database=None,
+    max_examples=120, deadline=timedelta(seconds=60), derandomize=True, database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )  # fmt: skip
 def test_options_together(here: Path, options: dict[str, Any]) -> None:

@@ -83,6 +83,7 @@ def test_absurd_unit(tmp_path: Path, unit: float) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_thousands_of_shells_end(tmp_path: Path) -> None:
     """In one mesh; the time limit is for a hang, not for speed."""
     file = tmp_path / "shells.usda"

@@ -48,6 +48,7 @@ def count(stage: Usd.Stage, path: str, code: float) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_particles_are_shown_instead_of_the_mesh_from_the_first_converted_on(
     blocks: Path, tmp_path: Path
 ) -> None:
@@ -113,7 +114,7 @@ def test_a_limit_that_nothing_passes_is_warned_of(blocks: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "becomes", ["dry-sand", pytest.param("powder-snow", marks=pytest.mark.slow)]
+    "becomes", ["dry-sand", pytest.param("powder-snow", marks=pytest.mark.acceptance)]
 )
 def test_a_bake_that_was_ended_continues_identically(
     blocks: Path, tmp_path: Path, becomes: str
@@ -148,7 +149,7 @@ def test_a_bake_that_was_ended_continues_identically(
         {"only": "gaussians"},
         pytest.param({"only": "mesh"}, marks=pytest.mark.slow),
         {"only": "mesh", "surface": True},
-        pytest.param({"solver": "ul"}, marks=pytest.mark.slow),
+        pytest.param({"solver": "ul"}, marks=pytest.mark.acceptance),
     ],
     ids="-".join,
 )

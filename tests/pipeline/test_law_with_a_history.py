@@ -212,7 +212,7 @@ def test_what_a_law_remembers_is_written_on_request(
     ("solver", "token"),
     [
         ("tl", "vonMisesNeoHookean"),
-        ("tl", "vonMisesCorotated"),
+        pytest.param("tl", "vonMisesCorotated", marks=pytest.mark.acceptance),
         pytest.param("ul", "vonMisesNeoHookean", marks=pytest.mark.acceptance),
     ],
 )

@@ -81,6 +81,7 @@ def test_options_that_a_mixed_scene_does_not_support_are_refused(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_body_of_which_a_part_flows_is_moved_as_a_whole_by_the_solver_of_what_flows(
     tmp_path: Path,
 ) -> None:

@@ -425,6 +425,7 @@ def test_a_ball_of_rubber_comes_to_rest(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_ball_that_rolls_on_a_table_stops_on_it_or_falls(table: Path, tmp_path: Path) -> None:
     """It stops after 5/7 v^2 / (2 c g) as on the floor; faster, it falls off the end at 13 m."""
     common = {"only": "mesh", "particles": 300, "material": "metal", "friction": 1.0}

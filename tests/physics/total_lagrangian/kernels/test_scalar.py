@@ -46,7 +46,7 @@ def state(run):
     "changes",
     [
         {},
-        {"law": "neoHookean"},
+        pytest.param({"law": "neoHookean"}, marks=pytest.mark.acceptance),
         {"stress_cap": 3e3, "clamp": (0.9, 1.1), "wls": True, "procrustes": 0.02},
     ],
     ids=["corotated", "neo-Hookean", "the paper's options"],
