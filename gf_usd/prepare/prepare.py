@@ -120,6 +120,7 @@ def prepare(
 
         def refill(spacing: float) -> Plan:
             coarse = replace(request, particles=None, spacing=spacing / asset.facts.units.length)
+            # the solid that is given has only the meshes of the plan
             return fill(
                 asset if repair else plan.asset, coarse, found.presets, law, files, found.file,
                 spec=found.spec, repair=repair, built=None if repair else solid,

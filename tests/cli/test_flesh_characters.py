@@ -111,3 +111,18 @@ def test_characters_whose_bind_poses_overlap_follow_their_own_skeletons(tmp_path
             wanted = skinned(source, code) + [shift, 0.0, 0.0]
             away = drawn(baked, code, f"/Shot/{name}/Skin") - wanted
             assert np.sqrt((away**2).sum(1).mean()) < 0.1 * WIDTH, (name, code)
+
+
+@pytest.mark.parametrize("alone", [True, False], ids=["one character", "two"])
+def test_a_prop_that_no_bones_hold_stays(tmp_path: Path, alone: bool) -> None:
+    """A bench beside a character fell out of the picture, for flesh has no floor."""
+    path = stage(tmp_path, prop=PROP.replace("0.5, 0.2, 0", "0.5, 3, 0"))
+    seen = gf_usd.inspect(path, prims=["/Shot/A"] if alone else (), flesh=True, particles=400)
+    assert seen.fill_of("/Shot/A/Watch")[0] == "stays"
+    assert seen.plan is not None
+    assert seen.plan.bodies is not None
+    assert [paths[0] for paths in seen.plan.bodies.surfaces] == (
+        ["/Shot/A/Skin"] if alone else ["/Shot/A/Skin", "/Shot/B/Skin"]
+    )
+    (note,) = (note for note in seen.notes if "/Shot/A/Watch" in note)
+    assert note.startswith("</Shot/A/Watch> is not baked: no skeleton poses it, and it touches no")

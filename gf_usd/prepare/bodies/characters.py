@@ -7,6 +7,7 @@ body would join them there.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,36 @@ from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.neighbors import kd_tree
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
     from gf_usd.prepare.bodies.plan import BodyPlan
+
+PROP = "no skeleton poses it, and it touches no mesh that one poses, so that nothing would hold it"
+
+
+def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Asset:
+    """The asset, with filled meshes that no bones hold among the prims that are skipped.
+
+    They would fall: with `--flesh` there is no floor by default.  In the source no skeleton moves
+    them either.
+
+    spacing : [m] approximate spacing of the particles.
+    """
+    from gf_usd.geometry.connected.bodies import find_bodies
+    from gf_usd.readers.usd.bones import skeletons
+
+    posed = set(skeletons(file, [s.path for s in asset.surfaces], asset.facts))
+    if not posed or all(s.path in posed or s.splats is not None for s in solid.surfaces):
+        return asset
+    of = find_bodies(solid, spacing)
+    held = {int(k) for k, s in zip(of, solid.surfaces) if s.path in posed or s.splats is not None}
+    props = {s.path for k, s in zip(of, solid.surfaces) if int(k) not in held}
+    if not held or not props:
+        return asset
+    return replace(
+        asset,
+        surfaces=tuple(s for s in asset.surfaces if s.path not in props),
+        skipped=(*asset.skipped, *((s.path, PROP) for s in asset.surfaces if s.path in props)),
+    )
 
 
 def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, ...]]:

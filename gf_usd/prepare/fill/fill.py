@@ -19,6 +19,7 @@ from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Choices, Settings
 from gf_usd.core.stage import PhysicsMaterialSpec, Pin, StageSpec, Triple
 from gf_usd.prepare.bodies.cages import cage_notes
+from gf_usd.prepare.bodies.characters import without_props
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
     contact_setup,
@@ -56,7 +57,7 @@ from gf_usd.prepare.options.implied import proposed_floor, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Plan, embedded_points
-from gf_usd.prepare.settings import Animation
+from gf_usd.prepare.settings import DEFAULT_PARTICLES, Animation
 from gf_usd.readers.notes import ANIMATED, merged
 
 if TYPE_CHECKING:
@@ -95,11 +96,22 @@ def fill(
     stated = _of_their_own(spec)
     if in_scene:
         asset = without_room_parts(asset, repair=repair, bodies=stated)
-    meshes = build_meshes(
-        asset, repair=repair, resolution=resolution_function(request, spec, unit), paper=paper,
-        apart=stated if in_scene else None,
-        one_thing=partial(_one_thing, asset, spec) if in_scene else None, known=known, built=built,
-    )  # fmt: skip
+    options: dict[str, Any] = {
+        "repair": repair, "resolution": resolution_function(request, spec, unit), "paper": paper,
+        "apart": stated if in_scene else None, "known": known,
+        "one_thing": partial(_one_thing, asset, spec) if in_scene else None,
+    }  # fmt: skip
+    meshes = build_meshes(asset, **options, built=built)
+    if request.flesh and file is not None:
+        spacing = float(np.cbrt(meshes.solid.volume / (request.particles or DEFAULT_PARTICLES)))
+        alone = without_props(meshes.asset, meshes.solid, file, spacing)
+        if len(alone.surfaces) < len(meshes.asset.surfaces):
+            asset = replace(
+                asset,
+                surfaces=tuple(s for s in asset.surfaces if s.path not in dict(alone.skipped)),
+                skipped=alone.skipped,
+            )
+            meshes = build_meshes(asset, **options)
     if in_scene:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
         meshes = replace(meshes, asset=asset, solid=solid)
