@@ -96,12 +96,12 @@ def fill(
     stated = _of_their_own(spec)
     if in_scene:
         asset = without_room_parts(asset, repair=repair, bodies=stated)
-    options: dict[str, Any] = {
-        "repair": repair, "resolution": resolution_function(request, spec, unit), "paper": paper,
-        "apart": stated if in_scene else None, "known": known,
-        "one_thing": partial(_one_thing, asset, spec) if in_scene else None,
-    }  # fmt: skip
-    meshes = build_meshes(asset, **options, built=built)
+    build = partial(
+        build_meshes, repair=repair, resolution=resolution_function(request, spec, unit),
+        paper=paper, apart=stated if in_scene else None, known=known,
+        one_thing=partial(_one_thing, asset, spec) if in_scene else None,
+    )  # fmt: skip
+    meshes = build(asset, built=built)
     if request.flesh and file is not None:
         spacing = float(np.cbrt(meshes.solid.volume / (request.particles or DEFAULT_PARTICLES)))
         alone = without_props(meshes.asset, meshes.solid, file, spacing)
@@ -111,7 +111,7 @@ def fill(
                 surfaces=tuple(s for s in asset.surfaces if s.path not in dict(alone.skipped)),
                 skipped=alone.skipped,
             )
-            meshes = build_meshes(asset, **options)
+            meshes = build(asset)
     if in_scene:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
         meshes = replace(meshes, asset=asset, solid=solid)
