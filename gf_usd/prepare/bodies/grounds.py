@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.asset import Asset, StageFacts, Surface
 from gf_usd.core.mesh import signed_volume
 
 if TYPE_CHECKING:
@@ -158,6 +158,41 @@ def _beyond(box: tuple[Floats, Floats], other: tuple[Floats, Floats], up: Floats
     """Whether a box, of its low and its high corner, reaches as far as another across up."""
     across = up == 0.0
     return bool((box[0] <= other[0])[across].all() and (box[1] >= other[1])[across].all())
+
+
+def floor_notes(scenery: Sequence[Surface], bodies: Sequence[Surface], facts: StageFacts) -> tuple[
+    str, ...
+]:  # fmt: skip
+    """Notes on scenery that is higher or lower under the bodies than the default floor, at 0."""
+    points = np.concatenate([s.face_points for s in bodies])
+    low, high = points.min(0), points.max(0)
+    notes = []
+    for surface in scenery:
+        height = _height_below(surface, 0.5 * (low + high), facts.up)
+        if height is None or abs(height) <= SUNK * np.linalg.norm(high - low):
+            continue
+        written = f"{height / facts.units.length:.3g}"
+        notes.append(
+            f"bodies fall onto the floor of the bake, at 0, but under them <{surface.path}> is at a"
+            f" height of {written}: --floor {written} puts the floor there"
+        )
+    return tuple(notes)
+
+
+def _height_below(surface: Surface, X: Floats, up: Floats) -> float | None:
+    """[m] of the highest place of a surface that is above or below X (3,); None: there is none."""
+    corners = surface.points[surface.triangles]
+    heights = corners @ up
+    flat = (corners - X) - ((corners - X) @ up)[..., None] * up
+    # signed areas of the triangles that X makes with each edge, seen from above
+    parts = np.stack(
+        [np.cross(flat[:, (k + 1) % 3], flat[:, (k + 2) % 3]) @ up for k in range(3)], axis=1
+    )
+    area = parts.sum(1)
+    around = (area != 0.0) & ((parts * np.sign(area)[:, None]) >= 0.0).all(1)
+    if not around.any():
+        return None
+    return float(((parts[around] / area[around][:, None]) * heights[around]).sum(1).max())
 
 
 def ground_notes(

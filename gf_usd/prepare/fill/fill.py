@@ -30,7 +30,12 @@ from gf_usd.prepare.bodies.contact import (
 from gf_usd.prepare.bodies.facing import turned_to_bodies
 from gf_usd.prepare.bodies.flesh import Poses
 from gf_usd.prepare.bodies.flow import flow_of
-from gf_usd.prepare.bodies.grounds import ground_notes, without_room_parts, without_scenery
+from gf_usd.prepare.bodies.grounds import (
+    floor_notes,
+    ground_notes,
+    without_room_parts,
+    without_scenery,
+)
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
@@ -112,8 +117,11 @@ def fill(
                 skipped=alone.skipped,
             )
             meshes = build(asset)
+    scenery: list[Surface] = []
     if in_scene:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
+        kept = {s.path for s in asset.surfaces}
+        scenery = [s for s in meshes.asset.surfaces if s.path not in kept]
         meshes = replace(meshes, asset=asset, solid=solid)
     asset, solid = meshes.asset, meshes.solid
     gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()
@@ -146,7 +154,7 @@ def fill(
             filled.bodies, spec.bodies, limbs.particles, constraints.pins
         )
     notes = (
-        *_ground_notes(inputs), *_asset_notes(asset, shot.animation),
+        *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
         *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
         *stage_notes, *_floor_notes(floating, asset, constraints.flesh.poses),
         *shot.notes, *constraints.attachment_notes, *goal_notes,
@@ -216,12 +224,16 @@ def _floor_notes(floating: bool, asset: Asset, poses: Poses | None) -> tuple[str
     return (proposed_floor(asset, poses.lowest, poses.still),) if floating and poses else ()
 
 
-def _ground_notes(inputs: Inputs) -> tuple[str, ...]:
+def _ground_notes(inputs: Inputs, scenery: Sequence[Surface]) -> tuple[str, ...]:
     if inputs.file is None:  # bodies and obstacles of a scene have calls of their own
         return ()
     asset = inputs.asset
-    return ground_notes(
-        asset.surfaces, dict(inputs.solid.embedded), asset.facts.up, asset.facts.units.length
+    by_default = scenery and inputs.request.floor is None and not inputs.request.pins
+    return (
+        *(floor_notes(scenery, inputs.solid.surfaces, asset.facts) if by_default else ()),
+        *ground_notes(
+            asset.surfaces, dict(inputs.solid.embedded), asset.facts.up, asset.facts.units.length
+        ),
     )
 
 

@@ -91,7 +91,8 @@ def test_a_sheet_that_reaches_far_beyond_the_bodies_stays(tmp_path: Path, wall: 
     assert [mesh["fill"] for mesh in seen.as_json()["meshes"]] == ["filled", "stays"]
     assert seen.plan is not None
     assert [s.path for s in seen.plan.asset.surfaces] == ["/World/Ball"]
-    (note,) = (note for note in seen.notes if "/World/Plate" in note)
+    floor, note = (note for note in seen.notes if "/World/Plate" in note)
+    assert floor.endswith("</World/Plate> is at a height of 4: floor=4 puts the floor there")
     assert note.startswith("</World/Plate> is not baked: it encloses no volume, lies under the")
     assert note.endswith("does not follow what is baked: apply PhysicsCollisionAPI to make it an"
                          " obstacle")  # fmt: skip
@@ -113,6 +114,14 @@ def test_another_sheet_moves_with_the_nearest_body(
     grounds = [note for note in seen.notes if "as a ground does" in note]
     assert len(grounds) == flat
     assert all("but it moves with the nearest body: " in note for note in grounds)
+
+
+@pytest.mark.parametrize(("y", "options"), [(0.5, {}), (4.0, {"floor": 4.0})])
+def test_scenery_at_the_floor_has_no_note_on_it(tmp_path: Path, y: float, options: dict) -> None:
+    path = tmp_path / "a.usda"
+    with_sheet(path, 200.0, y)
+    notes = inspect(path, particles=300, **options).notes
+    assert [note for note in notes if "puts the floor there" in note] == []
 
 
 def test_it_stays_at_a_coarser_resolution_too(tmp_path: Path) -> None:
