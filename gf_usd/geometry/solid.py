@@ -102,10 +102,13 @@ class Solid:
 
     @property
     def filled(self) -> dict[str, int]:
-        """The surface that each filled mesh is, or is a part of, by prim path."""
+        """The surface that each filled mesh is, or is a part of, by prim path; inner sides of walls
+        are part of that of the outer side.
+        """
         index = {s.path: k for k, s in enumerate(self.surfaces)}
         parts = {path: index[group[0]] for group in self.joined for path in group}
-        return index | {path: k for path, k in parts.items() if path not in index}
+        sides = {inner: index[outer] for inner, outer in self.walls.items()}
+        return sides | parts | index
 
     def inside(self, X: Floats) -> NDArray[np.bool_]:
         """(n,) True for points (n, 3) [m] inside any of the surfaces."""
@@ -117,6 +120,10 @@ class Solid:
                 out[left[found]] = True
                 left, X = left[~found], X[~found]
         return out
+
+    def adding_nothing(self) -> set[str]:
+        """`enclosed`, and the paths of joined meshes, which may lie around others as clothes do."""
+        return self.enclosed() | {group[0] for group in self.joined}
 
     def enclosed(self) -> set[str]:
         """Prim paths of surfaces that are inside another one, and add nothing to the union."""

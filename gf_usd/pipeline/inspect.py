@@ -227,7 +227,7 @@ def lost_volume(seen: Inspection, solid: Solid) -> str:
         for d in seen.diagnoses
         if seen.fill_of(d.path)[0] == "filled" and d.path not in parts
     ]
-    return lost_volume_warning(filled, seen.plan.particles.volume, solid.enclosed)
+    return lost_volume_warning(filled, seen.plan.particles.volume, solid.adding_nothing)
 
 
 def _part(part: Part) -> dict[str, Any]:

@@ -126,3 +126,31 @@ def test_a_bake_moves_both_sides(tmp_path: Path) -> None:
         first, last = (np.asarray(points.Get(code)) for code in (1.0, 4.0))
         fallen = 0.5 * 9.81 * (3.0 / 24.0) ** 2
         np.testing.assert_allclose(last - first, np.tile([0.0, -fallen, 0.0], (162, 1)), atol=1e-4)
+
+
+SUBSET = """
+    def GeomSubset "Half"
+    {
+        uniform token elementType = "face"
+        uniform token familyName = "pins"
+        int[] indices = [0, 1, 2, 3, 4, 5, 6, 7]
+    }
+"""
+
+
+def test_an_inner_side_can_be_pinned(tmp_path: Path) -> None:
+    """It was refused as a mesh that is not filled."""
+    inner = ball("Inner", 0.8, inward=True)
+    end = inner.rindex("}")
+    prims = (ball("Outer", 1.0), inner[:end] + SUBSET + inner[end:])
+    seen = seen_of(tmp_path, *prims, pins=["/Root/Inner/Half"])
+    assert seen.refusal is None
+    assert seen.plan is not None
+    assert len(seen.plan.pins) == 1
+
+
+def test_meshes_of_different_advised_materials_are_no_wall(tmp_path: Path) -> None:
+    steel, foam = ball("steel_shell", 1.0), ball("foam_core", 0.8, inward=True)
+    seen = seen_of(tmp_path, steel, foam, material="auto")
+    assert seen.plan is not None
+    assert {one.material for one in seen.plan.advice} == {"metal", "foam"}

@@ -99,6 +99,11 @@ def _adjacent(
     low, high = welded.min(1), welded.max(1)
     order = np.lexsort((high, low))
     same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
+    # where three meshes meet, as a mesh and its copies do, it is not known which two are neighbors
+    crowded = np.zeros(len(same), bool)
+    crowded[1:] |= same[:-1]
+    crowded[:-1] |= same[1:]
+    same &= ~crowded
     # votes of the common edges: neighbors that face the same way run along them in opposite
     # directions
     votes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))

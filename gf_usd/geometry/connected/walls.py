@@ -16,6 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
 from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.geometry.connected.joined import Joined
 from gf_usd.geometry.connected.merged import corner_values, material_rows
 from gf_usd.geometry.solid import Bounds, closed_triangles
 from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
@@ -45,11 +46,14 @@ class Walls:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on what is filled, and on pairs of which that is not clear."""
+        others = len(self.outer) - MOST_NOTED
         joined = tuple(
-            f"<{inner}> faces into <{outer}>, as the inner side of a wall does: only the wall"
+            f"<{inner}> faces into <{outer}>"
+            + (f" (and {others} more pairs are alike)" if others > 0 and not k else "")
+            + ", as the inner side of a wall does: only the wall"
             f" between them is filled, with the material of <{outer}>. If <{inner}> is a body of"
             f" its own, turn its faces outward{ORIENTATION}"
-            for inner, outer in self.outer.items()
+            for k, (inner, outer) in enumerate(list(self.outer.items())[:MOST_NOTED])
         )
         more = len(self.unclear) - MOST_NOTED
         return joined + tuple(
@@ -60,6 +64,15 @@ class Walls:
             for k, (inner, outer) in enumerate(self.unclear[:MOST_NOTED])
         )
 
+    def with_parts(self, joined: Joined) -> tuple[Walls, Joined]:
+        """The same with every mesh of a joined inner side, and the joined meshes that are none."""
+        outer = dict(self.outer)
+        for group in joined.groups:
+            if group[0] in outer:
+                outer |= dict.fromkeys(group, outer[group[0]])
+        left = tuple(group for group in joined.groups if group[0] not in outer)
+        return replace(self, outer=outer), replace(joined, groups=left)
+
 
 def find_walls(asset: Asset, one_thing: Callable[[str, str], bool]) -> Walls:
     """The walls among the surfaces of an asset, of consistent winding.
@@ -67,9 +80,9 @@ def find_walls(asset: Asset, one_thing: Callable[[str, str], bool]) -> Walls:
     one_thing : of two prim paths, whether they may be sides of one wall.
     """
     own = [s for s in asset.surfaces if not s.skinned and s.splats is None]
-    volume = np.array([signed_volume(s.points, s.triangles) for s in own])
     if len(own) < 2:
         return Walls()
+    volume = np.array([_capped_volume(s) for s in own])
     points = [s.face_points for s in own]
     low, high = np.array([p.min(0) for p in points]), np.array([p.max(0) for p in points])
     size = np.abs(volume)
@@ -102,7 +115,19 @@ def find_walls(asset: Asset, one_thing: Callable[[str, str], bool]) -> Walls:
             found[own[k].path] = own[host].path
         else:
             unclear.append((own[k].path, own[host].path))
-    return Walls(outer=found, unclear=tuple(unclear))
+    # what is in a cavity is not the side of a wall
+    return Walls(outer=found, unclear=tuple(pair for pair in unclear if pair[1] not in found))
+
+
+def _capped_volume(surface: Surface) -> float:
+    """[m^3] signed, with the holes of an open surface closed by fans."""
+    edges = Edges.of(surface.representative[surface.triangles])
+    points, triangles = [surface.points], [surface.triangles]
+    for hub, loop in enumerate(boundary_loops(edges)[0], len(surface.points)):
+        ends = edges.directed[loop]
+        points.append(surface.points[ends[:, 0]].mean(0, keepdims=True))
+        triangles.append(np.column_stack([ends[:, 1], ends[:, 0], np.full(len(ends), hub)]))
+    return signed_volume(np.concatenate(points), np.concatenate(triangles))
 
 
 def _share_in(bounds: Bounds, surface: Surface) -> float:

@@ -41,8 +41,8 @@ def flow_of(
     later = np.setdiff1d(ready, np.unique(body[flows]))
     both = np.setdiff1d(ready, later)
     surface = np.asarray(particles.surface)
-    meshes = [s.path for k, s in enumerate(solid.surfaces) if flows[surface == k].any()]
-    filled = {s.path for s in solid.surfaces}
+    filled = solid.filled
+    meshes = [path for path, k in filled.items() if flows[surface == k].any()]
     meshes += [
         path
         for path, of in bodies.embedded.items()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -108,7 +108,7 @@ def plan_bodies(
         radius=radius,
         surfaces=names,
         embedded=_embedded(
-            asset, dict(zip(paths, of.tolist())), solid.walls, particles, body, owners
+            asset, {path: int(of[k]) for path, k in solid.filled.items()}, particles, body, owners
         ),
         notes=tuple(notes),
     )
@@ -203,13 +203,13 @@ def _fuse_small(
 def _embedded(
     asset: Asset,
     filled: dict[str, int],
-    walls: Mapping[str, str],
     particles: Particles,
     body: Ints,
     owners: dict[str, str],
 ) -> dict[str, int]:
-    """The body that each surface moves with: its own, that of the wall (see `Solid.walls`) that it
-    bounds, or the one nearest to most of its points.
+    """The body that each surface moves with: its own, or the one nearest to most of its points.
+
+    filled : of the meshes that are filled, or parts of one (`Solid.filled`).
 
     A surface with an owner moves with a body of that owner, if there is one, and one of a component
     with a body of that.
@@ -222,8 +222,8 @@ def _embedded(
     trees: dict[frozenset[int], Any] = {}
     out = {}
     for surface in asset.surfaces:
-        if (whole := walls.get(surface.path, surface.path)) in filled:
-            out[surface.path] = filled[whole]
+        if surface.path in filled:
+            out[surface.path] = filled[surface.path]
             continue
         owner = belongs[surface.path]
         mine = frozenset(of_owner.get(owner, every) if owner else every)

@@ -196,16 +196,22 @@ def fill(
 
 
 def _one_thing(asset: Asset, spec: StageSpec, one: str, two: str) -> bool:
-    """Whether two meshes are of one physics body, component and material of the stage."""
+    """Whether an inner and an outer mesh are of one physics body, component and material of the
+    stage.
+    """
 
-    def of(path: str) -> tuple[str, str | None, PhysicsMaterialSpec]:
-        body, bake = spec.bodies.get(path), spec.bakes.get(path)
+    def of(path: str) -> tuple[str, str | None, str, PhysicsMaterialSpec]:
+        body, bake, advice = spec.bodies.get(path), spec.bakes.get(path), spec.advice.get(path)
         return (
             body.owner if body else "",
             bake.material if bake else None,
+            advice.material if advice else "",
             body.spec if body else PhysicsMaterialSpec(),
         )
 
+    inner = spec.bodies.get(one)
+    if one in spec.painted or (inner and inner.subsets):  # values that the outer mesh cannot have
+        return False
     component = {s.path: s.component for s in asset.surfaces if s.path in (one, two)}
     return len(set(component.values())) == 1 and of(one) == of(two)
 
@@ -217,7 +223,9 @@ def _of_their_own(spec: StageSpec) -> set[str]:
         for body in spec.physics.bodies
         if body.owner or body.mass_of or body.material or body.subsets or body.density is not None
     }
-    return bodies | set(spec.painted) | {path for path, bake in spec.bakes.items() if bake.material}
+    own = bodies | set(spec.painted) | {path for path, bake in spec.bakes.items() if bake.material}
+    advised = {one.material for one in spec.advice.values()}
+    return own | set(spec.advice) if len(advised) > 1 else own
 
 
 def _floor_notes(floating: bool, asset: Asset, poses: Poses | None) -> tuple[str, ...]:
@@ -228,11 +236,15 @@ def _ground_notes(inputs: Inputs, scenery: Sequence[Surface]) -> tuple[str, ...]
     if inputs.file is None:  # bodies and obstacles of a scene have calls of their own
         return ()
     asset = inputs.asset
+    filled = inputs.solid.filled
     by_default = scenery and inputs.request.floor is None and not inputs.request.pins
     return (
         *(floor_notes(scenery, inputs.solid.surfaces, asset.facts) if by_default else ()),
         *ground_notes(
-            asset.surfaces, dict(inputs.solid.embedded), asset.facts.up, asset.facts.units.length
+            (*inputs.solid.surfaces, *(s for s in asset.surfaces if s.path not in filled)),
+            dict(inputs.solid.embedded),
+            asset.facts.up,
+            asset.facts.units.length,
         ),
     )
 

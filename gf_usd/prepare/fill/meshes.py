@@ -67,7 +67,8 @@ def build_meshes(
     joined = Joined(asset=oriented)
     if apart is not None and not repair:
         joined = joined_surfaces(oriented, apart)
-    walls = find_walls(joined.asset, one_thing) if one_thing else Walls()
+    sides = find_walls(joined.asset, one_thing) if one_thing else Walls()
+    walls, joined = sides.with_parts(joined)
 
     def made(filled: Asset) -> Solid:
         solid = build_solid(filled, repaired=repair)
@@ -76,7 +77,7 @@ def build_meshes(
 
     if repair:
         display, filled, repairs, spacing = repair_for_fill(
-            with_walls(asset, walls), resolution, paper=paper
+            with_walls(asset, sides), resolution, paper=paper
         )
         return FilledMeshes(
             asset=_as_authored(display, asset, walls),
@@ -87,13 +88,13 @@ def build_meshes(
         )
     if built:
         return FilledMeshes(asset=oriented, solid=built)
-    solid = replace(made(with_walls(joined.asset, walls)), joined=joined.groups)
+    solid = replace(made(with_walls(joined.asset, sides)), joined=joined.groups)
     changed = {*walls.outer.values(), *(paths[0] for paths in joined.groups)}
     by_path = {} if turned else {one.path: one for one in known if one.path not in changed}
     diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
     defects = (
         *(tolerated_defects(diagnosis) for diagnosis in diagnoses),
-        lost_volume_warning(diagnoses, solid.volume, solid.enclosed),
+        lost_volume_warning(diagnoses, solid.volume, solid.adding_nothing),
     )
     notes_on = (*turned, *joined.notes, *filter(None, defects), *walls.notes)
     return FilledMeshes(asset=oriented, solid=solid, notes=notes_on)

@@ -15,6 +15,7 @@ from gf_usd.core.mesh import signed_volume
 from gf_usd.geometry.connected.joined import joined_surfaces
 from gf_usd.geometry.solid import build_solid
 from gf_usd.geometry.surface import Nearest, colors
+from gf_usd.pipeline.inspect import Inspection
 
 
 def part(whole: Surface, rows: np.ndarray, path: str, **more) -> Surface:
@@ -181,3 +182,40 @@ def test_a_part_can_be_pinned(tmp_path: Path) -> None:
     assert seen.refusal is None
     assert seen.plan is not None
     assert len(seen.plan.pins) == 1
+
+
+def test_a_mesh_and_its_copy_are_not_joined_with_a_third_one() -> None:
+    """Their faces canceled: only the third one was filled."""
+    large, small = slices(BALL, 0.6)
+    copy = replace(large, path="/Copy")
+    assert joined_surfaces(asset(large, copy, small)).groups == ()
+
+
+def can_on_water(path: Path) -> Inspection:
+    """A box in three meshes (bottom, sides, top), on a box of water."""
+    box = cube((0.0, 1.0, 0.0), 1.0)
+    middle = box.points[box.triangles].mean(1)[:, 1]
+    rows = [np.flatnonzero(m) for m in (middle < 1.01, abs(middle - 1.5) < 0.45, middle > 1.99)]
+    names = ("/Bottom", "/Sides", "/Top")
+    parts = [part(box, some, name) for some, name in zip(rows, names, strict=True)]
+    write_parts(path, [*parts, cube((0.0, 0.0, 0.0), 1.0, path="/Under")])
+    water = 'def Mesh "Under" {\n        custom token gaussianFlesh:material = "water"'
+    text = path.read_text("utf-8").replace('def Mesh "Under" {', water)
+    path.write_text(text, encoding="utf-8")
+    return inspect(path, particles=400)
+
+
+def test_every_part_moves_with_the_body_that_it_bounds(tmp_path: Path) -> None:
+    """The bottom of a can followed the water that it stood on, and was hidden with it."""
+    seen = can_on_water(tmp_path / "can.usda")
+    assert seen.plan is not None
+    of = seen.plan.bodies.embedded
+    assert [of[f"/Ball/{name}"] for name in ("Bottom", "Sides", "Top", "Under")] == [0, 0, 0, 1]
+
+
+def test_a_part_is_no_ground(tmp_path: Path) -> None:
+    box = cube((0.0, 1.0, 0.0), 1.0)
+    low = box.points[box.triangles].mean(1)[:, 1] < 1.01
+    parts = [part(box, np.flatnonzero(low), "/Bottom"), part(box, np.flatnonzero(~low), "/Rest")]
+    seen = inspect(write_parts(tmp_path / "box.usda", parts), particles=400)
+    assert [note for note in seen.notes if "as a ground does" in note] == []

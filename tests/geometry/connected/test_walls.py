@@ -10,6 +10,7 @@ from solids import asset, cube, sphere, surface
 
 from gf_usd.core.asset import Surface, SurfaceMaterial, Texture
 from gf_usd.core.mesh import boundary_edges, shells, signed_volume
+from gf_usd.geometry.connected.joined import joined_surfaces
 from gf_usd.geometry.connected.walls import Walls, find_walls, with_walls
 from gf_usd.geometry.solid import build_solid, closed_triangles
 from gf_usd.geometry.surface import colors, nearest
@@ -167,3 +168,31 @@ def test_a_cube_in_a_sphere_beside_others() -> None:
     beside = sphere(0.2, (3.0, 0.0, 0.0), path="/Beside")
     whole = with_walls(asset(core, beside, OUTER), walls(core, beside, OUTER))
     assert [s.path for s in whole.surfaces] == ["/Beside", "/Outer"]
+
+
+def test_holes_count_to_the_size_of_a_mesh() -> None:
+    """A cup that is open at the top was taken for smaller than the closed mesh in it."""
+    outer, inner = cup(1.0, 0.0, 2.0), sphere(0.8, path="/Inner")
+    tall = replace(inner, points=inner.points * (1.15, 1.15, 1.15) + (0.0, 1.0, 0.0))
+    assert dict(walls(turned(tall), outer).outer) == {"/Inner": "/Outer"}
+
+
+def test_what_fills_a_cavity_is_no_side_of_the_wall() -> None:
+    content = sphere(0.75, path="/Content")
+    found = walls(OUTER, turned(INNER), content)
+    assert dict(found.outer) == {"/Inner": "/Outer"}
+    assert found.unclear == ()
+
+
+def test_every_mesh_of_an_inner_side_is_part_of_the_wall() -> None:
+    inner = turned(INNER)
+    high = inner.points[inner.triangles].mean(1)[:, 1] > 0.0
+    halves = [
+        replace(inner, path=path, triangles=inner.triangles[rows],
+                triangle_corners=inner.triangle_corners[rows])
+        for path, rows in (("/High", high), ("/Low", ~high))
+    ]  # fmt: skip
+    joined = joined_surfaces(asset(OUTER, *halves))
+    found, left = find_walls(joined.asset, lambda one, two: True).with_parts(joined)
+    assert dict(found.outer) == {"/High": "/Outer", "/Low": "/Outer"}
+    assert left.groups == ()

@@ -61,6 +61,8 @@ from gf_usd.physics.updated_lagrangian.kernels.walls import move_walled_node, su
 from gf_usd.physics.updated_lagrangian.walls import PARTS
 from gf_usd.system.taichi_runtime import without_common_subexpressions
 
+# particles whose cells one thread of a GPU numbers between two barriers: others wait for a second
+NUMBERED = 16_384
 STRIDE = 32  # a CPU thread of Taichi has at least 512 iterations: use every 32nd
 
 REALS = (
@@ -272,13 +274,14 @@ def build(
                         count_particle(body, p, ih, phase, node_capacity, cell_capacity, False)
                     done = barrier(body, z, blocks, done)
                     if body.grid[MISSING] > 0:
-                        if z == 0:
-                            for p in range(n):
-                                if body.key[p] < 0:
-                                    count_particle(
-                                        body, p, ih, phase, node_capacity, cell_capacity, True
-                                    )
-                        done = barrier(body, z, blocks, done)
+                        for part in range((n + NUMBERED - 1) // NUMBERED):
+                            if z == 0:
+                                for p in range(part * NUMBERED, ti.min((part + 1) * NUMBERED, n)):
+                                    if body.key[p] < 0:
+                                        count_particle(
+                                            body, p, ih, phase, node_capacity, cell_capacity, True
+                                        )
+                            done = barrier(body, z, blocks, done)
                     for turn in range(turns(z, blocks, body.grid[CELLS])):
                         claim_range(body, item(z, blocks, turn))
                     done = barrier(body, z, blocks, done)
