@@ -108,7 +108,8 @@ def fill(
     )  # fmt: skip
     meshes = build(asset, built=built)
     if request.flesh and file is not None:
-        spacing = float(np.cbrt(meshes.solid.volume / (request.particles or DEFAULT_PARTICLES)))
+        by_count = np.cbrt(meshes.solid.volume / (request.particles or DEFAULT_PARTICLES))
+        spacing = request.spacing * unit if request.spacing else float(by_count)
         alone = without_props(meshes.asset, meshes.solid, file, spacing)
         if len(alone.surfaces) < len(meshes.asset.surfaces):
             asset = replace(
