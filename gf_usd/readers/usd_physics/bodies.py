@@ -38,7 +38,7 @@ from gf_usd.readers.usd_physics.attributes import (
     switch,
     vector,
 )
-from gf_usd.readers.usd_physics.materials import density_in_si, read_material_spec
+from gf_usd.readers.usd_physics.materials import read_material_spec
 from gf_usd.readers.usd_physics.motion import (
     Readings,
     matrix,
@@ -139,13 +139,12 @@ def _mass(
 def _density(
     prim: Usd.Prim, owner: Usd.Prim | None, here: Reading, units: StageUnits
 ) -> float | None:
-    """Density [kg/m^3] of the prim nearest to the mesh; raises InputError as `density_in_si`."""
+    """Density [kg/m^3] of the prim nearest to the mesh."""
     for one in reversed(_chain(prim, owner, here.time)):
         value = number(here.path, one, DENSITY, here.time)
         require_constant(here.path, one.GetAttribute(DENSITY))
         if value:
-            where = f"{here.path}: <{one.GetPath()}>"
-            return density_in_si(where, value, units)
+            return value * units.density
     return None
 
 

@@ -55,7 +55,7 @@ def read_material_spec(
         nu = _poissons_ratio(authored, where, assume)
     density = _number(authored, "density", where, unstated=lenient)
     if density is not None:
-        density = density_in_si(where, density, units)
+        density = _density(where, density, units)
     law = authored(OURS + "law")
     if law is not None and law not in LAWS:
         raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAWS)}")
@@ -74,8 +74,8 @@ def read_material_spec(
     )
 
 
-def density_in_si(where: str, authored: float, units: StageUnits) -> float:
-    """[kg/m^3] of a density in stage units.  Raises InputError for one that no matter has."""
+def _density(where: str, authored: float, units: StageUnits) -> float:
+    """[kg/m^3] of a density in stage units."""
     try:
         return _within(where, "density [kg/m^3]", authored * units.density, 0.0, 1e6)
     except InputError as error:

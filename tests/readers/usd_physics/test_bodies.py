@@ -56,13 +56,6 @@ def test_mass_and_density_are_in_si(read_physics) -> None:
     assert body.resolve(BASE).youngs_modulus == BASE.youngs_modulus
 
 
-def test_a_density_of_other_units_is_refused(read_physics) -> None:
-    """A cube of half a meter had 125,000 tons, without a note."""
-    duck = mesh("Duck", "float physics:density = 1000", apis=[MASS])
-    with pytest.raises(InputError, match=r"</Duck>: density .* is 1e\+09: it is authored as 1000"):
-        read_physics(duck, layer=head(0.01))
-
-
 @pytest.mark.parametrize("line", ["float physics:mass = 0", "float physics:density = 0"])
 def test_zero_is_no_statement(read_physics, line: str) -> None:
     body = only(read_physics(mesh("Duck", line, apis=[MASS])))
