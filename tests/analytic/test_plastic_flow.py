@@ -29,7 +29,9 @@ MU = E / (2.0 * (1.0 + NU))
 HARD = HARDENING * MU  # [Pa]
 YIELD = 200.0  # [Pa]: a strain of 0.02
 RATE = np.array([[4.0, 2.0, 0.0], [0.0, -3.0, 1.0], [2.0, 0.0, -1.0]])  # [1/s]
-families = pytest.mark.parametrize("family", slow_but(["simd", "scalar", "ul"], "simd"))
+FAMILIES = ["simd", "scalar", "ul"]
+families = pytest.mark.parametrize("family", slow_but(FAMILIES, "simd"))
+longest_families = pytest.mark.parametrize("family", longest_but(FAMILIES, "simd"))
 
 
 @pytest.fixture(autouse=True)
@@ -132,7 +134,7 @@ def test_a_bar_yields_hardens_and_springs_back(family, real, tolerance):
 
 
 @pytest.mark.slow
-@families
+@longest_families
 def test_energy_that_flow_takes_is_its_plastic_work(family):
     press = Press(family, np.float64)
     volume = float(press.solver.particles.V0.sum())
@@ -371,7 +373,7 @@ def test_the_guard_counts_what_flow_takes_as_taken(family):
 
 
 @pytest.mark.slow
-@families
+@longest_families
 def test_three_laws_in_one_bake_each_move_as_alone(family):
     """Bodies of their own, three cells apart, so that none feels the others."""
     one = block((0.0, 0.0, 0.0), (3, 2, 2), 0.25)

@@ -42,7 +42,7 @@ def test_stress_is_uniform(token, real, tolerance):
 
 
 @pytest.mark.slow  # compiles kernels of double precision
-@pytest.mark.parametrize("token", longest_but(ENERGIES, "corotated", "fluid"))
+@pytest.mark.parametrize("token", longest_but(ENERGIES, "corotated"))
 def test_forces_add_up_to_nothing_and_vanish_inside(token):
     # sum_p V0 tau grad w over a filled lattice is what a uniform stress does to a node: nothing but
     # the error of eight points a cell, against h^2 tau at the surface.

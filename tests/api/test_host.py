@@ -145,6 +145,7 @@ print(any('already runs Taichi' in note for note in result.notes), mine.to_numpy
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_nothing_stays_replaced(tmp_path: Path) -> None:
     output = run(
         tmp_path,

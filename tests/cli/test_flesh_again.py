@@ -34,6 +34,7 @@ ARGUMENTS = (
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_flesh_again_and_in_a_batch_is_the_same(gf_usd: Call, here: Path) -> None:
     write(here, arm())
     for folder in ("one/", "two/"):

@@ -122,6 +122,7 @@ def test_it_is_deterministic() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_many_points_are_fitted_by_some_and_bound_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error that is stated is that of all points, and within the tolerance at the end."""
     rng = np.random.default_rng(4)

@@ -31,6 +31,7 @@ def script() -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_example_runs(tmp_path: Path) -> None:
     paste(script(), tmp_path, particles=5000, frames=9)
     report = json.loads((tmp_path / "certain.report.json").read_text("utf-8"))

@@ -216,6 +216,7 @@ def test_what_a_law_remembers_is_written_on_request(
         pytest.param("ul", "vonMisesNeoHookean", marks=pytest.mark.acceptance),
     ],
 )
+@pytest.mark.acceptance
 def test_flow_over_another_energy_leaves_the_same_dent(
     tmp_path: Path, solver: str, token: str
 ) -> None:

@@ -179,7 +179,9 @@ def test_what_stays_solid_continues_as_it_was() -> None:
         assert way < 1e-4 * h
 
 
-@pytest.mark.parametrize("last", ["powder-snow", pytest.param("honey", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "last", ["powder-snow", pytest.param("honey", marks=pytest.mark.acceptance)]
+)
 def test_bodies_leave_one_by_one_and_a_flow_is_joined(last: str) -> None:
     run = converting(
         ("rubber", "powder-snow", "rubber"), {0: at(2.0), 2: at(4.0, last)},

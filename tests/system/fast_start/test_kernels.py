@@ -276,6 +276,7 @@ def test_another_version_of_taichi_is_left_alone(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_path: Path) -> None:
     """All that is written, and under the same keys of kernels."""
     script = (

@@ -45,7 +45,7 @@ def state(run):
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
+        pytest.param({}, marks=pytest.mark.acceptance),
         pytest.param({"law": "neoHookean"}, marks=pytest.mark.acceptance),
         {"stress_cap": 3e3, "clamp": (0.9, 1.1), "wls": True, "procrustes": 0.02},
     ],
