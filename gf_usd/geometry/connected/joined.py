@@ -65,13 +65,14 @@ def joined_surfaces(asset: Asset, apart: Collection[str] = ()) -> Joined:
         return Joined(asset=asset)
     found = [(s, boundary_edges(s.representative[s.triangles])) for s in pieces]
     pieces, edges = [s for s, e in found if len(e)], [e for _, e in found if len(e)]
-    if len(pieces) < 2 or not any(closed_triangles(s)[2] for s in pieces):
+    without_volume = {s.path for s in pieces if closed_triangles(s)[2]}
+    if len(pieces) < 2 or not without_volume:
         return Joined(asset=asset)
     made: dict[str, Surface | None] = {}
     groups = []
     for members, against in _adjacent(pieces, edges):
         group = [pieces[k] for k in members]
-        if all(not closed_triangles(s)[2] for s in group):
+        if without_volume.isdisjoint(s.path for s in group):
             continue
         one = _one_surface(group, against)
         if closed_triangles(one)[2]:

@@ -19,9 +19,6 @@ FLAT = 0.05  # its height, as a share of its smaller width
 SUNK = 0.05  # how far others are below its top, as a share of their height
 LARGER = 3.0  # the diagonal of scenery, over that of all bodies
 UPRIGHT = 0.5  # sine of the slope of a wall's normal, at most
-EMPTY = 0.25  # share of a room's volume that is filled, at most
-ON_WALL = 1e-3  # how far bodies reach beyond the box of a room, as a share of its size, at most
-TESTED = 64  # points of a body, about, that are tested for being in a room
 SCENERY = (
     "it encloses no volume, lies under the bodies and reaches far beyond them, as a ground or a"
     " backdrop does"

@@ -110,13 +110,9 @@ def fill(
     if request.flesh and file is not None:
         by_count = np.cbrt(meshes.solid.volume / (request.particles or DEFAULT_PARTICLES))
         spacing = request.spacing * unit if request.spacing else float(by_count)
-        alone = without_props(meshes.asset, meshes.solid, file, spacing)
-        if len(alone.surfaces) < len(meshes.asset.surfaces):
-            asset = replace(
-                asset,
-                surfaces=tuple(s for s in asset.surfaces if s.path not in dict(alone.skipped)),
-                skipped=alone.skipped,
-            )
+        alone = without_props(asset, meshes.solid, file, spacing)
+        if alone is not asset:
+            asset = alone
             meshes = build(asset)
     scenery: list[Surface] = []
     if in_scene:

@@ -64,6 +64,8 @@ def build_meshes(
     from gf_usd.geometry.solid import build_solid
 
     oriented, turned = consistently_oriented_asset(asset)
+    if built and not repair:
+        return FilledMeshes(asset=oriented, solid=built)
     joined = Joined(asset=oriented)
     if apart is not None and not repair:
         joined = joined_surfaces(oriented, apart)
@@ -86,8 +88,6 @@ def build_meshes(
             thickened=any(one.thickened for one in repairs),
             spacing=spacing,
         )
-    if built:
-        return FilledMeshes(asset=oriented, solid=built)
     solid = replace(made(with_walls(joined.asset, sides)), joined=joined.groups)
     changed = {*walls.outer.values(), *(paths[0] for paths in joined.groups)}
     by_path = {} if turned else {one.path: one for one in known if one.path not in changed}
