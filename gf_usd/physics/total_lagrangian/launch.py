@@ -75,7 +75,7 @@ class Launches:
         done = 0
         while done < substeps:
             many = self._substeps_per_launch(substeps - done)
-            ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
+            ends = ends_of(done, many, substeps)
             when = (every, (state.done + done) % every if every else 0)
             if self.thread_count:
                 tail = (many, ends, *when, *numbers)
@@ -93,7 +93,7 @@ class Launches:
         """The number of the remaining substeps that the next launch runs."""
         if self.thread_count:
             return self.thread_count.fitting(substeps)
-        return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
+        return fitting(substeps, self._pace)
 
     def _blocks(self, counts: tuple[int, ...]) -> int:
         """Number of thread blocks for these item counts: a barrier is faster with fewer blocks."""
@@ -112,6 +112,16 @@ class Launches:
 
     def _launch_queued(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
         self._kernel(*counts, threads, *tail)
+
+
+def fitting(substeps: int, pace: float) -> int:
+    """The number of the remaining substeps that the next launch runs; pace : [s] of one."""
+    return max(1, min(substeps, int(LAUNCH_SECONDS / pace)))
+
+
+def ends_of(done: int, many: int, substeps: int) -> int:
+    """OPENS and CLOSES of a launch of `many` of `substeps` substeps, after `done` of them."""
+    return (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
 
 
 def require_resident(state: DeviceState, blocks: int) -> None:
@@ -167,7 +177,7 @@ class ThreadCount:
 
     def fitting(self, substeps: int) -> int:
         """The number of the remaining substeps that the next launch runs."""
-        return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
+        return fitting(substeps, self._pace)
 
     def launch(self, work: Callable[[int], None], substeps: int) -> None:
         """Call `work` with the number of threads for which cores seem to be available."""

@@ -29,9 +29,9 @@ from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.time_step import per_cell, strained_step, substeps_of
-from gf_usd.physics.total_lagrangian.launch import GUESS, LAUNCH_SECONDS, require_resident
+from gf_usd.physics.total_lagrangian.launch import GUESS, ends_of, fitting, require_resident
 from gf_usd.physics.total_lagrangian.setup import floor_height
-from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS
+from gf_usd.physics.total_lagrangian.stages import BLOCK
 from gf_usd.physics.updated_lagrangian.conversion import Conversions
 from gf_usd.physics.updated_lagrangian.energies import (
     Losses,
@@ -296,10 +296,9 @@ class UpdatedLagrangian(Solver):
         blocks = min(self.body.kernels.held, -(-n // BLOCK))
         done = 0
         while done < substeps:
-            many = max(1, min(substeps - done, int(LAUNCH_SECONDS / self._pace)))
-            ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
+            many = fitting(substeps - done, self._pace)
             began = time.perf_counter()
-            launch(*counts, blocks, many, ends, *tail)
+            launch(*counts, blocks, many, ends_of(done, many, substeps), *tail)
             require_resident(self.state, blocks)
             self._pace = (time.perf_counter() - began) / many
             done += many

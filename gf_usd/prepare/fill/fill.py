@@ -36,7 +36,7 @@ from gf_usd.prepare.bodies.grounds import (
     without_room_parts,
     without_scenery,
 )
-from gf_usd.prepare.bodies.sampling import SampledBodies
+from gf_usd.prepare.bodies.sampling import SampledBodies, spacing_of
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
 from gf_usd.prepare.fill.constraints import constrain, springs_of
@@ -108,8 +108,8 @@ def fill(
     )  # fmt: skip
     meshes = build(asset, built=built)
     if request.flesh and file is not None:
-        by_count = np.cbrt(meshes.solid.volume / (request.particles or DEFAULT_PARTICLES))
-        spacing = request.spacing * unit if request.spacing else float(by_count)
+        by_count = spacing_of(meshes.solid.volume, request.particles or DEFAULT_PARTICLES)
+        spacing = request.spacing * unit if request.spacing else by_count
         alone = without_props(asset, meshes.solid, file, spacing)
         if alone is not asset:
             asset = alone

@@ -12,6 +12,7 @@ from solids import ball, preset_material, settings
 from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.core.stage import Pin
 from gf_usd.physics.frame_loop import Solver
+from gf_usd.physics.total_lagrangian import launch
 from gf_usd.physics.updated_lagrangian import solver as module
 from gf_usd.physics.updated_lagrangian import state as state_module
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
@@ -73,7 +74,7 @@ def test_how_substeps_are_cut_into_launches_does_not_change_a_bit(monkeypatch):
     whole, cut = dropped(frames=3), dropped(frames=3)
     for solver, seconds in ((whole, 1e9), (cut, 1e-9)):
         solver.kernel = "resident"
-        monkeypatch.setattr(module, "LAUNCH_SECONDS", seconds)
+        monkeypatch.setattr(launch, "LAUNCH_SECONDS", seconds)
         list(solver.frames())
     assert np.array_equal(state(whole), state(cut))
 
