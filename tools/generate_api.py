@@ -39,6 +39,9 @@ GROUPS = {
                "UnhealthyError"),
 }  # fmt: skip
 OF_ASSET = ("bake", "inspect")  # their keywords are the table of options
+# Defaults that differ from those of the command line, and what Python raises where a command exits.
+DEFAULTS = {"limits": "none: this process reads the file"}
+RAISED = {"(status 4)": "(raises UnhealthyError)", "(status 5)": "(raises Unfinished)"}
 HEAD = """<!-- Written by tools/generate_api.py from the docstrings: do not edit. -->
 
 # Python reference
@@ -226,8 +229,12 @@ def option_table() -> Iterator[str]:
     """The keywords of a bake."""
     yield from ("| keyword | default | meaning |", "|---|---|---|")
     for name, option in OPTIONS.items():
-        shown = cell(BAKE.text(option.shown)) or f"`{option.default!r}`".replace("`None`", "none")
-        yield f"| `{name}` | {shown} | {cell(BAKE.text(option.help))} |"
+        shown = cell(BAKE.text(DEFAULTS.get(name, option.shown)))
+        shown = shown or f"`{option.default!r}`".replace("`None`", "none")
+        meaning = cell(BAKE.text(option.help))
+        for status, raised in RAISED.items():
+            meaning = meaning.replace(status, raised)
+        yield f"| `{name}` | {shown} | {meaning} |"
     yield "| `progress` | none | Called after each frame with (frames done, total frames). |"
 
 

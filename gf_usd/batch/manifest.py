@@ -175,7 +175,10 @@ def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path,
         matches = sorted(glob.glob(str(path), recursive=True))
         files = [Path(match) for match in matches if Path(match).is_file()]
         if not files:
-            raise UsageError(f"{where}: no file matches {pattern}", f"check {folder}")
+            raise UsageError(
+                f"{where}: no file matches {pattern}",
+                f"check the pattern; it refers to the folder {folder}",
+            )
         found.update(dict.fromkeys(absolute(file) for file in files))
     return tuple(found)
 

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
 MOST_MESHES, MOST_PARTS, MOST_LINES = 24, 8, 12  # rows shown; --json has all of them
 FLAT = 1e-9  # of (area)^(3/2): a volume below it is rounding
+FILLS = {  # as shown, by what `Inspection.fill_of` returns
+    "filled": "filled",
+    "rides along": "[yellow]follows the solid[/]",
+    "stays": "[yellow]stays as it is[/]",
+    "refused": "[red]refused[/]",
+}
 PLAIN_WIDTH = 10_000  # columns if the page goes to a file: one line per entry, for grep
 
 
@@ -86,7 +92,7 @@ def _meshes(console: Console, seen: Inspection) -> None:
             str(len(mesh.shells)),
             volume_text(0.0 if mesh.volume <= FLAT * mesh.area**1.5 else mesh.volume),
             _winding(mesh),
-            {"filled": "filled", "refused": "[red]refused[/]"}.get(fill, f"[yellow]{fill}[/]"),
+            FILLS[fill],
         )
     console.print(table)
     if len(seen.diagnoses) > len(rows):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from typing import Any
 
 import typer
@@ -10,6 +11,9 @@ import typer
 # The base class of the parser's errors, of a value or of a command line.
 WrongUsage: Any = typer.BadParameter.__mro__[1]
 KINDS = {"int": "whole number", "float": "number"}
+OUTSIDE = re.compile(r"is not in the range x>=(\S+)$")
+# Words after the last argument: often the rest of a path with spaces.
+EXTRA = re.compile(r"unexpected extra arguments?(?:\(s\))? \((.*)\)$")
 
 
 def usage_message(error: Any) -> str:
@@ -24,27 +28,55 @@ def usage_message(error: Any) -> str:
         message = f"{command} has no option {option}"
         return f"{message}\n\nhint: {close}{command} --help lists its options"
     if parameter is not None and type(error).__name__ == "MissingParameter":
-        wanted = (parameter.metavar or parameter.name).upper()
-        return f"{command} needs {wanted}\n\nhint: give {command} {wanted}; {command} --help"
+        wanted = _word(parameter)
+        needed = [p for p in context.command.params if p.required]
+        line = " ".join((command, *map(_word, needed)))
+        return f"{command} needs {wanted}\n\nhint: give {line}; {command} --help"
     if parameter is not None:
-        name = parameter.opts[-1] if parameter.param_type_name == "option" else parameter.name
+        is_option = parameter.param_type_name == "option"
+        name = _longest(parameter) if is_option else parameter.name
         hint = parameter.help or f"{command} --help"
         for kind, noun in KINDS.items():
             if (wrong := f"is not a valid {kind}") in message:
                 message = message.replace(wrong, f"is not a {noun}")
                 hint = f"give a {noun}. {hint}"
         reason = message.partition(": ")[2] or message
+        if (outside := OUTSIDE.search(reason)) is not None:
+            hint = f"give a number of {outside[1]} or more. {hint}"
         if "is not readable" in reason:
             hint = "change the permissions of the file"
         return f"{name}: {reason}\n\nhint: {hint}"
+    if (extra := EXTRA.search(message)) is not None:
+        return f"{command} does not take {extra[1]} as well\n\nhint: {_fewer(context)}"
     message, _, meant = message.partition(" Did you mean ")
     meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""
     message = f"{message[:1].lower()}{message[1:].rstrip('.')}"
     return f"{message}\n\nhint: {meant}see {command} --help"
 
 
+def _word(parameter: Any) -> str:
+    """An argument, or an option with its value, as the help shows them."""
+    if parameter.param_type_name == "argument":
+        return (parameter.metavar or parameter.name).upper()
+    return f"{_longest(parameter)} {parameter.metavar or parameter.name.upper()}"
+
+
+def _longest(option: Any) -> str:
+    """The flag of an option, rather than its letter."""
+    return max(option.opts, key=len)
+
+
+def _fewer(context: Any) -> str:
+    """What to do about words that are no arguments of a command."""
+    command = context.command_path
+    several = "gf-usd batch bakes several assets; " if context.command.name == "bake" else ""
+    return f"quote a path that contains spaces; {several}{command} --help"
+
+
 def _of_bake(option: str, context: Any) -> str:
-    """How a batch takes an option of bake; "" for another command or option."""
+    """What to do about an option of bake in a batch or an inspection; "" for any other."""
+    if context.command.name == "inspect" and option in _flags_of_bake():
+        return "leave it out: inspect writes no results; "
     if context.command.name != "batch":
         return ""
     if option == "--resume":
@@ -55,6 +87,12 @@ def _of_bake(option: str, context: Any) -> str:
     if row is None:
         return ""
     return f"give it to every job: --set {row.name}={'true' if row.kind is bool else 'VALUE'}; "
+
+
+def _flags_of_bake() -> set[str]:
+    from gf_usd.prepare.options.table import OPTIONS
+
+    return {row.flag for row in OPTIONS.values()}
 
 
 def _nearest(option: str, context: Any) -> str:

@@ -36,7 +36,7 @@ gf-usd materials lists the presets. rubber, metal and jelly deform alike at any 
 such as hard-rubber or mild-steel have moduli in pascals, so their stiffness depends on the size.
 --material takes a preset, a USD file with a material, several of these separated by commas
 (one variant each), or auto. --friction, --restitution and --damping-time change one value.
-A body that is too soft to carry its weight collapses: use a stiffer material. Slender parts, such
+A body that is too soft to support its weight collapses: use a stiffer material. Slender parts, such
 as the legs of a chair, may collapse even of metal: use hard-rubber or mild-steel."""),
     "motion": ("what makes a body move", """\
 A body falls from the height --drop onto a floor (--floor) under --gravity. If the stage has
@@ -70,7 +70,7 @@ gf-usd bake and gf-usd inspect read the nearest gf-usd.toml in the current folde
     drop = 2.5
 
 Names are those of the options, with underscores. The command line takes precedence; the value
-default takes an option back: --drop default, --combine default. A note lists the options that
+default removes an option: --drop default, --combine default. A note lists the options that
 were read, and an unknown name is an error. Batch jobs and bakes with --events do not read this
 file."""),
 }  # fmt: skip

@@ -221,7 +221,7 @@ class Settings:
     first: int = 0  # frame that is written first; below 0 the rest pose is held
     shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
     mass_scaling: float = 1.0  # the moduli of materials that flow were divided by it
-    fields: tuple[Field, ...] = ()  # tl: what pushes besides gravity
+    fields: tuple[Field, ...] = ()  # tl: accelerations in addition to gravity
     rolling: float = 0.0  # tl: coefficient of rolling resistance on floor and obstacles
     settling: bool = False  # tl: damp small bounces, and motion too small to be seen
 

@@ -81,7 +81,11 @@ class Inspection:
         return self.plan.notes if self.plan else self.asset.facts.notes
 
     def fill_of(self, path: str) -> tuple[str, str]:
-        """(filled | rides along | stays | refused, reason) of a mesh."""
+        """(filled | rides along | stays | refused, reason) of a mesh.
+
+        A mesh that rides along encloses no volume and follows the nearest solid; one that stays is
+        not moved.
+        """
         if self.plan is None:
             return "refused", ""
         return self._not_filled.get(path, ("filled", ""))

@@ -106,7 +106,10 @@ def _require_file(path: Path) -> None:
         require_utf8(path)
         with path.open("rb") as file:
             if not file.read(1):
-                raise InputError(f"{path} is empty (0 bytes)", _what_can_be_read())
+                raise InputError(
+                    f"{path} is empty (0 bytes)",
+                    "export or copy it again: writing it may have been interrupted",
+                )
     except OSError as error:
         raise InputError(
             f"{path} cannot be read: {error.strerror or error}",

@@ -37,6 +37,7 @@ UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 TRUST = "if you trust the file, raise the limit or turn it off: --limits"
 NO_MEMORY = "memory"  # written by a child instead of its error message
 FAILED = 1  # exit status of a child that has written an error
+LEAST_MEMORY = 1e9  # [B] of address space, which the libraries of the reader need by themselves
 REFUSALS = (
     "InputError",
     "UsageError",
@@ -62,7 +63,8 @@ class Limits:
 def parse_limits(text: str | None) -> Limits | None:
     """Limits from `--limits`: `time=300,memory=16G,output=1G`, any of them; None for `none`.
 
-    Raises UsageError for an unknown name, or a size that is not above 0.
+    Raises UsageError for an unknown name, a size that is not above 0, or less memory than the
+    reader needs for any file.
     """
     if text is None:
         return Limits()
@@ -81,6 +83,12 @@ def parse_limits(text: str | None) -> Limits | None:
                 " --limits time=600,memory=32G, or --limits none",
             )
         limits = replace(limits, **{name: size})
+    if limits.memory < LEAST_MEMORY:
+        raise UsageError(
+            f"--limits {text!r}: {bytes_text(limits.memory)} of memory are less than the"
+            f" {bytes_text(LEAST_MEMORY)} that the reader itself needs",
+            "give memory=2G or more",
+        )
     return limits
 
 
@@ -228,9 +236,11 @@ def _answer(path: Path, ended: ProcessResult, limits: Limits) -> Any:
         )
     number = -ended.status
     how = f"signal {number}, {signal.Signals(number).name}" if number > 0 else "without output"
+    least = Limits().memory
+    lower = "; or raise --limits memory=BYTES" if limits.memory < least else ""
     raise InputError(
         f"{path} caused its reader to crash ({how})",
-        "the file is probably damaged: export it again, or open it in a USD viewer first",
+        "the file is probably damaged: export it again, or open it in a USD viewer first" + lower,
     )
 
 

@@ -123,7 +123,7 @@ def test_oddities_and_what_to_do_about_them(gf_usd, odd, tmp_path):
     done = gf_usd("inspect", odd, *FEW)
     assert done.status == 0
     assert "inside out  filled" in done.out
-    assert "rides along" in done.out
+    assert "follows the solid" in done.out
     assert "</Root/Box> is filled despite 1 of 1 shell inside out" in done.out
     assert "with --meters-per-unit 0.01 it would be 1.2 m" in done.out
     options = ["--repair", "--meters-per-unit", "0.01"]

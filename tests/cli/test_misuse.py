@@ -201,6 +201,48 @@ def test_what_was_meant_is_named(gf_usd, here: Path, block: Path, line: str, gue
 
 
 @pytest.mark.parametrize(
+    ("line", "needed", "whole"),
+    [
+        ("compare a.usda", "B", "gf-usd compare A B"),
+        ("deliver a.usda", "--output PATH", "gf-usd deliver BAKE --output PATH"),
+        ("check", "FILE", "gf-usd check FILE"),
+    ],
+)
+def test_what_is_missing_is_named_with_the_whole_line(
+    gf_usd, line: str, needed: str, whole: str
+) -> None:
+    done = gf_usd(*line.split(" "))
+    command = line.split(" ")[0]
+    assert done.err.startswith(f"error: gf-usd {command} needs {needed}\n\nhint: give {whole};")
+
+
+def test_a_number_out_of_range_names_the_option_and_the_range(gf_usd) -> None:
+    done = gf_usd("serve", "--jobs", "0")
+    assert done.err.startswith("error: --jobs: 0 is not in the range x>=1\n\n")
+    assert "hint: give a number of 1 or more. Number of bakes" in done.err
+
+
+def test_an_option_of_bake_that_inspect_lacks_is_left_out(gf_usd) -> None:
+    done = gf_usd("inspect", "a.usda", "--overwrite")
+    assert "hint: leave it out: inspect writes no results; " in done.err
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("bake my duck.usda", "quote a path that contains spaces; gf-usd batch bakes several"),
+        ("check my duck.usda", "quote a path that contains spaces; gf-usd check --help"),
+    ],
+)
+def test_a_path_with_spaces_that_is_not_quoted_is_recognized(gf_usd, line: str, hint: str) -> None:
+    done = gf_usd(*line.split(" "))
+    command = line.split(" ")[0]
+    assert done.err.startswith(f"error: gf-usd {command} does not take duck.usda as well\n\n")
+    assert f"hint: {hint}" in done.err
+    assert done.status == 2
+
+
+@pytest.mark.parametrize(
     ("words", "hint"),
     [
         ("--flesh", "hint: give it to every job: --set flesh=true"),

@@ -135,7 +135,7 @@ def Camera "cam" {
     side = 90 * 2 * 50 / 15.2908 / 25
     assert red.mean(axis=0) == pytest.approx((44.5, 59.5), abs=0.6)
     assert np.ptp(red, axis=0) + 1 == pytest.approx((side, side), abs=2)
-    with pytest.raises(InputError, match="The camera </none> does not exist"):
+    with pytest.raises(InputError, match="there is no camera </none>"):
         raise run(path, "--camera", "/none").exception
 
 

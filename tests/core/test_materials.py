@@ -153,6 +153,9 @@ def test_an_unknown_law_is_refused() -> None:
         check_law("stvk")
     assert caught.value.message == "there is no law 'stvk'"
     assert caught.value.hint == f"choose one of {', '.join(LAWS)}"
+    with pytest.raises(UsageError) as caught:
+        check_law("neohookean")
+    assert caught.value.hint.startswith("did you mean neoHookean? choose one of corotated")
 
 
 @pytest.mark.parametrize("name", [n for n, p in presets().items() if LAWS[p.law].flows])

@@ -52,7 +52,6 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
     (tmp_path / "none").mkdir()
     for path, message in (
         (tmp_path / "none", f"{tmp_path / 'none'} is a folder, not an asset file"),
-        (empty, f"{empty} is empty (0 bytes)"),
         (word, f"{word} has the suffix '.docx', which is not supported"),
         (bare, f"{bare} has no suffix, which is not supported"),
     ):
@@ -60,6 +59,9 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
             read_asset(path)
         assert error.value.message == message
         assert all(suffix in error.value.hint for suffix in SUFFIXES)
+    with pytest.raises(InputError, match=re.escape(f"{empty} is empty (0 bytes)")) as error:
+        read_asset(empty)
+    assert "copy it again" in error.value.hint
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,12 @@ def test_wrong_limits_are_refused(text: str) -> None:
         parse_limits(text)
 
 
+def test_less_memory_than_the_reader_itself_needs_is_refused() -> None:
+    with pytest.raises(UsageError, match="1 kB of memory are less than the 1 GB") as error:
+        parse_limits("memory=1k")
+    assert parse_limits(error.value.hint.split()[1]) == Limits(memory=2e9)
+
+
 @pytest.mark.parametrize(
     ("work", "message"),
     [

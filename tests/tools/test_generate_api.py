@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import gf_usd
 from gf_usd.prepare.options.table import OPTIONS
 from tools import generate_api
@@ -24,6 +26,14 @@ def test_every_keyword_is_listed() -> None:
     table = "\n".join(generate_api.option_table())
     assert all(f"| `{name}` |" in table for name in OPTIONS)
     assert "--" not in table.replace("|---|---|---|", "")
+
+
+def test_the_table_of_keywords_says_what_python_does() -> None:
+    rows = {row.split("`")[1]: row for row in generate_api.option_table() if row[:3] == "| `"}
+    assert "this process reads the file" in rows["limits"]
+    assert "Unfinished" in rows["slice"]
+    assert "UnhealthyError" in rows["strict"]
+    assert not [row for row in rows.values() if re.search(r"status \d", row)]
 
 
 def test_a_docstring_becomes_markdown() -> None:

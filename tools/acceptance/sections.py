@@ -236,7 +236,7 @@ def read_limbs(done: subprocess.CompletedProcess[str]) -> Outcome:
         )  # fmt: skip
     bad = [f"{ran['asset']} {ran['look']}" for ran in runs if ran["fault"]]
     head = (
-        "asset", "look", "particles", "inside at the end", "besides, at rest", "smallest J",
+        "asset", "look", "particles", "inside at the end", "inside at rest", "smallest J",
         "inverted", "repeated", "deepest overlap [spacings]", "baked", "verdict",
     )  # fmt: skip
     return Outcome(

@@ -6,6 +6,7 @@ formulas are in the module of gf_usd.physics.laws that the row names.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -307,4 +308,7 @@ def check_law(law: str) -> str:
     """The law's token; UsageError where there is none of that name."""
     if law in LAWS:
         return law
-    raise UsageError(f"there is no law {law!r}", f"choose one of {', '.join(LAWS)}")
+    tokens = {token.lower(): token for token in LAWS}
+    close = difflib.get_close_matches(law.lower(), tokens, n=1)
+    guess = f"did you mean {tokens[close[0]]}? " if close else ""
+    raise UsageError(f"there is no law {law!r}", f"{guess}choose one of {', '.join(LAWS)}")

@@ -70,6 +70,8 @@ def check_file(path: str | Path) -> CheckResult:
     InputError : the file does not exist, or USD cannot open it.
     """
     file = Path(path)
+    if file.is_dir():
+        raise InputError(f"{file} is a folder", "give the path of a usd, usda, usdc or usdz file")
     if not file.is_file():
         raise InputError(
             f"{file} does not exist", "give the path of a usd, usda, usdc or usdz file"

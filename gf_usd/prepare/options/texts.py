@@ -224,7 +224,10 @@ def parse_range(text: str) -> tuple[float | None, float | None]:
     finite = all(code is None or math.isfinite(code) for code in (low, high))
     ordered = low is None or high is None or low <= high
     if not (colon and finite and ordered):
-        raise UsageError(f"--range is {text!r}", "give two time codes FIRST:LAST; 10: is open")
+        raise UsageError(
+            f"--range is {text!r}",
+            "give two time codes FIRST:LAST, the smaller one first; 10: is open",
+        )
     return low, high
 
 

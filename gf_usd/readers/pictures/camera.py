@@ -20,9 +20,9 @@ def find_camera(stage: Usd.Stage, path: Path, name: str) -> UsdGeom.Camera:
     prim = stage.GetPrimAtPath(name) if Sdf.Path.IsValidPathString(name) else None
     if not prim or not prim.IsA(UsdGeom.Camera):
         if prim:
-            what = f"<{name}> is of type {prim.GetTypeName() or 'none'}, not Camera."
+            what = f"<{name}> is of type {prim.GetTypeName() or 'none'}, not Camera"
         else:
-            what = f"The camera <{name}> does not exist."
+            what = f"there is no camera <{name}>"
         raise InputError(f"{path}: {what}", _hint_of_cameras(stage))
     camera = UsdGeom.Camera(prim)
     projection = camera.GetProjectionAttr().Get()

@@ -41,7 +41,7 @@ MEASURES = {
         option="--internal",
     ),
     "plastic": Measure(
-        label="what stays",
+        label="permanent strain",
         attributes=("gaussianFlesh:plasticStrain", "gaussianFlesh:lostVolume"),
         option="--internal",
     ),

@@ -159,6 +159,7 @@ def test_instances_are_judged_once_under_a_path_of_the_stage(tmp_path: Path) -> 
     ("name", "content", "message"),
     [
         ("gone.usda", None, "gone.usda does not exist"),
+        (".", None, " is a folder"),
         ("text.usda", "hello\n", "text.usda cannot be opened as USD"),
         ("duck.obj", "v 0 0 0\n", "duck.obj does not have the suffix of a USD file."),
         ("cut.usdc", "PXR-USDC", "cut.usdc cannot be opened as USD"),

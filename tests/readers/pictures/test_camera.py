@@ -87,8 +87,8 @@ def test_the_motion_includes_that_of_the_camera(path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("/rig/none", "The camera </rig/none>"),
-        ("not a path", "The camera <not a path>"),
+        ("/rig/none", "there is no camera </rig/none>"),
+        ("not a path", "there is no camera <not a path>"),
         ("/rig", "</rig> is of type Xform, not Camera"),
         ("/rig/flat", "has orthographic projection"),
     ],
