@@ -96,7 +96,7 @@ def test_the_commands_of_the_readme_run_in_order(tmp_path: Path) -> None:
     script = []
     for block in of_the_readme():
         if block.language == "python":
-            few = block.text.replace("particles=4000", "particles=300, frames=8")
+            few = block.text.replace("particles=2000", "particles=300, frames=8")
             script.append(f"python - <<'END'\n{few}\nEND")
         else:
             script += [line.rpartition("pip install . && ")[2] for line in command_lines(block)]
@@ -104,3 +104,19 @@ def test_the_commands_of_the_readme_run_in_order(tmp_path: Path) -> None:
     for name in ("duck.rubber.usda", "duck.png", "duck.mp4", "duck.html", "jelly.png"):
         assert (tmp_path / name).stat().st_size > 1000
     assert (tmp_path / "duck.jelly.usda").exists()
+
+
+@pytest.mark.slow
+def test_the_python_of_the_guide_runs_in_order(tmp_path: Path) -> None:
+    page = ROOT / "docs" / "guide" / "python.md"
+    text = "\n".join(block.text for block in blocks(page) if block.language == "python")
+    for many, few in (
+        ("particles=4000", "particles=300, frames=6"),
+        ("soft], drop=3.0", "soft], particles=300, frames=6, drop=3.0"),
+        ("particles=2000", "particles=200"),
+        ("frames=48", "frames=12"),
+    ):
+        assert many in text
+        text = text.replace(many, few)
+    paste(f"python - <<'END'\n{text}\nEND", tmp_path, particles=300, frames=6)
+    assert (tmp_path / "out" / "duck.rubber-jelly.usda").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -62,3 +63,21 @@ def test_the_commands_of_a_tutorial_run_in_order(name: str, tmp_path: Path) -> N
     paste(fewer(script(name)), tmp_path, particles=200, frames=8)
     for made in MADE[name]:
         assert (tmp_path / made).stat().st_size > 1000, made
+
+
+FIRST_BAKE = (  # what pages say of its last frame
+    ("guide.md", r"note: rubber: at rest at frame (\d+)"),
+    ("guide.md", r"rubber: (\d+) frames, at rest"),
+    ("guide.md", r"`(\d+) frames, at rest at frame"),
+    ("tutorials/duck.md", r"is at rest, after (\d+) frames"),
+    ("guide/frames.md", r"\| rubber duck \| (\d+) frames"),
+)
+
+
+def test_every_page_says_the_same_of_the_first_bake() -> None:
+    found = [
+        (page, re.findall(pattern, (ROOT / "docs" / page).read_text("utf-8")))
+        for page, pattern in FIRST_BAKE
+    ]
+    assert len({tuple(numbers) for _, numbers in found}) == 1, found
+    assert len(found[0][1]) == 1
