@@ -75,7 +75,7 @@ class Bar:
         return F, np.einsum("ka,ga->gk", at[:, :, 0], self.N) / self.R
 
     def force(self) -> np.ndarray:
-        """Of the stress on nodes (m, 2) [N]; flow goes on."""
+        """Of the stress on nodes (m, 2) [N]; flow continues."""
         F, around = self.strain()
         (A, B), (C, D) = F
         det = A * D - B * C

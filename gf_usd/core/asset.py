@@ -121,7 +121,7 @@ class Surface:
     triangle_corners: Ints  # (T, 3) into face_indices: the corner each triangle vertex came from
     normals: Floats | None = None  # (K, 3) authored normals, world, unit; None where none
     normals_interpolation: str = ""  # vertex | varying | faceVarying | uniform | ""
-    normal_points: Ints | None = None  # (K,) the point whose deformation carries each normal
+    normal_points: Ints | None = None  # (K,) the point whose deformation transforms each normal
     triangle_colors: Floats | None = None  # (T, 3, 3) displayColor at triangle corners, linear
     triangle_uvs: Floats | None = None  # (T, 3, 2) of the primvar that the texture reads
     triangle_materials: Ints | None = None  # (T,) into materials; -1 where nothing is bound

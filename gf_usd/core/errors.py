@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
+
+# As USD writes it: the rule of the grammar in C++, possibly a template with others as arguments.
+PARSE_ERROR = re.compile(r"parse error matching (?:\w+::)*(\w+)(<.*?>)?(?= at '|$)")
 
 
 def counted(count: int, one: str, many: str = "") -> str:
     """A number with its noun, "1 frame" or "2 frames"; many : a plural that is not one with s."""
     return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def plain_parse_error(text: str) -> str:
+    """An error of USD's text parser, without the names of its source."""
+    return PARSE_ERROR.sub(lambda m: "syntax error" if m[2] else f"{m[1]} is expected", text)
 
 
 class GfUsdError(Exception):

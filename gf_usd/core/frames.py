@@ -298,8 +298,8 @@ class Health:
     conversion_dissipation: float | None = None  # [J] of `plastic_dissipation`, by conversion
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
-    fallen: int | None = None  # bodies below every obstacle; None: not looked at
-    # [J] of the motion of these bodies, or of flowing particles there; None: not looked at
+    fallen: int | None = None  # bodies below every obstacle; None: not measured
+    # [J] of the motion of these bodies, or of flowing particles there; None: not measured
     fallen_kinetic: float | None = None
     # Flowing particles below the floor or every obstacle; None: nothing flows without limit
     lost: int | None = None
@@ -310,9 +310,9 @@ class Health:
     )
     pierced_through: bool | None = None  # whether it comes out on the other side
     pierced_pair: str | None = None  # text on the obstacle and the body
-    inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
+    inside_share: float | None = None  # of the surface, deep in a body; None: not measured
     inside_depth: float | None = None  # [m] of the deepest of it
-    outside_share: float | None = None  # of the particles, far out of the mesh; None: not looked at
+    outside_share: float | None = None  # of the particles, far out of the mesh; None: not measured
     outside_depth: float | None = None  # [m] of the farthest of them
     outside_mesh: str | None = None  # text on the mesh with the longest faces
     # Largest volume of a body over that at rest, and its prim path; None: no particle has twice its

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.neighbors import components, pairs_within
 
-# Float32 points carry about 1e-7 of their size: ten times that is the same point.
+# Float32 rounds points to about 1e-7 of their size: within ten times that they are one point.
 WELD_FRACTION = 1e-6
 
 

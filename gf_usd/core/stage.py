@@ -222,7 +222,7 @@ class StagePhysics:
 
     @property
     def obstacles(self) -> tuple[Collider, ...]:
-        """All that bodies meet besides each other and the floor."""
+        """What bodies collide with, other than each other and the floor."""
         return (*self.colliders, *self.of_files)
 
 
@@ -358,7 +358,7 @@ class SampledSkin:
     """The skin of a character, sampled at points of its surface."""
 
     weights: csr_matrix  # (n, bones) rows sum to 1
-    offsets: Sequence[Floats]  # (n, 3) [m] at each frame, besides the skinning
+    offsets: Sequence[Floats]  # (n, 3) [m] at each frame, in addition to the skinning
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -439,7 +439,7 @@ class Goals:
     damping: float = 0.5  # zeta, of the springs: 1 is critical
     moving: bool = True  # whether the pose changes
     limits: FleshLimits | None = None
-    attached: AttachedPoints | None = None  # springs of single points, besides
+    attached: AttachedPoints | None = None  # springs of single points, in addition
     # Bodies with their own pose, rates and limits, by number. All have limits, or none has.
     of_body: Mapping[int, Goals] = field(default_factory=dict)
 

@@ -137,7 +137,7 @@ def decompositions(
     """Skinnings with more and more joints, and the largest error of each.
 
     The last one has an error of at most `tolerance`, or `most` joints.  Transforms are fitted to
-    FITTED points at most, and to those besides that they leave farthest off.
+    FITTED points at most, and in addition to the points with the largest errors.
 
     rest (V, 3), frames (T, V, 3), tolerance : in one unit of length.
     """

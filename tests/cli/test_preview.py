@@ -132,7 +132,7 @@ def test_a_body_behind_a_wall_is_drawn_from_a_side_that_shows_it(tmp_path):
     assert "148 degrees to the right" in done.output
     assert len(red_rows(out)) > 10
     done = run(path, "-o", out, "--size", "80x60", "--camera", "/front")
-    assert "in 2 of 2 frames looked at; hint: leave out --camera" in done.output
+    assert "in 2 of 2 frames that were examined; hint: leave out --camera" in done.output
     assert len(red_rows(out)) == 0
 
 
@@ -144,4 +144,4 @@ def test_a_body_that_no_view_shows_is_reported(tmp_path):
     done = run(path, "-o", out, "--size", "80x60")
     assert done.exit_code == 0
     hidden = "note: the body is hidden by obstacles or outside of the picture in 2 of 2 frames"
-    assert f"{hidden} looked at; hint: choose a view with --camera PRIM" in done.output
+    assert f"{hidden} that were examined; hint: choose a view with --camera PRIM" in done.output

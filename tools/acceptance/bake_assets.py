@@ -181,7 +181,7 @@ def main() -> int:
     parser.add_argument(
         "--patience", type=float, default=PATIENCE, metavar="SECONDS", help="for one asset"
     )
-    parser.add_argument("--rows", type=Path, help="JSON lines of the outcomes, to go on from")
+    parser.add_argument("--rows", type=Path, help="JSON lines of the outcomes, to continue from")
     parser.add_argument("--kept", action="store_true", help="bake nothing")
     parser.add_argument("--json", action="store_true", help="print the outcomes as JSON at the end")
     args = parser.parse_args()

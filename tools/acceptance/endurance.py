@@ -75,7 +75,7 @@ class Lasted:
 
 
 def last(run: Run, particles: int, scale: float) -> Lasted:
-    """Run to the end, or to where it cannot go on."""
+    """Run to the end, or to where it cannot continue."""
     requested = max(2, round(scale * run.frames))
     prepared = prepare(
         SAMPLES / run.asset, material=run.material, law=run.law, particles=particles,

@@ -35,7 +35,7 @@ UPDATED = (1000, 8000, 27000)  # particles of the targets
 GENESIS = (("squeeze", 10_000), ("squeeze", 27_000), ("squeeze", 64_000), ("drop", 10_000))
 FRAMES = {"squeeze": 15, "drop": 78}  # of 1/120 s: the first vibration, and the whole drop
 SQUEEZE = 60.0  # [m/s^2], which takes 4 % of its height
-NEAREST = 24  # particles that carry a point of the mesh
+NEAREST = 24  # particles that a point of the mesh moves with
 MOST_SECONDS = 500.0  # of a run of genesis-world
 SEEDS = 20
 NOISE = 0.01  # of the radius, 1 m
@@ -84,7 +84,7 @@ def recovered(folder: Path) -> None:
 
 
 def carried(X: np.ndarray, x: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(T, k, 3) points (k, 3) at rest that particles X (n, 3) at rest and x (T, n, 3) carry.
+    """(T, k, 3) points (k, 3) at rest, moved with particles X (n, 3) at rest and x (T, n, 3).
 
     Each by the affine map that fits its NEAREST particles best, weighted by (1 - (r / R)^2)^2.
     """

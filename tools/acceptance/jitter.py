@@ -196,7 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder for what was baked")
     parser.add_argument("--only", action="append", choices=[scene.file for scene in SCENES])
-    parser.add_argument("--rows", type=Path, help="JSON lines of the runs, to go on from")
+    parser.add_argument("--rows", type=Path, help="JSON lines of the runs, to continue from")
     parser.add_argument("--kept", action="store_true", help="bake nothing")
     args = parser.parse_args(arguments)
     there = earlier(args.rows, args.seed)

@@ -391,10 +391,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", action="append", choices=sorted(SECTIONS), help="repeatable")
     parser.add_argument("--assets", metavar="FOLDER", help=f"of {' and '.join(OF_ASSETS)}")
-    parser.add_argument("--keep", metavar="FOLDER", help=f"where {LIMBS} goes on from, if it ended")
+    parser.add_argument("--keep", metavar="FOLDER", help=f"where {LIMBS} continues, if it ended")
     parser.add_argument("--recorded", metavar="FILE", help=f"record whose rows of {LIMBS} are kept")
     parser.add_argument(
-        "--rows", metavar="FILE", help=f"where {ASSETS} or {JITTER} goes on from, if it ended"
+        "--rows", metavar="FILE", help=f"where {ASSETS} or {JITTER} continues, if it ended"
     )
     parser.add_argument("--kept", action="store_true", help="bake nothing for these three")
     parser.add_argument("--quick", action="store_true", help="verify in its quick form")

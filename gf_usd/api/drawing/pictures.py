@@ -140,7 +140,7 @@ def _hidden_note(shares: Sequence[float], hint: str) -> str:
     hidden = hidden_frames(shares)
     return (
         f"the body is hidden by obstacles or outside of the picture in {hidden} of"
-        f" {counted(len(shares), 'frame')} looked at; hint: {hint}"
+        f" {counted(len(shares), 'frame')} that were examined; hint: {hint}"
     )
 
 

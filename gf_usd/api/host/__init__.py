@@ -1,1 +1,1 @@
-"""A call as a guest of another program, in this process or in a separate one."""
+"""Calls from another program, in its process or in a separate one."""

@@ -1,10 +1,10 @@
-"""A call as a guest of another program: a notebook, a DCC, a daemon.
+"""Calls from another program, the host: a notebook, a DCC, a daemon.
 
 The program may have opened stages before, which makes it too late to register the schema, or may
 use Taichi itself, which can run only once in a process, or have forked this process from one that
 used it.  Code that writes or checks layers, or computes with Taichi, then runs in a separate
-process.  This process is left as it was: no signal
-handlers, log settings or environment variables are changed, and nothing in Taichi is replaced.
+process.  This process is left as it was: no signal handlers, log settings or environment variables
+are changed, and nothing in Taichi is replaced.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def _paste(
     )  # fmt: skip
 
 
-# Incompressible elastomers are given nu = 0.47: what a displacement method carries without locking.
+# Incompressible elastomers are given nu = 0.47, with which a displacement method does not lock.
 PHYSICAL: dict[str, PhysicalPreset] = {
     p.name: p
     for p in (

@@ -192,7 +192,7 @@ def _overlap(solid: Solid, points: Sequence[Floats], a: int, b: int, reach: floa
     """Whether two surfaces overlap: a point is in both, and deeper than `reach` [m] in one of them.
 
     Where that one is thin, a quarter of its mean thickness 2 V / A is enough.  points : (n, 3) [m]
-    on each surface.  Points on a lattice are tested besides: of a copy at the same place no point
+    on each surface.  Points on a lattice are tested as well: of a copy at the same place no point
     of the surface is inside.
     """
     depth = [min(reach, THIN * _mean_thickness(solid, k)) for k in (a, b)]

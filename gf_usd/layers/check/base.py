@@ -8,7 +8,7 @@ from typing import Literal
 
 from pxr import Sdf, Tf, Usd
 
-from gf_usd.core.errors import counted
+from gf_usd.core.errors import counted, plain_parse_error
 from gf_usd.core.units import code_text
 
 Severity = Literal["error", "warning"]
@@ -123,7 +123,9 @@ def first_problem(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
 def reason(error: Tf.ErrorException) -> str:
     """The first error of USD, without its location in USD's source."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0].partition(" : ")[2].strip("'") if lines else "no reason given"
+    if not lines:
+        return "no reason given"
+    return plain_parse_error(lines[0].partition(" : ")[2].strip("'"))
 
 
 def unreadable(rule_name: str, error: Tf.ErrorException) -> Finding:

@@ -182,8 +182,8 @@ class SplatDeformer:
         from gf_usd.physics.output.gaussians import STRETCH
 
         return tuple(
-            f"<{path}>: a Gaussian was clamped {counted(track.clamped, 'time')}, because it would"
-            f" have been stretched or flattened more than {STRETCH:g} times relative to its own"
+            f"<{path}>: Gaussians were clamped {counted(track.clamped, 'time')}, because they would"
+            f" have been stretched or flattened more than {STRETCH:g} times relative to their own"
             " axes"
             for path, track in self._tracks.items()
             if track.clamped

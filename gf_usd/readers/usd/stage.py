@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import ASSUMED, BAKES, FILE, LATEST, OPTION, StageFacts
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, plain_parse_error
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.system.atomic_files import require_utf8
@@ -56,7 +56,7 @@ def _fault(error: Tf.ErrorException) -> str:
     text = _text(error)
     faults = re.findall(r": '(.*?)'(?:\n|$)", text, re.DOTALL) or [text]
     line = next((fault for fault in faults if re.search(r":\d+:\d+: ", fault)), faults[0])
-    return re.sub(r"parse error matching (?:\w+::)*(\w+)", r"\1 is expected", _first_line(line))
+    return plain_parse_error(_first_line(line))
 
 
 def _text(error: object) -> str:

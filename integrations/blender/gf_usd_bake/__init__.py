@@ -1,6 +1,6 @@
 """Bake the selected meshes with gf-usd, from the sidebar of Blender's 3D view.
 
-gf-usd runs in a process of its own, since Blender carries another OpenUSD.  What it writes comes
+gf-usd runs in a process of its own, since Blender includes another OpenUSD.  What it writes comes
 back as a mesh cache on a copy of each object; the original is hidden.
 """
 

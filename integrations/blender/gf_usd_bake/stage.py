@@ -1,6 +1,6 @@
 """What Blender's exporter leaves out of the stage: obstacles, their motion, and pinned faces.
 
-Written by the OpenUSD that Blender carries.
+Written by the OpenUSD that Blender includes.
 """
 
 from __future__ import annotations

@@ -162,6 +162,7 @@ def test_instances_are_judged_once_under_a_path_of_the_stage(tmp_path: Path) -> 
         (".", None, " is a folder"),
         ("text.usda", "hello\n", "text.usda cannot be opened as USD"),
         ("duck.obj", "v 0 0 0\n", "duck.obj does not have the suffix of a USD file."),
+        ("open.usda", '#usda 1.0\ndef Mesh "a', "open.usda:2:12: syntax error at ''"),
         ("cut.usdc", "PXR-USDC", "cut.usdc cannot be opened as USD"),
     ],
 )
@@ -174,4 +175,5 @@ def test_what_is_no_usd_file_is_refused(
     with pytest.raises(InputError) as error:
         check_file(path)
     assert message in error.value.message
+    assert "pxrInternal" not in error.value.message
     assert error.value.hint

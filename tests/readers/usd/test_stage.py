@@ -113,9 +113,10 @@ def test_a_text_file_is_not_usd(write, suffix, capfd):
             r":5:1: TupleValueClose",
         ),
         ("#usda 1.0\ndef Mesh a {}\n", r":2:1: eof is expected at 'def Mesh a {}'"),
+        ('#usda 1.0\ndef Mesh "a"\n{\n    string b = "c\n', r":4:1\d: syntax error at ''"),
         ("#usda 1.0\n(\n    upAxis = 3\n)\n", r"asset\.usda:3:14: Error parsing simple value"),
     ],
-    ids=["no value", "open tuple", "no quotes", "wrong type"],
+    ids=["no value", "open tuple", "no quotes", "open string", "wrong type"],
 )
 def test_broken_syntax_names_the_line(write, capfd, text, fault):
     path = write(text)
