@@ -29,7 +29,7 @@ def usage_message(error: Any) -> str:
         return f"{message}\n\nhint: {close}{command} --help lists its options"
     if parameter is not None and type(error).__name__ == "MissingParameter":
         wanted = _word(parameter)
-        needed = [p for p in context.command.params if p.required]
+        needed = [p for p in context.command.params if p.required] if context else [parameter]
         line = " ".join((command, *map(_word, needed)))
         return f"{command} needs {wanted}\n\nhint: give {line}; {command} --help"
     if parameter is not None:
