@@ -178,5 +178,5 @@ def read_share(text: str) -> float:
         return float(number[:-1]) / 100.0 if number.endswith("%") else float(number)
     except ValueError:
         raise UsageError(
-            f"--error is {text!r}.", "give a share of the radius, such as 0.5% or 0.005"
+            f"--error is {text!r}", "give a share of the radius, such as 0.5% or 0.005"
         ) from None

@@ -130,14 +130,12 @@ def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
 
     if target.suffix.lower() not in (".html", ".htm"):
         raise UsageError(
-            f"{target} does not end in .html.", "report writes a web page: -o report.html"
+            f"{target} does not end in .html", "report writes a web page: -o report.html"
         )
     for source in inputs:
         if same_place(target, source):
-            raise UsageError(f"{target} is the input itself.", "choose another -o")
+            raise UsageError(f"{target} is the input itself", "choose another -o")
     if not target.parent.is_dir():
-        raise UsageError(
-            f"{target.parent} is not a folder.", "choose a folder that exists, with -o"
-        )
+        raise UsageError(f"{target.parent} is not a folder", "choose a folder that exists, with -o")
     if target.is_dir():
-        raise UsageError(f"{target} is a folder.", "name the page: -o report.html")
+        raise UsageError(f"{target} is a folder", "name the page: -o report.html")

@@ -85,7 +85,7 @@ class StageFacts:
 def baked_already(path: Path, prim: str) -> InputError:
     """The refusal of a stage whose root prim has the variants of a bake."""
     return InputError(
-        f"{path}: <{prim}> already has a variant set {BAKES!r}: this file is the result of a bake.",
+        f"{path}: <{prim}> already has a variant set {BAKES!r}: this file is the result of a bake",
         "bake the original asset instead",
     )
 

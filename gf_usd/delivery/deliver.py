@@ -119,7 +119,7 @@ def deliver(
         kind = _kind_of_nodes(target, kind)
     elif bind_splats not in BINDINGS:
         raise UsageError(
-            f"--bind-splats is {bind_splats!r}.", f"choose one of {', '.join(BINDINGS)}"
+            f"--bind-splats is {bind_splats!r}", f"choose one of {', '.join(BINDINGS)}"
         )
     suffix = target.suffix.lower()
     if suffix == PACKAGE_SUFFIX:
@@ -138,7 +138,7 @@ def _kind_of_nodes(target: Path, kind: str) -> str:
     """
     if target.suffix.lower() in USD or kind == "shapes":
         raise UsageError(
-            f"--bind-splats nodes is only for joints in .glb, not for {target} --as {kind}.",
+            f"--bind-splats nodes is only for joints in .glb, not for {target} --as {kind}",
             "leave it out, or deliver a .glb --as joints",
         )
     return "joints"
@@ -196,7 +196,7 @@ def _smallest(
     if not made:
         raise BakeError(
             f"{bake} cannot be delivered within {100 * error:g} % of the radius: "
-            f"{_some(list(failures))}.",
+            f"{_some(list(failures))}",
             ", or ".join(
                 ["allow a larger --error", *filter(None, dict.fromkeys(failures.values()))]
             ),
@@ -250,33 +250,31 @@ def _require(
 ) -> None:
     if target.suffix.lower() not in (*USD, *GLB):
         raise UsageError(
-            f"{target} does not end in {', '.join((*USD, *GLB))}.",
+            f"{target} does not end in {', '.join((*USD, *GLB))}",
             "the suffix chooses the format: -o duck.usdz",
         )
     if not 0.0 < error < 1.0:
         raise UsageError(
-            f"--error is {100 * error:g} % of the radius.", "give more than 0% and less than 100%"
+            f"--error is {100 * error:g} % of the radius", "give more than 0% and less than 100%"
         )
     if kind not in KINDS:
-        raise UsageError(f"--as is {kind!r}.", f"choose one of {', '.join(KINDS)}")
+        raise UsageError(f"--as is {kind!r}", f"choose one of {', '.join(KINDS)}")
     if most_joints < 1 or most_shapes < 1:
         raise UsageError(
-            f"--max-joints is {most_joints}, --max-shapes {most_shapes}.", "give 1 or more"
+            f"--max-joints is {most_joints}, --max-shapes {most_shapes}", "give 1 or more"
         )
     if splats not in CHOICES:
-        raise UsageError(f"--splats is {splats!r}.", f"choose one of {', '.join(CHOICES)}")
+        raise UsageError(f"--splats is {splats!r}", f"choose one of {', '.join(CHOICES)}")
     if splats in (ALL, ONLY) and target.suffix.lower() in USD:
         raise UsageError(
             f"--splats {splats} is only for .glb: {target} would contain the same particles as "
-            f"the bake.",
+            f"the bake",
             "leave it out, or bake with --half for smaller particles in USD",
         )
     if not target.parent.is_dir():
-        raise UsageError(
-            f"{target.parent} is not a folder.", "choose a folder that exists, with -o"
-        )
+        raise UsageError(f"{target.parent} is not a folder", "choose a folder that exists, with -o")
     if target.is_dir():
-        raise UsageError(f"{target} is a folder.", "name the file: -o duck.usdz")
+        raise UsageError(f"{target} is a folder", "name the file: -o duck.usdz")
     require_no_layer_of_bake(bake, target)
 
 
@@ -406,7 +404,7 @@ def _within(
     step, far = max(_rounding(body) for variant in variants for body in variant.bodies)
     raise BakeError(
         f"{files.target} differs by {100 * off:.2g} % of the radius when it is read back, but at"
-        f" most {100 * error:g} % is allowed.",
+        f" most {100 * error:g} % is allowed",
         "allow a larger --error"
         if step < error / 4.0
         else f"numbers in single precision have steps of {100 * step:.2g} % of the radius at the"

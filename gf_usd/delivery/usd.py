@@ -100,9 +100,9 @@ def require_no_layer_of_bake(bake: Path, *targets: Path) -> None:
         hashes = {data.get("inputHash") for data in about if isinstance(data, dict)}
     for target in there:
         if any(same_place(path, target) for path in read):
-            raise UsageError(f"{target} is an input of the bake.", "choose another -o")
+            raise UsageError(f"{target} is an input of the bake", "choose another -o")
         if target.is_file() and digest(target) in hashes:
-            raise UsageError(f"{target} is the asset that was baked.", "choose another -o")
+            raise UsageError(f"{target} is the asset that was baked", "choose another -o")
 
 
 def _without_motion(bake: Path, variants: Sequence[BakedVariant]) -> Sdf.Layer:

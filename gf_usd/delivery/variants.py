@@ -69,26 +69,26 @@ def read_variants(
         if gone and not baked and not clouds:
             raise InputError(
                 f"{bake}: <{recording.meshes[gone[0]].name}> is converted: particles replace it"
-                " from some frame on, which joints and blend shapes cannot represent.",
+                " from some frame on, which joints and blend shapes cannot represent",
                 _instead(bake, source.variant),
             )
         if recording.flows and not baked and not clouds:
             raise InputError(
                 f"{bake}: the faces of <{recording.flows[0]}> change from frame to frame, which "
-                f"joints and blend shapes cannot represent.",
+                f"joints and blend shapes cannot represent",
                 _instead(bake, source.variant),
             )
         flows = _flows_without_end(source)
         if not baked and not clouds and flows:
             raise InputError(
                 f"{bake}: its material flows without limit: particles replace its meshes, which "
-                f"joints and blend shapes cannot represent.",
+                f"joints and blend shapes cannot represent",
                 _instead(bake, source.variant),
             )
         if not baked and not clouds:
             source.require_composed()
             raise InputError(
-                f"{bake}: neither a mesh nor captured Gaussians of the bake are visible.",
+                f"{bake}: neither a mesh nor captured Gaussians of the bake are visible",
                 "bake again with mesh among --only"
                 if splats != NONE
                 else "leave --splats none out, or bake again with mesh among --only",

@@ -299,7 +299,7 @@ class CacheWriter:
         if not time_code > self._time_code:
             raise BakeError(
                 f"frame {frame.index} has time code {code_text(time_code)}, after"
-                f" {code_text(self._time_code)}.",
+                f" {code_text(self._time_code)}",
                 "this is a bug in gf-usd, not a fault of the asset: please report it",
             )
         for what, poses, tracks in (
@@ -309,7 +309,7 @@ class CacheWriter:
             if set(poses) != set(tracks):
                 raise BakeError(
                     f"frame {frame.index} has {what} {_list(poses)}, but the asset has "
-                    f"{_list(tracks)}.",
+                    f"{_list(tracks)}",
                     "this is a bug in gf-usd, not a fault of the asset: please report it",
                 )
         layer = self._stage.GetEditTarget().GetLayer()

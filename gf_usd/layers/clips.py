@@ -85,7 +85,7 @@ class ClipStore:
             self.folder.mkdir(parents=True, exist_ok=since is not None)
         except OSError as error:
             raise BakeError(
-                f"{self.folder} cannot be created: {error.strerror}.",
+                f"{self.folder} cannot be created: {error.strerror}",
                 f"check that {self.folder.absolute().parent} is writable and has space left",
             ) from error
         where = asset_path(self.folder, path.parent)
@@ -284,7 +284,7 @@ def _open_complete(path: Path) -> Sdf.Layer:
         return Sdf.Layer.FindOrOpen(str(path.absolute()))
     except Tf.ErrorException as error:
         raise BakeError(
-            f"{path} cannot be read, but the bake has to continue from it.",
+            f"{path} cannot be read, but the bake has to continue from it",
             "bake without --resume, which starts over",
         ) from error
 

@@ -348,6 +348,6 @@ def export(layer: Sdf.Layer, path: Path) -> None:
 
 def _refused(path: Path) -> BakeError:
     return BakeError(
-        f"{path} could not be written.",
+        f"{path} could not be written",
         f"check that {path.absolute().parent} is writable and has space left",
     )

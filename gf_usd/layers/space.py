@@ -94,7 +94,7 @@ class Space:
             raise InputError(
                 f"<{self._prim.GetPath()}>: the local-to-world transform at time code "
                 f"{code_text(time_code)} flattens space (scales {stretch[0]:.3g} to"
-                f" {stretch[-1]:.3g}).",
+                f" {stretch[-1]:.3g})",
                 "give the prim and its parents scales other than zero, or exclude it from the bake",
             )
         return np.linalg.inv(matrix)

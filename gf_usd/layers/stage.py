@@ -64,10 +64,10 @@ def open_source(path: Path) -> Usd.Stage:
     try:
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
     except Tf.ErrorException as error:
-        raise InputError(f"{path} cannot be opened as USD.", "check it with usdcat") from error
+        raise InputError(f"{path} cannot be opened as USD", "check it with usdcat") from error
     if not 0 < stage.GetTimeCodesPerSecond() < math.inf:
         raise InputError(
-            f"{path}: timeCodesPerSecond is {stage.GetTimeCodesPerSecond():g}.",
+            f"{path}: timeCodesPerSecond is {stage.GetTimeCodesPerSecond():g}",
             "author a positive number, for example 24",
         )
     for prim in stage.GetPseudoRoot().GetAllChildren():
@@ -102,7 +102,7 @@ def find_home(source: Usd.Stage, asset: Asset, choices: Choices | None = None) -
     if not chosen or not chosen.GetPath().IsRootPrimPath():
         chosen = next((p for p in standing if p.GetPath() in held), next(iter(standing), None))
     if chosen is None:
-        raise InputError(f"{asset.facts.path} has no defined root prim.", "check it with usdcat")
+        raise InputError(f"{asset.facts.path} has no defined root prim", "check it with usdcat")
     empty = choices is not None and not choices.particles
     inside = empty or not chosen.IsA(UsdGeom.Gprim)
     if inside:
@@ -142,13 +142,13 @@ def new_layer(path: Path, source: Path) -> Sdf.Layer:
     BakeError : the folder cannot be written.
     """
     if path.exists() and same_place(path, source):
-        raise UsageError(f"{path} is the asset itself.", "give the output another name with -o")
+        raise UsageError(f"{path} is the asset itself", "give the output another name with -o")
     partial = partial_path(path)
     try:
         return Sdf.Layer.CreateNew(str(partial.absolute()))
     except Tf.ErrorException as error:
         raise BakeError(
-            f"{partial} cannot be created.",
+            f"{partial} cannot be created",
             f"check that {partial.absolute().parent} exists, is writable and has space left",
         ) from error
 
@@ -258,7 +258,7 @@ def _free(source: Usd.Stage, path: Sdf.Path) -> Sdf.Path:
 
 def _unsaved(layer: Sdf.Layer) -> BakeError:
     return BakeError(
-        f"{layer.realPath} could not be saved.", "check the space left on the disk and its quota"
+        f"{layer.realPath} could not be saved", "check the space left on the disk and its quota"
     )
 
 
@@ -267,7 +267,7 @@ def require_prim(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
     prim = stage.GetPrimAtPath(path)
     if not prim:
         raise BakeError(
-            f"{source}: the prim <{path}> does not exist.",
+            f"{source}: the prim <{path}> does not exist",
             "the file changed since it was read: run the bake again",
         )
     return prim

@@ -48,20 +48,20 @@ def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices
     """Raise UsageError for no bakes, an unknown display, or names that cannot be variants."""
     if not bakes:
         raise UsageError(
-            "There is no bake for which a root layer could be written.", "give a --material"
+            "there is no bake for which a root layer could be written", "give a --material"
         )
     if display not in choices.shapes:
         shown = ", ".join(choices.shapes)
-        raise UsageError(f"Unknown display {display!r}.", f"choose one of: {shown}")
+        raise UsageError(f"unknown display {display!r}", f"choose one of: {shown}")
     names = [bake.name for bake in bakes]
     for name in names:
         if not name or not Sdf.Path.IsValidPathString(f"/x{{v={name}}}")[0]:
             raise UsageError(
-                f"{name!r} cannot be the name of a variant.", "use letters, digits, _ and -"
+                f"{name!r} cannot be the name of a variant", "use letters, digits, _ and -"
             )
         if name == NONE or names.count(name) > 1:
             raise UsageError(
-                f"The variant name {name!r} is taken.", "give each variant a different name"
+                f"the variant name {name!r} is taken", "give each variant a different name"
             )
 
 

@@ -75,7 +75,7 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
                 np.savez(file, allow_pickle=False, **arrays)
         except OSError as error:
             raise BakeError(
-                f"{partial} could not be written: {error.strerror}.",
+                f"{partial} could not be written: {error.strerror}",
                 f"check that {path.absolute().parent} is writable and has space left; --resume"
                 " then continues the bake",
             ) from error

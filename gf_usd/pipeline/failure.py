@@ -128,7 +128,7 @@ def _write_report(path: Path, text: str, final: Path) -> None:
             path.write_text(text, encoding="utf-8")
         except OSError as error:
             raise BakeError(
-                f"{path} could not be written: {error.strerror}.",
+                f"{path} could not be written: {error.strerror}",
                 f"check that {path.absolute().parent} is writable and has space left",
             ) from error
 

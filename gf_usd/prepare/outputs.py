@@ -319,7 +319,7 @@ class SplatSequence:
                 partial.write_bytes(WRITERS[self.suffix](splats))
             except OSError as error:
                 raise BakeError(
-                    f"{partial} could not be written: {error.strerror}.",
+                    f"{partial} could not be written: {error.strerror}",
                     f"check that {self.folder} is writable and has space left",
                 ) from error
             return publish(path)

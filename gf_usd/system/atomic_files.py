@@ -87,7 +87,7 @@ def publish(path: Path) -> Path:
         _sync_folder(path.parent)
     except OSError as error:
         raise BakeError(
-            f"{partial} could not be published as {path.name}: {error.strerror}.",
+            f"{partial} could not be published as {path.name}: {error.strerror}",
             f"check that {path.parent} is writable and that no other program has {path.name} open",
         ) from error
     return path
@@ -112,7 +112,7 @@ def publish_bytes(path: Path, data: bytes) -> Path:
             partial.write_bytes(data)
         except OSError as error:
             raise BakeError(
-                f"{partial} could not be written: {error.strerror}.",
+                f"{partial} could not be written: {error.strerror}",
                 f"check that {path.parent} exists, is writable and has space left",
             ) from error
         return publish(path)

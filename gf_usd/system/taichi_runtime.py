@@ -237,16 +237,16 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     if is_forked():
         raise GfUsdError(FORKED, SPAWN)
     if device not in DEVICES:
-        raise UsageError(f"Unknown device {device!r}.", f"choose one of: {', '.join(DEVICES)}")
+        raise UsageError(f"unknown device {device!r}", f"choose one of: {', '.join(DEVICES)}")
     if threads is not None and threads < 1:
-        raise UsageError(f"{threads} CPU threads were requested.", "give 1 or more")
+        raise UsageError(f"{threads} CPU threads were requested", "give 1 or more")
     wanted = {"device": device, "threads": threads or cores(), "f64": f64}
     if _started == wanted and is_running():
         return
     ti = import_taichi()
     if device == "cuda" and not _has_cuda(ti):
         raise UsageError(
-            "No CUDA device was found.",
+            "no CUDA device was found",
             "use --device cpu, or check with nvidia-smi that the driver sees the card",
         )
     global _starts, _runtime, _process  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
@@ -379,7 +379,7 @@ def _multiprocessors() -> int:
     )
     if failed:
         raise GfUsdError(
-            f"The CUDA driver did not say how many multiprocessors the GPU has: error {failed}",
+            f"the CUDA driver did not say how many multiprocessors the GPU has: error {failed}",
             "use --device cpu, or check with nvidia-smi that the driver sees the card",
         )
     return count.value

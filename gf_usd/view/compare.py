@@ -170,13 +170,13 @@ def parse_tolerance(text: str, radius: float) -> float:
     number = text.strip().lower()
     unit = next((unit for unit in ("%", *LENGTHS) if number.endswith(unit)), "")
     if not unit:
-        raise UsageError(f"--tolerance {text!r} has no unit.", hint)
+        raise UsageError(f"--tolerance {text!r} has no unit", hint)
     try:
         value = float(number.removesuffix(unit))
     except ValueError:
-        raise UsageError(f"--tolerance {text!r} is not a length.", hint) from None
+        raise UsageError(f"--tolerance {text!r} is not a length", hint) from None
     if not (np.isfinite(value) and value >= 0.0):
-        raise UsageError(f"--tolerance {text!r} is not a length of 0 or more.", hint)
+        raise UsageError(f"--tolerance {text!r} is not a length of 0 or more", hint)
     return value * (0.01 * radius if unit == "%" else LENGTHS[unit])
 
 
@@ -205,20 +205,20 @@ def pair_meshes(a: Recording, b: Recording) -> Pairing:
     if not pairs and (a.flows or b.flows):
         flows = f"{a.path}: <{a.flows[0]}>" if a.flows else f"{b.path}: <{b.flows[0]}>"
         raise InputError(
-            f"{flows} has different points in every frame and cannot be compared point by point.",
+            f"{flows} has different points in every frame and cannot be compared point by point",
             "compare the particles: gf_usd.read returns their positions in every frame",
         )
     if not pairs:
         raise InputError(
             f"{a.path} and {b.path} have no mesh in common: the first has "
-            f"{_list_names(a, baked_a)}, the second {_list_names(b, unpaired_b)}.",
+            f"{_list_names(a, baked_a)}, the second {_list_names(b, unpaired_b)}",
             "compare two bakes of one asset, or give the meshes of both the same names",
         )
     for i, j in pairs.items():
         if len(a.meshes[i].points) != len(b.meshes[j].points):
             raise InputError(
                 f"{a.path}: <{a.meshes[i].name}> has {len(a.meshes[i].points)} points, but "
-                f"<{b.meshes[j].name}> of {b.path} has {len(b.meshes[j].points)}.",
+                f"<{b.meshes[j].name}> of {b.path} has {len(b.meshes[j].points)}",
                 "the meshes must have the same points: compare them before subdivision or "
                 "decimation",
             )
@@ -291,7 +291,7 @@ def _common_times(
         raise InputError(
             f"{a.path} moves in time codes {code_text(a.time_codes[0])} to"
             f" {code_text(a.time_codes[-1])} and {b.path} in {code_text(b.time_codes[0])} to"
-            f" {code_text(b.time_codes[-1])}: these ranges do not overlap.",
+            f" {code_text(b.time_codes[-1])}: these ranges do not overlap",
             "compare from the first frame of each: --align start",
         )
     codes, codes_b = [code for code, _ in kept], [at for _, at in kept]

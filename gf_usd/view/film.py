@@ -54,7 +54,7 @@ def write_mp4(path: Path, frames: Iterable[Pixels], fps: float, size: tuple[int,
     """
     if size[0] % 2 or size[1] % 2:
         raise UsageError(
-            f"A film of {size[0]}x{size[1]} pixels cannot be written as H.264.",
+            f"a film of {size[0]}x{size[1]} pixels cannot be written as H.264",
             "give an even width and height, e.g. --size 640x480",
         )
     _encode(path, frames, fps, size, MP4)
@@ -77,7 +77,7 @@ def write_gif(path: Path, frames: Iterable[Pixels], fps: float, samples: Sequenc
     """
     if fps > MAX_FPS:
         raise UsageError(
-            f"A GIF cannot show {fps:g} frames per second.", f"give --fps {MAX_FPS:g} or less"
+            f"a GIF cannot show {fps:g} frames per second", f"give --fps {MAX_FPS:g} or less"
         )
     height, width, _ = samples[0].shape
     output = ("-filter_complex", PALETTE.format(len(samples)), "-f", "gif", "-loop", "0")
@@ -132,6 +132,6 @@ def _ffmpeg_path() -> str:
         return importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:
         raise GfUsdError(
-            f"Films need ffmpeg, which is not installed: {error}",
+            f"films need ffmpeg, which is not installed: {error}",
             "python -m pip install 'imageio[ffmpeg]'",
         ) from error

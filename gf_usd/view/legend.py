@@ -56,7 +56,7 @@ class Legend:
     def __init__(self, quantity: Quantity, size: tuple[int, int]) -> None:
         if size[0] < MIN_PICTURE_SIZE[0] or size[1] < MIN_PICTURE_SIZE[1]:
             raise UsageError(
-                f"An image of {size[0]}x{size[1]} pixels is too small for a legend.",
+                f"an image of {size[0]}x{size[1]} pixels is too small for a legend",
                 f"give at least {MIN_PICTURE_SIZE[0]}x{MIN_PICTURE_SIZE[1]} with --size",
             )
         self._layer, self.reserved = _draw_legend(quantity, size)

@@ -65,7 +65,7 @@ def test_the_default_name_is_in_this_folder(stage, tmp_path, monkeypatch):
         (("--size", "big"), "--size big is not a size"),
         (("--size", "0x10"), "--size 0x10 is not a size"),
         (("--size", "10x9000"), "10x9000 pixels cannot be rendered"),
-        (("--show", "fog"), "Unknown --show fog"),
+        (("--show", "fog"), "unknown --show fog"),
         (("-o", "out.jpg"), "does not end in .png, .mp4 or .gif"),
     ],
 )

@@ -157,7 +157,7 @@ def Camera "cam" {
         (("-o", "a.mp4", "--time-codes", "1:3:1e-9"), "more than the limit of 100000"),
         (("-o", "none/a.mp4",), "none is not a folder"),
         (("-o", "a.mkv",), "does not end in .png, .mp4 or .gif"),
-        (("--color", "heat"), "Unknown --color heat"),
+        (("--color", "heat"), "unknown --color heat"),
         (("--color", "strain", "--color-range", "1:1"), "--color-range 1:1 is empty"),
         (("--color", "strain", "--color-range", "big"), "--color-range big is not a range"),
     ],

@@ -283,7 +283,7 @@ def test_a_mesh_of_too_few_points_for_joints_is_named(tmp_path: Path) -> None:
     assert re.fullmatch(
         rf"{source} cannot be delivered within 0.5 % of the radius: </Ball/Card>: 4 joints leave an"
         r" error of 63 % of the radius, 0\.0061 m; it has 4 distinct points, and more joints"
-        r" than points do not help\.",
+        r" than points do not help",
         caught.value.message,
     )
     assert "--as shapes" in caught.value.hint

@@ -130,14 +130,14 @@ def test_wrong_frames_are_refused_in_words(tmp_path: Path) -> None:
     astray = replace(first, meshes={path: replace(pose, points=lost)})
     few = replace(first, gaussians=replace(first.gaussians, scales=np.ones((3, 3))))
     cases = (
-        (short, f"points of <{path}> at time code 10 have shape (3, 3), not (8, 3)."),
-        (astray, f"points of <{path}> at time code 10 contain 1 numbers that are not finite."),
+        (short, f"points of <{path}> at time code 10 have shape (3, 3), not (8, 3)"),
+        (astray, f"points of <{path}> at time code 10 contain 1 numbers that are not finite"),
         (
             few,
             "scales of </duck/GaussianFlesh/Gaussians> at time code 10 have shape (3, 3), "
-            "not (40, 3).",
+            "not (40, 3)",
         ),
-        (replace(first, meshes={}), f"frame 0 has meshes none, but the asset has <{path}>."),
+        (replace(first, meshes={}), f"frame 0 has meshes none, but the asset has <{path}>"),
     )
     with CacheWriter(tmp_path / "c.usdc", asset, particles, info) as writer:
         for frame, message in cases:
@@ -290,6 +290,6 @@ def test_a_full_disk_is_an_error_in_words(tmp_path: Path) -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (300000, 300000))"
     process = run_endless(tmp_path, limit)
     _, errors = process.communicate(timeout=60)
-    assert "c.partial.usdc could not be saved." in errors
+    assert "c.partial.usdc could not be saved" in errors
     assert "hint: check the space left on the disk" in errors
     assert not (tmp_path / "c.usdc").exists()

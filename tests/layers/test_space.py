@@ -76,5 +76,5 @@ def test_a_flat_transform_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         space_of(path, "/root/arm/m").from_world(1.0)
     assert caught.value.message == (
-        "</root/arm/m>: the local-to-world transform at time code 1 flattens space (scales 5 to 0)."
+        "</root/arm/m>: the local-to-world transform at time code 1 flattens space (scales 5 to 0)"
     )

@@ -58,7 +58,7 @@ def test_files_that_cannot_be_sources(tmp_path: Path) -> None:
     broken.write_text("not usd")
     with pytest.raises(InputError) as caught:
         open_source(broken)
-    assert caught.value.message == f"{broken} cannot be opened as USD."
+    assert caught.value.message == f"{broken} cannot be opened as USD"
     still = write(tmp_path / "still.usda", PLAIN.body, "timeCodesPerSecond = 0")
     with pytest.raises(InputError, match="timeCodesPerSecond is 0"):
         open_source(still)

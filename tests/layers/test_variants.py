@@ -98,10 +98,10 @@ def test_instancing_outside_the_bake_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        ((), "There is no bake for which a root layer could be written."),
-        (("my rubber",), "'my rubber' cannot be the name of a variant."),
-        (("none",), "The variant name 'none' is taken."),
-        (("a", "b", "a"), "The variant name 'a' is taken."),
+        ((), "there is no bake for which a root layer could be written"),
+        (("my rubber",), "'my rubber' cannot be the name of a variant"),
+        (("none",), "the variant name 'none' is taken"),
+        (("a", "b", "a"), "the variant name 'a' is taken"),
     ],
 )
 def test_variant_names_that_do_not_do(names: tuple[str, ...], message: str, tmp_path: Path) -> None:
@@ -122,5 +122,5 @@ def test_a_display_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as caught:
         write_root(tmp_path / "root.usda", asset, [look], display="voxels")
     assert str(caught.value) == (
-        "Unknown display 'voxels'.\n\nhint: choose one of: mesh, gaussians, points"
+        "unknown display 'voxels'\n\nhint: choose one of: mesh, gaussians, points"
     )

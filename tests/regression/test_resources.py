@@ -213,7 +213,7 @@ def test_a_disk_that_is_full_without_warning(tmp_path: Path) -> None:
     process = start(SAMPLE, tmp_path, limit)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 1, errors
-    assert "sphere.rubber.cache.partial.usdc could not be saved." in errors
+    assert "sphere.rubber.cache.partial.usdc could not be saved" in errors
     assert "hint: check the space left on the disk" in errors
     assert names(tmp_path) == ["sphere.rubber.cache.partial.usdc"]
 
@@ -224,7 +224,7 @@ def test_a_disk_that_is_full_without_warning_and_truly(disk: Path) -> None:
     process = start(SAMPLE, disk)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 1, errors
-    assert "could not be saved." in errors
+    assert "could not be saved" in errors
     assert names(disk) == [other.name, "sphere.rubber.cache.partial.usdc"]
 
 
@@ -270,7 +270,7 @@ def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     errors = done.stderr.removeprefix("reading sphere.usda\n")  # of a machine that is slow to start
-    assert errors.startswith("error: No CUDA device was found.\n\nhint: use --device cpu")
+    assert errors.startswith("error: no CUDA device was found\n\nhint: use --device cpu")
     assert names(tmp_path) == []
 
 

@@ -41,7 +41,7 @@ def test_nothing_to_publish_leaves_the_old_file(tmp_path: Path) -> None:
     with pytest.raises(BakeError) as caught:
         publish(path)
     assert caught.value.message == (
-        f"{partial_path(path)} could not be published as report.json: No such file or directory."
+        f"{partial_path(path)} could not be published as report.json: No such file or directory"
     )
     assert path.read_text() == "old"
 

@@ -116,11 +116,11 @@ def run(
     from gf_usd.view.compare import compare_motions, pair_meshes, parse_tolerance, with_tolerance
 
     if align != "time" and align != "start":
-        raise UsageError(f"--align is {align!r}.", "choose one of: time, start")
+        raise UsageError(f"--align is {align!r}", "choose one of: time, start")
     if isinstance(tolerance, str):
         parse_tolerance(tolerance, 1.0)  # nonsense is refused before the files are read
     elif tolerance is not None and not (np.isfinite(tolerance) and tolerance >= 0.0):
-        raise UsageError(f"--tolerance {tolerance} is not a length of 0 or more.", "give meters")
+        raise UsageError(f"--tolerance {tolerance} is not a length of 0 or more", "give meters")
     pictures = _judge(targets, (path, other), size, fps)
     a, b = (BakedMotion(file, look) for file, look in zip((path, other), variants))
     found = with_tolerance(compare_motions(a, b, align=align), tolerance)
@@ -151,7 +151,7 @@ def _judge(
             continue
         if target.suffix.lower() not in (".png", *FILMS):
             raise UsageError(
-                f"{target} does not end in .html, .png, .mp4 or .gif.",
+                f"{target} does not end in .html, .png, .mp4 or .gif",
                 "compare writes a page, an image or a film: -o difference.html",
             )
         film = target.suffix.lower() in FILMS
@@ -170,7 +170,7 @@ def _judge(
         require_folder(target)
         pictures.append(options)
     if fps is not None and not any(options.film for options in pictures):
-        raise UsageError("--fps does not apply to the other options.", "write a film: -o out.mp4")
+        raise UsageError("--fps does not apply to the other options", "write a film: -o out.mp4")
     return pictures
 
 

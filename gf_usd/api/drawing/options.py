@@ -64,7 +64,7 @@ def read_options(
     suffix = target.suffix.lower()
     if suffix not in SUFFIXES:
         raise UsageError(
-            f"{target} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}.",
+            f"{target} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}",
             "preview writes images as .png and films as .mp4 or .gif: -o out.png",
         )
     film = suffix in FILMS
@@ -130,9 +130,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """
     match = re.fullmatch(r"\s*(\d{1,6})\s*[xX×]\s*(\d{1,6})\s*", text)
     if match is None or 0 in (int(match[1]), int(match[2])):
-        raise UsageError(
-            f"--size {text} is not a size.", "give width x height, e.g. --size 640x480"
-        )
+        raise UsageError(f"--size {text} is not a size", "give width x height, e.g. --size 640x480")
     return int(match[1]), int(match[2])
 
 
@@ -161,7 +159,7 @@ def parse_limits(text: str) -> tuple[float, float]:
     _refuse(len(parts) != 2, f"--color-range {text} is not a range.", hint)
     low, high = (_number(part, f"--color-range {text} is not a range.", hint) for part in parts)
     if low is None or high is None or not low < high:
-        raise UsageError(f"--color-range {text} is empty.", hint)
+        raise UsageError(f"--color-range {text} is empty", hint)
     return low, high
 
 

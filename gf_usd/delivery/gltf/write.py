@@ -50,7 +50,7 @@ def write_glb(
         partial.write_bytes(writer.file())
     except OSError as error:
         raise BakeError(
-            f"{partial} could not be written: {error.strerror}.",
+            f"{partial} could not be written: {error.strerror}",
             f"check that {partial.absolute().parent} is writable and has space left",
         ) from error
     return tuple(writer.notes)

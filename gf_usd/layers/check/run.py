@@ -79,7 +79,7 @@ def check_file(path: str | Path) -> CheckResult:
     require_utf8(file)
     if not Usd.Stage.IsSupportedFile(str(file)):
         raise InputError(
-            f"{file} does not have the suffix of a USD file.",
+            f"{file} does not have the suffix of a USD file",
             "give a file that ends in usd, usda, usdc or usdz",
         )
     with gathered() as warned:

@@ -162,7 +162,7 @@ class SplatTrack:
             raise BakeError(
                 f"<{self._path}> at time code {code_text(time_code)}: in half precision, Gaussian"
                 f" {worst} has an error of {errors[worst]:.3g} stage units, but"
-                f" {self._shape[worst]:.3g} is allowed: it grew more than {GROWTH:g} times.",
+                f" {self._shape[worst]:.3g} is allowed: it grew more than {GROWTH:g} times",
                 "give a --precision so fine that single precision is kept, or leave it out",
             )
 
@@ -271,7 +271,7 @@ class Track:
             largest = float(np.abs(rounded).max(initial=0.0))
             if largest > HIGHEST:
                 raise BakeError(
-                    f"{self.name} up to {largest:.4g} do not fit in half precision.",
+                    f"{self.name} up to {largest:.4g} do not fit in half precision",
                     "leave --half out",
                 )
             self.singles.count(rounded, rounded.nbytes)

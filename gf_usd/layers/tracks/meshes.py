@@ -230,15 +230,14 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
     if np.shape(values) != shape:
         raise BakeError(
             f"{what} at time code {code_text(time_code)} have shape {np.shape(values)}, not"
-            f" {shape}.",
+            f" {shape}",
             "this is a bug in gf-usd, not a fault of the asset: please report it",
         )
     finite = np.isfinite(values)
     if not finite.all():
         bad = int((~finite).sum())
         raise BakeError(
-            f"{what} at time code {code_text(time_code)} contain {bad} numbers that are not"
-            f" finite.",
+            f"{what} at time code {code_text(time_code)} contain {bad} numbers that are not finite",
             "the simulation became unstable: try a smaller --spacing or a softer --material",
         )
 

@@ -112,7 +112,7 @@ class _Blocks:
             worst = int(np.abs(block).max(axis=1).argmax())
             raise BakeError(
                 f"particle {worst} is {np.abs(block[worst]).max()} surface blocks from the "
-                f"origin, but the limit is {FAR}.",
+                f"origin, but the limit is {FAR}",
                 "leave out --surface, or end the bake with --frames before the particle flies away",
             )
         keys, of = np.unique(_keys(block), return_inverse=True)

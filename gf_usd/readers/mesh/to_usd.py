@@ -233,6 +233,6 @@ def _write_bytes(path: Path, data: bytes) -> None:
 
 def _refused(partial: Path) -> BakeError:
     return BakeError(
-        f"{partial} could not be written.",
+        f"{partial} could not be written",
         f"check that {partial.parent} exists, is writable and has space left",
     )

@@ -29,7 +29,7 @@ def find_camera(stage: Usd.Stage, path: Path, name: str) -> UsdGeom.Camera:
     if projection != UsdGeom.Tokens.perspective:
         raise InputError(
             f"{path}: the camera {name} has {projection} projection; only perspective cameras "
-            f"are supported.",
+            f"are supported",
             "choose another camera, or leave --camera out to have one fitted to the motion",
         )
     return camera
@@ -64,7 +64,7 @@ def read_camera(
         raise InputError(
             f"{path}: the camera <{camera.GetPath()}> cannot render an image at {time}: focal "
             f"length {focal:g}, aperture {width:g} x {height:g}, transform "
-            f"{_format_matrix(gf_camera.transform)}.",
+            f"{_format_matrix(gf_camera.transform)}",
             "give it a focal length and apertures above 0 and a transform that can be inverted",
         )
     half = max(height, width / aspect) / (2.0 * focal)

@@ -71,7 +71,7 @@ class BakedMotion:
     def __init__(self, path: Path, variant: str | None = None) -> None:
         if not path.is_file():
             reason = "is a folder" if path.is_dir() else "does not exist"
-            raise InputError(f"{path} {reason}.", "give the root layer that gf-usd bake wrote")
+            raise InputError(f"{path} {reason}", "give the root layer that gf-usd bake wrote")
         self._path = path
         self._notes = Notes()
         with reading(path):
@@ -132,7 +132,7 @@ class BakedMotion:
             except SkippedPrim as reason:
                 raise InputError(
                     f"{self._path}: at time code {code_text(code)} a prim cannot be shown:"
-                    f" {reason}.",
+                    f" {reason}",
                     "run gf-usd check for details, then bake the asset again",
                 ) from reason
             yield frame
@@ -148,7 +148,7 @@ class BakedMotion:
                 raise InputError(
                     f"{self._path}: <{prim.GetPath()}> has {len(points)} points at time code "
                     f"{code_text(code)} but {len(shape.points)} at the first one, or some are not"
-                    f" finite.",
+                    f" finite",
                     "run gf-usd check for details, then bake the asset again",
                 )
             if prim in self._vanishing and not is_visible(prim, time):
@@ -210,7 +210,7 @@ class BakedMotion:
             if array is None or len(array) != count or not np.isfinite(array).all():
                 raise InputError(
                     f"{self._path}: <{prim.GetPath()}> has {0 if array is None else len(array)}"
-                    f" {name} at {time} for {count} Gaussians, or some are not finite.",
+                    f" {name} at {time} for {count} Gaussians, or some are not finite",
                     "run gf-usd check for details, then bake the asset again",
                 )
             values[name] = array
@@ -246,7 +246,7 @@ class BakedMotion:
         if len(self._times) < 2:
             require_composed(self._stage, self._path)
             raise InputError(
-                f"{self._path}: nothing in this file moves.",
+                f"{self._path}: nothing in this file moves",
                 "bake the asset with gf-usd bake and give the root layer that it writes",
             )
         self._replacements = [prim for prim in prims if replaces_meshes(prim)]
@@ -385,7 +385,7 @@ def select_variant(stage: Usd.Stage, path: Path, variant: str | None) -> str:
         hint = (
             f"it holds {', '.join(names)}" if names else "it holds no bake: leave out the variant"
         )
-        raise UsageError(f"{path} has no variant {variant!r}.", hint)
+        raise UsageError(f"{path} has no variant {variant!r}", hint)
     prims = _prims_with_variants(stage)
     if not prims or not names:
         return names[0] if names else ""

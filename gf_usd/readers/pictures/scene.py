@@ -118,10 +118,10 @@ class PictureStage:
         variant: str | None = None,
     ) -> None:
         if show is not None and show not in SHOWS:
-            raise UsageError(f"Unknown --show {show}.", f"choose one of: {', '.join(SHOWS)}")
+            raise UsageError(f"unknown --show {show}", f"choose one of: {', '.join(SHOWS)}")
         if not path.is_file():
             reason = "is a folder" if path.is_dir() else "does not exist"
-            raise InputError(f"{path} {reason}.", "give the USD file to draw")
+            raise InputError(f"{path} {reason}", "give the USD file to draw")
         self._path = path
         self._stage_notes = Notes()
         with reading(path):
@@ -149,7 +149,7 @@ class PictureStage:
                 ", ".join(sorted({kind for kind, _ in self._drawable_prims()})) or "nothing to draw"
             )
             raise InputError(
-                f"{path}: it contains no visible {' or '.join(SHOWS[self.show][0])}.",
+                f"{path}: it contains no visible {' or '.join(SHOWS[self.show][0])}",
                 f"it contains {kinds_present}: choose with --show",
             )
         self._motion: Motion | None = None
@@ -279,7 +279,7 @@ class PictureStage:
         times = self.motion.time_codes
         if time_code is not None and times and not times[0] <= time_code <= times[-1]:
             raise UsageError(
-                f"--frame {code_text(time_code)} is outside the motion of {self._path}.",
+                f"--frame {code_text(time_code)} is outside the motion of {self._path}",
                 f"its time codes run from {code_text(times[0])} to {code_text(times[-1])}",
             )
 
@@ -385,7 +385,7 @@ class PictureStage:
         hidden = sorted(self._kinds_with_prims(kinds))
         reason = "every mesh is" if hidden == ["mesh"] else f"all {' and '.join(hidden)} are"
         return InputError(
-            f"{self._path}: it contains no visible {' or '.join(kinds)}: {reason} invisible.",
+            f"{self._path}: it contains no visible {' or '.join(kinds)}: {reason} invisible",
             "make it visible, with all prims above it, or choose another kind with --show",
         )
 

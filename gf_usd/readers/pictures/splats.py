@@ -98,7 +98,7 @@ class SplatMotion:
                 if count != expected:
                     raise InputError(
                         f"{self._path}: <{splats.name}> has {count} Gaussians that are finite at "
-                        f"time code {code_text(code)} and {expected} at the first one.",
+                        f"time code {code_text(code)} and {expected} at the first one",
                         "run gf-usd check for details, then bake the asset again",
                     )
             yield found
@@ -110,7 +110,7 @@ class SplatMotion:
         except SkippedPrim as reason:
             raise InputError(
                 f"{self._path}: <{prim.GetPath()}> {reason} at time code"
-                f" {code_text(time.GetValue())}.",
+                f" {code_text(time.GetValue())}",
                 "run gf-usd check for details, then bake the asset again",
             ) from reason
 

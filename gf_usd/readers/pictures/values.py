@@ -83,15 +83,14 @@ class Values:
     def __init__(self, stage: Usd.Stage, name: str, path: Path, pressure: float) -> None:
         if name not in MEASURES:
             raise UsageError(
-                f"Unknown --color {name}.", f"choose one of: {', '.join((*MEASURES, 'none'))}"
+                f"unknown --color {name}", f"choose one of: {', '.join((*MEASURES, 'none'))}"
             )
         walk = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
         prims = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_bake_particles(p)]
         self._clouds = [_read_cloud(prim) for prim in prims]
         if not self._clouds:
             raise InputError(
-                f"{path}: --color {name} needs the particles of a bake, and the file contains "
-                f"none.",
+                f"{path}: --color {name} needs the particles of a bake, and the file contains none",
                 "give a file that gf-usd bake wrote, with a variant of gaussianFlesh other than "
                 "none",
             )
@@ -104,7 +103,7 @@ class Values:
         if without:
             raise InputError(
                 f"{path}: <{without[0].prim.GetPath()}> holds no {name}"
-                f" ({', '.join(measure.attributes)}).",
+                f" ({', '.join(measure.attributes)})",
                 f"bake with {measure.option}, or use --color strain",
             )
         self.name, self._measure = name, measure

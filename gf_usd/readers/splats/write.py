@@ -58,7 +58,7 @@ def spz_bytes(splats: Splats) -> bytes:
     bits = min(MOST_BITS, int(np.floor(23.0 - np.log2(max(farthest, 2.0**-MOST_BITS) * 1.0001))))
     if bits < 0:
         raise BakeError(
-            f"SPZ cannot hold a position of {farthest:.3g}.", "write PLY with --export-ply"
+            f"SPZ cannot hold a position of {farthest:.3g}", "write PLY with --export-ply"
         )
     whole = np.rint(np.asarray(splats.positions, np.float64) * 2.0**bits).astype("<i4")
     places = np.ascontiguousarray(whole).view(np.uint8).reshape(count, 3, 4)[:, :, :3]

@@ -64,8 +64,8 @@ def pinhole_camera(
     right = np.cross(forward, np.array(camera.up, dtype=np.float64))
     if not np.linalg.norm(right) > 1e-9 * distance > 0.0:
         raise UsageError(
-            f"The camera at {camera.eye} looking at {camera.target} with up {camera.up} "
-            "has no direction.",
+            f"the camera at {camera.eye} looking at {camera.target} with up {camera.up} "
+            "has no direction",
             "move it away from its target, and choose an up vector that is not parallel to the "
             "view",
         )

@@ -51,6 +51,6 @@ def write_png(path: Path, pixels: NDArray[np.uint8]) -> None:
         partial.replace(path)
     except OSError as error:
         raise UsageError(
-            f"The image {path} cannot be written: {error.strerror or error}.",
+            f"the image {path} cannot be written: {error.strerror or error}",
             "choose a folder that exists and is writable, with -o",
         ) from error

@@ -69,8 +69,8 @@ def make_light_rig(lights: tuple[Light, ...], view: Floats, up: Floats) -> Light
     lights = lights or studio(view, up)
     if len(lights) > 2:
         raise UsageError(
-            f"An image can have a key light and a fill light, but the scene has {len(lights)} "
-            f"lights.",
+            f"an image can have a key light and a fill light, but the scene has {len(lights)} "
+            f"lights",
             "leave out the weaker ones: the dome light replaces them",
         )
     casting = [light for light in lights if light.shadows] or list(lights)

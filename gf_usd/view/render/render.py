@@ -47,7 +47,7 @@ def render_linear(
     width, height = size
     if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
         raise UsageError(
-            f"An image of {width}x{height} pixels cannot be rendered.",
+            f"an image of {width}x{height} pixels cannot be rendered",
             f"give a width and a height of 1 to {LARGEST} pixels, e.g. --size 640x480",
         )
     ensure_taichi()

@@ -150,7 +150,7 @@ def collect(source: Source, limits: Limits) -> SplatRecording:
     """
     if len(source.time_codes) < 2:
         raise InputError(
-            f"{source.name} contains no moving Gaussians.",
+            f"{source.name} contains no moving Gaussians",
             "give the root layer of a bake, or bake again with gaussians included in --only",
         )
     codes = [source.time_codes[i] for i in evenly_spaced(len(source.time_codes), limits.frames)]

@@ -26,12 +26,12 @@ def import_open3d() -> Any:
         return importlib.import_module("open3d")
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"A window needs the Python module {error.name}, which is not installed.",
+            f"a window needs the Python module {error.name}, which is not installed",
             f"pip install open3d; without it, {ALTERNATIVE}",
         ) from error
     except (ImportError, OSError) as error:
         raise UsageError(
-            f"open3d is installed, but a system library that it needs is not: {error}.", PACKAGES
+            f"open3d is installed, but a system library that it needs is not: {error}", PACKAGES
         ) from error
 
 
@@ -45,14 +45,14 @@ def require_display() -> None:
     name = os.environ.get("DISPLAY")
     if not name:
         raise UsageError(
-            "There is no display: the environment variable DISPLAY is not set.",
+            "there is no display: the environment variable DISPLAY is not set",
             f"run it on a desktop, or under xvfb-run; without a display, {ALTERNATIVE}",
         )
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError as error:
         raise UsageError(
-            f"A system library that a window needs is not installed: {error}.", PACKAGES
+            f"a system library that a window needs is not installed: {error}", PACKAGES
         ) from error
     x11.XOpenDisplay.argtypes = [ctypes.c_char_p]
     x11.XOpenDisplay.restype = ctypes.c_void_p
@@ -60,7 +60,7 @@ def require_display() -> None:
     display = x11.XOpenDisplay(None)
     if not display:
         raise UsageError(
-            f"The display DISPLAY={name} cannot be opened.",
+            f"the display DISPLAY={name} cannot be opened",
             f"check that it is running and that you may use it; without a display, {ALTERNATIVE}",
         )
     x11.XCloseDisplay(display)

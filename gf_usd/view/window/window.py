@@ -90,7 +90,7 @@ class Window:
         option = window.get_render_option() if opened else None
         if option is None:
             raise UsageError(
-                "The display offers no OpenGL window.", f"{PACKAGES}; without OpenGL, {ALTERNATIVE}"
+                "the display offers no OpenGL window", f"{PACKAGES}; without OpenGL, {ALTERNATIVE}"
             )
         option.background_color = np.array(BACKGROUND)
         option.mesh_show_back_face = True

@@ -161,7 +161,7 @@ def test_instances_are_judged_once_under_a_path_of_the_stage(tmp_path: Path) -> 
         ("gone.usda", None, "gone.usda does not exist"),
         (".", None, " is a folder"),
         ("text.usda", "hello\n", "text.usda cannot be opened as USD"),
-        ("duck.obj", "v 0 0 0\n", "duck.obj does not have the suffix of a USD file."),
+        ("duck.obj", "v 0 0 0\n", "duck.obj does not have the suffix of a USD file"),
         ("open.usda", '#usda 1.0\ndef Mesh "a', "open.usda:2:12: syntax error at ''"),
         ("cut.usdc", "PXR-USDC", "cut.usdc cannot be opened as USD"),
     ],

@@ -373,7 +373,7 @@ def test_what_is_not_there_is_said(tmp_path):
     with pytest.raises(InputError, match="no visible gaussians") as caught:
         PictureStage(path, "gaussians")
     assert "it contains mesh" in caught.value.hint
-    with pytest.raises(UsageError, match="Unknown --show fog"):
+    with pytest.raises(UsageError, match="unknown --show fog"):
         PictureStage(path, "fog")
     with pytest.raises(InputError, match="does not exist"):
         PictureStage(tmp_path / "nothing.usda")

@@ -166,7 +166,7 @@ def test_what_a_bake_does_not_hold_is_refused(tmp_path):
     with pytest.raises(InputError, match="</Box/Gaussians> holds no stress") as caught:
         PictureStage(path, "mesh", color="stress")
     assert "--stress" in caught.value.hint
-    with pytest.raises(UsageError, match="Unknown --color heat"):
+    with pytest.raises(UsageError, match="unknown --color heat"):
         PictureStage(path, "mesh", color="heat")
     plain = tmp_path / "plain.usda"
     plain.write_text('#usda 1.0\ndef Cube "box" {\n}\n', encoding="utf-8")
