@@ -49,7 +49,7 @@ def test_only_the_wall_of_an_egg_is_filled() -> None:
     assert [s.path for s in whole.surfaces] == ["/Outer"]
     solid = build_solid(whole)
     expected = sum(s * signed_volume(b.points, b.triangles) for s, b in ((1, OUTER), (-1, INNER)))
-    assert solid.volume == pytest.approx(expected, rel=5e-3)  # 200 000 points are tested
+    assert solid.volume == pytest.approx(expected, rel=5e-3)  # 20 000 points are tested
     at = np.array([[0.0, r, 0.0] for r in (0.0, 0.75, 0.85, 0.95, 1.05)])
     assert solid.inside(at).tolist() == [False, False, True, True, False]
     assert len(whole.surfaces[0].points[: whole.surfaces[0].own_points]) == len(OUTER.points)
