@@ -11,6 +11,7 @@ from pxr import Usd
 from small_sources import PLAIN, SOURCES, Source
 from small_stages import RUBBER, bake, frames_of, info_of, particles_of, world, write_cache
 
+from gf_usd.core.asset import Asset
 from gf_usd.core.frames import Choices, Health
 from gf_usd.core.units import Precision
 from gf_usd.layers.cache import CacheWriter
@@ -23,31 +24,31 @@ COARSE = Precision(value=SHARE, relative=True)
 ADAPTIVE = Choices(precision=COARSE, adaptive=True)
 
 
-def roots(asset, folder: Path, choices: Choices, **more) -> tuple[Path, Path]:
-    """The bake with all samples, and the one with these choices."""
-    found = []
-    for name, chosen in (("all", Choices()), ("few", choices)):
-        where = folder / name
-        where.mkdir()
-        found.append(bake(asset, where, choices=chosen, frames=FRAMES, **more)[0].path)
-    return found[0], found[1]
-
-
 # at this rate nothing is straight under a parent that turns, or far from the axis of the motion
 TURNING = [SOURCES["moving"], SOURCES["several_roots"]]
 
 
-@pytest.fixture(params=SOURCES)
+@pytest.fixture(params=SOURCES, scope="module")
 def source(request: pytest.FixtureRequest) -> Source:
     return SOURCES[request.param]
 
 
+@pytest.fixture(scope="module")
+def complete(source: Source, tmp_path_factory: pytest.TempPathFactory) -> tuple[Asset, Path, set]:
+    """A source, its bake with all samples, and the rules and prim paths of its findings."""
+    folder = tmp_path_factory.mktemp("complete")
+    asset = source.asset(folder)
+    root = bake(asset, folder, choices=Choices(), frames=FRAMES)[0].path
+    return asset, root, {(f.rule, f.prim_path) for f in check_file(root).findings}
+
+
 @pytest.mark.parametrize("clips", [0, 7])
 def test_points_are_within_the_error_at_every_frame(
-    source: Source, clips: int, tmp_path: Path
+    source: Source, complete: tuple[Asset, Path, set], clips: int, tmp_path: Path
 ) -> None:
-    asset = source.asset(tmp_path)
-    every, few = roots(asset, tmp_path, Choices(precision=COARSE, adaptive=True, clip_frames=clips))
+    asset, every, known = complete
+    choices = Choices(precision=COARSE, adaptive=True, clip_frames=clips)
+    few = bake(asset, tmp_path, choices=choices, frames=FRAMES)[0].path
     true, mine = Usd.Stage.Open(str(every)), Usd.Stage.Open(str(few))
     limit = SHARE * particles_of(asset).radii.min() / asset.facts.units.length
     left = 0
@@ -62,8 +63,7 @@ def test_points_are_within_the_error_at_every_frame(
                     apart = world(true, path, name, code) - world(mine, path, name, code)
                     assert np.linalg.norm(apart, axis=1).max() <= limit, (path, code)
     assert left > 0 or source in TURNING
-    found = [{(f.rule, f.prim_path) for f in check_file(root).findings} for root in (every, few)]
-    assert found[0] == found[1]
+    assert {(f.rule, f.prim_path) for f in check_file(few).findings} == known
 
 
 def test_the_error_that_is_reported_is_the_largest_that_is_read(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from small_stages import (
     write_cache,
 )
 
+from gf_usd.core.asset import Asset
 from gf_usd.core.frames import CLIP, LARGE, Choices, clip_length
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import check_file
@@ -30,9 +31,17 @@ FRAMES = 8
 OF_THE_SOURCE = ("primvars:normals",)
 
 
-@pytest.fixture(params=SOURCES)
+@pytest.fixture(params=SOURCES, scope="module")
 def source(request: pytest.FixtureRequest) -> Source:
     return SOURCES[request.param]
+
+
+@pytest.fixture(scope="module")
+def whole(source: Source, tmp_path_factory: pytest.TempPathFactory) -> tuple[Asset, Path]:
+    """A source and its bake in one file."""
+    folder = tmp_path_factory.mktemp("whole")
+    asset = source.asset(folder)
+    return asset, bake(asset, folder, frames=FRAMES)[0].path
 
 
 def both(asset, folder: Path, length: int, **options: object) -> tuple[Path, Path]:
@@ -71,12 +80,15 @@ def same_values(one: Usd.Stage, clips: Usd.Stage, start: float, step: float = 1.
 
 
 @pytest.mark.parametrize("length", [1, 3, 7, 20])
-def test_clips_say_what_one_file_says(source: Source, length: int, tmp_path: Path) -> None:
-    asset = source.asset(tmp_path)
-    one, clips = both(asset, tmp_path, length)
+def test_clips_say_what_one_file_says(
+    whole: tuple[Asset, Path], length: int, tmp_path: Path
+) -> None:
+    asset, one = whole
+    choices = Choices(clip_frames=length)
+    clips = bake(asset, tmp_path, choices=choices, frames=FRAMES)[0].path
     start = info_of(asset).settings.start
     assert same_values(Usd.Stage.Open(str(one)), Usd.Stage.Open(str(clips)), start) > 10
-    files = sorted(p.name for p in (tmp_path / "clips" / "duck.rubber.clips").iterdir())
+    files = sorted(p.name for p in (tmp_path / "duck.rubber.clips").iterdir())
     count = -(-(FRAMES - 1) // length)
     assert files == [*(f"{k:04d}.usdc" for k in range(1, count + 1)), "manifest.usda"]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,11 @@ from pxr import Usd, UsdGeom
 from small_sources import SOURCES, Source
 from small_stages import EPS, bake, frames_of, open_with, world
 
+from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames import BakeInfo, Choices, Particles
 from gf_usd.layers.check.run import check_file
+from gf_usd.layers.root import RootSummary
 from gf_usd.prepare.options.texts import parse_only
 
 SUBSETS = [("mesh",), ("gaussians",), ("points",), ("mesh", "points"), ("gaussians", "points")]
@@ -24,6 +28,26 @@ def source(request: pytest.FixtureRequest) -> Source:
     return SOURCES[request.param]
 
 
+Baked = Callable[[Source, tuple[str, ...]], tuple[Asset, RootSummary, Particles, BakeInfo]]
+
+
+@pytest.fixture(scope="module")
+def baked(tmp_path_factory: pytest.TempPathFactory) -> Baked:
+    """Bakes a source with some shapes, (): all; once for all tests, which only read the files."""
+
+    @cache
+    def made(
+        source: Source, shapes: tuple[str, ...]
+    ) -> tuple[Asset, RootSummary, Particles, BakeInfo]:
+        folder = tmp_path_factory.mktemp("baked")
+        asset = source.asset(folder)
+        choices = Choices(shapes=shapes) if shapes else Choices()
+        root, particles, info = bake(asset, folder, choices=choices)
+        return asset, root, particles, info
+
+    return made
+
+
 def visible(stage: Usd.Stage) -> set[str]:
     """Paths of what is drawn."""
     walk = stage.Traverse(Usd.TraverseInstanceProxies())
@@ -33,11 +57,9 @@ def visible(stage: Usd.Stage) -> set[str]:
 
 @pytest.mark.parametrize("shapes", SUBSETS, ids=",".join)
 def test_what_was_chosen_is_there_and_nothing_else(
-    shapes: tuple[str, ...], source: Source, tmp_path: Path
+    shapes: tuple[str, ...], source: Source, baked: Baked
 ) -> None:
-    asset = source.asset(tmp_path)
-    choices = Choices(shapes=shapes)
-    root, particles, info = bake(asset, tmp_path, choices=choices)
+    asset, root, particles, info = baked(source, shapes)
     stage = Usd.Stage.Open(str(root.path))
     frame = list(frames_of(asset, particles, info))[-1]
     unit = asset.facts.units.length
@@ -59,10 +81,9 @@ def test_what_was_chosen_is_there_and_nothing_else(
 
 @pytest.mark.parametrize("shapes", SUBSETS, ids=",".join)
 def test_each_shape_that_is_there_has_a_display(
-    shapes: tuple[str, ...], source: Source, tmp_path: Path
+    shapes: tuple[str, ...], source: Source, baked: Baked
 ) -> None:
-    asset = source.asset(tmp_path)
-    root, _, _ = bake(asset, tmp_path, choices=Choices(shapes=shapes))
+    asset, root, _, _ = baked(source, shapes)
     stage = open_with(root.path, "rubber")
     meshes = {surface.path for surface in asset.surfaces}
     prims = [stage.GetPrimAtPath(path) for path in root.switches]
@@ -78,14 +99,28 @@ def test_each_shape_that_is_there_has_a_display(
             assert any(path.endswith(f"/{drawn}") for path in seen) == (shape == name)
 
 
+Faults = set[tuple[str, str]]  # rule and prim path
+
+
+@pytest.fixture(scope="module")
+def faults(baked: Baked) -> Callable[[Source], Faults]:
+    """What the check finds in a source and in its bake with all shapes."""
+
+    @cache
+    def found(source: Source) -> Faults:
+        asset, root, _, _ = baked(source, ())
+        files = (asset.facts.path, root.path)
+        return {(f.rule, f.prim_path) for file in files for f in check_file(file).findings}
+
+    return found
+
+
 @pytest.mark.parametrize("shapes", SUBSETS, ids=",".join)
-def test_nothing_dangles(shapes: tuple[str, ...], source: Source, tmp_path: Path) -> None:
-    asset = source.asset(tmp_path)
-    (tmp_path / "whole").mkdir()
-    whole, _, _ = bake(asset, tmp_path / "whole")
-    files = (asset.facts.path, whole.path)
-    known = {(f.rule, f.prim_path) for file in files for f in check_file(file).findings}
-    root, _, _ = bake(asset, tmp_path, choices=Choices(shapes=shapes))
+def test_nothing_dangles(
+    shapes: tuple[str, ...], source: Source, baked: Baked, faults: Callable[[Source], Faults]
+) -> None:
+    asset, root, _, _ = baked(source, shapes)
+    known = faults(source)
     found = check_file(root.path).findings
     assert [f for f in found if f.severity == "error" and (f.rule, f.prim_path) not in known] == []
     without = open_with(root.path, "none")
