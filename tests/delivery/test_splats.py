@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from gf_usd.core.radiance import basis
 from gf_usd.delivery.deliver import Delivered, deliver
 
 ERROR = 0.02
+ToGltf = Callable[[Path, str], Delivered]
 SINGLE = 1e-5  # of the size of the scene: single precision, and rotations of 16 bits
 
 
@@ -29,6 +32,16 @@ def over_mesh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return moving_splats(tmp_path_factory.mktemp("alone") / "ball.usdc", mesh=False, degree=3)
+
+
+@pytest.fixture(scope="module")
+def to_gltf(tmp_path_factory: pytest.TempPathFactory) -> ToGltf:
+    """`deliver` of a file as .glb of a kind, once for all tests, which only read what it writes."""
+    return cache(
+        lambda source, kind: deliver(
+            source, tmp_path_factory.mktemp("out") / "out.glb", error=ERROR, kind=kind
+        )
+    )
 
 
 def measured(source: Path, done: Delivered, name: str, radius: float) -> tuple[float, np.ndarray]:
@@ -50,10 +63,10 @@ def measured(source: Path, done: Delivered, name: str, radius: float) -> tuple[f
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 @pytest.mark.parametrize("source", ["over_mesh", "alone"])
 def test_gltf_positions_and_covariances_are_within_the_stated_errors(
-    source: str, kind: str, request: pytest.FixtureRequest, tmp_path: Path
+    source: str, kind: str, request: pytest.FixtureRequest, to_gltf: ToGltf
 ) -> None:
     path: Path = request.getfixturevalue(source)
-    done = deliver(path, tmp_path / "out.glb", error=ERROR, kind=kind)
+    done = to_gltf(path, kind)
     (cloud,) = done.splats
     (body,) = done.bodies
     assert cloud.path == "/Ball/Splats"
@@ -97,17 +110,17 @@ def test_on_nodes_any_loader_moves_them(
     assert cloud.position < 0.25
 
 
-def test_the_radius_of_a_capture_is_that_of_its_hull(alone: Path, tmp_path: Path) -> None:
-    done = deliver(alone, tmp_path / "out.glb", error=ERROR)
+def test_the_radius_of_a_capture_is_that_of_its_hull(alone: Path, to_gltf: ToGltf) -> None:
+    done = to_gltf(alone, "auto")
     # a ball of half a unit, of which 200 corners are a little less
     assert done.bodies[0].radius == pytest.approx(0.005, rel=0.03)
 
 
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 def test_a_loader_without_skins_shows_the_first_frame(
-    alone: Path, tmp_path: Path, kind: str
+    alone: Path, to_gltf: ToGltf, kind: str
 ) -> None:
-    done = deliver(alone, tmp_path / "out.glb", error=ERROR, kind=kind)
+    done = to_gltf(alone, kind)
     file = Glb.read(done.path)
     ((node, primitive),) = file.splats()
     at, shapes = file.posed(node, primitive, None, skins=False)
@@ -119,8 +132,8 @@ def test_a_loader_without_skins_shows_the_first_frame(
     assert gap.max() < 1e-3  # rotations of 16 bits
 
 
-def test_the_primitive_is_as_the_extension_says(alone: Path, tmp_path: Path) -> None:
-    done = deliver(alone, tmp_path / "out.glb", error=ERROR)
+def test_the_primitive_is_as_the_extension_says(alone: Path, to_gltf: ToGltf) -> None:
+    done = to_gltf(alone, "auto")
     file = Glb.read(done.path)
     assert file.tree["extensionsUsed"] == [KHR]
     assert "extensionsRequired" not in file.tree
@@ -149,9 +162,9 @@ def test_the_primitive_is_as_the_extension_says(alone: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
-def test_light_turns_with_the_axes_of_the_file(alone: Path, tmp_path: Path, kind: str) -> None:
+def test_light_turns_with_the_axes_of_the_file(alone: Path, to_gltf: ToGltf, kind: str) -> None:
     """The radiance at a direction of the scene is that of the source at the same direction."""
-    done = deliver(alone, tmp_path / "out.glb", error=ERROR, kind=kind)
+    done = to_gltf(alone, kind)
     file = Glb.read(done.path)
     ((node, primitive),) = file.splats()
     coefficients = np.stack(
@@ -307,9 +320,9 @@ def test_usdskel_skins_no_particle_field(over_mesh: Path, tmp_path: Path) -> Non
     assert flat.GetPrimAtPath("/Ball/Splats").GetAttribute("positions").GetNumTimeSamples() == 0
 
 
-def test_the_same_bytes_each_time(alone: Path, tmp_path: Path) -> None:
-    files = [deliver(alone, tmp_path / f"{name}.glb", error=ERROR).path for name in "ab"]
-    assert files[0].read_bytes() == files[1].read_bytes()
+def test_the_same_bytes_each_time(alone: Path, to_gltf: ToGltf, tmp_path: Path) -> None:
+    again = deliver(alone, tmp_path / "out.glb", error=ERROR)
+    assert again.path.read_bytes() == to_gltf(alone, "auto").path.read_bytes()
 
 
 def test_what_makes_no_sense_is_refused(over_mesh: Path, alone: Path, tmp_path: Path) -> None:
