@@ -110,7 +110,7 @@ def test_the_floor_that_is_proposed_is_under_poses_next_to_a_capture_without_any
     tmp_path: Path,
 ) -> None:
     """It was under the rest shape of all, since one of the surfaces has no joint weights."""
-    path = captured(tmp_path)
+    path = captured(tmp_path, 800)
     stage = Usd.Stage.Open(str(path))
     sinking = Sdf.Layer.FindOrOpen(str(write(tmp_path, arm(lift=(0.0, -1.5)))))
     for prim in ("/Arm/Skin", "/Arm/Anim"):
@@ -126,7 +126,7 @@ def test_the_floor_that_is_proposed_is_under_poses_next_to_a_capture_without_any
 @pytest.mark.parametrize("animated", ["transform", "mesh"])
 def test_an_animation_of_captured_gaussians_is_refused(tmp_path: Path, animated: str) -> None:
     """Without a skeleton it ended in a traceback, as did that of a mesh beside them."""
-    path = captured(tmp_path)
+    path = captured(tmp_path, 800)
     stage = Usd.Stage.Open(str(path))
     person = stage.GetPrimAtPath("/Arm/Person")
     for prim in ("/Arm/Skel", "/Arm/Anim"):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from slow_parameters import slow_but
+from small_bakes import Done
 
 BALL = """#usda 1.0
 (
@@ -56,6 +58,19 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(p): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+def as_program(*arguments: str) -> Done:
+    """`gf-usd` as a process, within what people are promised.
+
+    In seconds of the processor: a busy machine proves nothing.
+    """
+    began = child_seconds()
+    done = subprocess.run(
+        [sys.executable, "-m", "gf_usd", *arguments], capture_output=True, text=True, check=False
+    )
+    assert child_seconds() - began < 5.0
+    return Done(done.returncode, done.stdout, done.stderr)
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "message", "hint"),
     [
@@ -68,31 +83,32 @@ def files(folder: Path) -> dict[str, bytes]:
     ids=["missing file", "text file", "no volume", "unknown material", "unwritable folder"],
 )
 def test_refused_in_words_and_without_a_file(
-    tmp_path: Path, arguments: list[str], status: int, message: str, hint: str
+    tmp_path: Path,
+    here: Path,
+    gf_usd: Callable[..., Done],
+    arguments: list[str],
+    status: int,
+    message: str,
+    hint: str,
 ) -> None:
-    here = tmp_path / "here"
-    here.mkdir()
+    """The one that is refused last, when its meshes are known, as a program of its own."""
     for name, text in (("ball", BALL), ("sheet", SHEET), ("text", "Dear artist,\nhello.\n")):
         (here / f"{name}.usda").write_text(text, encoding="utf-8")
     if arguments[-1] == "SEALED/":
         arguments = [*arguments[:-1], f"{unwritable(tmp_path / 'sealed')}/"]
-    before, began = files(tmp_path), child_seconds()
-    done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", "bake", *arguments],
-        cwd=here, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    # What people are promised, in seconds of the processor: a busy machine proves nothing.
-    assert child_seconds() - began < 5.0
-    assert done.returncode == status
-    assert done.stdout == ""
+    before = files(tmp_path)
+    run = as_program if arguments == ["sheet.usda"] else gf_usd
+    done = run("bake", *arguments)
+    assert done.status == status
+    assert done.out == ""
     # A machine that takes seconds to start a process is shown the stage first.
-    printed = done.stderr.removeprefix(f"reading {arguments[0]}\n")
+    printed = done.err.removeprefix(f"reading {arguments[0]}\n")
     error, _, advice = printed.partition("\n\nhint: ")
     assert error.startswith("error: ")
     assert message in error
     assert hint in advice
-    assert "Traceback" not in done.stderr
-    assert len(done.stderr) < 1000  # short: a screen's third
+    assert "Traceback" not in done.err
+    assert len(done.err) < 1000  # short: a screen's third
     assert files(tmp_path) == before
 
 

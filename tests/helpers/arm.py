@@ -189,15 +189,17 @@ def drawn(stage: Usd.Stage, code: float, path: str = "/Arm/Skin") -> NDArray[np.
     return np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code)) @ M[:3, :3] + M[3, :3]
 
 
-def captured(folder: Path) -> Path:
-    """The arm as captured Gaussians without joint weights, next to its skeleton: person.usda."""
+def captured(folder: Path, count: int = 3000) -> Path:
+    """The arm as about so many captured Gaussians without joint weights, next to its skeleton:
+    person.usda.
+    """
     import trimesh
     from captures import define, facing
 
     from gf_usd.core.asset import Splats
 
     box = trimesh.creation.box((2.0, WIDTH, WIDTH))
-    at, face = trimesh.sample.sample_surface_even(box, 3000, seed=1)
+    at, face = trimesh.sample.sample_surface_even(box, count, seed=1)
     at = at + [1.0, 0.0, 0.0]
     normals = box.face_normals[face]
     wide = np.sqrt(box.area / len(at))
