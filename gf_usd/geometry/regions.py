@@ -85,6 +85,28 @@ def box_region(
     )
 
 
+PROBES = 12  # points along each edge of the box around a mesh, which tell whether it is flat
+
+
+def part_of_joined(region: Region, solid: Solid) -> Region:
+    """The region of a mesh, as a patch where the mesh is a part of a joined one and by itself
+    encloses nothing, as one face of a box.
+    """
+    if region.kind != "volume" or not any(region.name in group for group in solid.joined):
+        return region
+    used, renumbered = np.unique(region.triangles, return_inverse=True)
+    points = region.points[used]
+    ticks = (np.arange(PROBES) + 0.5) / PROBES
+    lattice = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
+    inside = points.min(0) + np.ptp(points, axis=0) * lattice
+    if Shape(region.points, region.triangles).encloses(inside).any():
+        return region
+    return replace(
+        region, kind="patch", points=points, triangles=renumbered.reshape(-1, 3),
+        path=region.path[:, used], body=region.name,
+    )  # fmt: skip
+
+
 def make_pin(
     region: Region, solid: Solid, drawn: Sequence[Surface] = (), option: str = "--pin"
 ) -> Pin:

@@ -38,7 +38,7 @@ def make_pins(
     Raises UsageError for a box that is none, InputError for a prim that is none or has no surface,
     and for a region that holds nothing of the body.
     """
-    from gf_usd.geometry.regions import BOX, box_region, make_pin, make_rigid
+    from gf_usd.geometry.regions import BOX, box_region, make_pin, make_rigid, part_of_joined
     from gf_usd.readers.usd_bake.regions import JOINT, PAINT, read_regions, read_weighted
 
     if not names:
@@ -51,7 +51,7 @@ def make_pins(
     boxes = [name for name in names if name.startswith(BOX)]
     weights = [name for name in names if name.startswith((PAINT, JOINT))]
     prims = [name for name in names if not name.startswith(BOX) and name not in weights]
-    regions = {region.name: region for region in read(prims)} if prims else {}
+    regions = {one.name: part_of_joined(one, solid) for one in (read(prims) if prims else ())}
     if boxes:
         # a capture has no surface in its stage, and its animation is not followed
         still = [s.points for s in asset.surfaces if s.splats is not None]

@@ -57,8 +57,8 @@ def assign(
         )  # fmt: skip
 
     materials = with_conversions(
-        asset.facts.path, assigned(inputs.spec), request.converted, solid, bodies, inputs.spec,
-        unit, stated, surface=bool(request.surface),
+        asset, assigned(inputs.spec), request.converted, solid, bodies, inputs.spec, unit, stated,
+        surface=bool(request.surface),
     )  # fmt: skip
     if changes is not None and inputs.file is not None:
         materials = with_value_keys(

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.asset import Surface
+from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.frames import Particles
 from gf_usd.core.materials.conversion import KINDS, TIME, Conversion, Limit
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.materials.presets import find_preset
-from gf_usd.core.stage import StageSpec
+from gf_usd.core.stage import PhysicsMaterialSpec, StageSpec, SubsetMaterial
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.materials.assign import Assigned
-from gf_usd.prepare.materials.parts import material_parts, part_of_particles
+from gf_usd.prepare.materials.parts import MaterialPart, material_parts, part_of_particles
 from gf_usd.prepare.materials.regions import MaterialBox, parse_corners
 
 if TYPE_CHECKING:
@@ -45,14 +45,20 @@ class ConversionRule:
         """
         return replace(find_preset(self.material).material(1.0, None), **stated)
 
-    def may_hold(self, surface: Surface, spec: StageSpec, unit: float) -> bool:
-        """Whether a rule may match particles of a filled surface; unit : [m]."""
+    def may_hold(
+        self, surface: Surface, spec: StageSpec, unit: float, parts: Sequence[str] = ()
+    ) -> bool:
+        """Whether a rule may match particles of a filled surface.
+
+        unit : [m] of the stage; parts : paths of the meshes that were joined to the surface.
+        """
         if self.box is not None:
             low, high = self.box.low * unit, self.box.high * unit
             points = np.asarray(surface.points)
             return bool((points.max(0) >= low).all() and (points.min(0) <= high).all())
         body = spec.bodies.get(surface.path)
-        paths = (surface.path, *(one.path for one in (body.subsets if body else ())))
+        subsets = body.subsets if body else ()
+        paths = (surface.path, *parts, *(one.path for one in subsets))
         return any(_is_at_or_below(path, self.path) for path in paths)
 
 
@@ -101,7 +107,7 @@ def _parse(text: str) -> ConversionRule:
 
 
 def with_conversions(
-    path: Path,
+    asset: Asset,
     assigned: Assigned,
     rules: Sequence[ConversionRule],
     solid: Solid,
@@ -114,8 +120,9 @@ def with_conversions(
 ) -> Assigned:
     """The particles with their conversions, and the tables with the new materials at the end.
 
-    path : of the asset, for messages; unit : [m] of the stage; stated : values of the options,
-        which replace those of materials; surface : flowing material is shown as a surface.
+    asset : with the meshes as they were authored, before some were joined.
+    unit : [m] of the stage; stated : values of the options, which replace those of materials;
+        surface : flowing material is shown as a surface.
 
     Later rules have precedence.
     Raises InputError for a rule that matches no particle, or only particles that flow from the
@@ -123,15 +130,17 @@ def with_conversions(
     """
     if not rules:
         return assigned
-    particles = assigned.particles
+    path, particles = asset.facts.path, assigned.particles
     count = len(assigned.tables[0])
     flows = unbounded(particles, assigned.tables[0])
     of = np.full(len(particles), -1)
-    meant = [_matching_particles(rule, particles.X, assigned, solid, spec, unit) for rule in rules]
+    parts = [*material_parts(solid, spec), *_joined_parts(solid, asset)]
+    meant = [_matching_particles(rule, particles, solid, parts, unit) for rule in rules]
     for k, (rule, mine) in enumerate(zip(rules, meant)):
         if not mine.any():
             raise InputError(
-                f"{path}: {OPTION} {rule.text} selects none of the {len(particles)} particles",
+                f"{path}: {OPTION} {rule.text} selects none of the {len(particles)} particles"
+                f"{_why_none(rule, solid, asset)}",
                 "name a baked prim (gf-usd inspect lists them), a GeomSubset whose material is used"
                 " (without --material), or a box that holds particles",
             )
@@ -167,22 +176,51 @@ def with_conversions(
     )
 
 
+def _joined_parts(solid: Solid, asset: Asset) -> list[MaterialPart]:
+    """The meshes of which joined surfaces consist, as subsets of the faces of those.
+
+    Joined surfaces have the faces of their meshes in the order of the asset.
+    """
+    found = []
+    for group in solid.joined:
+        first = 0
+        for mesh in asset.surfaces:
+            if mesh.path in group:
+                faces = first + np.arange(len(mesh.face_counts))
+                first += len(faces)
+                subset = SubsetMaterial(
+                    path=mesh.path, faces=faces, spec=PhysicsMaterialSpec(), material=None
+                )
+                found.append(MaterialPart(surface=solid.filled[group[0]], subset=subset))
+    return found
+
+
+def _why_none(rule: ConversionRule, solid: Solid, asset: Asset) -> str:
+    """The reason why a prim has no particles, as the end of a message; "": not known."""
+    if not rule.path:
+        return ""
+    for path, reason in (*solid.embedded, *asset.skipped):
+        if _is_at_or_below(path, rule.path) or _is_at_or_below(rule.path, path):
+            return f": <{path}> is not filled: {reason}"
+    return ""
+
+
 def _matching_particles(
     rule: ConversionRule,
-    X: NDArray[np.float64],
-    assigned: Assigned,
+    particles: Particles,
     solid: Solid,
-    spec: StageSpec,
+    parts: Sequence[MaterialPart],
     unit: float,
 ) -> NDArray[np.bool_]:
-    """(N,) which particles with rest positions X (N, 3) [m] match a rule."""
+    """(N,) which particles match a rule."""
     if rule.box is not None:
-        return np.asarray(rule.box.holds(X, unit), bool)
-    parts = material_parts(solid, spec)
-    slot = part_of_particles(solid, assigned.particles, parts)
+        return np.asarray(rule.box.holds(particles.X, unit), bool)
+    slot = part_of_particles(solid, particles, parts)
     named = [
-        _is_at_or_below(solid.surfaces[part.surface].path, rule.path)
-        or (part.subset is not None and _is_at_or_below(part.subset.path, rule.path))
+        _is_at_or_below(
+            solid.surfaces[part.surface].path if part.subset is None else part.subset.path,
+            rule.path,
+        )
         for part in parts
     ]
     return np.array(named, bool)[slot]

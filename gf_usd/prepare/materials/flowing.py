@@ -78,8 +78,11 @@ def dispatch(
         )
     names = [name for one in found for each in one for name in each]
     later = np.zeros(len(solid.surfaces), bool)
+    parts = {group[0]: group for group in solid.joined}
     for rule in rules:
-        later |= np.array([rule.may_hold(surface, spec, unit) for surface in solid.surfaces])
+        later |= np.array(
+            [rule.may_hold(s, spec, unit, parts.get(s.path, ())) for s in solid.surfaces]
+        )
     return Dispatch(
         flows=flows[0] | later,
         first=flows[0],

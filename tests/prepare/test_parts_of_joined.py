@@ -1,0 +1,99 @@
+"""What the prim path of an option selects, where the mesh is a part of a joined one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from physics_stages import head, prim
+from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
+
+import gf_usd
+from gf_usd.core.errors import InputError
+from gf_usd.core.mesh import weld
+from gf_usd.prepare.plan import Plan
+
+SMALL = {"particles": 400, "drop": 0, "frames": 3}
+
+
+def part(name: str, points: np.ndarray, triangles: np.ndarray) -> str:
+    """A Mesh prim as text."""
+    used, renumbered = np.unique(triangles, return_inverse=True)
+    return prim(
+        "Mesh",
+        name,
+        f"int[] faceVertexCounts = {[3] * len(triangles)}",
+        f"int[] faceVertexIndices = {renumbered.ravel().tolist()}",
+        f"point3f[] points = [{', '.join(str(tuple(p)) for p in points[used].tolist())}]",
+    )
+
+
+def split_ball(folder: Path, *more: str) -> Path:
+    """A ball in three meshes, of which the middle one is the largest, above each other."""
+    ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
+    welded = weld(ball.points)[0][ball.triangles]
+    middle = ball.points[welded].mean(1)[:, 1]
+    rows = np.searchsorted((0.75, 1.25), middle)
+    names = ("Low", "Middle", "High")
+    parts = [part(name, ball.points, welded[rows == k]) for k, name in enumerate(names)]
+    path = folder / "ball.usda"
+    root = prim("Xform", "Ball", *parts, *more)
+    path.write_text(head(extra='defaultPrim = "Ball"') + root, encoding="utf-8")
+    return path
+
+
+def converted(plan: Plan | None) -> np.ndarray:
+    """(n, 3) [m] the particles that may be converted."""
+    assert plan is not None
+    (one,) = plan.particles.conversions
+    return np.asarray(plan.particles.X)[one.particles]
+
+
+def test_a_part_of_a_joined_mesh_selects_what_is_next_to_it(tmp_path: Path) -> None:
+    """The largest part selected all, and each other one nothing."""
+    ball = split_ball(tmp_path)
+
+    def heights(name: str) -> np.ndarray:
+        seen = gf_usd.inspect(ball, conversions=f"/Ball{name}=honey@time:3", **SMALL)
+        return converted(seen.plan)[:, 1]
+
+    whole, low, middle, high = (heights(name) for name in ("", "/Low", "/Middle", "/High"))
+    assert low.max() < 1.0 < high.min()
+    assert len(low) + len(middle) + len(high) == len(whole)
+    assert abs(np.median(middle) - 1.0) < 0.1
+
+
+def test_a_mesh_without_particles_is_refused_with_its_reason(tmp_path: Path) -> None:
+    sheet = part("Cape", CUBE_POINTS + (0.4, 0.0, 0.0), np.array([[0, 2, 3], [0, 3, 1]]))
+    ball = split_ball(tmp_path, sheet)
+    with pytest.raises(InputError, match=r"none of the .*: </Ball/Cape> is not filled: the"):
+        gf_usd.bake(
+            ball, conversions="/Ball/Cape=honey@time:3", output=tmp_path / "out.usda", **SMALL
+        )
+
+
+@pytest.mark.parametrize("option", ["pins", "rigid"])
+def test_a_face_of_a_box_that_is_a_mesh_is_a_patch(tmp_path: Path, option: str) -> None:
+    """It encloses nothing, and was refused as smaller than a cell."""
+    faces = [part(f"F{k}", CUBE_POINTS, CUBE_TRIANGLES[2 * k : 2 * k + 2]) for k in range(6)]
+    path = tmp_path / "box.usda"
+    path.write_text(head() + prim("Xform", "Box", *faces), encoding="utf-8")
+    plan = gf_usd.inspect(path, **{option: ("/Box/F1",)}, **SMALL).plan
+    assert plan is not None
+    (pin,) = plan.pins
+    top = plan.particles.X[:, 2] == plan.particles.X[:, 2].max()
+    assert pin.anchors[:, 2].tolist() == 4 * [1.0]
+    beyond, below = np.array([[0.5, 0.5, 1.2]]), np.array([[0.5, 0.5, -0.2]])
+    assert pin.inside(beyond).all()
+    assert not pin.inside(below).any()
+    assert pin.inside(plan.particles.X[top]).any() == (option == "rigid")
+
+
+@pytest.mark.parametrize("option", ["pins", "rigid"])
+def test_a_part_of_a_ball_is_what_it_encloses(tmp_path: Path, option: str) -> None:
+    plan = gf_usd.inspect(split_ball(tmp_path), **{option: ("/Ball/Low",)}, **SMALL).plan
+    assert plan is not None
+    X = np.asarray(plan.particles.X)
+    held = plan.pins[0].inside(X)
+    assert X[held][:, 1].max() == pytest.approx(X[~held][:, 1].min(), abs=plan.particles.spacing)
