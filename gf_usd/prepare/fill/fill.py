@@ -97,10 +97,9 @@ def fill(
 
     unit = asset.facts.units.length
     paper = request.preset == "paper"
-    in_scene = file is not None and not request.flesh
+    in_scene = _in_scene(request, file)
     stated = _of_their_own(spec)
-    if in_scene:
-        asset = without_room_parts(asset, repair=repair, bodies=stated)
+    asset = without_rooms_of(asset, request, spec, file, repair=repair)
     build = partial(
         build_meshes, repair=repair, resolution=resolution_function(request, spec, unit),
         paper=paper, apart=stated if in_scene else None, known=known,
@@ -190,6 +189,23 @@ def fill(
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid
+
+
+def without_rooms_of(
+    asset: Asset, request: Request, spec: StageSpec, file: Path | None, *, repair: bool
+) -> Asset:
+    """The asset with rooms and skies among the prims skipped, where it is a scene.
+
+    Arguments as of `fill`.
+    """
+    if not _in_scene(request, file):
+        return asset
+    return without_room_parts(asset, repair=repair, bodies=_of_their_own(spec))
+
+
+def _in_scene(request: Request, file: Path | None) -> bool:
+    """Whether meshes around and under the bodies may be scenery; not around a character."""
+    return file is not None and not request.flesh
 
 
 def _one_thing(asset: Asset, spec: StageSpec, one: str, two: str) -> bool:

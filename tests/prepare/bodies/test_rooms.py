@@ -130,6 +130,7 @@ def test_the_room_of_a_stage_is_noted_and_not_filled(tmp_path: Path, repair: boo
     path = tmp_path / "room.usda"
     path.write_text(STAGE % "", encoding="utf-8")
     seen = inspect(path, particles=300, repair=repair)
+    assert [one.path for one in seen.repairs] == (["/World/Ball"] if repair else [])
     assert seen.fill_of("/World/Room") == ("stays", ROOM)
     assert seen.plan is not None
     assert seen.plan.particles.volume == pytest.approx(4.0 / 3.0 * np.pi * 0.3**3, rel=0.05)
