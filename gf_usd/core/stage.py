@@ -172,6 +172,7 @@ class BodyPhysics:
     mass: float | None = None  # [kg] of all baked surfaces with the same mass_of together
     mass_of: str = ""  # the prim that states the mass
     density: float | None = None  # [kg/m^3] of PhysicsMassAPI: goes before the material's
+    density_of: str = ""  # the prim that states that density
     velocity: Triple | None = None  # [m/s] of the center of mass
     angular_velocity: Triple | None = None  # [rad/s]
     center: Triple | None = None  # [m] of mass, as authored; None: that of the volume

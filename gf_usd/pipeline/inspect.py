@@ -312,5 +312,5 @@ def inspect(
     lost = lost_volume(seen, solid)
     # where defects remove much of the volume, they also cause the thin parts
     parts = () if lost else poor_parts(solid, plan.particles, plan.samples)
-    warnings = (implausible_size(prepared.plan.asset), lost)
+    warnings = (implausible_size(prepared.plan.asset), prepared.plan.heavy, lost)
     return replace(seen, parts=parts, warnings=tuple(w for w in warnings if w))

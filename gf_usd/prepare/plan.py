@@ -60,6 +60,7 @@ class Plan:
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
+    heavy: str = ""  # which of its densities no solid has, if any
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
     cycle: int = 0  # frames of a period that is repeated before it is written; 0: none is

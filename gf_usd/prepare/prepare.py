@@ -136,7 +136,7 @@ def prepare(
     odd = implausible_size(plan.asset)
     plan = replace(
         plan, command=command,
-        notes=(*plan.notes, *((odd,) if odd else ()), *kernel_cache_notes()),
+        notes=(*plan.notes, *filter(None, (odd, plan.heavy)), *kernel_cache_notes()),
         odd=odd if asset.facts.unit_from == ASSUMED else "",
         sequences=targets.sequences, seen=targets.seen, seen_source=seen_source,
     )  # fmt: skip

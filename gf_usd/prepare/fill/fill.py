@@ -56,7 +56,9 @@ from gf_usd.prepare.fill.notes import (
 )
 from gf_usd.prepare.fill.shot import Length, plan_length, plan_shot
 from gf_usd.prepare.materials.assign import Assigned
+from gf_usd.prepare.materials.densities import implausible_densities
 from gf_usd.prepare.materials.flowing import dispatch
+from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.choices import chosen, require_stored
 from gf_usd.prepare.options.implied import proposed_floor, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
@@ -186,6 +188,13 @@ def fill(
         tets=tets,
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
+        heavy=implausible_densities(
+            inputs.spec,
+            materials.particles,
+            solid,
+            asset.facts.units,
+            by_stage=any(isinstance(preset, Authored) for preset in presets),
+        ),
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid

@@ -73,7 +73,7 @@ def read_body(
     facts, here = readings.facts, readings.at(time)
     owner = body_of(prim, time)
     mass, mass_of = _mass(prim, owner, here, facts.units, notes)
-    density = _density(prim, owner, here, facts.units)
+    density, density_of = _density(prim, owner, here, facts.units)
     what = role(prim, time)
     velocity, spin = _rigid_velocity(owner, what, here)
     spec = materials.bound(prim) if materials else PhysicsMaterialSpec()
@@ -86,6 +86,7 @@ def read_body(
         mass=mass,
         mass_of=mass_of,
         density=density,
+        density_of=density_of,
         velocity=velocity,
         angular_velocity=spin,
         center=_center(owner or prim, here),
@@ -138,14 +139,14 @@ def _mass(
 
 def _density(
     prim: Usd.Prim, owner: Usd.Prim | None, here: Reading, units: StageUnits
-) -> float | None:
-    """Density [kg/m^3] of the prim nearest to the mesh."""
+) -> tuple[float | None, str]:
+    """Density [kg/m^3] of the prim nearest to the mesh, and the path of that prim."""
     for one in reversed(_chain(prim, owner, here.time)):
         value = number(here.path, one, DENSITY, here.time)
         require_constant(here.path, one.GetAttribute(DENSITY))
         if value:
-            return value * units.density
-    return None
+            return value * units.density, str(one.GetPath())
+    return None, ""
 
 
 def _rigid_velocity(
