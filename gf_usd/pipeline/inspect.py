@@ -52,7 +52,7 @@ from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.cost.budget import Cost
 from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
-from gf_usd.prepare.fill.fill import fill, without_rooms_of
+from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.fill.inputs import repair_asset_for_fill
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
@@ -66,9 +66,7 @@ class Inspection:
 
     asset: Asset  # as it was read
     diagnoses: tuple[Diagnosis, ...]  # one per surface, before any repair
-    repairs: tuple[
-        Repairs, ...
-    ] = ()  # one per surface that does not stay; empty without repair=True
+    repairs: tuple[Repairs, ...] = ()  # one per surface that moves; empty without repair=True
     plan: Plan | None = None  # None: refused
     cost: Cost | None = None  # estimated_seconds, estimated_bytes and more; None: refused
     shortcuts: tuple[str, ...] = ()  # hints at a faster bake, as text
@@ -285,11 +283,7 @@ def inspect(
             read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
         )
     asset, spec = found.asset, found.spec
-    repairs: tuple[Repairs, ...] = ()
-    if repair:
-        moved = without_rooms_of(asset, request, spec, found.file, repair=True)
-        repairs = repair_asset_for_fill(moved, request, spec)[2]
-    seen = examine(asset, repairs)
+    seen = examine(asset)
     files = outputs(source, [preset.name for preset in found.presets], None)
     try:
         plan, solid = fill(
@@ -301,12 +295,14 @@ def inspect(
         mendable = not repair and not would_fill(asset)
         if mendable and would_fill(repair_asset_for_fill(asset, request, spec)[1]):
             warnings.append("it can be baked with --repair")
-        return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
-    stay = {path for path, _ in plan.asset.skipped}
-    seen = replace(seen, repairs=tuple(one for one in repairs if one.path not in stay))
+        return replace(
+            seen, refusal=refusal, warnings=tuple(w for w in warnings if w),
+            repairs=repair_asset_for_fill(asset, request, spec)[2] if repair else (),
+        )  # fmt: skip
     prepared = with_shot_length(Prepared(plan=plan))
     seen = replace(
-        seen, plan=prepared.plan, cost=prepared.cost, shortcuts=prepared.shortcuts,
+        seen, plan=prepared.plan, repairs=prepared.plan.repairs, cost=prepared.cost,
+        shortcuts=prepared.shortcuts,
         thickness=thickness(solid, plan.bodies.of_surface if plan.bodies else None),
     )  # fmt: skip
     lost = lost_volume(seen, solid)

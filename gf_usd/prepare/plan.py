@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from gf_usd.core.stage import Advice, ContactSetup, Goals, Pin
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.options.table import arguments
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.repair import Repairs
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Plan:
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
+    repairs: tuple[Repairs, ...] = ()  # of --repair, one for each mesh that it may change
     heavy: str = ""  # which of its densities no solid has, if any
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None

@@ -17,7 +17,7 @@ from gf_usd.prepare.plan import Plan
 SMALL = {"particles": 400, "drop": 0, "frames": 3}
 
 
-def part(name: str, points: np.ndarray, triangles: np.ndarray) -> str:
+def part(name: str, points: np.ndarray, triangles: np.ndarray, *lines: str) -> str:
     """A Mesh prim as text."""
     used, renumbered = np.unique(triangles, return_inverse=True)
     return prim(
@@ -26,19 +26,26 @@ def part(name: str, points: np.ndarray, triangles: np.ndarray) -> str:
         f"int[] faceVertexCounts = {[3] * len(triangles)}",
         f"int[] faceVertexIndices = {renumbered.ravel().tolist()}",
         f"point3f[] points = [{', '.join(str(tuple(p)) for p in points[used].tolist())}]",
+        *lines,
+        apis=("PhysicsMassAPI",) if lines else (),
     )
 
 
-def split_ball(folder: Path, *more: str) -> Path:
+def split_ball(
+    folder: Path, *more: str, apis: tuple[str, ...] = (), low: tuple[str, ...] = ()
+) -> Path:
     """A ball in three meshes, of which the middle one is the largest, above each other."""
     ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
     welded = weld(ball.points)[0][ball.triangles]
     middle = ball.points[welded].mean(1)[:, 1]
     rows = np.searchsorted((0.75, 1.25), middle)
-    names = ("Low", "Middle", "High")
-    parts = [part(name, ball.points, welded[rows == k]) for k, name in enumerate(names)]
+    names = {"Low": low, "Middle": (), "High": ()}
+    parts = [
+        part(name, ball.points, welded[rows == k], *lines)
+        for k, (name, lines) in enumerate(names.items())
+    ]
     path = folder / "ball.usda"
-    root = prim("Xform", "Ball", *parts, *more)
+    root = prim("Xform", "Ball", *more, *parts, apis=apis)
     path.write_text(head(extra='defaultPrim = "Ball"') + root, encoding="utf-8")
     return path
 
@@ -88,6 +95,44 @@ def test_a_face_of_a_box_that_is_a_mesh_is_a_patch(tmp_path: Path, option: str) 
     assert pin.inside(beyond).all()
     assert not pin.inside(below).any()
     assert pin.inside(plan.particles.X[top]).any() == (option == "rigid")
+
+
+BALL = 4.0 / 3.0 * np.pi * 0.5**3  # [m^3]
+
+
+def test_the_parts_of_a_ball_are_one_body_with_repair_too(tmp_path: Path) -> None:
+    """Each was made a hollow shell, as thick as the particles are apart."""
+    seen = gf_usd.inspect(split_ball(tmp_path), repair=True, **SMALL)
+    assert seen.plan is not None
+    assert seen.plan.particles.volume == pytest.approx(BALL, rel=0.03)
+    assert {s.path for s in seen.plan.asset.surfaces} == {
+        "/Ball/Low", "/Ball/Middle", "/Ball/High",
+    }  # fmt: skip
+    assert [one.path for one in seen.repairs] == ["/Ball/Middle"]
+    assert any("enclose a volume only together" in note for note in seen.notes)
+
+
+BODY = ("PhysicsRigidBodyAPI", "PhysicsMassAPI")
+
+
+def test_the_parts_of_a_physics_body_are_one_body(tmp_path: Path) -> None:
+    """They were not joined, and only those of them were filled that are closed enough."""
+    lines = ("float physics:mass = 3", "vector3f physics:velocity = (0, 1, 0)")
+    plan = gf_usd.inspect(split_ball(tmp_path, *lines, apis=BODY), **SMALL).plan
+    assert plan is not None
+    assert plan.particles.volume == pytest.approx(BALL, rel=0.03)
+    (density,) = {m.density for m in plan.tables[0]}
+    assert density * plan.particles.volume == pytest.approx(3.0)
+    assert np.allclose(plan.velocity[0](plan.particles.X), (0.0, 1.0, 0.0))
+    assert plan.bodies is not None
+    assert plan.bodies.count == 1
+
+
+def test_a_part_of_another_mass_is_not_joined(tmp_path: Path) -> None:
+    ball = split_ball(tmp_path, apis=BODY, low=("float physics:density = 9",))
+    plan = gf_usd.inspect(ball, **SMALL).plan
+    assert plan is not None
+    assert plan.particles.volume < 0.9 * BALL
 
 
 @pytest.mark.parametrize("option", ["pins", "rigid"])

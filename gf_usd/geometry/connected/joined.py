@@ -8,7 +8,7 @@ one that a flat cap would close.  Their borders coincide: edges of one triangle 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from gf_usd.geometry.connected.merged import corner_values, material_rows, start
 from gf_usd.geometry.solid import closed_triangles
 
 MOST_LISTED = 4  # paths in a note
+Alike = Callable[[str, str], bool]  # whether meshes of two prim paths may be parts of one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,13 +48,15 @@ def _listed(paths: Sequence[str]) -> str:
     )
 
 
-def joined_surfaces(asset: Asset, apart: Collection[str] = ()) -> Joined:
+def joined_surfaces(
+    asset: Asset, apart: Collection[str] = (), alike: Alike | None = None
+) -> Joined:
     """Join open meshes with common borders where they enclose a volume only together.
 
     At least one of them has none by itself, and all of them are together as closed as a mesh must
     be to be filled.  Meshes of different components are not joined.
 
-    apart : prim paths of meshes that are not joined.
+    apart : prim paths of meshes that are not joined; alike : of the others, None: all are.
     """
     pieces = [
         s
@@ -70,7 +73,7 @@ def joined_surfaces(asset: Asset, apart: Collection[str] = ()) -> Joined:
         return Joined(asset=asset)
     made: dict[str, Surface | None] = {}
     groups = []
-    for members, against in _adjacent(pieces, edges):
+    for members, against in _adjacent(pieces, edges, alike):
         group = [pieces[k] for k in members]
         if without_volume.isdisjoint(s.path for s in group):
             continue
@@ -87,7 +90,7 @@ def joined_surfaces(asset: Asset, apart: Collection[str] = ()) -> Joined:
 
 
 def _adjacent(
-    pieces: Sequence[Surface], edges: Sequence[Ints]
+    pieces: Sequence[Surface], edges: Sequence[Ints], alike: Alike | None
 ) -> list[tuple[list[int], NDArray[np.bool_]]]:
     """Groups of pieces that common border edges connect, and which members face the other way
     than the first.
@@ -111,7 +114,7 @@ def _adjacent(
     for k in np.flatnonzero(same):
         a, b = int(order[k]), int(order[k + 1])
         one, two = int(owner[a]), int(owner[b])
-        if one != two and low[a] != high[a] and _may_join(pieces[one], pieces[two]):
+        if one != two and low[a] != high[a] and _may_join(pieces[one], pieces[two], alike):
             vote = 1 if welded[a, 0] != welded[b, 0] else -1
             votes[one][two] += vote
             votes[two][one] += vote
@@ -133,8 +136,9 @@ def _adjacent(
     return groups
 
 
-def _may_join(one: Surface, two: Surface) -> bool:
-    return one.component == two.component and one.skinned == two.skinned
+def _may_join(one: Surface, two: Surface, alike: Alike | None) -> bool:
+    same = one.component == two.component and one.skinned == two.skinned
+    return same and (alike is None or alike(one.path, two.path))
 
 
 def _one_surface(group: Sequence[Surface], against: NDArray[np.bool_]) -> Surface:

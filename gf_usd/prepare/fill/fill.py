@@ -99,12 +99,13 @@ def fill(
 
     unit = asset.facts.units.length
     paper = request.preset == "paper"
-    in_scene = _in_scene(request, file)
-    stated = _of_their_own(spec)
-    asset = without_rooms_of(asset, request, spec, file, repair=repair)
+    in_scene = file is not None and not request.flesh
+    apart, alike = _parts_of_bodies(spec)
+    if in_scene:
+        asset = without_room_parts(asset, repair=repair, bodies=_of_their_own(spec))
     build = partial(
         build_meshes, repair=repair, resolution=resolution_function(request, spec, unit),
-        paper=paper, apart=stated if in_scene else None, known=known,
+        paper=paper, apart=apart if in_scene else None, alike=alike, known=known,
         one_thing=partial(_one_thing, asset, spec) if in_scene else None,
     )  # fmt: skip
     meshes = build(asset, built=built)
@@ -164,6 +165,7 @@ def fill(
         *paper_notes(materials.main, each), *split_notes,
         *no_internals_notes(materials.main, settings),
     )  # fmt: skip
+    moving = {s.path for s in asset.surfaces}
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -175,6 +177,7 @@ def fill(
         outputs=files,
         source=files.source or file or asset.facts.path,
         embedded=solid.embedded,
+        repairs=tuple(r for r in meshes.repairs if r.path in moving),
         drop=shot.gap / float(np.array(settings.normal) @ asset.facts.up),
         pins=constraints.pins,
         goals=goals,
@@ -198,23 +201,6 @@ def fill(
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid
-
-
-def without_rooms_of(
-    asset: Asset, request: Request, spec: StageSpec, file: Path | None, *, repair: bool
-) -> Asset:
-    """The asset with rooms and skies among the prims skipped, where it is a scene.
-
-    Arguments as of `fill`.
-    """
-    if not _in_scene(request, file):
-        return asset
-    return without_room_parts(asset, repair=repair, bodies=_of_their_own(spec))
-
-
-def _in_scene(request: Request, file: Path | None) -> bool:
-    """Whether meshes around and under the bodies may be scenery; not around a character."""
-    return file is not None and not request.flesh
 
 
 def _one_thing(asset: Asset, spec: StageSpec, one: str, two: str) -> bool:
@@ -248,6 +234,21 @@ def _of_their_own(spec: StageSpec) -> set[str]:
     own = bodies | set(spec.painted) | {path for path, bake in spec.bakes.items() if bake.material}
     advised = {one.material for one in spec.advice.values()}
     return own | set(spec.advice) if len(advised) > 1 else own
+
+
+def _parts_of_bodies(spec: StageSpec) -> tuple[set[str], Callable[[str, str], bool]]:
+    """Paths of meshes that are no part of another, and whether two others may be parts of one.
+
+    Meshes of one physics body may, where the stage states the same of them.
+    """
+    bodies = {
+        path: replace(body, path="", density_of="")
+        for path, body in spec.bodies.items()
+        if body.owner and not body.subsets and body.moving is None
+    }
+    alone = replace(spec, physics=replace(spec.physics, bodies=()))
+    others = _of_their_own(alone) | (_of_their_own(spec) - bodies.keys())
+    return others, lambda one, two: bodies.get(one) == bodies.get(two)
 
 
 def _floor_notes(floating: bool, asset: Asset, poses: Poses | None) -> tuple[str, ...]:

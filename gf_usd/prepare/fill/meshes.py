@@ -10,6 +10,7 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.mesh import signed_volume
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.connected.joined import Joined
     from gf_usd.geometry.connected.walls import Walls
     from gf_usd.geometry.diagnosis import Diagnosis
     from gf_usd.geometry.repair import Repairs
@@ -29,6 +30,7 @@ class FilledMeshes:
     solid: Solid
     notes: tuple[str, ...] = ()  # on repairs and on defects that are tolerated
     thickened: bool = False  # sheets are as thick as the spacing
+    repairs: tuple[Repairs, ...] = ()  # of each surface that is filled, where it was asked for
     spacing: float | None = None  # [m] of as many particles as requested, sheets included
 
     def volumes(self) -> dict[str, float]:
@@ -44,6 +46,7 @@ def build_meshes(
     resolution: ResolutionOf,
     paper: bool,
     apart: Collection[str] | None = None,
+    alike: OneThing | None = None,
     one_thing: OneThing | None = None,
     known: Sequence[Diagnosis] = (),
     built: Solid | None = None,
@@ -51,8 +54,8 @@ def build_meshes(
     """The meshes of an asset and their solid.  Raises InputError where they cannot be filled.
 
     resolution : see `repair_for_fill`; paper : whether the fill is that of the paper.
-    apart : paths of meshes that are filled by themselves (see `joined_surfaces`); None: all are, as
-        with `repair`, which closes or thickens each.
+    apart, alike : paths of meshes that are filled by themselves, and whether two others may be
+        parts of one (see `joined_surfaces`); apart None: all are filled by themselves.
     one_thing : see `find_walls`; None: no two meshes are sides of one wall.
     known : result of `diagnose` for the surfaces, if available.
     built : the solid without `repair`, if available.
@@ -66,9 +69,8 @@ def build_meshes(
     oriented, turned = consistently_oriented_asset(asset)
     if built and not repair:
         return FilledMeshes(asset=oriented, solid=built)
-    joined = Joined(asset=oriented)
-    if apart is not None and not repair:
-        joined = joined_surfaces(oriented, apart)
+    turns = asset if repair else oriented  # a repair makes the winding consistent itself
+    joined = Joined(asset=turns) if apart is None else joined_surfaces(turns, apart, alike)
     sides = find_walls(joined.asset, one_thing) if one_thing else Walls()
     walls, joined = sides.with_parts(joined)
 
@@ -79,12 +81,13 @@ def build_meshes(
 
     if repair:
         display, filled, repairs, spacing = repair_for_fill(
-            with_walls(asset, sides), resolution, paper=paper
+            with_walls(joined.asset, sides), resolution, paper=paper
         )
         return FilledMeshes(
-            asset=_as_authored(display, asset, walls),
-            solid=built or made(filled),
-            notes=(*notes(repairs), *walls.notes),
+            asset=_as_authored(display, asset, walls, joined),
+            solid=built or replace(made(filled), joined=joined.groups),
+            notes=(*notes(repairs), *joined.notes, *walls.notes),
+            repairs=tuple(repairs),
             thickened=any(one.thickened for one in repairs),
             spacing=spacing,
         )
@@ -100,10 +103,12 @@ def build_meshes(
     return FilledMeshes(asset=oriented, solid=solid, notes=notes_on)
 
 
-def _as_authored(repaired: Asset, asset: Asset, walls: Walls) -> Asset:
-    """The repaired asset with the sides of walls as they were, each a surface of its own."""
+def _as_authored(repaired: Asset, asset: Asset, walls: Walls, joined: Joined) -> Asset:
+    """The repaired asset with the sides of walls and the parts of joined meshes as they were, each
+    a surface of its own.
+    """
     by_path = {s.path: s for s in repaired.surfaces}
-    sides = {*walls.outer, *walls.outer.values()}
+    sides = {*walls.outer, *walls.outer.values(), *(p for group in joined.groups for p in group)}
     surfaces = (s if s.path in sides else by_path[s.path] for s in asset.surfaces)
     return replace(repaired, surfaces=tuple(surfaces))
 
