@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError, counted
@@ -34,6 +34,7 @@ from gf_usd.readers.usd.stage import (
 )
 from gf_usd.readers.usd_physics.attributes import body_of, is_collider, role
 
+MOST_VARIANTS = 16  # that are compared with those selected
 MOST_NAMED = 3  # prims that a note lists
 INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
 
@@ -69,6 +70,7 @@ def read_usd(
         if not surfaces and not splats:
             raise _no_geometry(stage, path, found, skipped, notes, by_name=bool(prims))
         _note_passed_through(stage, found, time, notes)
+        _note_other_variants(stage, found.geometry, time, notes)
         return Asset(
             facts=replace(facts, notes=notes.lines()),
             surfaces=tuple(surfaces),
@@ -153,6 +155,58 @@ def _note_passed_through(
         f" {'it' if one else 'them'}; a PhysicsCollisionAPI makes a shape an obstacle, and --prim"
         " makes it soft"
     )
+
+
+def _note_other_variants(
+    stage: Usd.Stage, baked: Sequence[Usd.Prim], time: Usd.TimeCode, notes: Notes
+) -> None:
+    """Add a note on each variant set with variants whose meshes the baked points do not fit.
+
+    Levels of detail are such. At most MOST_VARIANTS variants are composed.
+    """
+    above = dict.fromkeys(
+        path
+        for prim in baked
+        if prim.IsA(UsdGeom.Mesh) and not prim.IsInstanceProxy()
+        for path in prim.GetPath().GetPrefixes()
+    )
+    left = MOST_VARIANTS
+    for path in above:
+        sets = stage.GetPrimAtPath(path).GetVariantSets()
+        for name in sets.GetNames():
+            chosen = sets.GetVariantSelection(name)
+            others = [one for one in sets.GetVariantSet(name).GetVariantNames() if one != chosen]
+            unlike = [
+                one for one in others[:left] if _has_other_faces(stage, path, name, one, time)
+            ]
+            left -= len(others[:left])
+            if unlike:
+                notes.add(
+                    f"of its variant set {name}, {chosen} is baked, and the motion does not fit"
+                    f" {', '.join(unlike)}, with other meshes or faces: for"
+                    f" {'it' if len(unlike) == 1 else 'each'}, bake a layer that selects it",
+                    str(path),
+                )
+
+
+def _has_other_faces(
+    stage: Usd.Stage, path: Sdf.Path, name: str, variant: str, time: Usd.TimeCode
+) -> bool:
+    """Whether a variant has a mesh that the stage lacks, or one with other faces."""
+    session = Sdf.Layer.CreateAnonymous(".usda")
+    Sdf.CreatePrimInLayer(session, path).variantSelections[name] = variant
+    mask = Usd.StagePopulationMask([path])
+    other = Usd.Stage.OpenMasked(stage.GetRootLayer(), session, mask)
+    for prim in Usd.PrimRange(other.GetPrimAtPath(path), PROXIES):
+        if not prim.IsA(UsdGeom.Mesh):
+            continue
+        twin = stage.GetPrimAtPath(prim.GetPath())
+        if not (twin and twin.IsA(UsdGeom.Mesh)):
+            return True
+        for attribute in ("faceVertexCounts", "faceVertexIndices"):
+            if prim.GetAttribute(attribute).Get(time) != twin.GetAttribute(attribute).Get(time):
+                return True
+    return False
 
 
 def _no_geometry(
