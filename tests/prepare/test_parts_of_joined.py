@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import weld
 from gf_usd.prepare.plan import Plan
 
-SMALL = {"particles": 400, "drop": 0, "frames": 3}
+SMALL: dict[str, Any] = {"particles": 400, "drop": 0, "frames": 3}
 
 
 def part(name: str, points: np.ndarray, triangles: np.ndarray, *lines: str) -> str:
