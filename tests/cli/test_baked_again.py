@@ -10,7 +10,7 @@ import pytest
 SMALL = ("--particles", "300", "--frames", "3")
 REFUSAL = (
     "error: block.rubber.usda: </World> already has a variant set 'gaussianFlesh': "
-    "this file is the result of a bake.\n\nhint: bake the original asset instead\n"
+    "this file is the result of a bake\n\nhint: bake the original asset instead\n"
 )
 
 

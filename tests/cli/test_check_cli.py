@@ -155,7 +155,7 @@ def test_a_bake_passes(gf_usd, here: Path, block: Path) -> None:
     ("file", "message"),
     [
         ("no.usda", "no.usda does not exist"),
-        ("notes.txt", "notes.txt does not have the suffix of a USD file."),
+        ("notes.txt", "notes.txt does not have the suffix of a USD file"),
         ("text.usda", "text.usda cannot be opened as USD: "),
     ],
 )
