@@ -53,6 +53,7 @@ MOST_LINES = 600  # and 400 as a rule
 MOST_ENTRIES = 12  # files and sub-packages of a package
 DYNAMIC = re.compile(r"gf_usd(\.\w+)+(:\w+)?")  # a module named in a string, to be imported later
 CATCH_ALL = {"Exception", "BaseException"}
+ERRORS = ("Error", "Unfinished", "OutOfResources")
 
 Rule = Callable[[Path, ast.Module], Iterator[str]]
 
@@ -153,6 +154,23 @@ def no_string_is_a_statement(file: Path, tree: ast.Module) -> Iterator[str]:
             yield f"line {node.lineno} is a string that nothing uses"
 
 
+def errors_are_in_one_style(file: Path, tree: ast.Module) -> Iterator[str]:
+    """A message follows `error: ` and precedes its hint: lower case first, and no period."""
+    for node in nodes(tree):
+        if not isinstance(node, ast.Call) or not ast.unparse(node.func).endswith(ERRORS):
+            continue
+        message = node.args[0] if node.args else ast.Constant("")
+        parts = message.values if isinstance(message, ast.JoinedStr) else [message]
+        first, last = (
+            part.value if isinstance(part, ast.Constant) and isinstance(part.value, str) else ""
+            for part in (parts[0], parts[-1])
+        )
+        if re.search(r"[^.]\.$", last):
+            yield f"line {node.lineno} ends a message with a period"
+        if re.match(r"(?!Taichi)[A-Z][a-z]* ", first):
+            yield f"line {node.lineno} starts a message in upper case"
+
+
 RULES: tuple[Rule, ...] = (
     packages_import_in_one_direction,
     libraries_stay_in_their_packages,
@@ -160,6 +178,7 @@ RULES: tuple[Rule, ...] = (
     only_the_command_line_prints,
     nothing_catches_everything,
     no_string_is_a_statement,
+    errors_are_in_one_style,
 )
 
 
@@ -246,6 +265,19 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
         ),
         (nothing_catches_everything, "a.py", "try: pass\nexcept (OSError, KeyError): pass", []),
         (nothing_catches_everything, "a.py", "with suppress(OSError): pass", []),
+        *(
+            (errors_are_in_one_style, "a.py", f"raise {source}", faults)
+            for source, faults in (
+                ("UsageError('it is wrong.', 'mend it')", ["line 1 ends a message with a period"]),
+                ("InputError(f'{a} is wrong.')", ["line 1 ends a message with a period"]),
+                ("E('It is wrong.')", []),
+                ("BakeError(f'The {a}')", ["line 1 starts a message in upper case"]),
+                ("BakeError(f'{a} has no {b}', 'Do this.')", []),
+                ("BakeError('USD cannot read it ...')", []),
+                ("ValueError(text)", []),
+                ("ValueError()", []),
+            )
+        ),
         (no_string_is_a_statement, "a.py", "'x'\ndef f():\n  'y'\nclass C:\n  'z'", []),
         *(
             (

@@ -42,6 +42,7 @@ def test_what_one_body_loses_another_gains(material):
     assert np.abs(change.sum(1)).max() <= ROUNDING * scale
 
 
+@pytest.mark.slow
 def test_angular_momentum_is_kept_to_rounding():
     """Off the line, with friction, sliding and deep: the forces of a pair act in one line."""
     # The filter keeps that of the rest shape, sum X x m v; without it only contact could change it.
@@ -57,6 +58,7 @@ def test_angular_momentum_is_kept_to_rounding():
     assert np.abs(L - L[0]).max() <= ROUNDING * solver.body.m.sum() * SPEED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ["rubber", "jelly"])
 def test_bodies_overlap_by_half_a_spacing_at_most(material):
     solver, frames = crash(material)
@@ -110,6 +112,7 @@ def test_new_planes_store_what_the_old_ones_did(g):
         assert 0.0 < abs(change) <= 2.0 * budget * solver.frame_time
 
 
+@pytest.mark.slow
 def test_equal_bodies_swap_velocities_up_to_restitution():
     right = sphere(center=(1.3, 0.0, 0.0), path="/Right")
     solver = contact_solver(
@@ -136,6 +139,7 @@ def test_bodies_that_are_filtered_pass_through_each_other():
     assert np.abs(change).max() <= ROUNDING * solver.body.m.sum() * SPEED
 
 
+@pytest.mark.slow
 def test_a_body_at_rest_on_another_does_not_stand_in_it():
     """Springs yield by a tenth of a spacing at most, as on the floor, and begin APART above."""
     lower = cube((-0.5, 0.0, -0.5), path="/Lower")
@@ -174,6 +178,7 @@ def plate(degrees: float, **options):
     return obstacle(tilted(box.vertices - [0.0, 0.2, 0.0], degrees), box.faces, **options)
 
 
+@pytest.mark.slow
 def test_a_moving_obstacle_is_a_resting_one_seen_by_a_traveller():
     """A tilted plate that hits a ball, and the ball that hits the plate: Galilei."""
     count, w = 16, np.array([0.8, 3.0, 0.0])
@@ -254,6 +259,7 @@ def tongs():
     return surface(made.points - [1.0, 0.5, 0.0], made.triangles, path="/Tongs")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("material", "rate"), [("rubber", 1.0), ("jelly", 0.5)])
 def test_a_body_that_closes_has_self_contact_on_request(material, rate):
     body = tongs()
@@ -311,6 +317,7 @@ def test_no_sample_of_two_closing_arms_is_released(material, rate):
     assert max(x.overlap for x in h) <= (0.5 - OFFSET) * solver.particles.spacing
 
 
+@pytest.mark.slow
 def test_boxes_of_twelve_triangles_do_not_sink_into_each_other():
     """Their faces are flat between eight vertices, however the landing bends them."""
     boxes = [

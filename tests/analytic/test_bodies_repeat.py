@@ -87,6 +87,7 @@ def closing(frames: int = 10):
     return contact_solver(body, particles=300, self_contact=True, velocity=[close], frames=frames)
 
 
+@pytest.mark.slow
 def test_a_body_in_self_contact_continues_bit_identically():
     solver, last, kept, met, ends = closing(), Health(), {}, 9, []
     assert solver.pairs is not None

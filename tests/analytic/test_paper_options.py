@@ -49,6 +49,7 @@ def run(name="rubber", seed=0, velocity=(0.0, 0.0, 0.0), drop=False, **options):
     return list(solver.frames())
 
 
+@pytest.mark.slow
 def test_free_fall_stays_exact_with_all_of_them():
     # The mean is what neither moves, and without strain there is nothing to clip or to cut: only
     # single precision is left, as in test_free_flight.
@@ -108,6 +109,7 @@ def test_a_stronger_shape_correction_leaves_less_of_the_shape_to_correct():
     assert left[3] < 0.9 * left[0]
 
 
+@pytest.mark.slow
 def test_the_papers_drop_counts_what_is_clipped_and_cut():
     # Jelly is clipped and metal is cut, as in the paper's Table 1 and docs/physics.md; rubber
     # is neither.

@@ -261,6 +261,7 @@ def test_kernel_families_agree(options, more):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", slow_but(["simd", "scalar"], "simd"))
 def test_energy_is_kept_but_for_what_flow_takes(family):
     solver = thrown(family)

@@ -64,6 +64,7 @@ def test_a_small_ball_lands_as_a_large_one():
     np.testing.assert_allclose(small, large, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_sliding_ball_is_slowed_by_friction_and_stays_on_the_floor():
     # Friction may not do more than mu m g; a ball that rolls and slides loses some of its speed.
     shape = sphere(1.0)

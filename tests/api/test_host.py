@@ -250,6 +250,7 @@ print(over.dirty)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schema", ["", "import gf_usd.system.usd_schema"])
 def test_what_the_program_has_not_saved_is_neither_baked_nor_passed_over(
     tmp_path: Path, schema: str
@@ -264,6 +265,7 @@ def test_what_the_program_has_not_saved_is_neither_baked_nor_passed_over(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_sublayer_with_edits_is_found_where_the_asset_is_not_open(tmp_path: Path) -> None:
     lines = run(tmp_path, EDITED.replace("{open}", "")).splitlines()
     assert len(lines) == 3
@@ -292,6 +294,7 @@ print(os.wait()[1], next(running).index)
 """
 
 
+@pytest.mark.slow
 def test_a_forked_process_says_that_taichi_does_not_run_in_it(tmp_path: Path) -> None:
     calls = "inspect(SPHERE)", "simulate(scene, particles=60)"
     work = [f"report(lambda: gf_usd.{call})" for call in calls]

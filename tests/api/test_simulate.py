@@ -53,6 +53,7 @@ def test_a_throw_is_a_parabola() -> None:
         assert np.allclose(frame.meshes["body0"], UNIT + way, atol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_gravity_and_floor_stand_on_any_axis() -> None:
     points = UNIT[:, [2, 0, 1]]  # its height along z
     scene = gf_usd.Scene(up="Z", floor=1.0, gravity=G)
@@ -120,6 +121,7 @@ def test_velocities_can_be_set_between_frames() -> None:
     assert np.allclose(frame.health.momentum, 0.0, atol=1e-3 * frame.health.mass)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "materials",
     [("dry-sand",), pytest.param(("jelly", "dry-sand"), marks=pytest.mark.slow)],
@@ -317,6 +319,7 @@ def test_what_is_pinned_follows_its_motion() -> None:
     assert frames[-1].health.work > 0.0
 
 
+@pytest.mark.slow
 def test_a_moving_obstacle_pushes_a_body() -> None:
     scene = alone(gravity=0.0)
 
@@ -370,6 +373,7 @@ def test_a_simulation_that_was_closed_before_its_first_frame_has_no_state() -> N
         simulation.save()
 
 
+@pytest.mark.slow
 def test_a_simulation_whose_taichi_was_restarted_is_a_usage_error() -> None:
     one = gf_usd.simulate(alone(), frames=3, particles=100, threads=1)
     next(one)

@@ -22,6 +22,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return moving_splats(tmp_path_factory.mktemp("ball") / "ball.usdc")
 
 
+@pytest.mark.slow
 def test_an_error_in_percent_is_a_share(ball: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("percent.glb", "text.glb", "number.glb")]
     for file, error in zip(files, ("2%", "0.02", 0.02), strict=True):
@@ -29,6 +30,7 @@ def test_an_error_in_percent_is_a_share(ball: Path, tmp_path: Path) -> None:
     assert files[0].read_bytes() == files[1].read_bytes() == files[2].read_bytes()
 
 
+@pytest.mark.slow
 def test_pictures_have_the_sizes_and_times_of_texts(ball: Path, tmp_path: Path) -> None:
     assert gf_usd.preview(ball, size="64x48").size == (64, 48)
     film = gf_usd.preview(ball, tmp_path / "a.gif", size="64x48", time_codes="2:4")

@@ -102,6 +102,7 @@ def test_ranges_that_name_none_are_refused(text: str) -> None:
         parse_task_range(text, 8)
 
 
+@pytest.mark.slow
 def test_a_bundle_holds_what_a_farm_asks_for(tmp_path: Path) -> None:
     planned = plan(tmp_path)
     planned.jobs[0].asset.write_text(

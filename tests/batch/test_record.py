@@ -62,6 +62,7 @@ def test_nothing_is_read_once_all_is_stopped(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_real_reader(tmp_path: Path) -> None:
     good, bad = tmp_path / "good.usda", tmp_path / "bad.usda"
     good.write_text(TRIANGLE, encoding="utf-8")

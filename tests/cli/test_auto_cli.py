@@ -67,6 +67,7 @@ def advice_of(done):
     return {one["path"]: one for one in strict(done.out)["advice"]}
 
 
+@pytest.mark.slow
 def test_each_surface_has_the_material_of_its_name(gf_usd, here, stage):
     asset = stage(cube("SteelBlock", 0), cube("jelly_cube", 2), cube("Thing", 4))
     done = gf_usd("bake", asset, "-m", "auto", *SMALL, "--dry-run", "--json")
@@ -83,6 +84,7 @@ def test_each_surface_has_the_material_of_its_name(gf_usd, here, stage):
     assert names(here) == []
 
 
+@pytest.mark.slow
 def test_surfaces_of_one_body_keep_their_own_materials(gf_usd, here, stage):
     asset = stage(cube("SteelBlock", 0), cube("jelly_cube", 0.5))
     done = gf_usd("bake", asset, "-m", "auto", "--combine", *SMALL, "--dry-run", "--json")
@@ -91,6 +93,7 @@ def test_surfaces_of_one_body_keep_their_own_materials(gf_usd, here, stage):
     assert [m["name"] for m in plan["tables"][0]] == ["metal", "jelly"]
 
 
+@pytest.mark.slow
 def test_what_the_stage_states_goes_before_its_names(gf_usd, here, stage):
     asset = stage(
         MATERIALS,
@@ -120,6 +123,7 @@ def test_density_and_friction_of_the_stage_go_over_the_preset_of_the_name(gf_usd
     assert (made["density"], made["friction"], made["youngs_modulus"]) == (77.0, 0.25, 1.7e6)
 
 
+@pytest.mark.slow
 def test_a_bake_is_named_auto_and_its_report_has_the_reasons(gf_usd, here, stage):
     asset = stage(cube("jello", 0))
     done = gf_usd("bake", asset, "-m", "auto", "--particles", 100, "--frames", 2, "-q")

@@ -81,6 +81,7 @@ def test_the_asset_is_not_written_even_when_asked(gf_usd, here: Path, block: Pat
     assert names(here) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--flatten",)])
 def test_no_file_that_the_asset_is_composed_of_is_written(
     gf_usd, here: Path, block, options
@@ -256,6 +257,7 @@ def test_words_that_are_no_option(gf_usd, here: Path, block: Path) -> None:
     assert names(here) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize(
     ("number", "status", "word"),

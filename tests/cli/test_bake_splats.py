@@ -72,6 +72,7 @@ def test_one_capture_in_three_formats_moves_alike(gf_usd, here, tmp_path, rest):
         np.testing.assert_allclose(found[other], found["ply"], atol=SINGLE)
 
 
+@pytest.mark.slow
 def test_the_result_is_a_sound_layer_over_the_capture(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300, degree=2))
     done = gf_usd("bake", path, "--material", "jelly", *SMALL)
@@ -166,6 +167,7 @@ def test_what_is_no_body_is_refused(gf_usd, here, tmp_path):
     assert names(here) == []
 
 
+@pytest.mark.slow
 def test_inspect_knows_captures(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
     done = gf_usd("inspect", path, "--json", "--particles", "200")
@@ -177,6 +179,7 @@ def test_inspect_knows_captures(gf_usd, here, tmp_path):
     assert any("a surface was constructed around" in note for note in report["notes"])
 
 
+@pytest.mark.slow
 def test_samples_handles_and_clips_hold_for_captures(gf_usd, here, tmp_path):
     path = write_usd(tmp_path / "ball.usda", ball(300, degree=1))
     more = ("--samples-per-frame", "2", "--handles", "1", "--clip-frames", "2")
@@ -195,6 +198,7 @@ def test_samples_handles_and_clips_hold_for_captures(gf_usd, here, tmp_path):
         np.testing.assert_allclose(frame.positions, there, atol=SINGLE)
 
 
+@pytest.mark.slow
 def test_a_held_capture_stands_still_under_a_turning_prim(gf_usd, here, tmp_path):
     path = write_usd(tmp_path / "ball.usda", ball(300))
     stage = Usd.Stage.Open(str(path))
@@ -218,6 +222,7 @@ def test_a_held_capture_stands_still_under_a_turning_prim(gf_usd, here, tmp_path
     np.testing.assert_allclose(turned[0], turned[1], atol=SINGLE * size * 10)
 
 
+@pytest.mark.slow
 def test_without_the_mesh_a_capture_stays_and_still_gives_its_sequence(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
     arguments = ("bake", path, "--material", "jelly", *SMALL, "--export-ply", "frames")
@@ -232,6 +237,7 @@ def test_without_the_mesh_a_capture_stays_and_still_gives_its_sequence(gf_usd, h
     assert len(frames[0]) == 300
 
 
+@pytest.mark.slow
 def test_a_box_pins_a_capture(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
     arguments = ("bake", path, "--material", "jelly", *SMALL, "--pin", "box:-1,0.2,-1,1,1,1")
@@ -244,6 +250,7 @@ def test_a_box_pins_a_capture(gf_usd, here, tmp_path):
     assert (first - last)[rest[:, 1] < -0.2, 1].min() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_box_next_to_a_capture_is_refused_by_its_name(gf_usd, here, tmp_path):
     path = write_ply(tmp_path / "ball.ply", ball(300))
     done = gf_usd("bake", path, "--material", "jelly", *SMALL, "--pin", "box:5,5,5,6,6,6")

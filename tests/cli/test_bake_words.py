@@ -60,6 +60,7 @@ TABLE = """
 """
 
 
+@pytest.mark.slow
 def test_a_fall_on_an_obstacle_is_not_called_no_contact(gf_usd, here: Path, block: Path) -> None:
     text = block.read_text(encoding="utf-8").rstrip()
     block.write_text(text.removesuffix("}") + TABLE, encoding="utf-8")
@@ -88,6 +89,7 @@ def test_the_recorded_command_bakes_the_same_again(gf_usd, here: Path, block: Pa
     assert caches[0] == caches[1]
 
 
+@pytest.mark.slow
 def test_a_dry_run_says_what_the_bake_then_does(gf_usd, here: Path, block: Path) -> None:
     plan = strict(gf_usd("bake", block, *SMALL, "--dry-run", "--json", "-o", "new/").out)
     assert names(here) == []
@@ -101,6 +103,7 @@ def test_a_dry_run_says_what_the_bake_then_does(gf_usd, here: Path, block: Path)
     assert done["bakes"][0]["health"]["substeps"] == 5 * plan["substeps_per_frame"]["rubber"]
 
 
+@pytest.mark.slow
 def test_results_are_replaced_only_when_asked(gf_usd, here: Path, block: Path) -> None:
     assert gf_usd("bake", block, *SMALL, "-q").status == 0
     before = {name: (here / name).read_bytes() for name in names(here)}
@@ -116,6 +119,7 @@ def test_results_are_replaced_only_when_asked(gf_usd, here: Path, block: Path) -
     assert (here / "block.rubber.cache.usdc").read_bytes() != before["block.rubber.cache.usdc"]
 
 
+@pytest.mark.slow
 def test_quiet_and_verbose(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "-q")
     assert (done.status, done.out, done.err) == (0, "", "")

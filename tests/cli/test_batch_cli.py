@@ -79,6 +79,7 @@ def test_one_asset_stops_no_other_and_a_rerun_does_what_is_missing(
     assert sorted(states(failed)) == ["cut.jelly", "cut.rubber"]
 
 
+@pytest.mark.slow
 def test_a_result_that_another_run_writes_is_left_to_it(
     gf_usd: Call, here: Path, block: Path
 ) -> None:

@@ -18,6 +18,7 @@ WHOLE = [f"{STEM}.cache.usdc", f"{STEM}.clips", f"{STEM}.report.json", f"{STEM}.
 CLIPS = ["0001.usdc", "0002.usdc", "0003.usdc", "manifest.usda"]
 
 
+@pytest.mark.slow
 def test_a_bake_in_clips(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--clip-frames", "2")
     assert done.status == 0
@@ -84,6 +85,7 @@ def test_a_failure_keeps_the_old_bake_and_shows_its_own(
     assert not any("partial" in name for name in names(here))
 
 
+@pytest.mark.slow
 def test_a_large_cache_is_split_unasked(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,6 +99,7 @@ def test_a_large_cache_is_split_unasked(
     assert names(here) == [name for name in WHOLE if "clips" not in name]
 
 
+@pytest.mark.slow
 def test_samples_and_materials_in_clips(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd(
         "bake", block, *SMALL, "-m", "rubber,jelly", "--clip-frames", "2",

@@ -171,6 +171,7 @@ def test_motions_at_other_times_are_refused_and_aligned(run: Run, tmp_path: Path
     assert run(a, b, "--align", "start", "--tolerance", "0mm")[0] == 0
 
 
+@pytest.mark.slow
 def test_python_compares(tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5)
     found = gf_usd.compare(a, b, tolerance=0.004)

@@ -35,6 +35,7 @@ def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     assert "--splats only is only for .glb" in done.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flat", [(), ("--flatten",)])
 def test_the_mesh_file_that_was_baked_is_not_replaced(gf_usd, tmp_path: Path, flat) -> None:
     """It is no layer of the bake, and has the name that one would give to the delivered file."""

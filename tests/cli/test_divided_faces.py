@@ -45,6 +45,7 @@ def points(stage: Usd.Stage, code: float) -> np.ndarray:
     return np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/World/Cube")).GetPointsAttr().Get(code))
 
 
+@pytest.mark.slow
 def test_a_coarse_mesh_is_warned_of_and_a_divided_one_is_not(cube: Path) -> None:
     coarse = bake(cube, **OPTIONS)
     (warning,) = [w for _, w in coarse.warnings if w.about == "coarse-mesh"]

@@ -55,6 +55,7 @@ def test_a_full_disk_is_not_passed_over() -> None:
     assert done.returncode == 120
 
 
+@pytest.mark.slow
 def test_kernels_that_were_compiled_are_kept(tmp_path: Path) -> None:
     code = """
 import taichi as ti

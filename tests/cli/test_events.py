@@ -33,6 +33,7 @@ def kinds(found: list[dict[str, Any]]) -> list[str]:
     return [name for k, name in enumerate(all_) if not k or all_[k - 1] != name]
 
 
+@pytest.mark.slow
 def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--floor", "none", "--events", "events.ndjson")
     assert done.status == 0
@@ -71,6 +72,7 @@ def test_a_file_with_other_contents_is_not_replaced(gf_usd, here: Path, block: P
         )
 
 
+@pytest.mark.slow
 def test_the_words_of_a_bake_stay_as_they_are(gf_usd, here: Path, block: Path) -> None:
     plain = gf_usd("bake", block, *SMALL)
     done = gf_usd("bake", block, *SMALL, "--events", "events.ndjson", "--overwrite")
@@ -81,6 +83,7 @@ def test_the_words_of_a_bake_stay_as_they_are(gf_usd, here: Path, block: Path) -
     ]
 
 
+@pytest.mark.slow
 def test_on_stdout_there_is_nothing_else(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--events", "-")
     assert kinds(events(done.out))[-1] == "finished"

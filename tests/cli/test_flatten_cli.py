@@ -18,6 +18,7 @@ from gf_usd.core.errors import SolverError
 from gf_usd.layers.check.run import check_file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one.usdz", "one.usdc"])
 def test_one_file_and_a_report(gf_usd, here: Path, block: Path, name: str) -> None:
     before = hashlib.sha256(block.read_bytes()).hexdigest()
@@ -83,6 +84,7 @@ def toy(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["toy.usdz", "toy.usdc"])
 def test_a_mesh_file_becomes_one_file(gf_usd, here: Path, tmp_path: Path, name: str) -> None:
     glb = toy(tmp_path)

@@ -55,6 +55,7 @@ def Xform "Shot"
     return path
 
 
+@pytest.mark.slow
 def test_each_character_is_a_body_that_only_its_own_bones_hold(tmp_path: Path) -> None:
     options = {**FEW, "goal_frequency": 2.0, "output": tmp_path / "out.usda", "draw": None}
     plan, _ = prepare(stage(tmp_path, prop=PROP), **options)
@@ -78,6 +79,7 @@ def test_each_character_is_a_body_that_only_its_own_bones_hold(tmp_path: Path) -
     np.testing.assert_allclose(X[1] + other, X[1], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_skeletons_under_one_skelroot_are_one_character(tmp_path: Path) -> None:
     path = stage(tmp_path)
     text = path.read_text(encoding="utf-8").replace('def Xform "Shot"', 'def SkelRoot "Shot"')
@@ -90,6 +92,7 @@ def test_skeletons_under_one_skelroot_are_one_character(tmp_path: Path) -> None:
     assert note in " ".join(plan.notes)
 
 
+@pytest.mark.slow
 def test_combine_makes_one_body_of_all_characters(tmp_path: Path) -> None:
     options = {**FEW, "combine": True, "output": tmp_path / "out.usda", "draw": None}
     plan, _ = prepare(stage(tmp_path), **options)
@@ -113,6 +116,7 @@ def test_characters_whose_bind_poses_overlap_follow_their_own_skeletons(tmp_path
             assert np.sqrt((away**2).sum(1).mean()) < 0.1 * WIDTH, (name, code)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", [True, False], ids=["one character", "two"])
 def test_a_prop_that_no_bones_hold_stays(tmp_path: Path, alone: bool) -> None:
     """A bench beside a character fell out of the picture, for flesh has no floor."""

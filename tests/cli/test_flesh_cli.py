@@ -32,6 +32,7 @@ from gf_usd.prepare.prepare import prepare
 FEW = {"particles": 400, "preroll": 12, "progress": None}
 
 
+@pytest.mark.slow
 def test_a_baked_arm_keeps_its_animation_and_is_skinned_once(tmp_path: Path) -> None:
     path = write(tmp_path, arm())
     out = tmp_path / "out.usda"

@@ -45,6 +45,7 @@ def test_a_mesh_of_one_joint_that_no_flesh_holds_is_rigid(tmp_path: Path) -> Non
     np.testing.assert_array_equal(boot.path, bones[1].path)
 
 
+@pytest.mark.slow
 def test_a_box_of_a_rigid_region_is_none_that_a_joint_carries(tmp_path: Path) -> None:
     plan, _ = prepare(
         booted(tmp_path), **FEW, rigid=["box:1.6,-1,-1,3,1,1"], output=tmp_path / "o.usda",

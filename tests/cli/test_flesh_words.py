@@ -37,6 +37,7 @@ def test_flesh_that_its_bones_carry_spreads_on_no_floor(tmp_path: Path) -> None:
     assert note not in " ".join(plan_of(path, **options).notes)
 
 
+@pytest.mark.slow
 def test_an_animation_that_is_followed_is_not_reported_as_left(tmp_path: Path) -> None:
     source = write(tmp_path, arm())
     path = tmp_path / "cache.usda"
@@ -106,6 +107,7 @@ def test_the_floor_that_is_proposed_is_under_animated_points(tmp_path: Path) -> 
     assert where == "under its poses in these frames,"
 
 
+@pytest.mark.slow
 def test_the_floor_that_is_proposed_is_under_poses_next_to_a_capture_without_any(
     tmp_path: Path,
 ) -> None:
@@ -123,6 +125,7 @@ def test_the_floor_that_is_proposed_is_under_poses_next_to_a_capture_without_any
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("animated", ["transform", "mesh"])
 def test_an_animation_of_captured_gaussians_is_refused(tmp_path: Path, animated: str) -> None:
     """Without a skeleton it ended in a traceback, as did that of a mesh beside them."""
@@ -170,6 +173,7 @@ def test_frames_before_the_animation_are_distinguished(
     assert " particles, 8 frames (the first 6 are pre-roll and are not written), " in done.err
 
 
+@pytest.mark.slow
 def test_no_hint_to_lower_a_drop_where_there_is_none(tmp_path: Path) -> None:
     path = write(tmp_path, arm())
     assert "--drop" not in solver(plan_of(path))._hint()

@@ -127,6 +127,7 @@ def test_a_rigid_region_next_to_the_body_is_refused(arm: Path) -> None:
     assert caught.value.hint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gravity", "warned"), [pytest.param(10, False, marks=pytest.mark.slow), (60, True)]
 )

@@ -124,6 +124,7 @@ def Camera "front" {
 """
 
 
+@pytest.mark.slow
 def test_a_body_behind_a_wall_is_drawn_from_a_side_that_shows_it(tmp_path):
     path, out = tmp_path / "walled.usda", tmp_path / "walled.png"
     path.write_text(WALLED.replace("BACK", "40"), encoding="utf-8")
@@ -136,6 +137,7 @@ def test_a_body_behind_a_wall_is_drawn_from_a_side_that_shows_it(tmp_path):
     assert len(red_rows(out)) == 0
 
 
+@pytest.mark.slow
 def test_a_body_that_no_view_shows_is_reported(tmp_path):
     path, out = tmp_path / "walled.usda", tmp_path / "walled.png"
     lid = '\ndef Cube "lid" { double size = 60\ndouble3 xformOp:translate = (0, 0, 35)\n'

@@ -58,6 +58,7 @@ def test_quiet_prints_no_frames(stage, tmp_path):
     assert (done.exit_code, done.output) == (0, "")
 
 
+@pytest.mark.slow
 def test_range_rate_and_odd_sizes_of_a_film(stage, tmp_path):
     out = tmp_path / "a.mp4"
     done = run(stage, "-o", out, "--size", "81x61", "--time-codes", "2:3:0.25", "--fps", "10")

@@ -47,6 +47,7 @@ LONGER = {
 }  # share their code with the others
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "state", [pytest.param(s, marks=[pytest.mark.slow] if s in LONGER else []) for s in STATES]
 )
@@ -199,6 +200,7 @@ def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path
     assert "with unchanged files" in other.err
 
 
+@pytest.mark.slow
 def test_what_usd_was_writing_when_it_was_killed_is_removed(
     gf_usd, here: Path, block: Path
 ) -> None:
@@ -236,6 +238,7 @@ def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Pa
     ]
 
 
+@pytest.mark.slow
 def test_without_a_checkpoint_it_begins_anew_and_says_so(gf_usd, here: Path, block: Path) -> None:
     arguments = ("bake", block, "--particles", "200", "--frames", "3")
     done = gf_usd(*arguments, "--resume")

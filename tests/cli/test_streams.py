@@ -45,6 +45,7 @@ def test_a_bake_continues(here: Path, block: Path, where: str) -> None:
     assert set(names(here)) == {f"block.rubber.{kind}" for kind in kinds}
 
 
+@pytest.mark.slow
 def test_a_refusal_keeps_its_status(here: Path) -> None:
     assert run(here, "GF bake nothing.usda 2>/dev/full").returncode == 3
 

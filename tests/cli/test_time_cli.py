@@ -94,6 +94,7 @@ def test_velocities_of_samples_are_per_second(baked) -> None:
         np.testing.assert_allclose(seen[code][:, 2], -981.0 * (code - 101.0) / 48.0, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_range_writes_a_part_of_the_same_motion(baked) -> None:
     whole, _ = baked("whole", "--frames", "14")
     part, result = baked("part", "--frames", "14", "--range", "108:112")
@@ -110,6 +111,7 @@ def test_a_range_writes_a_part_of_the_same_motion(baked) -> None:
     assert (layer.startTimeCode, layer.endTimeCode) == (101.0, 112.0)
 
 
+@pytest.mark.slow
 def test_a_range_alone_says_how_long_is_simulated(baked) -> None:
     part, _ = baked("part", "--range", "103:118")
     assert list(positions(part)) == [float(t) for t in range(103, 119)]
@@ -119,6 +121,7 @@ def test_a_range_alone_says_how_long_is_simulated(baked) -> None:
     assert list(positions(open_start)) == [101.0, 102.0, 103.0]
 
 
+@pytest.mark.slow
 def test_handles_hold_before_and_continue_after(baked) -> None:
     longer, _ = baked("longer", "--frames", "8")
     handled, result = baked("handled", "--frames", "6", "--handles", "2")
@@ -168,6 +171,7 @@ def test_what_makes_no_sense_is_refused(
     assert names(here) == []
 
 
+@pytest.mark.slow
 def test_a_pin_follows_the_animation_between_frames(gf_usd, here: Path, tmp_path: Path) -> None:
     from small_bakes import BLOCK as TEXT
 
@@ -195,6 +199,7 @@ def test_a_pin_follows_the_animation_between_frames(gf_usd, here: Path, tmp_path
         np.testing.assert_allclose(np.array(points.Get(code))[top], rest[top], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_report_draws_health_where_it_was(baked) -> None:
     from gf_usd.readers.pictures.recording import BakedMotion
     from gf_usd.view.report.curves import _health_curve

@@ -71,6 +71,7 @@ def as_program(*arguments: str) -> Done:
     return Done(done.returncode, done.stdout, done.stderr)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "status", "message", "hint"),
     [
@@ -112,6 +113,7 @@ def test_refused_in_words_and_without_a_file(
     assert files(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_an_option_that_does_not_parse_is_a_matter_of_usage(tmp_path: Path) -> None:
     (tmp_path / "ball.usda").write_text(BALL, encoding="utf-8")
     done = subprocess.run(

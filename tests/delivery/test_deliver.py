@@ -265,6 +265,7 @@ def test_limits_that_do_not_allow_the_error_are_named(ball: Path, tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_mesh_of_too_few_points_for_joints_is_named(tmp_path: Path) -> None:
     """More joints than points do not help it; they are no advice."""
     source = moving_ball(tmp_path / "card.usdc")
@@ -323,6 +324,7 @@ def test_what_stands_still_is_refused(tmp_path: Path) -> None:
     assert Sdf.Layer.FindOrOpen(str(still)) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 def test_a_mesh_below_a_mesh_is_refused_where_it_would_not_move(tmp_path: Path, kind) -> None:
     """UsdSkel finds no mesh below another one."""

@@ -114,6 +114,7 @@ def tree_of(path: Path) -> dict[str, Any]:
     return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 def test_gltf_has_obstacles_as_nodes_of_their_own(props: Path, tmp_path: Path, kind: str) -> None:
     done = deliver(props, tmp_path / "out.glb", error=TOLERANCE, kind=kind)
@@ -137,6 +138,7 @@ def test_gltf_has_obstacles_as_nodes_of_their_own(props: Path, tmp_path: Path, k
     assert "skin" not in nodes["plate"]
 
 
+@pytest.mark.slow
 def test_usd_changes_the_prim_of_the_soft_body_alone(props: Path, tmp_path: Path) -> None:
     done = deliver(props, tmp_path / "out.usda", error=TOLERANCE)
     (body,) = done.bodies
@@ -160,6 +162,7 @@ def bound(stage: Usd.Stage, path: str, code: float) -> list[float]:
     return [*box.GetMin(), *box.GetMax()]
 
 
+@pytest.mark.slow
 def test_the_bounds_above_a_body_contain_all_below_it(tmp_path: Path) -> None:
     asset = tmp_path / "flag.usda"
     asset.write_text(PROPS.replace('def Cube "body"', FLAG), encoding="utf-8")
@@ -183,6 +186,7 @@ def test_the_bounds_follow_what_moves_below_what_does_not(tmp_path: Path) -> Non
         assert (low[2], high[2]) == pytest.approx((-7.1, 9.1), abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_bodies_have_skel_roots_of_their_own_that_do_not_nest(tmp_path: Path, apart: bool) -> None:
     asset = tmp_path / "two.usda"
@@ -203,6 +207,7 @@ def test_bodies_have_skel_roots_of_their_own_that_do_not_nest(tmp_path: Path, ap
         assert bound(stage, "/World", code) == pytest.approx(bound(source, "/World", code), abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "home"), [("(2, 2, -2)", "/World/props/soft"), ("(2, 2, 1)", "/World/props")]
 )

@@ -81,6 +81,7 @@ def test_gltf_positions_and_covariances_are_within_the_stated_errors(
     assert cloud.covariance[0] > 0.01  # the ball is squashed: this error is there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["over_mesh", "alone"])
 def test_on_nodes_any_loader_moves_them(
     source: str, request: pytest.FixtureRequest, tmp_path: Path
@@ -110,12 +111,14 @@ def test_on_nodes_any_loader_moves_them(
     assert cloud.position < 0.25
 
 
+@pytest.mark.slow
 def test_the_radius_of_a_capture_is_that_of_its_hull(alone: Path, to_gltf: ToGltf) -> None:
     done = to_gltf(alone, "auto")
     # a ball of half a unit, of which 200 corners are a little less
     assert done.bodies[0].radius == pytest.approx(0.005, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 def test_a_loader_without_skins_shows_the_first_frame(
     alone: Path, to_gltf: ToGltf, kind: str
@@ -132,6 +135,7 @@ def test_a_loader_without_skins_shows_the_first_frame(
     assert gap.max() < 1e-3  # rotations of 16 bits
 
 
+@pytest.mark.slow
 def test_the_primitive_is_as_the_extension_says(alone: Path, to_gltf: ToGltf) -> None:
     done = to_gltf(alone, "auto")
     file = Glb.read(done.path)
@@ -161,6 +165,7 @@ def test_the_primitive_is_as_the_extension_says(alone: Path, to_gltf: ToGltf) ->
     assert file.array(named[f"{KHR}:SCALE"]).min() > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["joints", "shapes"])
 def test_light_turns_with_the_axes_of_the_file(alone: Path, to_gltf: ToGltf, kind: str) -> None:
     """The radiance at a direction of the scene is that of the source at the same direction."""
@@ -286,6 +291,7 @@ def test_usd_holds_every_variant_of_a_bake(tmp_path: Path) -> None:
     np.testing.assert_allclose(ends["none"], ball(300).positions, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_capture_that_stays_at_rest_is_a_body_of_its_own(tmp_path: Path) -> None:
     path = moving_splats(tmp_path / "ball.usdc", still=True)
     done = deliver(path, tmp_path / "out.glb", error=ERROR)
@@ -320,6 +326,7 @@ def test_usdskel_skins_no_particle_field(over_mesh: Path, tmp_path: Path) -> Non
     assert flat.GetPrimAtPath("/Ball/Splats").GetAttribute("positions").GetNumTimeSamples() == 0
 
 
+@pytest.mark.slow
 def test_the_same_bytes_each_time(alone: Path, to_gltf: ToGltf, tmp_path: Path) -> None:
     again = deliver(alone, tmp_path / "out.glb", error=ERROR)
     assert again.path.read_bytes() == to_gltf(alone, "auto").path.read_bytes()

@@ -121,6 +121,7 @@ def test_usd_keeps_the_visibility_of_the_source(tmp_path: Path, kind: str) -> No
     assert np.linalg.norm(off, axis=2).max() <= TOLERANCE * done.bodies[0].radius
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flatten", [False, True], ids=["layers", "one file"])
 def test_usd_hides_what_particles_stand_for(tmp_path: Path, flatten: bool) -> None:
     """It stood at rest for the whole motion: what the bake hides it with is in the cache."""
@@ -144,6 +145,7 @@ def test_usd_hides_what_particles_stand_for(tmp_path: Path, flatten: bool) -> No
             assert (image.ComputeVisibility(code) != "invisible") == shown
 
 
+@pytest.mark.slow
 def test_usd_hides_in_every_variant_what_particles_stand_for(tmp_path: Path) -> None:
     blocks = scene(
         tmp_path,
@@ -169,6 +171,7 @@ def sand(folder: Path, **options: Any) -> Path:
     ).root  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [pytest.param(".glb", marks=pytest.mark.slow), ".usda"])
 def test_the_hint_about_what_flows_can_be_followed(tmp_path: Path, suffix: str) -> None:
     bake = sand(tmp_path)

@@ -44,6 +44,7 @@ def judged(minimum: Minimum, *, stated: bool = True) -> Uncertainty:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_truth_is_found_and_what_has_no_effect_stays() -> None:
     minimum = found(motion(TRUTH))
     assert minimum.converged
@@ -78,6 +79,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     assert (np.median(widths, 0) < 2.0 * 2.0 * np.sqrt(np.diag(exact))).all()
 
 
+@pytest.mark.slow
 def test_intervals_grow_with_the_noise() -> None:
     noise = np.random.default_rng(3).standard_normal((POINTS, 40))
     little = judged(found(motion(TRUTH) + 0.003 * noise), stated=False)

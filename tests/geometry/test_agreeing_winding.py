@@ -58,6 +58,7 @@ def test_what_agrees_stays_as_it_is():
     assert notes == ()
 
 
+@pytest.mark.slow
 def test_a_lid_of_a_box(tmp_path: Path, monkeypatch):
     """Two of twelve triangles: it did not fill, and its nodes were no numbers any more."""
     monkeypatch.chdir(tmp_path)

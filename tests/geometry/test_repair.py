@@ -135,6 +135,7 @@ def test_a_boundary_may_run_along_an_edge_of_three_triangles():
     assert volume(mended) == pytest.approx(volume(whole), rel=0.02)
 
 
+@pytest.mark.slow
 def test_many_small_holes_no_longer_stand_in_the_way():
     whole = sphere()
     rng = np.random.default_rng(0)

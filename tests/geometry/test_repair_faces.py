@@ -41,6 +41,7 @@ def test_a_part_that_is_inside_out_is_turned():
     assert build_solid(asset(mended)).inside(lens)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flipped",
     [pytest.param(False, marks=pytest.mark.slow), True],

@@ -19,6 +19,7 @@ def nested(*sizes: float) -> Surface:
     return surface(np.concatenate(points), np.concatenate(faces))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sizes", "inner", "volume"),
     [

@@ -123,6 +123,7 @@ def test_chunks_change_nothing() -> None:
             np.testing.assert_allclose(getattr(part, name), getattr(whole, name), atol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_memory_is_bounded() -> None:
     rng = np.random.default_rng(2)
     X, particles = rng.random((4000, 3)), rng.random((4000, 3))

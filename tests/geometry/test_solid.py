@@ -102,6 +102,7 @@ def test_a_surface_that_is_inside_out_has_the_same_inside():
     np.testing.assert_array_equal(solid(turned).inside(X), solid(shape).inside(X))
 
 
+@pytest.mark.slow
 def test_spheres_that_overlap_are_counted_once():
     # Two unit spheres 1 m apart share a lens of 5 pi / 12; geodesic ones are smaller by the same
     # share as their volume.
@@ -133,6 +134,7 @@ def test_opposite_orientations_of_overlapping_surfaces_do_not_cancel():
     np.testing.assert_array_equal(solid(a, turned).inside(X), solid(a, b).inside(X))
 
 
+@pytest.mark.slow
 def test_a_few_missing_faces_change_little():
     shape = sphere(subdivisions=3)
     keep = np.ones(len(shape.triangles), bool)

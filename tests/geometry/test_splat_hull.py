@@ -50,6 +50,7 @@ def test_a_hollow_ball_is_closed_and_filled():
     assert surface.path == "/ball"
 
 
+@pytest.mark.slow
 def test_it_has_the_colors_of_the_capture():
     surface, _ = hull(ball(500), up=1)
     assert surface.triangle_colors is not None
@@ -66,6 +67,7 @@ def test_sparse_discs_are_closed():
     assert any("closed" in note for note in notes)
 
 
+@pytest.mark.slow
 def test_the_size_does_not_matter():
     big, _ = hull(ball(800, radius=500.0), up=1)
     assert volume(big) == pytest.approx(BALL * 1e9, rel=3 * NEAR / 0.5)
@@ -194,6 +196,7 @@ def test_an_asset_gets_one_for_each_capture():
     assert build_solid(asset).volume == pytest.approx(BALL, rel=0.1)
 
 
+@pytest.mark.slow
 def test_cells_grow_where_too_many_would_be_looked_at(monkeypatch):
     rest = ball(800)
     few = 2_000_000
@@ -218,6 +221,7 @@ def test_too_few_are_refused():
         hull(haze, up=1)
 
 
+@pytest.mark.slow
 def test_the_same_discs_in_bytes_give_the_same_surface():
     """Formats round opacities to bytes: the surface does not hang on that."""
     rest = ball(500)

@@ -79,6 +79,7 @@ OTHER = {"odd": "1", "odd[]": "[(1, 2)]", "string": '"x"', "string[]": '["x", "y
 QUICK = ("odd[]", "double")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in OTHER]
 )
@@ -96,6 +97,7 @@ def test_values_of_another_type_than_the_schema_has(tmp_path: Path, kind: str) -
     assert stopped(cases, EACH) == {}
 
 
+@pytest.mark.slow
 def test_value_of_a_type_that_usd_does_not_know(tmp_path: Path) -> None:
     """USD prints a TypeError of its own for it, by the hook for uncaught ones, and goes on."""
     file = Path(__file__).parents[1] / "assets" / "unknown_value_type.usdc"
@@ -105,6 +107,7 @@ def test_value_of_a_type_that_usd_does_not_know(tmp_path: Path) -> None:
     assert "export the asset again" in raised.value.hint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["../a.usda", "/tmp/a.usda", "a/../../a.usda"])
 def test_package_that_names_places_outside_writes_nothing(tmp_path: Path, name: str) -> None:
     file = tmp_path / "in" / "trick.usdz"
@@ -115,6 +118,7 @@ def test_package_that_names_places_outside_writes_nothing(tmp_path: Path, name: 
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == [file]
 
 
+@pytest.mark.slow
 def test_bomb_in_a_package(tmp_path: Path) -> None:
     file = tmp_path / "bomb.usdz"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as package:
@@ -125,6 +129,7 @@ def test_bomb_in_a_package(tmp_path: Path) -> None:
 SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 12)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *SLOW])
 def test_mutated_files(tmp_path: Path, seed: int) -> None:
     dice = random.Random(f"corpus:{seed}")

@@ -142,6 +142,7 @@ def test_texture_that_is_missing(tmp_path: Path) -> None:
     assert outcome(file) == "baked"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [0.0, 0.1, 0.5, 0.9, 1.0])
 def test_every_format_cut_short(tmp_path: Path, cut: float) -> None:
     """At a share of its bytes, and one byte before its end."""

@@ -27,6 +27,7 @@ def made(script: str, name: str, folder: Path) -> Path:
     return folder / name
 
 
+@pytest.mark.slow
 def test_a_wrong_number_of_children(tmp_path: Path) -> None:
     file = made(SCRIPTS[0], "many_children.usdc", tmp_path)
     found = stopped([file], Limits(time=60.0))

@@ -42,6 +42,7 @@ def complete(source: Source, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     return asset, root, {(f.rule, f.prim_path) for f in check_file(root).findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clips", [0, 7])
 def test_points_are_within_the_error_at_every_frame(
     source: Source, complete: tuple[Asset, Path, set], clips: int, tmp_path: Path
@@ -66,6 +67,7 @@ def test_points_are_within_the_error_at_every_frame(
     assert {(f.rule, f.prim_path) for f in check_file(few).findings} == known
 
 
+@pytest.mark.slow
 def test_the_error_that_is_reported_is_the_largest_that_is_read(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     (tmp_path / "all").mkdir()
@@ -165,6 +167,7 @@ def test_the_bytes_that_are_reported_are_those_of_the_other_bake(tmp_path: Path)
     assert storage.bytes_without == pytest.approx(plain.bytes, rel=0.1)
 
 
+@pytest.mark.slow
 def test_another_run_gives_the_same_bytes(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     for name in ("a.usdc", "b.usdc"):
@@ -172,6 +175,7 @@ def test_another_run_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_writer_continues_after_a_full_clip_with_the_same_bytes(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     choices = Choices(precision=COARSE, adaptive=True, velocities=False, clip_frames=6)

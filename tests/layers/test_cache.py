@@ -269,6 +269,7 @@ def run_endless(folder: Path, then: str = "") -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL")
 def test_a_killed_writer_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     for frames in (0, 3):
@@ -285,6 +286,7 @@ def test_a_killed_writer_leaves_nothing_under_the_final_name(tmp_path: Path) -> 
     assert (tmp_path / "c.usdc").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="no file size limit")
 def test_a_full_disk_is_an_error_in_words(tmp_path: Path) -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (300000, 300000))"

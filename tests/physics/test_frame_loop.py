@@ -168,6 +168,7 @@ def run(solver: TotalLagrangian) -> list[Frame]:
     return list(solver.frames())
 
 
+@pytest.mark.slow
 def test_a_step_that_is_too_long_is_rolled_back() -> None:
     solver = dropped(safety=3.0)
     frames = run(solver)
@@ -202,6 +203,7 @@ def test_without_the_guard_that_step_gains_energy(monkeypatch: pytest.MonkeyPatc
     assert max(energies) > 3.0 * energies[0]
 
 
+@pytest.mark.slow
 def test_a_frame_done_again_leaves_no_trace_of_the_first_attempt() -> None:
     def until(solver: TotalLagrangian, index: int, halve_before: int | None) -> Frame:
         for frame in solver.frames():

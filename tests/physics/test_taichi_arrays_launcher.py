@@ -16,6 +16,7 @@ ti = import_taichi()
 SPEED = 40.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("real", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
     ends = []

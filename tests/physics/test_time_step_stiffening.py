@@ -78,6 +78,7 @@ def test_the_step_follows_waves_but_never_grows_beyond_that_at_rest() -> None:
     assert strained_step(rest, 8.0, 0.1, 8.0) == pytest.approx(0.5 * rest.dt)
 
 
+@pytest.mark.slow
 def test_a_squashed_body_gets_more_substeps_unless_they_are_given() -> None:
     body, _ = ball(500)
     m = preset_material("jelly", body, damping_time=0.0)
@@ -135,6 +136,7 @@ def perturbation_growth(F: np.ndarray, steps_apart: float) -> float:
         return float(np.abs(runs[1] - runs[0]).max()) / 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stretches", [(1.0, 0.2, 1.0), (2.0, 0.1, 2.0), (4.0, 0.05, 3.0)])
 def test_a_damped_body_is_stable_under_large_strain(stretches: tuple[float, ...]) -> None:
     F = np.diag(stretches)

@@ -72,6 +72,7 @@ def stiff(plan: Plan, factor: float) -> Material:
     )
 
 
+@pytest.mark.slow
 def test_substeps_grow_with_the_root_of_stiffness(plan: Plan) -> None:
     made = [replace(plan, materials=(stiff(plan, f),)) for f in (1e4, 1e6, 1e8)]
     steps = [cost(p)["per_material"][0]["substeps_per_frame"] for p in made]
@@ -259,6 +260,7 @@ def test_estimates_have_no_meaningless_digits(seconds: float, text: str) -> None
     assert rough_duration(seconds) == text
 
 
+@pytest.mark.slow
 def test_too_long_is_refused_with_the_numbers(plan: Plan) -> None:
     hard = replace(plan, materials=(*plan.materials, stiff(plan, 1e12)))
     hours = cost(hard)["estimated_seconds"] / 3600.0

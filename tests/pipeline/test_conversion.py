@@ -74,6 +74,7 @@ def test_particles_are_shown_instead_of_the_mesh_from_the_first_converted_on(
     assert bake.health["conversion_dissipation_J"] >= 0.0
 
 
+@pytest.mark.slow
 def test_a_surface_is_drawn_around_what_was_converted(blocks: Path, tmp_path: Path) -> None:
     done = gf_usd.bake(
         blocks, frames=6, output=tmp_path / "out.usda", surface=True,
@@ -93,6 +94,7 @@ def test_a_surface_is_drawn_around_what_was_converted(blocks: Path, tmp_path: Pa
     assert box.ComputeAlignedRange().GetMin()[1] == pytest.approx(0.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_box_means_the_particles_in_it(tmp_path: Path) -> None:
     path = scene(tmp_path, body("Block", "rubber", "0, 0.1, 0"))
     done = gf_usd.bake(
@@ -113,6 +115,7 @@ def test_a_limit_that_nothing_passes_is_warned_of(blocks: Path, tmp_path: Path) 
     assert not shown(stage, FLOW, 4.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "becomes", ["dry-sand", pytest.param("powder-snow", marks=pytest.mark.acceptance)]
 )
@@ -133,6 +136,7 @@ def test_a_bake_that_was_ended_continues_identically(
     require_same(whole, parts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -203,6 +207,7 @@ def test_what_flows_does_not_take_in_a_solid_that_it_touches(tmp_path: Path) -> 
     assert set(ul.choices.flowing) == {"/World/Sand", "/World/Block"}, "of one body, a part flows"
 
 
+@pytest.mark.slow
 def test_a_body_that_passes_through_an_obstacle_does_so_alone(tmp_path: Path) -> None:
     """All did once the last was converted."""
     tray = """    def Cube "Tray" (prepend apiSchemas = ["PhysicsCollisionAPI"])

@@ -183,6 +183,7 @@ def test_it_ends_within_a_frame_that_takes_too_long() -> None:
     assert caught.value.frame == 25
 
 
+@pytest.mark.slow
 def test_a_frame_that_is_cut_leaves_what_can_be_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

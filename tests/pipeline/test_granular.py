@@ -29,6 +29,7 @@ def test_granular_presets_choose_the_solver_and_what_is_written() -> None:
     assert not any("hidden" in note for note in planned.notes)
 
 
+@pytest.mark.slow
 def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
     plan = gf_usd.inspect(SPHERE, surface=True, **SAND).plan
     assert plan.choices.shapes == ("mesh", "gaussians", "points")

@@ -22,6 +22,7 @@ def castle(tmp_path: Path) -> Path:
 SMALL: dict[str, Any] = {"particles": 300, "drop": 0}
 
 
+@pytest.mark.slow
 def test_the_law_of_each_body_says_how_it_is_simulated(castle: Path) -> None:
     plan = gf_usd.inspect(castle, **SMALL).plan
     assert plan.settings.solver == "mixed"
@@ -103,6 +104,7 @@ def test_a_body_of_which_a_part_flows_is_moved_as_a_whole_by_the_solver_of_what_
     assert (last[water, 1] < 0.1).mean() > 0.2, "it runs over the edges"
 
 
+@pytest.mark.slow
 def test_what_flows_must_not_start_inside_a_solid_body(tmp_path: Path) -> None:
     water, ball = ("Water", "water", "0, 0.1, 0"), ("Block", "rubber", "0.1, 0.2, 0")
     with pytest.raises(InputError, match="flowing particles start inside a solid body"):

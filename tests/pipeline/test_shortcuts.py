@@ -157,6 +157,7 @@ def test_mass_scaling_takes_as_long_as_promised(monkeypatch: pytest.MonkeyPatch)
     assert f"in about {rough_duration(again.cost['usual_seconds'])} and" in line
 
 
+@pytest.mark.slow
 def test_a_shorter_damping_takes_the_substeps_promised(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -219,6 +219,7 @@ FOREARM = """def GeomSubset "Forearm"
 }"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "options"),
     [

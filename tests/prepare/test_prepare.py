@@ -62,6 +62,7 @@ def stage(tmp_path):
 CLOTH = mesh("Cloth", [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], [[0, 1, 2, 3]])
 
 
+@pytest.mark.slow
 def test_a_sample_is_bakeable_and_its_numbers_are_those_of_the_plan(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     seen = inspect(DUCK, **FEW)
@@ -84,6 +85,7 @@ def test_a_sample_is_bakeable_and_its_numbers_are_those_of_the_plan(tmp_path, mo
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_json_is_json_and_has_every_documented_key():
     out = json.loads(json.dumps(inspect(DUCK, **FEW).as_json()))
     from gf_usd.pipeline import inspect as inspection
@@ -99,6 +101,7 @@ def test_the_json_is_json_and_has_every_documented_key():
             assert key in documented
 
 
+@pytest.mark.slow
 def test_each_material_has_its_cost():
     # requested one by one: of two with one law the second finds its kernels loaded
     rubber, metal = (
@@ -187,6 +190,7 @@ def test_a_refusal_that_repair_would_lift_says_so(stage):
     assert inspect(path, repair=True, **FEW).refusal is None
 
 
+@pytest.mark.slow
 def test_a_fill_that_faults_have_hollowed_out_is_warned_of(stage):
     """Two balls of one mesh that overlap, one inside out: where both are they cancel."""
     body = sphere(subdivisions=2)
@@ -204,6 +208,7 @@ def test_a_fill_that_faults_have_hollowed_out_is_warned_of(stage):
     assert mended.as_json()["body"]["volume_m3"] == pytest.approx(0.95 * union, rel=0.03)
 
 
+@pytest.mark.slow
 def test_meshes_inside_others_are_no_lost_volume(stage):
     """A faulty ball in a ball: the inner one is filled by the outer one already."""
     ball = sphere(subdivisions=2)

@@ -54,6 +54,7 @@ def volume(seen: Inspection) -> float:
     return seen.plan.particles.volume
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repair", [False, True])
 def test_the_wall_of_an_egg_is_filled(tmp_path: Path, repair: bool) -> None:
     """All of it was filled, 4 m^3 in place of 2."""
@@ -71,6 +72,7 @@ def test_the_wall_of_an_egg_is_filled(tmp_path: Path, repair: bool) -> None:
     assert [len(s.points) for s in seen.plan.asset.surfaces] == [162, 162]
 
 
+@pytest.mark.slow
 def test_the_inner_side_moves_with_its_wall_not_with_what_is_next_to_it(tmp_path: Path) -> None:
     prims = ball("Outer", 1.0), ball("Inner", 0.8, inward=True), ball("Yolk", 0.7)
     seen = seen_of(tmp_path, *prims)
@@ -79,6 +81,7 @@ def test_the_inner_side_moves_with_its_wall_not_with_what_is_next_to_it(tmp_path
     assert seen.plan.bodies.embedded == {"/Root/Outer": 0, "/Root/Inner": 0, "/Root/Yolk": 1}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "more",
     [
@@ -97,6 +100,7 @@ def test_a_mesh_that_the_stage_tells_apart_is_a_body(tmp_path: Path, more: str) 
     assert not any("as the inner side of a wall" in note for note in seen.notes)
 
 
+@pytest.mark.slow
 def test_two_that_face_outward_are_filled_with_a_hint(tmp_path: Path) -> None:
     seen = seen_of(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8))
     assert volume(seen) == pytest.approx(4.0 / 3.0 * np.pi, rel=2.0 * SPHERES)
@@ -107,6 +111,7 @@ def test_two_that_face_outward_are_filled_with_a_hint(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_coarser_resolution_has_the_wall_too(tmp_path: Path) -> None:
     path = stage(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8, inward=True))
     prepared = prepare(path, spacing=0.1, certify=True, output=tmp_path / "b.usda")
@@ -116,6 +121,7 @@ def test_a_coarser_resolution_has_the_wall_too(tmp_path: Path) -> None:
     assert [s.path for s in coarse.asset.surfaces] == ["/Root/Outer", "/Root/Inner"]
 
 
+@pytest.mark.slow
 def test_a_bake_moves_both_sides(tmp_path: Path) -> None:
     path = stage(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8, inward=True))
     done = gf_usd.bake(path, spacing=0.2, frames=4, drop=2.0, output=tmp_path / "b.usda")
@@ -138,6 +144,7 @@ SUBSET = """
 """
 
 
+@pytest.mark.slow
 def test_an_inner_side_can_be_pinned(tmp_path: Path) -> None:
     """It was refused as a mesh that is not filled."""
     inner = ball("Inner", 0.8, inward=True)
@@ -149,6 +156,7 @@ def test_an_inner_side_can_be_pinned(tmp_path: Path) -> None:
     assert len(seen.plan.pins) == 1
 
 
+@pytest.mark.slow
 def test_meshes_of_different_advised_materials_are_no_wall(tmp_path: Path) -> None:
     steel, foam = ball("steel_shell", 1.0), ball("foam_core", 0.8, inward=True)
     seen = seen_of(tmp_path, steel, foam, material="auto")

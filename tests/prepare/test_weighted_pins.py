@@ -161,6 +161,7 @@ def test_an_empty_pin_is_refused(plan) -> None:
     assert "contains /One" in caught.value.hint
 
 
+@pytest.mark.slow
 def test_the_faces_that_follow_a_joint_are_held(tmp_path: Path) -> None:
     from gf_usd.pipeline.prepared import prepare
 

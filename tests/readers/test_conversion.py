@@ -182,6 +182,7 @@ def test_fbx_without_its_program_is_refused_with_a_hint(tmp_path, monkeypatch):
     assert "pip install usd-convert-asset" in error.value.hint
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="the stand-in for the program is a script")
 def test_fbx_by_its_program(tmp_path, monkeypatch):
     program = tmp_path / "bin" / "usd-convert-asset"

@@ -102,6 +102,7 @@ def test_a_step_that_is_far_too_long_ends_in_words(here: Path) -> None:
     assert check_file(here / f"{stem}.partial.usda").findings == ()
 
 
+@pytest.mark.slow
 def test_the_frames_before_it_are_kept(here: Path, fault: Fault) -> None:
     with pytest.raises(gf_usd.SolverError) as caught:
         bake()
@@ -146,6 +147,7 @@ def test_the_same_frames_as_of_a_whole_bake(here: Path, fault: Fault) -> None:
         np.testing.assert_array_equal(points[0].Get(code), points[1].Get(code))
 
 
+@pytest.mark.slow
 def test_a_good_result_is_not_touched(here: Path, fault: Fault) -> None:
     fault.stop()
     bake()
@@ -170,6 +172,7 @@ def test_a_bake_that_works_clears_away_what_failed(here: Path, fault: Fault) -> 
     assert "failed" not in report(here / f"{STEM}.report.json")
 
 
+@pytest.mark.slow
 def test_variants_that_were_finished_are_kept_when_another_one_fails(
     here: Path, fault: Fault
 ) -> None:
@@ -204,6 +207,7 @@ def test_a_fault_without_a_place(here: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert f"{SPHERE}: rubber failed at frame 1 (time code 2): it looks odd" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_variants_are_published_only_together(here: Path, fault: Fault) -> None:
     """An old root layer must not come to refer to the cache of a bake that failed."""
     fault.stop()
@@ -216,6 +220,7 @@ def test_variants_are_published_only_together(here: Path, fault: Fault) -> None:
     assert {name: (here / name).read_bytes() for name in before} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "about"),
     [

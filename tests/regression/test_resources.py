@@ -73,6 +73,7 @@ def test_a_small_bake_that_a_nearly_full_disk_cannot_take_is_refused_before_work
     assert names(disk) == [other.name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("materials", [["rubber"], ["rubber", "jelly"]])
 def test_a_disk_that_is_full_before_the_first_frame_is_an_error_without_files(
     disk: Path, materials: list[str], monkeypatch: pytest.MonkeyPatch
@@ -106,6 +107,7 @@ def test_a_disk_that_is_full_before_the_first_frame_is_an_error_without_files(
         assert not any("jelly.cache" in name for name in there)
 
 
+@pytest.mark.slow
 def test_a_disk_without_a_byte_for_the_report_leaves_the_frames_and_no_empty_files(
     disk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -260,6 +262,7 @@ def test_an_input_that_vanishes_during_the_bake(tmp_path: Path) -> None:
     assert all(".partial." in name for name in names(tmp_path)), names(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     ti = import_taichi()
     if ti.lang.misc.is_arch_supported(ti.cuda):

@@ -138,6 +138,7 @@ def test_the_motion_is_the_same_with_z_up(meters: Motion, tmp_path: Path) -> Non
         np.testing.assert_allclose(as_y_up, there, rtol=0, atol=SAME)
 
 
+@pytest.mark.slow
 def test_gaussians_far_out_follow_a_root_that_moves(tmp_path: Path) -> None:
     at = (FAR, 0.0, FAR)
     near = motion(bake_in(tmp_path / "near", (0.0, 0.0, 0.0)), 1.0, (0.0, 0.0, 0.0))
@@ -151,6 +152,7 @@ def bake_in(folder: Path, at: tuple[float, ...]) -> Path:
     return bake(folder, 1.0, at, moves=True)
 
 
+@pytest.mark.slow
 def test_near_the_origin_particles_stand_in_the_world(tmp_path: Path) -> None:
     from pxr import UsdGeom
 

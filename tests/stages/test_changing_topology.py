@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from compare_stages import differences, with_variant
 from production_shot import box, tuples
 from pxr import Usd, UsdGeom
@@ -51,6 +52,7 @@ def Mesh "Blob"
 """
 
 
+@pytest.mark.slow
 def test_arrays_of_element_counts_are_held_and_others_interpolated(tmp_path: Path) -> None:
     source = tmp_path / "blob.usda"
     head = 'defaultPrim = "Blob"\n metersPerUnit = 0.01\n upAxis = "Y"\n startTimeCode = 10'

@@ -48,6 +48,7 @@ def scene(path: Path, depth: float, *, other: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("other", "depth"),
     [
@@ -88,6 +89,7 @@ def test_a_ball_that_starts_in_another_stays_calm(tmp_path: Path, other: str, de
     assert health["deepest_overlap_m"] < depth + 0.5 * spacing
 
 
+@pytest.mark.slow
 def test_a_note_says_what_starts_in_an_obstacle(tmp_path: Path) -> None:
     deep = gf_usd.bake(
         scene(tmp_path / "deep.usda", 0.3, other="obstacle"),

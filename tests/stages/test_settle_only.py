@@ -306,6 +306,7 @@ def test_pins_fields_and_stated_lengths_end_without_rest(more: dict[str, Any]) -
     assert not gf_usd.inspect(SPHERE, **(FEW | more)).plan.choices.until_rest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "value"), [("REST_WORK", 100.0), ("REST_SECONDS", 1.0)])
 def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch, limit, value) -> None:
     monkeypatch.setattr(f"gf_usd.pipeline.prepared.{limit}", value)
@@ -400,6 +401,7 @@ def test_on_obstacles_rest_says_how_long(table: Path) -> None:
     assert plan.choices.until_rest
 
 
+@pytest.mark.slow
 def test_without_gravity_slow_motion_is_left_as_it_is(tmp_path: Path) -> None:
     speed = 0.05  # [m/s], which is calm: v^2 / 2 is a hundredth of CALM g0 r
     done = gf_usd.bake(

@@ -63,6 +63,7 @@ def Xform "Right" (
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_but(SHOTS, "centimeters, Y up", "inches, Z up"))
 def test_a_body_falls_by_half_g_t_squared_in_any_unit(name: str, tmp_path: Path) -> None:
     unit, up = SHOTS[name]

@@ -136,6 +136,7 @@ def test_options_are_judged_before_a_file_is_tried(
         look(file, limits=Limits())
 
 
+@pytest.mark.slow
 def test_a_child_loads_what_reading_takes_and_no_more(tmp_path: Path) -> None:
     """It is started for each file: what it imports is the price of it."""
     file = tmp_path / "a.usda"
@@ -145,6 +146,7 @@ def test_a_child_loads_what_reading_takes_and_no_more(tmp_path: Path) -> None:
     assert names.isdisjoint({"scipy", "taichi", "trimesh", "PIL", "igl", "typer", "rich"})
 
 
+@pytest.mark.slow
 def test_this_process_reads_nothing_itself(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from gf_usd.readers.isolated import Reading;"
@@ -288,6 +290,7 @@ def test_arguments_may_be_longer_than_a_command_line(tmp_path: Path) -> None:
     assert run_isolated(file, "isolated_tasks:same", Limits(), many) == (many,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".usda", ".obj"])
 def test_what_a_child_returns_is_what_is_read_here(tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"box{suffix}"

@@ -79,6 +79,7 @@ def test_the_same_arguments_start_it_once_and_others_anew(monkeypatch):
     assert starts[-1]["cpu_max_num_threads"] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stdout", ["sys.__stdout__", "io.StringIO()"], ids=["own", "notebook"])
 def test_starting_says_nothing_on_the_way(stdout):
     code = "from gf_usd.system.taichi_runtime import init_taichi; init_taichi()"
@@ -108,11 +109,13 @@ def start_in(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_it_starts_without_a_home():
     done = start_in({})
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variable", ["HOME", "TI_OFFLINE_CACHE_FILE_PATH"])
 def test_without_a_folder_for_kernels_it_says_so_and_continues(variable, tmp_path):
     file = tmp_path / "file"

@@ -59,6 +59,7 @@ def output(code: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_generated_files_are_what_the_generator_writes() -> None:
     pytest.importorskip("jinja2")
     done = subprocess.run(
@@ -67,6 +68,7 @@ def test_generated_files_are_what_the_generator_writes() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
@@ -198,6 +200,7 @@ def test_apis_are_applied_to_the_types_they_are_made_for() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_bake_settings_apply_to_everything_that_is_baked() -> None:
     code = (
         "import gf_usd.system.usd_schema as schema\n"

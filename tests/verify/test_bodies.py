@@ -116,6 +116,7 @@ def test_motion_is_that_of_frames():
         np.testing.assert_array_equal(x, frame.particles.x)
 
 
+@pytest.mark.slow
 def test_motion_ends_where_something_is_no_number():
     solver = swinging()
     moved = iterate_states(solver)

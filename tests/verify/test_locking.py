@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from gf_usd.verify.cases.elastic.locking import locking
 
 
+@pytest.mark.slow
 def test_bending_does_not_lock() -> None:
     """A square beam of 8 x 1 with two cells through its thickness."""
     soft, nearly_incompressible = locking((0.0, 0.49), cells=2, periods=0.75)("cpu")

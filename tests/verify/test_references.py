@@ -21,6 +21,7 @@ def test_a_slender_bar_bends_as_euler_says(nu: float) -> None:
     assert 1.0 - 5.0 / slender**2 <= bending_frequency(nu, slender) / euler < 1.0
 
 
+@pytest.mark.slow
 def test_a_sphere_with_a_tiny_hole_breathes_as_one_without() -> None:
     k, u = breathing(1e-3, 1.0, 1.0 / 3.0)  # nu = 1/4
     # Lamb: tan x = x / (1 - (c_p / 2 c_s)^2 x^2) with (c_p / c_s)^2 = 3

@@ -17,6 +17,7 @@ def found(*surfaces, spacing: float = 0.1, **more) -> list[int]:
     return find_bodies(solid(*surfaces), spacing, **more).tolist()
 
 
+@pytest.mark.slow
 def test_a_nose_in_a_head_and_a_hat_on_it_fall_as_one() -> None:
     head = sphere(1.0, path="/Head")
     nose = sphere(0.2, center=(1.0, 0.0, 0.0), path="/Nose")
@@ -69,6 +70,7 @@ def part(component: str, low: float, height: float = 1.0) -> Surface:
     return replace(made, component=component)
 
 
+@pytest.mark.slow
 def test_components_that_touch_are_separate_and_those_that_overlap_are_not() -> None:
     assert found(part("/Board", 0.0), part("/Piece", 1.0)) == [0, 1]
     assert found(part("/Board", 0.0), part("/Piece", 0.99)) == [0, 1]  # a tenth of a spacing deep
@@ -82,6 +84,7 @@ def of(component: str, surface: Surface, name: str) -> Surface:
     return replace(surface, component=component, path=f"{component}/{name}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing", [0.1, 0.5])
 def test_thin_components_that_overlap_are_one(spacing: float) -> None:
     """No point of a plate thinner than half a spacing is a quarter of a spacing deep."""
@@ -96,12 +99,14 @@ def test_thin_components_that_overlap_are_one(spacing: float) -> None:
     assert found(of("/A", cube((0.0, -0.5, -0.5)), "M"), rod, spacing=spacing) == [0, 0]
 
 
+@pytest.mark.slow
 def test_components_at_the_same_place_are_one() -> None:
     """No point of one surface is inside the other one."""
     assert found(of("/A", cube(), "M"), of("/B", cube(), "M")) == [0, 0]
     assert found(of("/A", sphere(), "M"), of("/B", sphere(), "M")) == [0, 0]
 
 
+@pytest.mark.slow
 def test_bodies_of_components_do_not_depend_on_the_order() -> None:
     """a and a2 are of A, b and b2 of B; a touches a2 and b, and a2 overlaps b2."""
     a = of("/A", cube((0.0, 0.0, 0.0)), "a")

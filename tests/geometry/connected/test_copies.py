@@ -154,6 +154,7 @@ def test_a_bent_sheet_is_one_until_it_meets_itself() -> None:
     assert not np.isin(limbs.copies.of[order[far]], doubled).any()
 
 
+@pytest.mark.slow
 def test_fingers_of_their_own_shells_that_overlap_a_palm_move_apart() -> None:
     gap = 0.05
     boxes = [cube((0, LENGTH, 0), (2 * WIDTH + gap, ROOT, WIDTH))]
@@ -169,6 +170,7 @@ def test_fingers_of_their_own_shells_that_overlap_a_palm_move_apart() -> None:
     assert len(np.intersect1d(left, right)) == 0
 
 
+@pytest.mark.slow
 def test_what_floats_apart_and_what_touches_stays_with_its_body() -> None:
     shirt, button = cube((0, 0, 0), (1.0, 1.0, 0.4)), cube((0.3, 0.3, 0.45), (0.35, 0.35, 0.2))
     nose = cube((0.3, 0.3, 0.4 - 1e-3), (0.35, 0.35, 0.2))

@@ -41,6 +41,7 @@ def walls(*surfaces: Surface, one_thing: bool = True) -> Walls:
     return find_walls(asset(*surfaces), lambda one, two: one_thing)
 
 
+@pytest.mark.slow
 def test_only_the_wall_of_an_egg_is_filled() -> None:
     found = walls(turned(INNER), OUTER)
     assert dict(found.outer) == {"/Inner": "/Outer"}
@@ -140,6 +141,7 @@ def test_notes_on_many_pairs_are_few() -> None:
     assert notes[0].startswith("</B> is inside </A> (and 2 more pairs are alike), and")
 
 
+@pytest.mark.slow
 def test_each_side_keeps_its_look() -> None:
     """A texture of a side without coordinates is not read at those of the other one."""
     red, blue = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))

@@ -76,6 +76,7 @@ def test_the_faces_of_a_cut_cell_have_the_area_of_the_solid_in_them():
     np.testing.assert_allclose(faces[1, 0, 0], [[0.3, 0.0, 0.0], [0.0, 0.3, 0.0]], atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "exact"),
     [
@@ -119,6 +120,7 @@ def test_surfaces_that_touch_add_up_exactly():
     assert 0.3**3 * found.moments[:, 0].sum() == pytest.approx(2.0, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [without, turned])
 def test_a_surface_with_a_hole_or_a_turned_face_is_counted(spoil):
     whole = sphere()
@@ -158,6 +160,7 @@ def test_a_needle_is_cut_into_pieces_in_the_number_of_the_planes_it_crosses():
     assert (high - low <= 1.0).all()
 
 
+@pytest.mark.slow
 def test_a_needle_takes_memory_by_its_cells_and_not_by_those_of_its_box():
     body = solid(needle(1.0, 1e-4))
     h = 1.0 / 3000.0

@@ -117,6 +117,7 @@ def test_slivers_go_to_their_neighbors_and_nothing_is_lost():
     assert made.X[:, 2].max() < 0.051
 
 
+@pytest.mark.slow
 def test_a_wire_thinner_than_any_sliver_keeps_its_mass():
     wire = cube(low=(0.95, 0.0, 0.0), edge=(2.0, 0.08, 0.08))
     body = solid(joined(sphere(), wire))
@@ -132,6 +133,7 @@ def test_a_wire_thinner_than_any_sliver_keeps_its_mass():
     assert made.V0.sum() == pytest.approx(body.volume, rel=0.01)
 
 
+@pytest.mark.slow
 def test_cells_of_a_thin_part_have_points_of_their_own():
     h, width = 0.1, 0.04
     wire = cube(low=(0.95, -0.5 * width, -0.5 * width), edge=(2.0, width, width))

@@ -46,6 +46,7 @@ def test_the_edges_of_a_divided_box_are_not_thin(tmp_path, particles):
     assert parts_of(box, particles=particles) == ()
 
 
+@pytest.mark.slow
 def test_shells_thinner_than_a_spacing_are_named():
     plate = cube(low=(3.0, 0.0, 0.04), edge=(0.5, 0.5, 0.001))
     crumb = cube(low=(0.0, 3.0, 0.0), edge=0.08)
@@ -83,6 +84,7 @@ def test_a_hollow_shell_is_as_thick_as_its_wall():
     assert found[0].thickness == pytest.approx(1e-4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_loose_faces_have_no_thickness():
     """Only the rounding error of their volume."""
     corners = np.array([[0.0, 0.0, 0.0], [0.7, 0.1, 0.2], [0.6, 0.8, 0.3], [-0.1, 0.7, 0.1]])
@@ -128,17 +130,20 @@ def test_the_end_of_a_spike_is_found():
     assert min(spike.low[2] for spike in found) > 1.0
 
 
+@pytest.mark.slow
 def test_a_cavity_is_no_empty_part():
     inner = sphere(radius=0.5)
     hollow = shells_of(sphere(), surface(inner.points, inner.triangles[:, ::-1]))
     assert parts_of(hollow, particles=4000) == ()
 
 
+@pytest.mark.slow
 def test_a_shell_inside_another_shares_its_particles():
     eye = sphere(radius=0.3, center=(0.5, 0.0, 0.0), path="/Eye")
     assert parts_of(sphere(path="/Head"), eye, particles=4000) == ()
 
 
+@pytest.mark.slow
 def test_turned_faces_do_not_look_thin():
     body = sphere()
     triangles = body.triangles.copy()

@@ -66,6 +66,7 @@ def test_a_plate_grows_to_one_spacing_and_a_thick_one_stays() -> None:
     assert left.messages() == ()
 
 
+@pytest.mark.slow
 def test_only_the_sheet_of_a_mesh_changes() -> None:
     both = joined(cube(), sheet(2, at=(0.0, 2.0, 0.0)))
     made, (done,) = thickened(both, spacing=0.1)
@@ -84,6 +85,7 @@ def test_spacing_and_sheets_agree_on_the_number_of_particles() -> None:
     assert np.ptp(made.surfaces[1].points[:, 1]) == pytest.approx(LAYER * a, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wave", [0.0, 0.05])
 @pytest.mark.parametrize("wanted", [500, pytest.param(3000, marks=pytest.mark.slow)])
 def test_a_sheet_has_as_many_particles_as_asked_for(wave: float, wanted: int) -> None:
@@ -98,6 +100,7 @@ def test_a_sheet_has_as_many_particles_as_asked_for(wave: float, wanted: int) ->
     assert count_particles(build_solid(made), spacing) == pytest.approx(wanted, rel=off)
 
 
+@pytest.mark.slow
 def test_of_many_particles_a_share_is_counted() -> None:
     mended, repairs = repair_asset(asset(sheet(2)))
     *_, few = thicken_to_count(mended, repairs, 20_000)
@@ -120,6 +123,7 @@ def test_what_is_too_small_or_in_flesh_stays_as_it_is() -> None:
     assert (done.thickened, done.thin_left) == (0, 0)
 
 
+@pytest.mark.slow
 def test_three_sheets_that_meet_are_all_thick() -> None:
     """Along one edge: each is a slab, and they overlap."""
     points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [1, 0, 1], [-1, 0, 0], [-1, 0, 1],

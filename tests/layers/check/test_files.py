@@ -19,6 +19,7 @@ def rules_of(result: CheckResult) -> set[str]:
     return {finding.rule for finding in result.findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ["0", "nan", "inf"])
 def test_time_codes_that_hang_usd_are_refused_in_time(tmp_path: Path, value: str) -> None:
     """Zero over a sublayer: USD's own GetTimeSamples never returns, so nothing may read them."""

@@ -165,6 +165,7 @@ def test_a_source_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> None:
     assert checked.inherited == ()
 
 
+@pytest.mark.slow
 def test_a_value_clip_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> None:
     """The dependencies of a stage are those of all its variants."""
     root = tmp_path / "ball.usda"
@@ -176,6 +177,7 @@ def test_a_value_clip_that_is_gone_is_an_error_of_the_bake(tmp_path: Path) -> No
     assert result.inherited == ()
 
 
+@pytest.mark.slow
 def test_a_file_that_only_another_variant_names_is_an_error_of_the_source(tmp_path: Path) -> None:
     """A bake as a package has no other variant, and lacks none of their files."""
     path = tmp_path / "ball.usda"

@@ -60,6 +60,7 @@ def moved(tmp_path: Path, text: str) -> tuple[Usd.Stage, Usd.Prim, int]:
     return result, result.GetPrimAtPath(surface.path), len(surface.points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "kind"), [(TETS, "TetMesh"), (POINTS, "Points")])
 def test_each_of_its_own_points_moves(tmp_path: Path, text: str, kind: str) -> None:
     _stage, prim, count = moved(tmp_path, text)
@@ -80,6 +81,7 @@ def test_tetrahedra_keep_their_topology(tmp_path: Path) -> None:
     assert not prim.HasAttribute("faceVertexIndices")
 
 
+@pytest.mark.slow
 def test_the_extent_of_points_is_that_of_their_balls(tmp_path: Path) -> None:
     _stage, prim, _ = moved(tmp_path, POINTS)
     for time in (1.0, 2.0):
@@ -87,6 +89,7 @@ def test_the_extent_of_points_is_that_of_their_balls(tmp_path: Path) -> None:
         np.testing.assert_array_equal(prim.GetAttribute("extent").Get(time), wanted)
 
 
+@pytest.mark.slow
 def test_normals_of_points_are_carried(tmp_path: Path) -> None:
     _stage, prim, _ = moved(tmp_path, POINTS)
     np.testing.assert_allclose(

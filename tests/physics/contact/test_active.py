@@ -43,6 +43,7 @@ def test_samples_left_alone_change_no_bit(self_contact: bool, monkeypatch):
     assert some.state.get("sample_depth").max() > 0.0, "it came to the floor"
 
 
+@pytest.mark.slow
 def test_samples_of_before_serve_as_well_to_the_bit(monkeypatch):
     kept = []
     serves = ActiveSamples._serves

@@ -21,6 +21,7 @@ def made():
     return Patches(samples.X, samples.normal, SPACING, see=4.0, thick=4.0), samples
 
 
+@pytest.mark.slow
 def test_pairs_of_patches_are_all_pairs_of_samples():
     patches, _ = made()
     of = patches._of

@@ -174,6 +174,7 @@ def test_a_blade_comes_to_rest_on_the_floor_a_tenth_of_a_spacing_deep_at_most() 
     assert 0.0 < last.health.penetration <= 0.1 * body.spacing
 
 
+@pytest.mark.slow
 def test_a_blade_that_hits_a_cube_conserves_momentum_and_energy() -> None:
     solver = contact_solver(
         blade(path="/Blade"), cube(low=(-0.5, -1.2, 0.0), path="/Cube"), particles=1000,

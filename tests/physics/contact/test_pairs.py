@@ -217,6 +217,7 @@ def test_a_frame_done_again_for_its_contact_is_forgotten_after_it():
     assert pairs.lateness.bound(solver.state.time) == np.inf
 
 
+@pytest.mark.slow
 def test_an_attempt_that_ended_with_an_exception_leaves_no_trace():
     """Another state that is loaded after it goes on as in a solver that never failed."""
     straight, broken = squeezed(0.8, 0.35), squeezed(0.8, 0.35)

@@ -111,6 +111,7 @@ def test_what_is_thrown_is_searched_from_again(at_rest) -> None:
     assert moved(3.0)
 
 
+@pytest.mark.slow
 def test_a_plane_that_the_kernels_lack_is_noticed_and_the_frame_repeated(monkeypatch) -> None:
     """In first attempts at a frame no plane is given to the kernels, so that balls go through each
     other."""

@@ -77,6 +77,7 @@ def largest(K: Floats, mass: NodalMass) -> float:
     return float(eigs(inverse @ K, 1, v0=start, return_eigenvectors=False)[0].real)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alike", [True, False])
 def test_it_is_that_of_the_whole_matrix_or_a_little_more(alike: bool) -> None:
     solver, x, planes, rows = crash()
@@ -111,6 +112,7 @@ def test_it_counts_places_far_outside_of_their_support_triangle() -> None:
     assert value <= 1.001 * stiffest(B, solver.body.mass, k * lever)
 
 
+@pytest.mark.slow
 def test_planes_of_coarse_meshes_have_carriers_away_from_their_place(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -139,6 +141,7 @@ def test_planes_of_coarse_meshes_have_carriers_away_from_their_place(
     assert max(most) < 4.0
 
 
+@pytest.mark.slow
 def test_substeps_of_contact_halve_with_the_step_of_a_failed_frame(monkeypatch) -> None:
     solver = contact_solver(
         LEFT, RIGHT, particles=300, frames=4, velocity=[(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]
@@ -166,6 +169,7 @@ def test_substeps_of_contact_halve_with_the_step_of_a_failed_frame(monkeypatch) 
     assert lengths[2] == pytest.approx(0.25 * lengths[0], rel=0.1)
 
 
+@pytest.mark.slow
 def test_springs_of_the_floor_count_where_it_may_be_touched_before_the_next_detection(
     monkeypatch,
 ) -> None:
@@ -233,6 +237,7 @@ def test_a_sample_in_free_fall_comes_as_far_as_it_falls() -> None:
     assert d == pytest.approx(depth + np.maximum(fallen, 0.0))
 
 
+@pytest.mark.slow
 def test_the_kernels_have_the_planes_that_are_touched_and_their_results_are_those_of_all(
     monkeypatch,
 ) -> None:

@@ -80,6 +80,7 @@ def at(code: float, name: str = "powder-snow") -> tuple[str, Limit]:
     return name, Limit(kind=TIME, value=code)
 
 
+@pytest.mark.slow
 def test_momenta_and_energy_are_those_before() -> None:
     run = converting(("rubber",), {0: at(2.0)}, frames=5)
     assert isinstance(run.now, TotalLagrangian)
@@ -161,6 +162,7 @@ def test_the_frame_says_what_the_change_of_solver_gave() -> None:
     assert [f.converted.sum() for f in seen] == [f.health.converted for f in seen]
 
 
+@pytest.mark.slow
 def test_what_stays_solid_continues_as_it_was() -> None:
     """Apart from the body that leaves, as if that had never been in its solver."""
     alone = converting(("rubber", "rubber"), {0: at(99.0)}, frames=6, stress=True)
@@ -179,6 +181,7 @@ def test_what_stays_solid_continues_as_it_was() -> None:
         assert way < 1e-4 * h
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "last", ["powder-snow", pytest.param("honey", marks=pytest.mark.acceptance)]
 )
@@ -201,6 +204,7 @@ def test_bodies_leave_one_by_one_and_a_flow_is_joined(last: str) -> None:
     assert isinstance(run.now, UpdatedLagrangian)
 
 
+@pytest.mark.slow
 def test_a_checkpoint_continues_identically_before_and_after() -> None:
     def made() -> Converting:
         return converting(("rubber", "rubber"), {0: at(2.0)}, 120, scatter=True, frames=7)

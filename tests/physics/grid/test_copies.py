@@ -244,6 +244,7 @@ def test_two_teeth_vibrate_as_one_does_alone() -> None:
     assert all(m.passed for m in case.two_teeth("cpu"))
 
 
+@pytest.mark.slow
 def test_each_body_has_the_copies_that_it_has_alone() -> None:
     """Two forks, each on cells of its own: the nodes, masses and rows of each are those alone."""
     one = comb(2, WIDTH, GAP, LENGTH, 0.5, WIDTH)

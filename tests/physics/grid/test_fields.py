@@ -92,6 +92,7 @@ def test_a_free_body_falls_as_keys_of_gravity_say_and_no_energy_is_made_up() -> 
     assert sum(f.health.rollbacks for f in seen) == 0
 
 
+@pytest.mark.slow
 def test_a_uniform_wind_is_as_much_gravity() -> None:
     """To rounding: the same body under gravity, and without it in a wind."""
     fall = (0.5, -9.81, 0.0)

@@ -55,6 +55,7 @@ def test_springs_hold_a_body_up_where_it_sags_by_g_over_w_squared() -> None:
     np.testing.assert_allclose(sag, 9.81 / W**2, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_as_good_as_keyframed_follows_a_motion() -> None:
     def moving(X: Floats) -> Callable[[float], Floats]:
         return lambda frame: X + [0.01 * frame, 0.0, 0.0]
@@ -83,6 +84,7 @@ def attached(path: Floats, k: float, c: float = 0.0) -> Goals:
     return replace(goals(0.0), attached=points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("up", [0.0, 0.3])
 def test_springs_of_points_hold_a_body_up_by_what_they_are_stiff(up: float) -> None:
     """Sum k (place - x) = m g, whatever the grid makes of the points; critically damped."""

@@ -116,6 +116,7 @@ def test_all_nodes_of_a_body_that_is_wholly_held_are_held() -> None:
     assert partly.pin.tolist() == [-1, -1, -1, 0, 1, -1]
 
 
+@pytest.mark.slow
 def test_a_body_may_be_pinned_wholly_next_to_a_free_one() -> None:
     free = bar(100)
     far = replace(free, X=free.X + [3.0, 0.0, 0.0])
@@ -219,6 +220,7 @@ def test_a_patch_smaller_than_a_cell_holds_the_nearest_nodes() -> None:
     assert not prescribed_nearby([pin], pinned_by([pin], away), away, h).any
 
 
+@pytest.mark.slow
 def test_a_pinned_sheet_hangs_as_its_weight_says() -> None:
     """u(L) = rho g L^2 / 2E as of the bar, of a sheet of one layer of particles."""
     g, length, pinned, n = 2.0, 1.0, 0.25, 4
@@ -245,6 +247,7 @@ def test_a_pinned_sheet_hangs_as_its_weight_says() -> None:
     assert moved[0][-2:, 0] == pytest.approx(1000.0 * g / (2.0 * 1e5), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_pinned_bar_stretches_as_its_weight_says() -> None:
     """u(L) = rho g L^2 / 2E of a bar that hangs on its end, nu = 0.
 

@@ -60,6 +60,7 @@ def test_a_region_with_free_flesh_keeps_the_momenta_of_the_whole() -> None:
     np.testing.assert_allclose(E, E[0], rtol=1e-4)  # (w dt)^2 / 4 of what vibrates
 
 
+@pytest.mark.slow
 def test_a_region_has_the_inertia_of_its_particles() -> None:
     """All but a sliver of a cell at the far end is rigid."""
     body, m, _ = bar()

@@ -17,6 +17,7 @@ from gf_usd.physics.laws.simd3x3 import let, unrolled
 FLOWING = [t for t, row in LAWS.items() if YIELD_STRESS in row.parameters and not row.unbounded]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("token", FLOWING)
 def test_the_return_mapping_is_right(token):
     assert faults(token) == []

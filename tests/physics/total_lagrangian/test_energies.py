@@ -39,6 +39,7 @@ def test_singular_values_are_those_of_the_svd():
     np.testing.assert_allclose((strains(F)[0] - wanted) / size, 0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_body_at_rest_has_its_weight_and_nothing_else(body):
     particles, _ = body
     m = 1100.0 * particles.V0.sum()

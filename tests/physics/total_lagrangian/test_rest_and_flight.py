@@ -39,6 +39,7 @@ def asleep(solver, *bodies: int) -> None:
     solver.shortcuts.at_rest[list(bodies)] = AWAKE
 
 
+@pytest.mark.slow
 def test_a_drop_with_and_without_agrees():
     with_, without = (list(falling(shortcuts=on).frames()) for on in (True, False))
     flew = [frame.health.flying for frame in with_]
@@ -189,6 +190,7 @@ def test_a_body_that_falls_on_a_sleeper_wakes_it():
     assert frame.health.kinetic > 0.0
 
 
+@pytest.mark.slow
 def test_an_obstacle_that_comes_wakes_a_sleeper():
     stays, comes = np.zeros((8, 3)), np.zeros((8, 3))
     comes[4:, 0] = 0.6 * np.arange(1, 5)
@@ -205,6 +207,7 @@ def test_an_obstacle_that_comes_wakes_a_sleeper():
     assert woken[1][-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [4, 13])
 def test_resumed_in_flight_or_asleep_it_continues_bit_identically(at):
     def made():

@@ -110,6 +110,7 @@ def test_spin_about_the_normal_and_what_does_not_turn_are_left() -> None:
         np.testing.assert_allclose(change, 0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_the_support_of_a_body_that_moves_is_below_it() -> None:
     """Not where it will be a frame later: the displacement of a frame goes to the offset."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=R)

@@ -35,6 +35,7 @@ def swinging(particles, materials, **changes) -> TotalLagrangian:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [0, 4])
 def test_damping_of_a_soft_body_does_not_shorten_the_step_of_a_stiff_one(gap):
     alone = [swinging(block((0, 0, 0), (2, 2, 2), H), [one]).body.step.dt for one in MATERIALS]

@@ -116,6 +116,7 @@ def test_the_work_of_stiffening_is_in_the_energy_book(body):
     assert left[1] < left[0] / 8.0
 
 
+@pytest.mark.slow
 def test_the_step_follows_the_stiffest_moduli(body):
     """Waves are twice as fast at four times the moduli, whenever they come."""
     soft = solver(body)
@@ -126,6 +127,7 @@ def test_the_step_follows_the_stiffest_moduli(body):
     assert early.body.step.dt == soft.body.step.dt
 
 
+@pytest.mark.slow
 def test_a_bake_continues_identically_from_a_checkpoint(body):
     particles = keyed(body, [1.0, 10.0], [1.0, 4.0])
     whole = solver(particles)

@@ -70,6 +70,7 @@ def test_momenta_are_kept_and_the_energy_lost_is_counted(name: str) -> None:
     assert energy(now) - energy(before) + now.dissipation <= 1e-3 * energy(before)
 
 
+@pytest.mark.slow
 def test_a_conversion_loses_what_the_stored_energies_differ_by() -> None:
     run = solver(Limit(kind=TIME, value=2.0), "powder-snow", **FAST, frames=4)
     frames(run, 1)
@@ -100,6 +101,7 @@ def test_pressure_is_kept_by_what_is_stiffer_than_the_solid() -> None:
     assert after * (1.0 - J_e) == pytest.approx(K * (1.0 - J), rel=20.0 * (1.0 - J))
 
 
+@pytest.mark.slow
 def test_only_what_passes_its_limit_is_converted() -> None:
     stretched = np.diag([1.3, 1.0, 1.0])
     for limit, many in (
@@ -153,6 +155,7 @@ def test_the_floor_meets_a_particle_with_the_friction_of_what_it_became() -> Non
     assert np.array_equal(run.state.rows("sample_constants", 7)[:, 3], mu)
 
 
+@pytest.mark.slow
 def test_the_step_is_short_enough_for_what_particles_become() -> None:
     stiff = replace(PHYSICAL["dry-sand"].material(1.0), youngs_modulus=1e8)
     body = block((0.0, 0.05, 0.0), (2, 2, 2), 0.1)

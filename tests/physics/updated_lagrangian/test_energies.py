@@ -17,6 +17,7 @@ from gf_usd.physics.updated_lagrangian.energies import cells_now, strained_speed
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("token", ENERGIES)
 def test_no_wave_is_faster_in_the_world(token):
     # A wave of rest normal N has its crests 1 / |F^-T N| apart in the world; differences of P
@@ -63,6 +64,7 @@ def test_the_mean_of_a_cell_counts():
     assert speed == pytest.approx(np.sqrt(1.5))
 
 
+@pytest.mark.slow
 def test_a_stretched_body_takes_shorter_steps():
     body, _ = ball(300)
     made = preset_material("rubber", body, damping_time=0.0, law="corotated")

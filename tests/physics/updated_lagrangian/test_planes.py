@@ -77,6 +77,7 @@ def test_a_rising_obstacle_carries_what_lies_on_it_and_its_work_is_counted() -> 
     assert abs(given) < 0.01 * work
 
 
+@pytest.mark.slow
 def test_no_sample_faces_what_it_passes_through() -> None:
     tray = cube((-1.0, -1.0, -1.0), (2.0, 1.0, 2.0))
     run = flow(obstacle(tray.points, tray.triangles), through=True)

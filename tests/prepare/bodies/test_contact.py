@@ -14,6 +14,7 @@ from gf_usd.core.errors import UsageError
 COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
 
 
+@pytest.mark.slow
 def test_what_lies_apart_is_a_body_each(plan) -> None:
     seen = plan(cubes())
     assert seen.bodies.surfaces == (("/One",), ("/Two",))
@@ -101,6 +102,7 @@ def test_what_is_meant_to_be_one_body_has_no_note(plan) -> None:
     assert not noted(plan(prim("Xform", "Car", both, apis=[RIGID])), "that touch")
 
 
+@pytest.mark.slow
 def test_rigid_bodies_that_touch_stay_apart(plan) -> None:
     seen = plan(mesh("One", apis=[RIGID]), mesh("Two", at(1.0), apis=[RIGID]))
     assert seen.bodies.surfaces == (("/One",), ("/Two",))

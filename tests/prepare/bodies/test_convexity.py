@@ -99,6 +99,7 @@ def test_the_bound_of_a_hull_from_above() -> None:
     assert cannot_touch_itself(Skin(points=corner, triangles=faces)), "by the hull itself"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("without", [None, np.s_[7:13, 2:, :]], ids=["whole", "notched"])
 def test_a_fine_mesh_needs_no_hull_where_its_bounds_decide(
     monkeypatch: pytest.MonkeyPatch, without

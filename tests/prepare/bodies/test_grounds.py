@@ -44,6 +44,7 @@ def notes(path: Path, *, api: str = "", y: float = 2.0, x: float = 100.0, height
     return [note for note in seen.notes if "as a ground does" in note]
 
 
+@pytest.mark.slow
 def test_a_plate_under_everything_is_named(tmp_path: Path) -> None:
     (note,) = notes(tmp_path / "a.usda")
     assert note == (
@@ -53,6 +54,7 @@ def test_a_plate_under_everything_is_named(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "other",
     [
@@ -116,6 +118,7 @@ def test_another_sheet_moves_with_the_nearest_body(
     assert all("but it moves with the nearest body: " in note for note in grounds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("y", "options"), [(0.5, {}), (4.0, {"floor": 4.0})])
 def test_scenery_at_the_floor_has_no_note_on_it(tmp_path: Path, y: float, options: dict) -> None:
     path = tmp_path / "a.usda"
@@ -124,6 +127,7 @@ def test_scenery_at_the_floor_has_no_note_on_it(tmp_path: Path, y: float, option
     assert [note for note in notes if "puts the floor there" in note] == []
 
 
+@pytest.mark.slow
 def test_it_stays_at_a_coarser_resolution_too(tmp_path: Path) -> None:
     """In the coarse runs of --certify it followed the nearest body."""
     path = tmp_path / "a.usda"

@@ -140,6 +140,7 @@ def test_the_room_of_a_stage_is_noted_and_not_filled(tmp_path: Path, repair: boo
     assert seen.warnings == ()  # none on a width of 50 m
 
 
+@pytest.mark.slow
 def test_a_physics_body_of_a_stage_is_no_room(tmp_path: Path) -> None:
     path = tmp_path / "room.usda"
     path.write_text(STAGE % '(prepend apiSchemas = ["PhysicsRigidBodyAPI"])', encoding="utf-8")

@@ -212,6 +212,7 @@ def test_the_other_solver_refuses_it(tmp_path: Path) -> None:
         plan_of(stage(tmp_path), solver="ul")
 
 
+@pytest.mark.slow
 def test_a_bake_says_what_stiffening_did(tmp_path: Path) -> None:
     """A cube that stands on the floor, pressed flat by its weight, and is stiffened: work of its
     strain energy, no warning of energy out of nothing."""

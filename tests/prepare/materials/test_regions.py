@@ -17,6 +17,7 @@ def names(seen) -> np.ndarray:
     return np.array([m.name for m in table(seen)])[seen.particles.material]
 
 
+@pytest.mark.slow
 def test_what_rests_in_a_box_has_its_preset(plan) -> None:
     seen = plan(mesh("One"), material="jelly", particles=400, material_boxes=(HALF,))
     metal = seen.particles.X[:, 0] <= 0.5

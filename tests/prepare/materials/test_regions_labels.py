@@ -92,6 +92,7 @@ def test_boxes_hold_before_labels(tmp_path: Path) -> None:
     assert set(names(plan)[~above]) == {"metal", "rubber"}
 
 
+@pytest.mark.slow
 def test_labels_are_written_as_primvars_of_the_source_layer(tmp_path: Path) -> None:
     from gf_usd.readers import convert
 
@@ -146,6 +147,7 @@ def test_meshes_have_no_labels(plan) -> None:
         plan(mesh("One"), material_labels=("label=3:metal",))
 
 
+@pytest.mark.slow
 def test_gaussians_that_are_left_out_take_their_labels_along() -> None:
     kept = halves().take(np.array([5, 2]))
     assert np.array_equal(kept.labels["label"], halves().labels["label"][[5, 2]])

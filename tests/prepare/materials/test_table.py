@@ -23,6 +23,7 @@ def material(name: str = "Soft", *lines: str) -> str:
     return prim("Material", name, *lines or [SOFT], apis=["PhysicsMaterialAPI"])
 
 
+@pytest.mark.slow
 def test_without_a_word_all_is_rubber_of_each_body_s_size(plan) -> None:
     big = "double3 xformOp:scale = (3, 3, 3)\ndouble3 xformOp:translate = (4, 0, 0)"
     order = 'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]'

@@ -110,6 +110,7 @@ def test_a_broken_skeleton_is_refused_in_words(tmp_path: Path, fault: str) -> No
     assert caught.value.hint
 
 
+@pytest.mark.slow
 def test_points_without_weights_follow_the_nearest_bones_of_the_only_skeleton(
     tmp_path: Path,
 ) -> None:

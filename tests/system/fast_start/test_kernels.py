@@ -362,6 +362,7 @@ for name, module in sorted(sys.modules.items()):
 """
 
 
+@pytest.mark.slow
 def test_taichi_announces_its_own_functions_alike_however_it_is_imported() -> None:
     def announced(switch: str) -> set[str]:
         done = subprocess.run(

@@ -172,6 +172,7 @@ def test_a_child_that_is_forked_ahead_is_as_isolated_as_any(
     assert ("0" if task == "loaded_already" else message) in second
 
 
+@pytest.mark.slow
 def test_no_child_is_forked_ahead_in_a_process_with_threads_or_keeps_files(tmp_path: Path) -> None:
     path = tmp_path / "a.usda"
     path.write_text("#usda 1.0\n")

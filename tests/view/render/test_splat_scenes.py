@@ -95,6 +95,7 @@ def shaped(degree: int = 3) -> Splats:
     return replace(rest, positions=rest.positions * np.float32([1.0, 0.7, 0.5]))
 
 
+@pytest.mark.slow
 def test_the_rest_frame_is_the_input(file):
     rest = shaped()
     read = file(rest, [(rest.points, np.eye(3))])
@@ -103,6 +104,7 @@ def test_the_rest_frame_is_the_input(file):
     assert psnr(shown, picture(direct(rest))) > ENOUGH
 
 
+@pytest.mark.slow
 def test_a_turned_body_is_a_turned_camera(file):
     rest = shaped()
     read = file(rest, [(rest.points, np.eye(3)), (rest.points @ TURN.T, TURN)])

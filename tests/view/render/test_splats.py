@@ -109,6 +109,7 @@ def test_splats_behind_the_camera_and_without_opacity_do_not_show():
     assert over_black(cloud).max() == 0.0
 
 
+@pytest.mark.slow
 def test_captured_colors_come_out_as_they_are():
     sheet = np.stack(np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-1, 1, 40)), -1).reshape(-1, 2)
     positions = np.concatenate([sheet, np.zeros((len(sheet), 1))], axis=1)
@@ -125,6 +126,7 @@ def test_captured_colors_come_out_as_they_are():
     assert np.abs(shown - 255.0 * flat).max() <= 2.0
 
 
+@pytest.mark.slow
 def test_a_lit_splat_shows_less_on_the_side_away_from_the_light():
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(3000, 3))
@@ -147,6 +149,7 @@ def test_a_lit_splat_shows_less_on_the_side_away_from_the_light():
     assert picture[45, 65] > 1.3 * picture[75, 95]
 
 
+@pytest.mark.slow
 def test_rendering_splats_is_reproducible():
     rng = np.random.default_rng(1)
     cloud = splats(

@@ -153,6 +153,7 @@ def test_an_empty_scene_is_the_backdrop():
     assert np.abs(picture - expected).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_the_floor_is_dark_where_the_body_stands_and_untouched_far_away():
     camera = Camera(eye=(0.0, 3.0, 12.0), target=(0.0, 0.0, 0.0), up=UP, fov=40.0)
     bare = render_linear(Scene(up=UP, ground=-1.0), camera, (160, 120))
@@ -165,6 +166,7 @@ def test_the_floor_is_dark_where_the_body_stands_and_untouched_far_away():
     assert np.array_equal(floating[85:], bare[85:])
 
 
+@pytest.mark.slow
 def test_shadows_on_a_ground_a_thousand_times_larger_are_there():
     """The maps of the shadows covered all of it, with texels larger than the body."""
     camera = Camera(eye=(0.0, 4.0, 12.0), target=(0.0, 0.0, 0.0), up=UP, fov=40.0)
@@ -186,6 +188,7 @@ def test_shadows_on_a_ground_a_thousand_times_larger_are_there():
     assert shadow["body"] < 0.6
 
 
+@pytest.mark.slow
 def test_the_shadow_of_a_plate_on_a_ground_has_no_steps():
     """A ground of the stage has no light map that is blurred; the dome has 80 directions."""
     camera = Camera(eye=(0.0, 1.5, 14.0), target=(0.0, -0.6, 0.0), up=UP, fov=24.0)

@@ -55,6 +55,7 @@ def test_the_view_holds_the_whole_motion(gaussians: int) -> None:
     assert high[1] == pytest.approx(0.7)
 
 
+@pytest.mark.slow
 def test_the_page_says_what_it_left_out() -> None:
     page = build_report([MeltingBox()], report_of(), "", Limits())
     assert "all 56 vertices of flowing surfaces" in page

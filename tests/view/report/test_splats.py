@@ -63,6 +63,7 @@ def test_what_is_left_out_is_counted_and_the_rest_is_larger() -> None:
     assert variant["grow"] == 2.0 == MAX_SCALE  # on a surface: the square root of four
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [90_000, 120_000])
 def test_the_page_is_no_larger_than_the_limit(size: int) -> None:
     limits = Limits(size=size)

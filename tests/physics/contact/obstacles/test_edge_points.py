@@ -40,6 +40,7 @@ def deepest(solver: TotalLagrangian) -> float:
     return max(found) / solver.particles.spacing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("thick", "half"), [(0.3, 0.2), (0.3, 0.045), (0.06, 0.2)], ids=["body", "small", "cloth"]
 )
@@ -89,6 +90,7 @@ def struck(**options: Any) -> TotalLagrangian:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_work_of_a_moving_corner_is_what_a_body_gains() -> None:
     solver = struck()
     assert solver.pairs is not None
@@ -115,6 +117,7 @@ def test_what_is_in_a_body_at_the_start_does_not_push_it() -> None:
     assert max(speed) < 1e-5  # rounding
 
 
+@pytest.mark.slow
 def test_a_saved_state_has_the_points() -> None:
     """The frames after a save are those of a run without a stop, to the bit."""
     straight, other = struck(), struck()
@@ -131,6 +134,7 @@ def test_a_saved_state_has_the_points() -> None:
         health = frame.health
 
 
+@pytest.mark.slow
 def test_points_beyond_the_capacity_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The deepest have a plane."""
     monkeypatch.setattr(setup, "capacity", lambda *_: 2)
@@ -258,6 +262,7 @@ def test_an_obstacle_that_leaves_the_body_it_began_in_no_longer_overlaps_it() ->
     assert max(h.let_go for h in health) == 0
 
 
+@pytest.mark.slow
 def test_a_finely_divided_edge_holds_as_a_whole_one_does() -> None:
     """Each of its vertices stands out; they took all places, and made contact stiffer."""
     t = np.linspace(-0.2, 0.2, 161)

@@ -30,6 +30,7 @@ def turning_ball() -> Collider:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_triangles_that_numbered_points_were_near_change_nothing() -> None:
     dice = np.random.default_rng(0)
     X = dice.normal(size=(400, 3))

@@ -47,6 +47,7 @@ def still(thick: float, top: float, **options: Any) -> TotalLagrangian:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("top", [0.58, 0.65], ids=["in", "deep"])
 def test_how_deep_corners_are_in_a_body(top: float) -> None:
     """The lines from the corners leave the body at its underside: sqrt(3) times the way down."""
@@ -98,6 +99,7 @@ def test_pairs_without_contact_are_not_measured() -> None:
     assert solver.pairs.pierced(solver.state.view(), LAST) == {"pierced": 0.0}
 
 
+@pytest.mark.slow
 def test_an_edge_that_comes_through_a_cloth_counts_as_overlap() -> None:
     """The post jumps through the cloth in the last frame. Contact pushes the samples of the cloth
     out of it, and the overlap of these was reported, a sixth of what is seen."""

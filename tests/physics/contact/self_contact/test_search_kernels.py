@@ -61,6 +61,7 @@ def seeds_of(own: SelfContact, x: Floats, n: Floats, close: Ints, i: int) -> Int
     return most[np.lexsort((most, away[most]))][:3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left", [0.05, 0.2, -0.05])
 def test_the_closest_place_is_on_a_triangle_at_the_opposite_samples(
     own: SelfContact, left: float

@@ -43,6 +43,7 @@ def excess(F: np.ndarray) -> np.ndarray:
     return np.sqrt(2.0) * MU * size - (COHESION - FRICTION * BULK * trace)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("real", [np.float64, np.float32])
 def test_inside_the_cone_nothing_changes_not_a_bit(real: type) -> None:
     # pressed by 2 %, sheared by little
@@ -75,6 +76,7 @@ def test_beyond_it_the_stress_lands_on_the_cone_or_its_tip(real, rounding, size)
     assert np.abs(loose[~pulled, 0]).max() < landing
 
 
+@pytest.mark.slow
 def test_to_return_twice_is_to_return_once() -> None:
     E, loose, _ = returned(gradients(64, 0.3), np.zeros((64, 1)))
     closed = loose[:, 0] == 0.0

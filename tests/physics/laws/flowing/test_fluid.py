@@ -59,6 +59,7 @@ def test_the_tension_at_the_tip_is_that_of_cavitation() -> None:
     np.testing.assert_allclose(sigma[0], TENSION * np.eye(3), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_flow_at_a_rate_bears_twice_its_viscosity_times_that() -> None:
     """From rest, in one step much longer than viscosity / mu."""
     rate = 1e-3 * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

@@ -82,6 +82,7 @@ def test_without_viscosity_it_lands_on_the_yield_stress_whatever_the_exponent() 
     assert shear_stress(seen[0][0]).max() <= YIELD * (1.0 + 1e-12)
 
 
+@pytest.mark.slow
 def test_in_no_time_nothing_flows() -> None:
     F = gradients(64, 0.2)
     for exponent in EXPONENTS:

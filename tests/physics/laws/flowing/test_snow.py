@@ -73,6 +73,7 @@ def test_what_is_inside_out_returns_upright() -> None:
     np.testing.assert_allclose(stretches(E).min(1), 1.0 - DOWN, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_to_return_twice_is_to_return_once() -> None:
     E, Jp, _ = returned(gradients(64, PRESSED, TORN), np.ones((64, 1)))
     again, after, _ = returned(E, Jp)

@@ -34,6 +34,7 @@ def test_forces_are_the_plain_sum_over_particles():
     np.testing.assert_allclose(force(solver), expected, atol=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_every_particle_has_one_lane_of_its_own():
     solver = made()
     batches = batch_particles(solver.body.stencil)

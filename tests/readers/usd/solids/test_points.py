@@ -45,6 +45,7 @@ def test_balls_that_lie_apart_stay_apart() -> None:
     assert components(graph)[0] == 2
 
 
+@pytest.mark.slow
 def test_touching_balls_of_a_lattice_are_one_closed_block() -> None:
     where = np.array(LATTICE)
     vertices, triangles = cover(where, np.full(len(where), W))
@@ -93,6 +94,7 @@ def test_the_surface_has_the_color_of_the_nearest_point(read) -> None:
     assert not red.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("api", ["NewtonPointsDeformableSimAPI", "PhysxParticleSetAPI"])
 def test_points_of_a_simulation_need_no_widths(read, api: str) -> None:
     asset = read(points("", apis=f'"{api}"'))
@@ -102,6 +104,7 @@ def test_points_of_a_simulation_need_no_widths(read, api: str) -> None:
     assert 0.8 < signed_volume(asset.surfaces[0].points, asset.surfaces[0].triangles) < 1.0
 
 
+@pytest.mark.slow
 def test_points_below_a_deformable_body_are_one(read) -> None:
     body = 'def Xform "B" (prepend apiSchemas = ["PhysicsDeformableBodyAPI"])'
     asset = read(f"{body}\n{{\n{points('')}\n}}")
