@@ -172,7 +172,8 @@ def _execute(arguments: Sequence[str]) -> int:
         if not arguments:  # without any the help is the answer
             error.show()
             return error.exit_code
-        typer.echo(f"error: {usage_message(error)}", err=True)
+        called = f"gf-usd {first[0]}" if first and first[0] in COMMANDS else "gf-usd"
+        typer.echo(f"error: {usage_message(error, called)}", err=True)
         return error.exit_code
     except GfUsdError as error:
         text = str(error) if isinstance(error, Unfinished) else f"error: {error}"

@@ -12,18 +12,22 @@ import typer
 WrongUsage: Any = typer.BadParameter.__mro__[1]
 KINDS = {"int": "whole number", "float": "number"}
 OUTSIDE = re.compile(r"is not in the range x>=(\S+)$")
+WITHOUT = re.compile(r"(requires (?:an|\d+) arguments?|does not take a value)$")
 # Words after the last argument: often the rest of a path with spaces.
 EXTRA = re.compile(r"unexpected extra arguments?(?:\(s\))? \((.*)\)$")
 
 
-def usage_message(error: Any) -> str:
-    """A fault of usage with its hint; without an argument the help of the command is all."""
+def usage_message(error: Any, command: str = "gf-usd") -> str:
+    """A fault of usage with its hint; without an argument the help of the command is all.
+
+    command : that was called, where the parser's error does not tell.
+    """
     context = error.ctx
-    command = context.command_path if context is not None else "gf-usd"
+    command = context.command_path if context is not None else command
     parameter = getattr(error, "param", None)
     option = getattr(error, "option_name", None)
     message = error.format_message().rstrip(".")
-    if option is not None and getattr(error, "possibilities", None) is not None:
+    if option is not None and type(error).__name__ == "NoSuchOption":
         close = _of_bake(option, context) or _nearest(option, context)
         message = f"{command} has no option {option}"
         return f"{message}\n\nhint: {close}{command} --help lists its options"
@@ -46,6 +50,9 @@ def usage_message(error: Any) -> str:
         if "is not readable" in reason:
             hint = "change the permissions of the file"
         return f"{name}: {reason}\n\nhint: {hint}"
+    if option is not None and (kind := WITHOUT.search(message)) is not None:
+        needs = "takes no value" if kind[1] == "does not take a value" else "needs a value"
+        return f"{option} {needs}\n\nhint: {command} --help shows its form"
     if (extra := EXTRA.search(message)) is not None:
         return f"{command} does not take {extra[1]} as well\n\nhint: {_fewer(context)}"
     message, _, meant = message.partition(" Did you mean ")
@@ -92,7 +99,7 @@ def _of_bake(option: str, context: Any) -> str:
 def _flags_of_bake() -> set[str]:
     from gf_usd.prepare.options.table import OPTIONS
 
-    return {row.flag for row in OPTIONS.values()}
+    return {flag for row in OPTIONS.values() for flag in (row.flag, row.short)}
 
 
 def _nearest(option: str, context: Any) -> str:

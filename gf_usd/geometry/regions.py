@@ -85,7 +85,8 @@ def box_region(
     )
 
 
-PROBES = 12  # points along each edge of the box around a mesh, which tell whether it is flat
+PROBES = 12  # points along each edge of the box around a mesh, which tell whether it encloses any
+FLAT = 1e-5  # of the largest extent: a mesh this thin lies in a plane
 
 
 def part_of_joined(region: Region, solid: Solid) -> Region:
@@ -96,10 +97,12 @@ def part_of_joined(region: Region, solid: Solid) -> Region:
         return region
     used, renumbered = np.unique(region.triangles, return_inverse=True)
     points = region.points[used]
+    across = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    flat = across[-1] <= FLAT * across[0]  # where points of the lattice may lie in it exactly
     ticks = (np.arange(PROBES) + 0.5) / PROBES
     lattice = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
     inside = points.min(0) + np.ptp(points, axis=0) * lattice
-    if Shape(region.points, region.triangles).encloses(inside).any():
+    if not flat and Shape(region.points, region.triangles).encloses(inside).any():
         return region
     return replace(
         region, kind="patch", points=points, triangles=renumbered.reshape(-1, 3),

@@ -37,7 +37,7 @@ UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 TRUST = "if you trust the file, raise the limit or turn it off: --limits"
 NO_MEMORY = "memory"  # written by a child instead of its error message
 FAILED = 1  # exit status of a child that has written an error
-LEAST_MEMORY = 1e9  # [B] of address space, which the libraries of the reader need by themselves
+LEAST_MEMORY = 2e9  # [B] of address space: with 1.2e9 the libraries of the reader crash
 REFUSALS = (
     "InputError",
     "UsageError",
@@ -53,11 +53,22 @@ START = (
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits on reading an untrusted file."""
+    """Limits on reading an untrusted file.
+
+    Raises UsageError for less memory than the reader needs for any file.
+    """
 
     time: float = 300.0  # [s] wall time
     memory: float = 16e9  # [B] of address space
     output: float = 1e9  # [B] of each written file
+
+    def __post_init__(self) -> None:
+        if self.memory < LEAST_MEMORY:
+            raise UsageError(
+                f"the limits allow {bytes_text(self.memory)} of memory, less than the"
+                f" {bytes_text(LEAST_MEMORY)} that the reader needs by itself",
+                f"allow {bytes_text(LEAST_MEMORY)} or more: --limits memory=4G",
+            )
 
 
 def parse_limits(text: str | None) -> Limits | None:
@@ -83,12 +94,6 @@ def parse_limits(text: str | None) -> Limits | None:
                 " --limits time=600,memory=32G, or --limits none",
             )
         limits = replace(limits, **{name: size})
-    if limits.memory < LEAST_MEMORY:
-        raise UsageError(
-            f"--limits {text!r}: {bytes_text(limits.memory)} of memory are less than the"
-            f" {bytes_text(LEAST_MEMORY)} that the reader itself needs",
-            "give memory=2G or more",
-        )
     return limits
 
 

@@ -92,13 +92,15 @@ def test_refused_in_words_and_without_a_file(
     message: str,
     hint: str,
 ) -> None:
-    """The one that is refused last, when its meshes are known, as a program of its own."""
+    """As programs of their own: the one that is refused last, when its meshes are known, and one
+    that is refused before anything is read.
+    """
     for name, text in (("ball", BALL), ("sheet", SHEET), ("text", "Dear artist,\nhello.\n")):
         (here / f"{name}.usda").write_text(text, encoding="utf-8")
     if arguments[-1] == "SEALED/":
         arguments = [*arguments[:-1], f"{unwritable(tmp_path / 'sealed')}/"]
     before = files(tmp_path)
-    run = as_program if arguments == ["sheet.usda"] else gf_usd
+    run = as_program if status == 3 and "text" not in arguments[0] else gf_usd
     done = run("bake", *arguments)
     assert done.status == status
     assert done.out == ""

@@ -98,6 +98,20 @@ def test_a_face_of_a_box_that_is_a_mesh_is_a_patch(tmp_path: Path, option: str) 
     assert pin.inside(plan.particles.X[top]).any() == (option == "rigid")
 
 
+@pytest.mark.parametrize("angle", [15.0, 30.0, 75.0])
+def test_a_tilted_face_of_a_box_is_a_patch_too(tmp_path: Path, angle: float) -> None:
+    """Points of the box around it lie in it exactly, where the winding number is half a turn."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    points = CUBE_POINTS @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    faces = [part(f"F{k}", points, CUBE_TRIANGLES[2 * k : 2 * k + 2]) for k in range(6)]
+    path = tmp_path / "box.usda"
+    path.write_text(head() + prim("Xform", "Box", *faces), encoding="utf-8")
+    for k in range(6):
+        plan = gf_usd.inspect(path, pins=(f"/Box/F{k}",), **SMALL).plan
+        assert plan is not None
+        assert len(plan.pins[0].anchors) == 4
+
+
 BALL = 4.0 / 3.0 * np.pi * 0.5**3  # [m^3]
 
 

@@ -101,9 +101,13 @@ def test_wrong_limits_are_refused(text: str) -> None:
 
 
 def test_less_memory_than_the_reader_itself_needs_is_refused() -> None:
-    with pytest.raises(UsageError, match="1 kB of memory are less than the 1 GB") as error:
-        parse_limits("memory=1k")
-    assert parse_limits(error.value.hint.split()[1]) == Limits(memory=2e9)
+    """With 1.2 GB its libraries crashed, which was blamed on the file."""
+    for given in ("memory=1k", "time=9,memory=1.2G"):
+        with pytest.raises(UsageError, match="less than the 2 GB that the reader needs") as error:
+            parse_limits(given)
+        assert parse_limits(error.value.hint.split()[-1]) == Limits(memory=4e9)
+    with pytest.raises(UsageError, match="1.5 GB of memory"):
+        Limits(memory=1.5e9)
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def read_options(
             "preview writes images as .png and films as .mp4 or .gif: -o out.png",
         )
     film = suffix in FILMS
-    _refuse(sheet is not None and film, f"--sheet writes a PNG, not {target.name}.", "-o out.png")
+    _refuse(sheet is not None and film, f"--sheet writes a PNG, not {target.name}", "-o out.png")
     many = film or sheet is not None
     for given, name, needed, hint in (
         (frame is not None, "--frame", not many, "use --time-codes A:B for films and sheets"),
@@ -82,12 +82,12 @@ def read_options(
             "give --color strain, elastic, plastic or stress",
         ),
     ):
-        _refuse(given and not needed, f"{name} does not apply to the other options.", hint)
+        _refuse(given and not needed, f"{name} does not apply to the other options", hint)
     for value, name in ((sheet, "--sheet"), (columns, "--columns")):
-        _refuse(value is not None and value < 1, f"{name} {value} is too small.", "give 1 or more")
+        _refuse(value is not None and value < 1, f"{name} {value} is too small", "give 1 or more")
     _refuse(
         fps is not None and not (math.isfinite(fps) and 0.0 < fps <= 1000.0),
-        f"--fps {fps} is not a frame rate.",
+        f"--fps {fps} is not a frame rate",
         "give frames per second above 0, at most 1000",
     )
     default = TILE if sheet is not None else SIZES[suffix]
@@ -141,14 +141,12 @@ def parse_span(text: str) -> Span:
     """
     hint = "give time codes as FIRST:LAST or FIRST:LAST:STEP, e.g. --time-codes 1:24:2"
     parts = text.split(":")
-    _refuse(len(parts) not in (2, 3), f"--time-codes {text} is not a range.", hint)
-    numbers = [_number(part, f"--time-codes {text} is not a range.", hint) for part in parts]
+    _refuse(len(parts) not in (2, 3), f"--time-codes {text} is not a range", hint)
+    numbers = [_number(part, f"--time-codes {text} is not a range", hint) for part in parts]
     first, last, step = (*numbers, None)[:3]
-    _refuse(
-        step is not None and step <= 0.0, f"--time-codes {text}: the step is not above 0.", hint
-    )
+    _refuse(step is not None and step <= 0.0, f"--time-codes {text}: the step is not above 0", hint)
     backwards = first is not None and last is not None and last < first
-    _refuse(backwards, f"--time-codes {text} ends before it begins.", hint)
+    _refuse(backwards, f"--time-codes {text} ends before it begins", hint)
     return Span(first=first, last=last, step=step)
 
 
@@ -156,8 +154,8 @@ def parse_limits(text: str) -> tuple[float, float]:
     """ "0:0.5" -> (0.0, 0.5).  Raises UsageError for anything else, and for an empty range."""
     hint = "give it as LOW:HIGH, in pascals for stress, e.g. --color-range 0:0.5"
     parts = text.split(":")
-    _refuse(len(parts) != 2, f"--color-range {text} is not a range.", hint)
-    low, high = (_number(part, f"--color-range {text} is not a range.", hint) for part in parts)
+    _refuse(len(parts) != 2, f"--color-range {text} is not a range", hint)
+    low, high = (_number(part, f"--color-range {text} is not a range", hint) for part in parts)
     if low is None or high is None or not low < high:
         raise UsageError(f"--color-range {text} is empty", hint)
     return low, high
@@ -189,7 +187,7 @@ def time_codes(span: Span | None, known: tuple[float, ...], step: float, path: P
     """
     _refuse(
         len(known) < 2,
-        f"{path} does not move.",
+        f"{path} does not move",
         "render a single image: -o out.png, without --sheet",
     )
     span = span or Span(first=None, last=None, step=None)
@@ -197,13 +195,13 @@ def time_codes(span: Span | None, known: tuple[float, ...], step: float, path: P
     last = known[-1] if span.last is None else span.last
     _refuse(
         first < known[0] or last > known[-1] or last < first,
-        f"--time-codes {code_text(first)}:{code_text(last)} is outside the motion of {path}.",
+        f"--time-codes {code_text(first)}:{code_text(last)} is outside the motion of {path}",
         f"its time codes run from {code_text(known[0])} to {code_text(known[-1])}",
     )
     count = math.floor((last - first) / (span.step or step) + 1e-6) + 1
     _refuse(
         count > MOST_FRAMES,
-        f"{count} frames are more than the limit of {MOST_FRAMES}.",
+        f"{count} frames are more than the limit of {MOST_FRAMES}",
         "give a shorter range or a larger step: --time-codes FIRST:LAST:STEP",
     )
     return [first + i * (span.step or step) for i in range(count)]
