@@ -106,7 +106,7 @@ def test_less_memory_than_the_reader_itself_needs_is_refused() -> None:
         with pytest.raises(UsageError, match="less than the 2 GB that the reader needs") as error:
             parse_limits(given)
         assert parse_limits(error.value.hint.split()[-1]) == Limits(memory=4e9)
-    with pytest.raises(UsageError, match="1.5 GB of memory"):
+    with pytest.raises(UsageError, match=r"1\.5 GB of memory"):
         Limits(memory=1.5e9)
 
 
