@@ -21,6 +21,7 @@ from gf_usd.readers.usd.select import (
     instances_above,
     select,
     shapes_outside,
+    shapes_under,
 )
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
@@ -35,6 +36,12 @@ from gf_usd.readers.usd.stage import (
 from gf_usd.readers.usd_physics.attributes import body_of, is_collider, role
 
 MOST_VARIANTS = 16  # that are compared with those selected
+FACES = ("faceVertexCounts", "faceVertexIndices")
+# fields of a prim that can add other prims or take them away
+COMPOSING = (
+    "active", "references", "payload", "inheritPaths", "specializes", "variantSetNames",
+    "variantSelection",
+)  # fmt: skip
 MOST_NAMED = 3  # prims that a note lists
 INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
 
@@ -70,7 +77,15 @@ def read_usd(
         if not surfaces and not splats:
             raise _no_geometry(stage, path, found, skipped, notes, by_name=bool(prims))
         _note_passed_through(stage, found, time, notes)
-        _note_other_variants(stage, found.geometry, time, notes)
+        filled = {surface.path for surface in surfaces}
+        baked = [
+            prim
+            for prim in found.geometry
+            if prim.IsA(UsdGeom.Mesh)
+            and str(prim.GetPath()) in filled
+            and not _stands(prim, time, prims)
+        ]
+        _note_other_variants(stage, found, baked, time, notes, prims)
         return Asset(
             facts=replace(facts, notes=notes.lines()),
             surfaces=tuple(surfaces),
@@ -158,55 +173,135 @@ def _note_passed_through(
 
 
 def _note_other_variants(
-    stage: Usd.Stage, baked: Sequence[Usd.Prim], time: Usd.TimeCode, notes: Notes
+    stage: Usd.Stage,
+    found: Selection,
+    baked: Sequence[Usd.Prim],
+    time: Usd.TimeCode,
+    notes: Notes,
+    named: Sequence[str],
 ) -> None:
     """Add a note on each variant set with variants whose meshes the baked points do not fit.
 
-    Levels of detail are such. At most MOST_VARIANTS variants are composed.
+    Levels of detail are such. At most MOST_VARIANTS variants are composed, and those of instances
+    of one prototype once.
     """
-    above = dict.fromkeys(
-        path
-        for prim in baked
-        if prim.IsA(UsdGeom.Mesh) and not prim.IsInstanceProxy()
-        for path in prim.GetPath().GetPrefixes()
-    )
+    roots = [root.GetPath() for root in found.roots]
+    above = dict.fromkeys(path for prim in baked for path in prim.GetPath().GetPrefixes())
+    known: dict[tuple[Sdf.Path, str], tuple[list[str], int]] = {}
     left = MOST_VARIANTS
     for path in above:
-        sets = stage.GetPrimAtPath(path).GetVariantSets()
-        for name in sets.GetNames():
-            chosen = sets.GetVariantSelection(name)
-            others = [one for one in sets.GetVariantSet(name).GetVariantNames() if one != chosen]
-            unlike = [
-                one for one in others[:left] if _has_other_faces(stage, path, name, one, time)
-            ]
-            left -= len(others[:left])
-            if unlike:
-                notes.add(
-                    f"of its variant set {name}, {chosen} is baked, and the motion does not fit"
-                    f" {', '.join(unlike)}, with other meshes or faces: for"
-                    f" {'it' if len(unlike) == 1 else 'each'}, bake a layer that selects it",
-                    str(path),
-                )
+        prim = stage.GetPrimAtPath(path)
+        for name in prim.GetVariantSets().GetNames():
+            key = (_shared_path(prim), name)
+            if key not in known:
+                others = _with_meshes(prim, name)
+                within = [root for root in roots if root.HasPrefix(path)] or [path]
+                below = [one for one in baked if one.GetPath().HasPrefix(path)]
+                mine = _meshes(stage, within, time, named) if others[:left] else set()
+                unlike = [
+                    variant
+                    for variant in others[:left]
+                    if (other := _with_variant(stage, prim, name, variant, within))
+                    and (
+                        _has_other_faces(below, other, time)
+                        or _meshes(other, within, time, named) - mine
+                    )
+                ]
+                known[key] = unlike, len(others[left:])
+                left -= len(others[:left])
+            if any(known[key]):
+                notes.add(_variants_text(prim, name, *known[key]), str(path))
 
 
-def _has_other_faces(
-    stage: Usd.Stage, path: Sdf.Path, name: str, variant: str, time: Usd.TimeCode
-) -> bool:
-    """Whether a variant has a mesh that the stage lacks, or one with other faces."""
+def _shared_path(prim: Usd.Prim) -> Sdf.Path:
+    """The path of a prim, or that in its prototype, which instances share."""
+    if prim.IsInstance():
+        return prim.GetPrototype().GetPath()
+    return (prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath()
+
+
+def _variants_text(prim: Usd.Prim, name: str, unlike: Sequence[str], uncompared: int) -> str:
+    """The note on variants that the baked points do not fit, and on those not compared."""
+    one = prim.GetVariantSets().GetVariantSet(name)
+    chosen = one.GetVariantSelection()
+    if chosen not in one.GetVariantNames():
+        chosen = "no variant"
+    text = f"of its variant set {name}, {chosen} is baked"
+    if unlike:
+        text += (
+            f", and the motion does not fit {', '.join(unlike)}, with other meshes or faces: for"
+            f" {'it' if len(unlike) == 1 else 'each'}, bake a layer that selects it"
+        )
+    if uncompared:
+        text += (
+            f"; {counted(uncompared, 'other variant')} {'was' if uncompared == 1 else 'were'} not"
+            f" compared, and the motion may not fit {'it' if uncompared == 1 else 'them'}"
+        )
+    return text
+
+
+def _with_meshes(prim: Usd.Prim, name: str) -> list[str]:
+    """The variants of a set, besides that selected, which may have other meshes or faces."""
+    chosen = prim.GetVariantSets().GetVariantSelection(name)
+    sets = [spec.variantSets[name] for spec in prim.GetPrimStack() if name in spec.variantSets]
+    return [
+        variant
+        for variant in prim.GetVariantSets().GetVariantSet(name).GetVariantNames()
+        if variant != chosen
+        and any(
+            variant in one.variants and _may_change_meshes(one.variants[variant].primSpec)
+            for one in sets
+        )
+    ]
+
+
+def _may_change_meshes(spec: Sdf.PrimSpec) -> bool:
+    """Whether the opinions of a spec, or one below it, can add, show or change a mesh."""
+    return (
+        spec.typeName == "Mesh"
+        or (spec.specifier == Sdf.SpecifierDef and not spec.typeName)  # may define a mesh's over
+        or any(spec.HasInfo(key) for key in COMPOSING)
+        or any(name in spec.properties for name in (*FACES, "visibility", "purpose"))
+        or any(_may_change_meshes(child) for child in spec.nameChildren)
+    )
+
+
+def _with_variant(
+    stage: Usd.Stage, prim: Usd.Prim, name: str, variant: str, within: Sequence[Sdf.Path]
+) -> Usd.Stage | None:
+    """The prims `within` of the stage with a variant; None where that does not compose."""
     session = Sdf.Layer.CreateAnonymous(".usda")
-    Sdf.CreatePrimInLayer(session, path).variantSelections[name] = variant
-    mask = Usd.StagePopulationMask([path])
+    session.TransferContent(stage.GetSessionLayer())
+    for instance in instances_above(prim):
+        Sdf.CreatePrimInLayer(session, instance.GetPath()).SetInfo("instanceable", False)
+    Sdf.CreatePrimInLayer(session, prim.GetPath()).variantSelections[name] = variant
+    mask = Usd.StagePopulationMask(list(within))
     other = Usd.Stage.OpenMasked(stage.GetRootLayer(), session, mask)
-    for prim in Usd.PrimRange(other.GetPrimAtPath(path), PROXIES):
-        if not prim.IsA(UsdGeom.Mesh):
-            continue
-        twin = stage.GetPrimAtPath(prim.GetPath())
+    same = set(map(str, stage.GetCompositionErrors()))
+    return None if set(map(str, other.GetCompositionErrors())) - same else other
+
+
+def _has_other_faces(baked: Sequence[Usd.Prim], other: Usd.Stage, time: Usd.TimeCode) -> bool:
+    """Whether a baked mesh has other faces in another stage; one that is not there has not."""
+    for prim in baked:
+        twin = other.GetPrimAtPath(prim.GetPath())
         if not (twin and twin.IsA(UsdGeom.Mesh)):
-            return True
-        for attribute in ("faceVertexCounts", "faceVertexIndices"):
-            if prim.GetAttribute(attribute).Get(time) != twin.GetAttribute(attribute).Get(time):
+            continue
+        for name in FACES:
+            if prim.GetAttribute(name).Get(time) != twin.GetAttribute(name).Get(time):
                 return True
     return False
+
+
+def _meshes(
+    stage: Usd.Stage, roots: Sequence[Sdf.Path], time: Usd.TimeCode, named: Sequence[str]
+) -> set[Sdf.Path]:
+    """Paths of the meshes under the roots that a bake of the stage would move."""
+    return {
+        prim.GetPath()
+        for prim in shapes_under(stage, roots, time)
+        if prim.IsA(UsdGeom.Mesh) and not _stands(prim, time, named)
+    }
 
 
 def _no_geometry(

@@ -113,6 +113,23 @@ def shapes_outside(
     return found
 
 
+def shapes_under(
+    stage: Usd.Stage, roots: Iterable[Sdf.Path], time: Usd.TimeCode
+) -> Iterator[Usd.Prim]:
+    """The visible meshes and implicit shapes of purpose default or render under prim paths, of
+    which there may be no prim.
+    """
+    repeated = _prototypes(stage)
+    for root in filter(None, map(stage.GetPrimAtPath, roots)):
+        walk = iter(Usd.PrimRange(root, PROXIES))
+        for prim in walk:
+            repeats = prim.GetPath() in repeated or prim.IsA(UsdGeom.PointInstancer)
+            if repeats or _is_hidden(prim, time):
+                walk.PruneChildren()
+            elif prim.IsA(UsdGeom.Gprim) and has_surface(prim) and not _skip_reason(prim, time):
+                yield prim
+
+
 def _inherits_from(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | None:
     """The baked prim from which this one inherits its points, and thereby its motion; or None."""
     if len(geometry) == 1:
