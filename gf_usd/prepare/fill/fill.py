@@ -58,7 +58,6 @@ from gf_usd.prepare.fill.shot import Length, plan_length, plan_shot
 from gf_usd.prepare.materials.assign import Assigned
 from gf_usd.prepare.materials.densities import implausible_densities
 from gf_usd.prepare.materials.flowing import dispatch
-from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.choices import chosen, require_stored
 from gf_usd.prepare.options.implied import proposed_floor, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
@@ -166,6 +165,7 @@ def fill(
         *no_internals_notes(materials.main, settings),
     )  # fmt: skip
     moving = {s.path for s in asset.surfaces}
+    heavy, heavy_by = implausible_densities(materials.stated, asset.facts.units)
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -191,13 +191,8 @@ def fill(
         tets=tets,
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
-        heavy=implausible_densities(
-            inputs.spec,
-            materials.particles,
-            solid,
-            asset.facts.units,
-            by_stage=any(isinstance(preset, Authored) for preset in presets),
-        ),
+        heavy=heavy,
+        heavy_by=heavy_by,
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid

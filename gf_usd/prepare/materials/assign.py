@@ -15,10 +15,11 @@ from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.materials.blending import with_own_values
 from gf_usd.prepare.materials.checks import flow_notes, require_parameters
+from gf_usd.prepare.materials.densities import StatedDensity, stated_densities
 from gf_usd.prepare.materials.mass_scaling import mass_scaled
 from gf_usd.prepare.materials.parts import in_regions, material_parts, part_of_particles
 from gf_usd.prepare.materials.regions import Region, owners
-from gf_usd.prepare.materials.table import table
+from gf_usd.prepare.materials.table import Authored, table
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -32,6 +33,7 @@ class Assigned:
     tables: tuple[tuple[Material, ...], ...]  # one for each preset
     main: tuple[Material, ...]  # that most of the volume has; named after the preset
     notes: tuple[str, ...]
+    stated: tuple[StatedDensity, ...] = ()  # by the stage, where its materials are used
 
 
 def assign_materials(
@@ -67,7 +69,7 @@ def assign_materials(
     slot = part_of_particles(solid, particles, parts)
     of, regional = owners(regions, solid.surfaces, particles, unit)
     slot = in_regions(slot, particles, parts, of)
-    tables, index, flow = [], particles.material, []
+    tables, index, flow, densities = [], particles.material, [], ()
     for preset in presets:
         made, index = table(preset, parts, slot, particles, solid, bodies, spec, finish)
         made = tuple(replace(m, law=law or m.law, **stated) for m in made)
@@ -75,6 +77,8 @@ def assign_materials(
         of_part = {int(k): made[int(index[slot == k][0])] for k in np.unique(slot)}
         require_parameters(path, particles, slot, of_part, solid, spec)
         flow += flow_notes(preset, law, parts, of_part, solid, spec)
+        if isinstance(preset, Authored):
+            densities = stated_densities(of_part, slot, particles, parts, solid, spec)
     particles, own = with_own_values(
         replace(particles, material=index),
         tables[0], slot, parts, solid, bodies, spec, blend_width,
@@ -86,4 +90,5 @@ def assign_materials(
         tables=tuple(tables),
         main=tuple(replace(t[most], name=p.name) for p, t in zip(presets, tables)),
         notes=(*regional, *own, *dict.fromkeys(flow), *scaled),
+        stated=densities,
     )

@@ -2,60 +2,104 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gf_usd.core.arrays import Ints
 from gf_usd.core.frames import Particles
-from gf_usd.core.stage import StageSpec
+from gf_usd.core.materials.material import Material
+from gf_usd.core.stage import BodyPhysics, StageSpec
 from gf_usd.core.units import StageUnits
+from gf_usd.prepare.materials.parts import MaterialPart
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
 
 DENSEST = 23_000.0  # [kg/m^3] osmium has 22,600
+USED = 1e-2  # relative: a material's density is the stated one; nearly equal materials are merged
 LIGHT = 25.0  # from here on a number means kg/m^3, below g/cm^3: foams and lighter woods apart
 
 
-def implausible_densities(
-    spec: StageSpec, particles: Particles, solid: Solid, units: StageUnits, *, by_stage: bool
-) -> str:
-    """A warning where densities or masses of the stage make bodies denser than any solid; else "".
+@dataclass(frozen=True, kw_only=True)
+class StatedDensity:
+    """A density that parts of bodies have because a prim of the stage states it, or a mass."""
 
-    by_stage : whether the materials of the stage are used, and not only presets.
+    prim: str  # that states it
+    density: float  # [kg/m^3]
+    mass: float | None = None  # [kg] that it states; None: a density
+    volume: float = 0.0  # [m^3] that has the mass
+
+
+def stated_densities(
+    made: Mapping[int, Material],
+    slot: Ints,
+    particles: Particles,
+    parts: Sequence[MaterialPart],
+    solid: Solid,
+    spec: StageSpec,
+) -> tuple[StatedDensity, ...]:
+    """The densities and masses of the stage that its bake uses.
+
+    Presets and painted densities go before stated ones, and a part without particles has none.
+
+    made : the material of each part with particles; slot : (N,) of `part_of_particles`.
     """
-    if not by_stage:
-        return ""
-    found: dict[str, str] = {}
-    volume = np.bincount(particles.surface, particles.V0, minlength=len(solid.surfaces))
-    filled: dict[str, float] = {}
+    found = []
+    volume = np.bincount(slot, particles.V0, minlength=len(parts))
+    groups: dict[str, list[int]] = {}
     mass: dict[str, float] = {}
-    for k, surface in enumerate(solid.surfaces):
-        body = spec.bodies.get(surface.path)
+    for k, material in made.items():
+        path = solid.surfaces[parts[k].surface].path
+        body = spec.bodies.get(path)
         if body is None:
             continue
         if body.mass is not None:  # goes before all densities
+            groups.setdefault(body.mass_of, []).append(k)
             mass[body.mass_of] = body.mass
-            filled[body.mass_of] = filled.get(body.mass_of, 0.0) + float(volume[k])
-            continue
-        stated = [(one.spec.density, one.spec.path) for one in body.subsets]
-        stated.append((body.spec.density, body.spec.path))
-        if body.density is not None:
-            stated = [(body.density, body.density_of)]
-        for density, path in stated:
-            if density is not None and density > DENSEST:
-                found[path] = f"a density of {_text(density)}{_meant(density, units)}"
-    for path, kilograms in mass.items():
-        if kilograms > DENSEST * filled[path] > 0.0:
-            found[path] = (
-                f"a mass of {kilograms:.3g} kg in {filled[path]:.3g} m^3, which is a density of"
-                f" {_text(kilograms / filled[path])}"
+        elif parts[k].region is None and "density" not in spec.painted.get(path, {}):
+            density, prim = _stated(parts[k], body)
+            if density is not None and np.isclose(material.density, density, rtol=USED, atol=0.0):
+                found.append(StatedDensity(prim=prim, density=density))
+    for prim, members in groups.items():
+        now = float(sum(made[k].density * volume[k] for k in members))
+        filled = float(volume[members].sum())
+        if np.isclose(now, mass[prim], rtol=USED, atol=0.0):
+            found.append(
+                StatedDensity(prim=prim, density=now / filled, mass=mass[prim], volume=filled)
             )
+    return tuple(found)
+
+
+def _stated(part: MaterialPart, body: BodyPhysics) -> tuple[float | None, str]:
+    """The density [kg/m^3] that the stage states for a part, and the prim that does."""
+    if body.density is not None:
+        return body.density, body.density_of
+    if part.subset is not None and part.subset.spec.density is not None:
+        return part.subset.spec.density, part.subset.spec.path
+    return body.spec.density, body.spec.path
+
+
+def implausible_densities(stated: Sequence[StatedDensity], units: StageUnits) -> tuple[str, str]:
+    """A warning where densities or masses of the stage make bodies denser than any solid, and
+    which of both, "density" or "mass", it is about; else "" twice.
+    """
+    found = {one.prim: one for one in stated if one.density > DENSEST}
     if not found:
-        return ""
-    path, what = next(iter(found.items()))
+        return "", ""
+    path, first = next(iter(found.items()))
+    if first.mass is None:
+        what = f"a density of {_text(first.density)}{_meant(first.density, units)}"
+    else:
+        what = (
+            f"a mass of {first.mass:.3g} kg in {first.volume:.3g} m^3, which is a density of"
+            f" {_text(first.density)}"
+        )
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-    return f"<{path}>{more} states {what}; no solid has more than {_text(DENSEST)}"
+    text = f"<{path}>{more} states {what}; no solid has more than {_text(DENSEST)}"
+    return text, "density" if first.mass is None else "mass"
 
 
 def _meant(density: float, units: StageUnits) -> str:

@@ -77,3 +77,58 @@ def test_the_density_of_a_bound_material_counts(plan) -> None:
     ]
     made = plan(material, *cubes)
     assert made.heavy.startswith("</Lead> states a density of 113,400 kg/m^3; no solid")
+
+
+RUBBER = 'uniform token gaussianFlesh:material = "rubber"'
+LEAD = prim("Material", "Lead", "float physics:density = 113400", apis=["PhysicsMaterialAPI"])
+WATER = prim("Material", "Water", "float physics:density = 1000", apis=["PhysicsMaterialAPI"])
+
+
+def subset(name: str, faces: str, material: str) -> str:
+    return prim(
+        "GeomSubset",
+        name,
+        f'int[] indices = [{faces}]\nuniform token elementType = "face"',
+        'uniform token familyName = "materialBind"',
+        bound(material),
+        apis=["MaterialBindingAPI"],
+    )
+
+
+def test_a_preset_goes_before_the_density_of_the_prim(plan) -> None:
+    """The bake used 1100 kg/m^3, and the warning named 1e+09."""
+    duck = mesh("Duck", "float physics:density = 1000", RUBBER, *LARGE, apis=[MASS])
+    made = plan(duck, layer=CENTIMETERS)
+    assert made.materials[0].density == pytest.approx(1100.0)
+    assert made.heavy == ""
+
+
+@pytest.mark.parametrize(("faces", "warned"), [("0, 1, 2, 3, 4, 5", False), ("0, 1", True)])
+def test_a_material_counts_where_faces_have_it(plan, faces: str, warned: bool) -> None:
+    cube = mesh("One", bound("/Lead"), subset("All", faces, "/Water"), apis=["MaterialBindingAPI"])
+    assert plan(LEAD, WATER, cube).heavy.startswith("</Lead> states") == warned
+
+
+def test_a_material_of_a_subset_counts(plan) -> None:
+    cube = mesh(
+        "One", bound("/Water"), subset("Some", "0, 1", "/Lead"), apis=["MaterialBindingAPI"]
+    )
+    assert plan(LEAD, WATER, cube).heavy.startswith("</Lead> states a density of 113,400")
+
+
+@pytest.mark.parametrize(
+    ("line", "by", "lines"),
+    [("float physics:density = 1000", "density", LARGE), ("float physics:mass = 1", "mass", ())],
+)
+def test_the_hint_names_what_is_stated(plan, line: str, by: str, lines: tuple[str, ...]) -> None:
+    made = plan(mesh("Duck", line, *lines, apis=[MASS]), layer=CENTIMETERS)
+    (warning,) = plan_warnings("", made.heavy, made.heavy_by)
+    assert warning.hint.startswith(f"correct the {by} in the file, or")
+
+
+def test_painted_densities_go_before_that_of_the_prim(plan) -> None:
+    painted = 'float[] primvars:gaussianFlesh:density = [0.001] (interpolation = "constant")'
+    duck = mesh("Duck", "float physics:density = 1000", painted, *LARGE, apis=[MASS])
+    made = plan(duck, layer=CENTIMETERS)
+    assert made.particles.own["density"] == pytest.approx(1000.0)
+    assert made.heavy == ""
