@@ -33,13 +33,17 @@ def part(name: str, points: np.ndarray, triangles: np.ndarray, *lines: str) -> s
 
 
 def split_ball(
-    folder: Path, *more: str, apis: tuple[str, ...] = (), low: tuple[str, ...] = ()
+    folder: Path,
+    *more: str,
+    apis: tuple[str, ...] = (),
+    low: tuple[str, ...] = (),
+    borders: tuple[float, float] = (0.75, 1.25),
 ) -> Path:
-    """A ball in three meshes, of which the middle one is the largest, above each other."""
+    """A ball about y = 1 m in three meshes above each other; borders : heights [m] between them."""
     ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
     welded = weld(ball.points)[0][ball.triangles]
     middle = ball.points[welded].mean(1)[:, 1]
-    rows = np.searchsorted((0.75, 1.25), middle)
+    rows = np.searchsorted(borders, middle)
     names = {"Low": low, "Middle": (), "High": ()}
     parts = [
         part(name, ball.points, welded[rows == k], *lines)
@@ -141,6 +145,18 @@ def test_the_parts_of_a_physics_body_are_one_body(tmp_path: Path) -> None:
     assert np.allclose(plan.velocity[0](plan.particles.X), (0.0, 1.0, 0.0))
     assert plan.bodies is not None
     assert plan.bodies.count == 1
+
+
+def test_a_joined_body_spins_about_its_center(tmp_path: Path) -> None:
+    """It spun about that of its largest part, so that its center moved sideways."""
+    spin = "vector3f physics:angularVelocity = (0, 0, 180)"
+    ball = split_ball(tmp_path, spin, apis=BODY, borders=(0.6, 0.9))
+    plan = gf_usd.inspect(ball, **SMALL).plan
+    assert plan is not None
+    assert plan.particles.volume == pytest.approx(BALL, rel=0.03)
+    v = np.asarray(plan.velocity[0](plan.particles.X))
+    assert np.abs(v).max() > 1.0
+    assert np.average(v, axis=0, weights=plan.particles.V0) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_part_of_another_mass_is_not_joined(tmp_path: Path) -> None:

@@ -66,7 +66,6 @@ def start_velocities(
     points = {s.path: np.asarray(s.points, float) for s in asset.surfaces}
     out: list[Any] = []
     for k, paths in enumerate(bodies.surfaces):
-        center = np.concatenate([points[p] for p in paths]).mean(0)
         known = [physics[p] for p in paths if p in physics]
         stated = next((b for b in known if b.velocity or b.angular_velocity), None)
         moving = [(points[p], physics[p].moving) for p in paths if p in physics]
@@ -81,7 +80,7 @@ def start_velocities(
             )
             out.append(partial(own.initial_velocities, center=centers[k]))
         elif stated is not None:
-            out.append(partial(stated.initial_velocities, center=center))
+            out.append(partial(stated.initial_velocities, center=centers[k]))
         elif any(v is not None for _, v in moving):
             X = np.concatenate([p for p, v in moving if v is not None])
             v = np.concatenate([v for _, v in moving if v is not None]) / time_scale
