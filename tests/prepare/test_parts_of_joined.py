@@ -38,11 +38,17 @@ def split_ball(
     apis: tuple[str, ...] = (),
     low: tuple[str, ...] = (),
     borders: tuple[float, float] = (0.75, 1.25),
+    turned: float = 0.0,
 ) -> Path:
-    """A ball about y = 1 m in three meshes above each other; borders : heights [m] between them."""
+    """A ball about y = 1 m in three meshes above each other.
+
+    borders : heights [m] between them; turned : share of the faces whose winding is reversed.
+    """
     ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
     welded = weld(ball.points)[0][ball.triangles]
     middle = ball.points[welded].mean(1)[:, 1]
+    chosen = np.random.default_rng(0).random(len(welded)) < turned
+    welded = np.where(chosen[:, None], welded[:, ::-1], welded)
     rows = np.searchsorted(borders, middle)
     names = {"Low": low, "Middle": (), "High": ()}
     parts = [
@@ -129,6 +135,14 @@ def test_the_parts_of_a_ball_are_one_body_with_repair_too(tmp_path: Path) -> Non
     }  # fmt: skip
     assert [one.path for one in seen.repairs] == ["/Ball/Middle"]
     assert any("enclose a volume only together" in note for note in seen.notes)
+
+
+def test_a_repair_of_parts_of_mixed_winding_counts_what_it_turns(tmp_path: Path) -> None:
+    seen = gf_usd.inspect(split_ball(tmp_path, turned=0.2), repair=True, **SMALL)
+    assert seen.plan is not None
+    assert seen.plan.particles.volume == pytest.approx(BALL, rel=0.03)
+    (one,) = seen.repairs
+    assert 100 < one.turned < 400
 
 
 BODY = ("PhysicsRigidBodyAPI", "PhysicsMassAPI")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,14 @@ SPHERES = 0.02  # of its volume, that the flat faces of a sphere lack
 RIGID = '(prepend apiSchemas = ["PhysicsRigidBodyAPI"])'
 
 
-def ball(name: str, radius: float, *, inward: bool = False, more: str = "") -> str:
-    """A Mesh prim as text."""
+def ball(
+    name: str, radius: float, *, inward: bool = False, more: str = "", turned: float = 0.0
+) -> str:
+    """A Mesh prim as text; turned : share of its faces whose winding is reversed."""
     body = sphere(radius, (0.0, 2.0, 0.0), subdivisions=2)
-    corners = [int(i) for face in body.triangles for i in face]
+    chosen = np.random.default_rng(0).random(len(body.triangles)) < turned
+    triangles = np.where(chosen[:, None], body.triangles[:, ::-1], body.triangles)
+    corners = [int(i) for face in triangles for i in face]
     values = ", ".join(f"({x:.9g}, {y:.9g}, {z:.9g})" for x, y, z in body.points)
     return f"""
     def Mesh "{name}" {more}
@@ -45,7 +50,7 @@ def stage(folder: Path, *prims: str) -> Path:
     return path
 
 
-def seen_of(folder: Path, *prims: str, **options: object) -> Inspection:
+def seen_of(folder: Path, *prims: str, **options: Any) -> Inspection:
     return inspect(stage(folder, *prims), spacing=0.2, **options)
 
 
@@ -70,6 +75,18 @@ def test_the_wall_of_an_egg_is_filled(tmp_path: Path, repair: bool) -> None:
     assert seen.warnings == ()
     assert seen.plan is not None
     assert [len(s.points) for s in seen.plan.asset.surfaces] == [162, 162]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("repair", [False, True])
+def test_a_wall_of_mixed_winding_is_found(tmp_path: Path, repair: bool) -> None:
+    """With a repair all of it was filled."""
+    prims = ball("Outer", 1.0, turned=0.3), ball("Inner", 0.8, inward=True, turned=0.3)
+    seen = seen_of(tmp_path, *prims, repair=repair)
+    assert volume(seen) == pytest.approx(SHELL, rel=5.0 * SPHERES)
+    if repair:
+        (one,) = seen.repairs
+        assert one.turned > 100
 
 
 @pytest.mark.slow

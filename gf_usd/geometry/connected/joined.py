@@ -8,7 +8,7 @@ one that a flat cap would close.  Their borders coincide: edges of one triangle 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ class Joined:
 
     asset: Asset
     groups: tuple[tuple[str, ...], ...] = ()  # prim paths; the first is that of their surface
+    against: frozenset[str] = frozenset()  # paths of parts that face the other way than others
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -39,6 +40,23 @@ class Joined:
             f" as one body: {_listed(paths)}"
             for paths in self.groups
         )
+
+
+def joined_alike(asset: Asset, found: Joined) -> Asset:
+    """The asset with the groups joined that were found in it with another winding."""
+    order = {s.path: k for k, s in enumerate(asset.surfaces)}
+    made: dict[str, Surface | None] = {}
+    for paths in found.groups:
+        group = [asset.surfaces[k] for k in sorted(order[path] for path in paths)]
+        against = np.array([s.path in found.against for s in group])
+        made |= dict.fromkeys(paths) | {paths[0]: _one_surface(group, against)}
+    return _with_surfaces(asset, made)
+
+
+def _with_surfaces(asset: Asset, made: Mapping[str, Surface | None]) -> Asset:
+    """The asset with other surfaces at some prim paths; None: without them."""
+    kept = (made.get(s.path, s) for s in asset.surfaces)
+    return replace(asset, surfaces=tuple(s for s in kept if s is not None))
 
 
 def _listed(paths: Sequence[str]) -> str:
@@ -73,6 +91,7 @@ def joined_surfaces(
         return Joined(asset=asset)
     made: dict[str, Surface | None] = {}
     groups = []
+    reverse: set[str] = set()
     for members, against in _adjacent(pieces, edges, alike):
         group = [pieces[k] for k in members]
         if without_volume.isdisjoint(s.path for s in group):
@@ -82,10 +101,9 @@ def joined_surfaces(
             continue
         made |= {s.path: None for s in group} | {one.path: one}
         groups.append((one.path, *(s.path for s in group if s.path != one.path)))
-    kept = (made.get(s.path, s) for s in asset.surfaces)
+        reverse |= {s.path for s, back in zip(group, against, strict=True) if back}
     return Joined(
-        asset=replace(asset, surfaces=tuple(s for s in kept if s is not None)),
-        groups=tuple(groups),
+        asset=_with_surfaces(asset, made), groups=tuple(groups), against=frozenset(reverse)
     )
 
 

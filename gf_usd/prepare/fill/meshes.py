@@ -60,7 +60,7 @@ def build_meshes(
     known : result of `diagnose` for the surfaces, if available.
     built : the solid without `repair`, if available.
     """
-    from gf_usd.geometry.connected.joined import Joined, joined_surfaces
+    from gf_usd.geometry.connected.joined import Joined, joined_alike, joined_surfaces
     from gf_usd.geometry.connected.walls import Walls, find_walls, with_walls
     from gf_usd.geometry.diagnosis import diagnose, lost_volume_warning, tolerated_defects
     from gf_usd.geometry.repair import consistently_oriented_asset, notes
@@ -69,9 +69,10 @@ def build_meshes(
     oriented, turned = consistently_oriented_asset(asset)
     if built and not repair:
         return FilledMeshes(asset=oriented, solid=built)
-    turns = asset if repair else oriented  # a repair makes the winding consistent itself
-    joined = Joined(asset=turns) if apart is None else joined_surfaces(turns, apart, alike)
+    joined = Joined(asset=oriented) if apart is None else joined_surfaces(oriented, apart, alike)
     sides = find_walls(joined.asset, one_thing) if one_thing else Walls()
+    # a repair makes the winding consistent itself, and counts what it turns
+    whole = with_walls(joined_alike(asset, joined) if repair else joined.asset, sides)
     walls, joined = sides.with_parts(joined)
 
     def made(filled: Asset) -> Solid:
@@ -80,9 +81,7 @@ def build_meshes(
         return replace(solid, embedded=embedded, walls=walls.outer)
 
     if repair:
-        display, filled, repairs, spacing = repair_for_fill(
-            with_walls(joined.asset, sides), resolution, paper=paper
-        )
+        display, filled, repairs, spacing = repair_for_fill(whole, resolution, paper=paper)
         return FilledMeshes(
             asset=_as_authored(display, asset, walls, joined),
             solid=built or replace(made(filled), joined=joined.groups),
@@ -91,7 +90,7 @@ def build_meshes(
             thickened=any(one.thickened for one in repairs),
             spacing=spacing,
         )
-    solid = replace(made(with_walls(joined.asset, sides)), joined=joined.groups)
+    solid = replace(made(whole), joined=joined.groups)
     changed = {*walls.outer.values(), *(paths[0] for paths in joined.groups)}
     by_path = {} if turned else {one.path: one for one in known if one.path not in changed}
     diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
