@@ -374,14 +374,14 @@ def resolution(
     particles: int | None,
     spacing: float | None,
     spec: StageSpec,
-    volumes: Callable[[], Mapping[str, float]],
+    volumes: Callable[[], Mapping[tuple[str, ...], float]],
     thin: Callable[[], tuple[float, Thickness | None]] | None = None,
     *,
     paper: bool,
 ) -> Resolution:
     """An option takes precedence over the stage, and the stage over the defaults.
 
-    spacing : [m]; volumes : [m^3] of each surface, by prim path, called where needed.
+    spacing : [m]; volumes : see `stated_spacing`, called where needed.
     thin : of the solid its volume [m^3] and its thickness, called where neither does; None
     where thickness follows the spacing.
     """
@@ -396,19 +396,23 @@ def resolution(
     return by_thickness(*thin())
 
 
-def stated_spacing(spec: StageSpec, volumes: Mapping[str, float]) -> tuple[float | None, str]:
+def stated_spacing(
+    spec: StageSpec, volumes: Mapping[tuple[str, ...], float]
+) -> tuple[float | None, str]:
     """Spacing [m] that the stage states, and a note where it states several: the finest.
 
-    volumes : [m^3] of each surface, by prim path.
+    volumes : [m^3] of each surface, by the prim paths of the meshes that it consists of.
     """
     requested: dict[str, float] = {}
     groups: dict[str, tuple[int, float]] = {}
     for path, bake in spec.bakes.items():
         if bake.spacing is not None:
             requested[path] = bake.spacing
-        elif bake.particles is not None:
-            count, volume = groups.get(bake.particles_of, (bake.particles, 0.0))
-            groups[bake.particles_of] = count, volume + volumes.get(path, 0.0)
+    for paths, volume in volumes.items():
+        bakes = [spec.bakes[path] for path in paths if path in spec.bakes]
+        counts = {b.particles_of: b.particles for b in bakes if b.particles and b.spacing is None}
+        for prim, count in counts.items():
+            groups[prim] = count, groups.get(prim, (count, 0.0))[1] + volume
     requested |= {p: float(np.cbrt(v / n)) for p, (n, v) in groups.items() if v > 0.0}
     if not requested:
         return None, ""

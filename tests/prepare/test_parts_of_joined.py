@@ -28,7 +28,7 @@ def part(name: str, points: np.ndarray, triangles: np.ndarray, *lines: str) -> s
         f"int[] faceVertexIndices = {renumbered.ravel().tolist()}",
         f"point3f[] points = [{', '.join(str(tuple(p)) for p in points[used].tolist())}]",
         *lines,
-        apis=("PhysicsMassAPI",) if lines else (),
+        apis=("PhysicsMassAPI", "GaussianFleshBakeAPI") if lines else (),
     )
 
 
@@ -171,6 +171,17 @@ def test_a_joined_body_spins_about_its_center(tmp_path: Path) -> None:
     v = np.asarray(plan.velocity[0](plan.particles.X))
     assert np.abs(v).max() > 1.0
     assert np.average(v, axis=0, weights=plan.particles.V0) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("repair", [False, True])
+def test_a_count_of_a_part_is_that_of_the_joined_body(tmp_path: Path, repair: bool) -> None:
+    """Only that of the largest part held; each other one was ignored."""
+    low = ("int gaussianFlesh:particles = 300",)
+    ball = split_ball(tmp_path, apis=BODY, low=low)
+    plan = gf_usd.inspect(ball, repair=repair, drop=0, frames=3).plan
+    assert plan is not None
+    assert plan.particles.volume == pytest.approx(BALL, rel=0.03)
+    assert plan.particles.spacing == pytest.approx(np.cbrt(BALL / 300), rel=0.02)
 
 
 def test_a_part_of_another_mass_is_not_joined(tmp_path: Path) -> None:

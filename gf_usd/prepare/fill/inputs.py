@@ -60,7 +60,7 @@ def resolution_of(
     request: Request,
     spec: StageSpec,
     unit: float,
-    volumes: Callable[[], Mapping[str, float]],
+    volumes: Callable[[], Mapping[tuple[str, ...], float]],
     thin: Callable[[], tuple[float, Thickness | None]] | None = None,
 ) -> Resolution:
     """See `resolution`; unit : [m] of the stage's."""

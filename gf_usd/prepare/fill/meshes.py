@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
     from gf_usd.prepare.settings import Resolution
 
-Volumes = Callable[[], Mapping[str, float]]  # [m^3] of closed surfaces, by prim path
+Volumes = Callable[[], Mapping[tuple[str, ...], float]]  # see `stated_spacing`
 ResolutionOf = Callable[[Volumes], "Resolution"]
 OneThing = Callable[[str, str], bool]  # whether two prim paths may be sides of one wall
 
@@ -33,10 +33,14 @@ class FilledMeshes:
     repairs: tuple[Repairs, ...] = ()  # of each surface that is filled, where it was asked for
     spacing: float | None = None  # [m] of as many particles as requested, sheets included
 
-    def volumes(self) -> dict[str, float]:
-        """[m^3] of its closed surfaces, by prim path."""
+    def volumes(self) -> dict[tuple[str, ...], float]:
+        """[m^3] of its closed surfaces, by the prim paths of their meshes."""
         closed = zip(self.solid.surfaces, self.solid.triangles, strict=True)
-        return {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed}
+        parts = {group[0]: group for group in self.solid.joined}
+        return {
+            parts.get(s.path, (s.path,)): abs(signed_volume(s.points, triangles))
+            for s, triangles in closed
+        }
 
 
 def build_meshes(
@@ -72,6 +76,7 @@ def build_meshes(
     joined = Joined(asset=oriented) if apart is None else joined_surfaces(oriented, apart, alike)
     sides = find_walls(joined.asset, one_thing) if one_thing else Walls()
     # a repair makes the winding consistent itself, and counts what it turns
+    groups = joined.groups
     whole = with_walls(joined_alike(asset, joined) if repair else joined.asset, sides)
     walls, joined = sides.with_parts(joined)
 
@@ -81,7 +86,9 @@ def build_meshes(
         return replace(solid, embedded=embedded, walls=walls.outer)
 
     if repair:
-        display, filled, repairs, spacing = repair_for_fill(whole, resolution, paper=paper)
+        display, filled, repairs, spacing = repair_for_fill(
+            whole, resolution, paper=paper, groups=groups
+        )
         return FilledMeshes(
             asset=_as_authored(display, asset, walls, joined),
             solid=built or replace(made(filled), joined=joined.groups),
@@ -113,7 +120,11 @@ def _as_authored(repaired: Asset, asset: Asset, walls: Walls, joined: Joined) ->
 
 
 def repair_for_fill(
-    asset: Asset, resolution: ResolutionOf, *, paper: bool
+    asset: Asset,
+    resolution: ResolutionOf,
+    *,
+    paper: bool,
+    groups: Sequence[tuple[str, ...]] = (),
 ) -> tuple[Asset, Asset, tuple[Repairs, ...], float | None]:
     """The repaired asset, the same with sheets thickened for the fill, and the repairs.
 
@@ -122,13 +133,18 @@ def repair_for_fill(
     given.
 
     resolution : the requested one, for the volumes of the repaired surfaces.
+    groups : prim paths of meshes that were joined; the first is that of their surface.
     """
     from gf_usd.geometry.repair import repair_asset
     from gf_usd.geometry.thin.thicken import thicken_asset, thicken_to_count
 
     repaired, repairs = repair_asset(asset)
+    parts = {group[0]: group for group in groups}
     requested = resolution(
-        lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in repaired.surfaces}
+        lambda: {
+            parts.get(s.path, (s.path,)): abs(signed_volume(s.points, s.triangles))
+            for s in repaired.surfaces
+        }
     )
     if requested.spacing is None and not paper:
         return repaired, *thicken_to_count(repaired, repairs, requested.particles)
