@@ -182,16 +182,18 @@ def _joined_parts(solid: Solid, asset: Asset) -> list[MaterialPart]:
     Joined surfaces have the faces of their meshes in the order of the asset.
     """
     found = []
-    for group in solid.joined:
-        first = 0
-        for mesh in asset.surfaces:
-            if mesh.path in group:
-                faces = first + np.arange(len(mesh.face_counts))
-                first += len(faces)
-                subset = SubsetMaterial(
-                    path=mesh.path, faces=faces, spec=PhysicsMaterialSpec(), material=None
-                )
-                found.append(MaterialPart(surface=solid.filled[group[0]], subset=subset))
+    whole = {path: group[0] for group in solid.joined for path in group}
+    first = dict.fromkeys(whole.values(), 0)
+    for mesh in asset.surfaces:
+        name = whole.get(mesh.path)
+        if name is None:
+            continue
+        faces = first[name] + np.arange(len(mesh.face_counts))
+        first[name] += len(faces)
+        subset = SubsetMaterial(
+            path=mesh.path, faces=faces, spec=PhysicsMaterialSpec(), material=None
+        )
+        found.append(MaterialPart(surface=solid.filled[name], subset=subset))
     return found
 
 
