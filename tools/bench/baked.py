@@ -31,8 +31,6 @@ from tools.bench.processes import ALONE, PEERS, ROOT, interpreter, run
 
 FRAMES = (24, 96)  # the ball touches the floor in the first of them and rebounds in the second
 ASSET = ROOT / "samples" / "sphere.usda"
-
-
 UNDAMPED = ("--damping-time", "0", "--filter-rate", "0")
 
 

@@ -105,9 +105,7 @@ class _Springs:
     drawn: SkinSamples
     linear: Floats  # (F, bones, 3, 3) as in `affine`
     offset: Floats  # (F, bones, 3) [m]
-    offsets: tuple[
-        Floats, ...
-    ]  # of each frame, (n, 3) [m] by which samples are shifted in addition
+    offsets: tuple[Floats, ...]  # of each frame, (n, 3) [m] added to the samples
     frequency: float  # [Hz]
     keyed: tuple[Floats, ...]  # (n,) goal weights of the samples over time
     key_of_frame: tuple[int, ...]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from gf_usd.core.asset import Asset
+from gf_usd.core.arrays import Ints
+from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.mesh import signed_volume
 
 if TYPE_CHECKING:
@@ -36,11 +37,21 @@ class FilledMeshes:
     def volumes(self) -> dict[tuple[str, ...], float]:
         """[m^3] of its closed surfaces, by the prim paths of their meshes."""
         closed = zip(self.solid.surfaces, self.solid.triangles, strict=True)
-        parts = {group[0]: group for group in self.solid.joined}
-        return {
-            parts.get(s.path, (s.path,)): abs(signed_volume(s.points, triangles))
-            for s, triangles in closed
-        }
+        return _volumes(closed, self.solid.joined)
+
+
+def _volumes(
+    closed: Iterable[tuple[Surface, Ints]], groups: Sequence[tuple[str, ...]]
+) -> dict[tuple[str, ...], float]:
+    """[m^3] of surfaces with their triangles (T, 3), by the prim paths of their meshes.
+
+    groups : prim paths of meshes that were joined; the first is that of their surface.
+    """
+    parts = {group[0]: group for group in groups}
+    return {
+        parts.get(s.path, (s.path,)): abs(signed_volume(s.points, triangles))
+        for s, triangles in closed
+    }
 
 
 def build_meshes(
@@ -139,13 +150,7 @@ def repair_for_fill(
     from gf_usd.geometry.thin.thicken import thicken_asset, thicken_to_count
 
     repaired, repairs = repair_asset(asset)
-    parts = {group[0]: group for group in groups}
-    requested = resolution(
-        lambda: {
-            parts.get(s.path, (s.path,)): abs(signed_volume(s.points, s.triangles))
-            for s in repaired.surfaces
-        }
-    )
+    requested = resolution(lambda: _volumes(((s, s.triangles) for s in repaired.surfaces), groups))
     if requested.spacing is None and not paper:
         return repaired, *thicken_to_count(repaired, repairs, requested.particles)
     filled, repairs = thicken_asset(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import Particles
@@ -135,7 +136,9 @@ def with_conversions(
     flows = unbounded(particles, assigned.tables[0])
     of = np.full(len(particles), -1)
     parts = [*material_parts(solid, spec), *_joined_parts(solid, asset)]
-    meant = [_matching_particles(rule, particles, solid, parts, unit) for rule in rules]
+    named = any(rule.box is None for rule in rules)
+    slot = part_of_particles(solid, particles, parts) if named else np.zeros(0, int)
+    meant = [_matching_particles(rule, particles, slot, solid, parts, unit) for rule in rules]
     for k, (rule, mine) in enumerate(zip(rules, meant)):
         if not mine.any():
             raise InputError(
@@ -210,14 +213,14 @@ def _why_none(rule: ConversionRule, solid: Solid, asset: Asset) -> str:
 def _matching_particles(
     rule: ConversionRule,
     particles: Particles,
+    slot: Ints,
     solid: Solid,
     parts: Sequence[MaterialPart],
     unit: float,
 ) -> NDArray[np.bool_]:
-    """(N,) which particles match a rule."""
+    """(N,) which particles match a rule; slot : (N,) of `part_of_particles`, for a prim."""
     if rule.box is not None:
         return np.asarray(rule.box.holds(particles.X, unit), bool)
-    slot = part_of_particles(solid, particles, parts)
     named = [
         _is_at_or_below(
             solid.surfaces[part.surface].path if part.subset is None else part.subset.path,
