@@ -20,6 +20,11 @@ COMBINED = st.fixed_dictionaries(
 )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _sample_volumes_coarsely(coarse_volumes: None) -> None:
+    """The box and the ball overlap; a plan is only made or refused here: see `coarse_volumes`."""
+
+
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
