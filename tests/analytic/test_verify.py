@@ -20,7 +20,8 @@ LONG = {  # more than half of the time of all
 }  # fmt: skip
 LONGEST = {  # which `gf-usd verify` of the acceptance has
     "hydrostatic", "puddle", "taylor", "arms", "column", "incline", "law-crushable", "law-paste",
-    "expansion", "rim", "penetration",
+    "expansion", "rim", "penetration", "dam", "collisions", "slope", "law-vonMises",
+    "law-druckerPrager",
 }  # fmt: skip
 
 

@@ -37,6 +37,7 @@ seen = []
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_bake_after_stages_were_opened(tmp_path: Path) -> None:
     output = run(
         tmp_path,
@@ -80,6 +81,7 @@ report(clip_frames=1, slice=1)
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_program_that_uses_taichi_keeps_it(tmp_path: Path) -> None:
     output = run(
         tmp_path,
@@ -188,7 +190,10 @@ print([key for key in known if key in now and now[key] != known[key] and key[-1]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late", ["", LATE], ids=["here", "away"])
+@pytest.mark.parametrize(
+    "late",
+    [pytest.param("", id="here"), pytest.param(LATE, id="away", marks=pytest.mark.acceptance)],
+)
 def test_it_may_be_called_from_a_thread_and_interrupted(tmp_path: Path, late: str) -> None:
     output = run(
         tmp_path,

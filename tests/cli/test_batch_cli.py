@@ -132,6 +132,7 @@ def test_sigterm_ends_the_bakes_and_says_how_to_resume(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_kill_9_leaves_no_bake_and_no_lock(running: subprocess.Popen[str], here: Path) -> None:
     running.kill()
     # the bake looks for the batch twice a second, and holds the lock until it is gone
@@ -157,6 +158,7 @@ def test_an_interrupted_job_with_clips_continues(gf_usd: Call, here: Path, block
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
     arguments = [
         "batch", block, "--particles", "300", "--frames", "40", "-o", "out", "--json", "-q",

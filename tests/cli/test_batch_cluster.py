@@ -71,6 +71,7 @@ def batch(folder: Path, address: str, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder)
 
 
+@pytest.mark.acceptance
 def test_a_dead_workers_job_is_done_by_another(
     here: Path, block: Path, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:

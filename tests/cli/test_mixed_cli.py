@@ -37,6 +37,7 @@ def test_a_mixed_bake_is_whole_and_comes_to_the_same_bits(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_mixed_job_of_a_batch_is_the_bake_alone(gf_usd, here: Path, tmp_path: Path) -> None:
     castle_of(tmp_path)
     manifest = tmp_path / "night.toml"

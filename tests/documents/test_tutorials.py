@@ -58,7 +58,7 @@ def test_the_parts_of_the_shot_are_those_of_the_sample() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", longest_but(MADE, "shot", "splats"))
+@pytest.mark.parametrize("name", longest_but(MADE, "shot"))
 def test_the_commands_of_a_tutorial_run_in_order(name: str, tmp_path: Path) -> None:
     paste(fewer(script(name)), tmp_path, particles=200, frames=8)
     for made in MADE[name]:

@@ -27,6 +27,7 @@ def stool(path: Path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_jelly_stool_whose_legs_fold_comes_to_rest(tmp_path: Path) -> None:
     """Its planes changed sides at every detection: 0.23 % of its energy were given to it."""
     result = gf_usd.bake(

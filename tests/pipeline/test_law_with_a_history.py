@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from flowing import ROW, registered
 from pxr import Sdf, Usd, UsdGeom
-from slow_parameters import slow_but
+from slow_parameters import longest_but
 
 import gf_usd
 from gf_usd.core.errors import InputError
@@ -63,7 +63,7 @@ def test_its_parameter_is_read_in_units_of_the_stage(clay: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", slow_but(["tl", "ul"], "tl"))
+@pytest.mark.parametrize("solver", longest_but(["tl", "ul"], "tl"))
 def test_a_bake_says_what_flowed_and_writes_the_parameter(
     clay: Path, tmp_path: Path, solver: str
 ) -> None:
@@ -246,6 +246,7 @@ def test_an_elastic_body_has_no_internal_variables_and_a_note(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_mass_scaling_leaves_the_same_shape_in_fewer_substeps(tmp_path: Path) -> None:
     heights, substeps = [], []
     for factor in (1.0, 4.0):

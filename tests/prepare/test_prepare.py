@@ -304,7 +304,7 @@ def test_parts_without_particles_are_named(stage):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("particles", [1000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("particles", [1000, pytest.param(100_000, marks=pytest.mark.acceptance)])
 def test_memory_is_estimated_within_a_factor_of_two(tmp_path, particles):
     sizes = {"particles": particles, "frames": 2}
     expected = inspect(DUCK, **sizes).as_json()["materials"][0]["memory_bytes"]

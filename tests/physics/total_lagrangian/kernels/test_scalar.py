@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from launching import WAYS, launched
-from slow_parameters import slow_but
+from slow_parameters import longest_but
 from solids import ball, preset_material, settings
 
 from gf_usd.core.frames import CONSISTENT, LUMPED
@@ -115,7 +115,7 @@ def filtered(stencil, v, m):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("plain", [False, True], ids=["fast", "plain"])
-@pytest.mark.parametrize("mass", slow_but([LUMPED, CONSISTENT], CONSISTENT))
+@pytest.mark.parametrize("mass", longest_but([LUMPED, CONSISTENT], CONSISTENT))
 def test_one_substep_is_the_sum_that_numpy_makes(plain, mass):
     """v + alpha M~^-1 (B v - m v), then + dt M~^-1 f: eq. 1 to 3 in float64, every node free."""
     body, _ = ball(400)
