@@ -27,6 +27,7 @@ from gf_usd.pipeline.cost.forecast import (
     Stages,
     Watch,
 )
+from gf_usd.pipeline.cost.limbs import Limbs, limbs_of
 from gf_usd.pipeline.cost.shortcuts import shortcuts
 from gf_usd.prepare.materials.mass_scaling import mass_scaled, scaled_material
 from gf_usd.prepare.options.choices import split_again
@@ -86,6 +87,7 @@ class Prepared:
             damping=[self.solvers.damping(variant) for variant in plan.variants],
             contact=[self.solvers.contact(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
+            limbs=limbs(plan),
             usual=[
                 typical_rest(plan.settings, material, plan.particles.radius, contact)
                 for material in plan.materials
@@ -242,6 +244,16 @@ def draw(scene: Scene, size: tuple[int, int]) -> Any:
 def has_driven_motion(plan: Plan) -> bool:
     """Whether pins, bones or fields move the bodies, in addition to gravity and contact."""
     return plan.held or bool(plan.settings.fields)
+
+
+def limbs(plan: Plan) -> Limbs:
+    """Limbs of the bodies that can touch themselves; none where bodies are held, whose limbs stay
+    apart.
+    """
+    setup = plan.contact_setup
+    if setup is None or plan.held or plan.goals:
+        return Limbs()
+    return limbs_of(plan.samples, plan.particles, sorted(setup.self_contact))
 
 
 def reason_not_free_fall(plan: Plan) -> str:

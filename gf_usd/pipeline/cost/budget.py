@@ -1,9 +1,9 @@
 """Cost of a bake: the estimate, the check against the machine, and the guard while it runs.
 
 Costs were measured in CPU seconds on two cores of an x86-64 server, and are scaled by the speed of
-this one's (`cpu`): ``python -m tools.bench.estimates`` compares thirty pairs of an asset and a
-preset with what their bakes take, of which nine in ten are within a factor of two
-(docs/performance.md).  Memory is that of ``/usr/bin/time -v``.
+this one's (`cpu`): ``python -m tools.bench.estimates`` compares pairs of an asset and a preset
+with what their bakes take, of which nine in ten are within a factor of two (docs/performance.md).
+Memory is that of ``/usr/bin/time -v``.
 
 A bake that needs too much is refused before it starts.  A bake during which other programs fill
 the disk or the memory ends while there is still space for its results: the frames so far, a layer
@@ -26,6 +26,7 @@ from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import bytes_text
+from gf_usd.pipeline.cost.limbs import Limbs
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.resources import cores, free_disk, free_memory, free_swap
 from gf_usd.system.taichi_runtime import epoch
@@ -95,6 +96,7 @@ ALONE = 1500  # particles for each thread: fewer threads share a substep of fewe
 # Fitted, with CROWD, to 38 bakes of one to ten bodies of 1 kPa to 200 GPa (docs/performance.md).
 SAG, MOST = 0.7, 3.0
 CROWD = 1.3  # times as many substeps where bodies fall on each other
+LIMBS = 1.7  # the same where a body falls onto its own limbs, in the mean of 1.1 to 2.2
 START_SECONDS = 1.1  # imports: between the times on an idle and on a busy machine
 LAW_SECONDS = 0.9  # load the compiled kernels of a law; the very first bake compiles them
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
@@ -109,8 +111,12 @@ RESTS = {False: 45.0, True: 12.0}
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
 # [s] of a substep, for each contact sample where there are several bodies or obstacles: the samples
-# that can touch are few, and are detected once in many substeps.  Self-contact costs less.
+# that can touch are few, and are detected once in many substeps.
 CONTACT_PAIR_SECONDS = 6e-8
+# The same for each sample of limbs: in kernels, as most of them are near the floor or each other,
+# and in detections, which one thread makes.
+LIMB_SECONDS = (7e-8, 1.3e-7)
+NO_LIMBS = Limbs()
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 # [bytes] a particle, by solver, measured with 100,000 to 10 million of them: 1,880 to 1,615
@@ -134,6 +140,7 @@ def estimate(
     flying: int = 0,
     radius: float = 0.0,
     crowd: bool = True,
+    limbs: Limbs = NO_LIMBS,
     damping: Sequence[float] = (),
     contact: Sequence[float] = (),
     usual: Sequence[int] = (),
@@ -156,6 +163,7 @@ def estimate(
     radius : [m] of a ball of the volume of all bodies, where they bear their weight; 0: they are
         held.
     crowd : several bodies or obstacles can touch.
+    limbs : of bodies that can touch themselves.
     damping, contact : ratio and factor of each material, of `Solvers`; (): unknown.
     usual : frames after which each material is typically at rest (`typical_rest`), for a bake that
         ends there; the seconds up to that frame are reported in addition. (): all frames are
@@ -168,7 +176,7 @@ def estimate(
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are expensive to build
     memory = _memory(settings, n * waiting, vertices, paired)
-    substep = _substep_seconds(settings, n, paired * crowd, cpu_ratio)
+    substep = _substep_seconds(settings, n, paired * crowd, limbs, cpu_ratio)
     frame = cpu_ratio * _frame_seconds(settings, n, vertices)
     start = cpu_ratio * (START_SECONDS + VERTEX_SECONDS * vertices)
     law = cpu_ratio * LAW_SECONDS
@@ -184,7 +192,8 @@ def estimate(
     ):
         many = float(count)
         if not settings.substeps:
-            many *= sag_factor(table, settings, radius) * (CROWD if paired and crowd else 1.0)
+            many *= sag_factor(table, settings, radius)
+            many *= max(CROWD if paired and crowd else 1.0, 1.0 + (LIMBS - 1.0) * limbs.share)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + law + fill + end
@@ -235,19 +244,22 @@ def _memory(settings: Settings, particles: int, vertices: int, paired: int) -> f
     return memory + CONTACT_PAIR_MEMORY * paired
 
 
-def _substep_seconds(settings: Settings, particles: int, paired: int, cpu_ratio: float) -> float:
+def _substep_seconds(
+    settings: Settings, particles: int, paired: int, limbs: Limbs, cpu_ratio: float
+) -> float:
     """[s] of a substep in contact.
 
-    paired : samples of bodies that can touch others, which the CPU detects; cpu_ratio : see
+    paired : samples of bodies that can touch others, which the CPU detects; limbs, cpu_ratio : see
     `estimate`.
     """
+    kernels, detection = (cpu_ratio * each * limbs.samples for each in LIMB_SECONDS)
     gpu = _on_gpu(settings)
     fixed, each = GPU_SUBSTEP_SECONDS if gpu else SUBSTEP_SECONDS[settings.solver]
     seconds = (1.0 if gpu else cpu_ratio) * CONTACT * (fixed + each * particles)
-    seconds += cpu_ratio * CONTACT_PAIR_SECONDS * paired
+    seconds += cpu_ratio * CONTACT_PAIR_SECONDS * paired + (0.0 if gpu else kernels)
     if settings.solver == "tl" and settings.device == "cpu":
         seconds /= max(1, min(settings.threads or cores(), particles // ALONE))
-    return seconds
+    return seconds + detection
 
 
 def _frame_seconds(settings: Settings, particles: int, vertices: int) -> float:
