@@ -334,6 +334,8 @@ def _no_geometry(
         hint = f"there are meshes outside the default prim: --prim {elsewhere[0]}"
     elif unselected := _unselected_variants(found.roots):
         hint = unselected
+    elif inactive := _inactive(found.roots):
+        hint = f"<{inactive}> is inactive: activate it in the file if it is meant"
     return InputError(f"{path}: no mesh was found under {under}, which contains {there}", hint)
 
 
@@ -376,6 +378,14 @@ def _unselected_variants(roots: Sequence[Usd.Prim]) -> str:
                     f" of {', '.join(variants)} in the file"
                 )
     return ""
+
+
+def _inactive(roots: Sequence[Usd.Prim]) -> Sdf.Path | None:
+    """The first inactive prim that may be, or hold, a mesh; None: there is none."""
+    for prim in (p for root in roots for p in Usd.PrimRange(root, Usd.PrimAllPrimsPredicate)):
+        if not prim.IsActive() and (not prim.GetTypeName() or prim.IsA(UsdGeom.Imageable)):
+            return prim.GetPath()
+    return None
 
 
 def _meshes_elsewhere(stage: Usd.Stage) -> list[str]:

@@ -269,6 +269,12 @@ def test_what_inherits_from_a_baked_prim_follows_it(read):
             "name other prims with --prim",
         ),
         (
+            'def Xform "A" {\ndef Material "L" (active = false) {}\n'
+            'def Mesh "M" (active = false) {}\n}',
+            "no mesh was found under </A>, which contains 1 Xform",
+            "</A/M> is inactive: activate it in the file if it is meant",
+        ),
+        (
             'def Xform "A" (references = @gone.usda@) {}',
             "no mesh was found under </A>; does not compose: Could not open asset",
             "supply the missing files",

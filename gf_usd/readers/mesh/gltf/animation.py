@@ -122,7 +122,7 @@ def read_animation(gltf: Gltf, notes: Notes) -> Animation:
         node, path = target.get("node"), target.get("path")
         if path not in WIDTHS or node is None:
             if path == "weights":
-                notes.add("weights of morph targets are ignored")
+                notes.add("animated weights of morph targets are ignored")
             continue
         if "matrix" in gltf.row("nodes", node):
             raise InputError(

@@ -339,8 +339,14 @@ MATERIAL = table(
 )
 DRACO_SCHEMA = table(KHR_draco_mesh_compression=table(bufferView=index, attributes=_indices))
 PRIMITIVE = table(
-    attributes=_indices, indices=index, mode=index, material=index, extensions=DRACO_SCHEMA
+    attributes=_indices,
+    indices=index,
+    mode=index,
+    material=index,
+    targets=rows(_indices),
+    extensions=DRACO_SCHEMA,
 )
+WEIGHTS = rows(number)  # of morph targets
 NODE = table(
     children=rows(index),
     mesh=index,
@@ -349,6 +355,7 @@ NODE = table(
     translation=numbers(3),
     rotation=numbers(4),
     scale=numbers(3),
+    weights=WEIGHTS,
 )
 SPARSE = table(
     count=index,
@@ -359,7 +366,7 @@ FILE = table(
     scene=index,
     scenes=rows(table(nodes=rows(index))),
     nodes=rows(NODE),
-    meshes=rows(table(primitives=rows(PRIMITIVE))),
+    meshes=rows(table(primitives=rows(PRIMITIVE), weights=WEIGHTS)),
     skins=rows(table(joints=rows(index), inverseBindMatrices=index)),
     materials=rows(MATERIAL),
     textures=rows(

@@ -70,8 +70,6 @@ def _is_surface(primitive: dict[str, Any], mesh: int, notes: Notes) -> bool:
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP):
         notes.add(f"points, lines and triangle fans (mode {mode}) are left out", f"mesh {mesh}")
-    elif primitive.get("targets"):
-        notes.add("morph targets are not supported: the shape is read without them", f"mesh {mesh}")
     return mode in (TRIANGLES, STRIP)
 
 

@@ -16,6 +16,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileNode, MeshFile, require_sound
 from gf_usd.readers.mesh.gltf.container import Gltf, open_gltf
 from gf_usd.readers.mesh.gltf.materials import GltfMaterials
+from gf_usd.readers.mesh.gltf.morphs import morphed
 from gf_usd.readers.mesh.gltf.nodes import Nodes, local_matrix
 from gf_usd.readers.mesh.gltf.primitives import Primitive, read_primitives
 from gf_usd.readers.mesh.gltf.rigs import Rigs
@@ -107,7 +108,7 @@ class _Scene:
         below = [self._node(child, (*above, index)) for child in row.get("children", [])]
         children = tuple(node for node in below if node is not None)
         name = str(row.get("name") or f"node{index}")
-        mesh = self._mesh(row["mesh"], name) if "mesh" in row else None
+        mesh = self._mesh(row, name) if "mesh" in row else None
         if mesh is not None and (posed := self._skinned(row, index, name, mesh)) is not None:
             self._posed.append(posed)
             mesh = None
@@ -119,7 +120,7 @@ class _Scene:
         self, row: dict[str, Any], index: int, name: str, mesh: FileMesh
     ) -> FileNode | None:
         """A root node with the skinned mesh of a node; None where it is not skinned."""
-        primitives = self._of_mesh(row["mesh"])
+        primitives = list(self._of_mesh(row["mesh"]).values())
         if self.rigs is None:
             if "skin" not in row:
                 return None
@@ -129,16 +130,18 @@ class _Scene:
         bound = self.rigs.bound_rigidly(index, mesh)
         return None if bound is None else FileNode(name=name, mesh=bound)
 
-    def _of_mesh(self, number: Any) -> list[Primitive]:
+    def _of_mesh(self, number: Any) -> dict[int, Primitive]:
+        """The primitives of a mesh with a surface, by their index in it."""
         self._gltf.row("meshes", number)
-        return [found for (m, _), found in self._primitives.items() if m == number]
+        return {p: found for (m, p), found in self._primitives.items() if m == number}
 
-    def _mesh(self, number: Any, node: str) -> FileMesh | None:
-        """The merged primitives of a mesh; None where none has a surface."""
-        primitives = self._of_mesh(number)
-        if not primitives:
+    def _mesh(self, row: dict[str, Any], node: str) -> FileMesh | None:
+        """The merged primitives of the mesh of a node; None where none has a surface."""
+        with_surface = self._of_mesh(row["mesh"])
+        if not with_surface:
             return None
-        name = str(self._gltf.row("meshes", number).get("name") or node)
+        name = str(self._gltf.row("meshes", row["mesh"]).get("name") or node)
+        primitives = morphed(self._gltf, row, with_surface, self._notes, name)
         starts = np.cumsum([0] + [len(p.points) for p in primitives])
         indices = np.concatenate([p.triangles + at for p, at in zip(primitives, starts)])
         materials = [

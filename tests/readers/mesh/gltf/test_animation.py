@@ -88,7 +88,7 @@ def test_the_first_of_several_is_read_and_weights_are_not(tmp_path: Path) -> Non
     animation = read_animation(open_gltf(gltf_arm.write(tmp_path, made)), notes)
     assert animation.nodes == {3, 4}
     assert "only the first of 2 animations is read: wave" in notes.lines()
-    assert "weights of morph targets are ignored" in notes.lines()
+    assert "animated weights of morph targets are ignored" in notes.lines()
 
 
 BROKEN = {
