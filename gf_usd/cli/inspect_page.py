@@ -12,7 +12,7 @@ from rich.table import Table
 
 from gf_usd.cli.console import drops, frames_of, landing_of
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text, code_text, length_text, volume_text
+from gf_usd.core.units import bytes_text, code_text, length_text, number_text, volume_text
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -53,7 +53,7 @@ def show(seen: Inspection) -> None:
 
 def _facts(console: Console, seen: Inspection) -> None:
     f = seen.asset.facts
-    wide = " x ".join(f"{w:.3g}" for w in size(seen.asset))
+    wide = " x ".join(map(number_text, size(seen.asset)))
     codes, frames = f.time_codes_per_second, f.frames_per_second or f.time_codes_per_second
     rate = "no frame rate" if not frames else f"{frames:g} fps"
     if codes != frames:

@@ -124,8 +124,13 @@ def volume_text(cubic_meters: float) -> str:
     """A volume to three significant digits, in mm³, cm³ or m³; up to 1e9 m³ without an exponent."""
     small = (unit for unit in VOLUMES if cubic_meters < unit[0])
     _, scale, name = next(small, (math.inf, 1.0, "m³"))
-    text = f"{scale * cubic_meters:.3g}"
-    return f"{float(text):.0f} {name}" if 1e3 <= float(text) < 1e9 else f"{text} {name}"
+    return f"{number_text(scale * cubic_meters)} {name}"
+
+
+def number_text(value: float) -> str:
+    """A number to three significant digits; from 1000 to 1e9 without an exponent."""
+    text = f"{value:.3g}"
+    return f"{float(text):.0f}" if 1e3 <= abs(float(text)) < 1e9 else text
 
 
 def check_unit(meters_per_unit: float | None) -> None:

@@ -55,7 +55,7 @@ def with_hulls(asset: Asset) -> Asset:
             made.append(hull(splats, up))
         except InputError as error:
             raise InputError(f"{asset.facts.path}: {error.message}", error.hint) from error
-    notes = (*asset.facts.notes, *(f"{s.path}: {text}" for s, lines in made for text in lines))
+    notes = (*asset.facts.notes, *(f"<{s.path}>: {text}" for s, lines in made for text in lines))
     surfaces = (*asset.surfaces, *(surface for surface, _ in made))
     return replace(asset, surfaces=surfaces, splats=(), facts=replace(asset.facts, notes=notes))
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import ASSUMED, Asset
-from gf_usd.core.units import PLAUSIBLE
+from gf_usd.core.units import PLAUSIBLE, number_text
 
 HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
 UNIT = "--meters-per-unit"
@@ -33,7 +33,8 @@ def implausible_size(asset: Asset) -> str:
     # Of the units that fit, a tiny asset gets the largest and a huge one the first in the list.
     fitting = max(likely, default=None) if width < least else next(iter(likely), None)
     count = f"{units:.4g}"
-    measured = f"the asset is {width:.3g} m wide: {count} unit{'s' * (count != '1')} of {unit:g} m"
+    of_unit = f"unit{'s' * (count != '1')} of {unit:g} m"
+    measured = f"the asset is {number_text(width)} m wide: {count} {of_unit}"
     if fitting is None:
         return f"{measured}; check its unit ({UNIT})"
     return f"{measured}; with {UNIT} {fitting:g} it would be {units * fitting:.3g} m"

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterable
 
 from gf_usd.core.asset import ASSUMED, FILE, OPTION
+from gf_usd.core.units import number_text
 
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
 
@@ -94,7 +95,10 @@ def unit_and_axis(
     """
     chosen = ""
     if width and unit != 1.0:
-        chosen = f", which makes the body {width * unit:.3g} m wide instead of {width:.3g} m"
+        chosen = (
+            f", which makes the body {number_text(width * unit)} m wide instead of"
+            f" {number_text(width)} m"
+        )
     phrases = {
         OPTION: (f"metersPerUnit = {unit:g}, as requested", f"upAxis = {axis}, as requested"),
         ASSUMED: (

@@ -160,6 +160,9 @@ def test_an_odd_size_is_reported(gf_usd, here: Path, block: Path) -> None:
     assert "warning: the asset is 30 m wide" not in done.out, "30 m is the limit"
     done = gf_usd("bake", block, *SMALL, "--meters-per-unit", "2", "--dry-run")
     assert "warning: the asset is 60 m wide: 30 units of 2 m" in done.out
+    done = gf_usd("inspect", block, "--meters-per-unit", "40")
+    assert "; 200 x 200 x 1200 m" in done.out
+    assert "warning: the asset is 1200 m wide: 30 units of 40 m" in done.out
 
 
 def test_the_layer_of_a_mesh_file_is_listed(gf_usd, here: Path) -> None:

@@ -64,7 +64,7 @@ def test_a_file_without_a_unit_is_taken_to_be_of_a_plausible_size(tmp_path, edge
     facts = read_asset(path).facts
     assert (facts.units.meters_per_unit, facts.unit_from) == (unit, "assumed")
     (note,) = [note for note in facts.notes if "state no unit" in note]
-    chosen = f", which makes the body {edge * unit:.3g} m wide instead of {edge:.3g} m"
+    chosen = f", which makes the body {edge * unit:g} m wide instead of {edge:g} m"
     assert note.endswith(
         f"{unit:g} m per unit is assumed{chosen * (unit != 1.0)} (--meters-per-unit)"
     )
