@@ -262,6 +262,9 @@ class Pose:
     F: Floats  # (n, 3, 3) deformation gradient
 
 
+STRETCH = 4.0  # singular value of F: the share of a body with larger ones is measured
+
+
 @dataclass(frozen=True, kw_only=True)
 class Health:
     """What the solver measured during one frame."""
@@ -319,6 +322,8 @@ class Health:
     # volume
     expanded: float | None = None
     expanded_body: str | None = None
+    stretched: float | None = None  # largest share of a body's volume stretched above STRETCH
+    stretched_body: str | None = None  # prim path of that body; None: nothing is stretched so
 
     @property
     def dissipation(self) -> float:

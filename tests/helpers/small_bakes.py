@@ -30,6 +30,7 @@ HEALTH = {
     "inside_at_end_share", "inside_at_end_m", "inside_max_share", "inside_max_m",
     "outside_mesh_max_share", "outside_mesh_max_m", "outside_mesh",
     "expanded_volume", "expanded_body", "expanded_frame",
+    "stretched_share", "stretched_body", "stretched_frame",
     "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",
     "max_J", "min_stretch", "max_stretch", "inverted_particle_frames", "inverted_max",
     "inverted_at_end", "first_inverted_frame", "clamped_particle_frames", "clamped_share",
@@ -43,6 +44,7 @@ HEALTH = {
 FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_gain"} - {
     "plastic_dissipation", "conversion_dissipation", "converted", "inside_share", "inside_depth",
     "outside_share", "outside_depth", "outside_mesh", "expanded", "expanded_body",
+    "stretched", "stretched_body",
     "overlap_pair", "pierced", "pierced_through", "pierced_pair",
     "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
 }  # fmt: skip

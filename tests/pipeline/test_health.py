@@ -159,6 +159,9 @@ def test_totals_and_extremes() -> None:
         "expanded_volume": None,
         "expanded_body": None,
         "expanded_frame": None,
+        "stretched_share": None,
+        "stretched_body": None,
+        "stretched_frame": None,
         "penetration_at_end_spacings": pytest.approx(0.2),
         "resting_penetration_m": 0.02,
         "resting_penetration_spacings": pytest.approx(0.2),
@@ -235,6 +238,19 @@ def test_the_body_that_expanded_most() -> None:
     assert found == (1.3, "/B", 2)
     merged = merged_health(frames)
     assert (merged.max_J, merged.expanded, merged.expanded_body) == (4.0, 1.3, "/B")
+
+
+def test_the_body_that_was_stretched_most() -> None:
+    frames = [
+        Health(mass=1.0),
+        Health(max_stretch=9.0, stretched=0.1, stretched_body="/A"),
+        Health(max_stretch=4.0, stretched=0.3, stretched_body="/B"),
+    ]
+    out = log_of(frames).summary()
+    found = out["stretched_share"], out["stretched_body"], out["stretched_frame"]
+    assert found == (0.3, "/B", 2)
+    merged = merged_health(frames)
+    assert (merged.max_stretch, merged.stretched, merged.stretched_body) == (9.0, 0.3, "/B")
 
 
 def test_losses_are_no_gain() -> None:
@@ -351,7 +367,7 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     expected = set(Health.__dataclass_fields__) - {
         "plastic_dissipation", "conversion_dissipation", "converted", "settling_dissipation",
         "inside_share", "inside_depth", "outside_share", "outside_depth", "outside_mesh",
-        "expanded", "expanded_body",
+        "expanded", "expanded_body", "stretched", "stretched_body",
         "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
         "overlap_pair", "pierced", "pierced_through", "pierced_pair",
     }  # fmt: skip

@@ -61,6 +61,12 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(max_J=5.0, expanded=1.5, expanded_body="/A")),
         "</A> expanded to 1.5 times its volume in frame 1, single particles to 5 times theirs",
     ),
+    "stretched": (
+        summary(Health(max_stretch=21.0, stretched=0.02, stretched_body="/A")),
+        summary(Health(max_stretch=21.0, stretched=0.4, stretched_body="/A")),
+        "40 % of the volume of </A> was stretched more than 4-fold in frame 1, single particles"
+        " 21-fold; it is too soft",
+    ),
     "redone": (
         summary(*many(18), *many(2, rollbacks=1), **FLYING),
         summary(*many(17), *many(3, rollbacks=1), **FLYING),
@@ -234,6 +240,13 @@ def test_what_flows_without_limit_may_expand() -> None:
     wide = summary(Health(max_J=5.0, expanded=1.5, expanded_body="/A"))
     assert [w.about for w in health_warnings(wide, ["neoHookean"])] == ["expanded"]
     assert health_warnings(wide, ["neoHookean", "snow"]) == ()
+
+
+def test_what_is_plastic_may_stretch() -> None:
+    """Its F includes the flow, which stores no energy."""
+    long = summary(Health(max_stretch=21.0, stretched=0.4, stretched_body="/A"))
+    assert [w.about for w in health_warnings(long, ["neoHookean"])] == ["stretched"]
+    assert health_warnings(long, ["vonMises"]) == ()
 
 
 def test_lengths_of_large_bodies_are_in_meters() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import (
+    STRETCH,
     BakedFrame,
     Frame,
     GaussianPose,
@@ -143,7 +144,7 @@ class FrameBuilder:
                 points=pose.x, velocities=pose.v * s.time_scale, normals=normals
             )
         self._poses, self._x = poses, frame.particles.x
-        health = self._with_expanded(frame)
+        health = self._with_stretched(self._with_expanded(frame), frame)
         converted = self._converted(frame)
         if self._inside and self._inside.is_measured(frame.index):
             health = self._with_measures(health, self._inside.measure(frame.index, poses))
@@ -197,6 +198,19 @@ class FrameBuilder:
         )
         most = int(volume.argmax())
         return replace(health, expanded=float(volume[most]), expanded_body=self._bodies[most][0])
+
+    def _with_stretched(self, health: Health, frame: Frame) -> Health:
+        """The health of a frame, with the body of whose volume the largest share is stretched more
+        than STRETCH times.
+        """
+        if health.max_stretch <= STRETCH or not self._bodies:
+            return health
+        body, rest = self.solver.particles.body_of, self.solver.particles.V0
+        F = frame.particles.F
+        squared = np.linalg.eigvalsh(np.swapaxes(F, 1, 2) @ F)[:, -1]  # of the largest stretch
+        share = np.bincount(body, rest * (squared > STRETCH**2)) / np.bincount(body, rest)
+        most = int(share.argmax())
+        return replace(health, stretched=float(share[most]), stretched_body=self._bodies[most][0])
 
     def _with_measures(self, health: Health, found: Inside) -> Health:
         """Add the measured share inside a body and, for the last sample, the share outside the

@@ -109,6 +109,7 @@ class HealthLog:
             "min_J": min(f.min_J for f in h),
             "max_J": max(f.max_J for f in h),
             **self._expanded(),
+            **self._stretched(),
             "min_stretch": min(f.min_stretch for f in h),
             "max_stretch": max(f.max_stretch for f in h),
             "inverted_particle_frames": sum(f.inverted for f in h),
@@ -258,6 +259,15 @@ class HealthLog:
             "expanded_volume": f.expanded,
             "expanded_body": f.expanded_body,
             "expanded_frame": i if known else None,
+        }
+
+    def _stretched(self) -> dict[str, Any]:
+        """The body with the largest stretched share; None where no particle was stretched so."""
+        i, f = max(enumerate(self.frames), key=lambda one: one[1].stretched or 0.0)
+        return {
+            "stretched_share": f.stretched,
+            "stretched_body": f.stretched_body,
+            "stretched_frame": None if f.stretched is None else i,
         }
 
     def _inside(self) -> dict[str, Any]:
@@ -436,4 +446,6 @@ def merged_health(samples: Sequence[Health]) -> Health:
     values["overlap_pair"] = max(samples, key=lambda sample: sample.overlap).overlap_pair
     most = max(samples, key=lambda sample: sample.expanded or 0.0)
     values |= {"expanded": most.expanded, "expanded_body": most.expanded_body}
+    longest = max(samples, key=lambda sample: sample.stretched or 0.0)
+    values |= {"stretched": longest.stretched, "stretched_body": longest.stretched_body}
     return replace(samples[-1], **values)

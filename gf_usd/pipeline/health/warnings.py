@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from gf_usd.core.errors import counted
+from gf_usd.core.frames import STRETCH
 from gf_usd.core.materials.laws import LAWS
 
 HealthSummary = Mapping[str, Any]
@@ -42,6 +43,10 @@ SPARSE = 2.0  # flowing particles per grid cell: a layer of one spacing has four
 # single particles next to the pin; a ball of jelly that a pin shakes with 3 g has 1.48 (measured).
 # Small volumes are no fault: particles in creases have 0.13 to 0.3 in sound bakes.
 EXPANDED = 1.25
+# Share of the volume of a body that is stretched more than STRETCH-fold.  Ducks of jelly that fall
+# from 3 and 6 radii have none (their longest stretches are 3.2), one that hangs by its head has
+# 0.2, and a leaf of jelly that hangs by its stem 0.9 (measured with 1500 and 3100 particles).
+STRETCHED = 0.02
 ALTERED = 0.01  # of the particle-frames: the material no longer behaves as specified
 
 
@@ -155,6 +160,19 @@ def _expanded(h: HealthSummary) -> MessageAndHint:
         f" {h['expanded_frame']}, single particles to {h['max_J']:.2g} times theirs; solids do not"
         " expand like this",
         f"{_gentler(h)}, use a stiffer material, or pin a larger region of what is pinned",
+    )
+
+
+def _stretched(h: HealthSummary) -> MessageAndHint:
+    share = h.get("stretched_share")
+    if share is None or share <= STRETCHED or any(LAWS[law].flows for law in h[LAWS_OF]):
+        return None
+    return (
+        f"{100.0 * share:.2g} % of the volume of <{h['stretched_body']}> was stretched more than"
+        f" {STRETCH:g}-fold in frame {h['stretched_frame']}, single particles"
+        f" {h['max_stretch']:.3g}-fold; it is too soft for its own weight or its motion",
+        f"use a stiffer material (a preset in pascals for thin parts), {_gentler(h)}, or pin a"
+        " larger region of what is pinned",
     )
 
 
@@ -414,6 +432,7 @@ RULES: dict[str, Callable[[HealthSummary], MessageAndHint]] = {
     "energy": _energy,
     "inside-out": _inverted,
     "expanded": _expanded,
+    "stretched": _stretched,
     "redone": _rollbacks,
     "clamp": _clamped,
     "stress-cap": _capped,

@@ -119,7 +119,7 @@ def test_tables_read_what_there_is(tmp_path: Path) -> None:
     apart |= {"conversion_dissipation", "outside_share", "outside_depth", "outside_mesh"}
     apart |= {"overlap_pair"}  # a name
     apart |= {"pierced", "pierced_through", "pierced_pair"}  # in every sixth frame
-    apart |= {"expanded", "expanded_body"}
+    apart |= {"expanded", "expanded_body", "stretched", "stretched_body"}
     assert left == {"mass", "inside_share", "inside_depth", "planes", *apart}
 
 
