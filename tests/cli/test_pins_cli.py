@@ -131,7 +131,7 @@ def test_a_rigid_region_next_to_the_body_is_refused(arm: Path) -> None:
 @pytest.mark.parametrize(
     ("gravity", "warned"), [pytest.param(10, False, marks=pytest.mark.slow), (60, True)]
 )
-def test_a_body_that_expands_below_its_pin_is_warned_of(
+def test_a_body_that_expands_and_stretches_below_its_pin_is_warned_of(
     gf_usd, tmp_path: Path, gravity: float, warned: bool
 ) -> None:
     path = tmp_path / "ball.usda"
@@ -144,3 +144,6 @@ def test_a_body_that_expands_below_its_pin_is_warned_of(
     assert done.status == 0, done.err
     assert ("</Ball> expanded to" in done.err + done.out) == warned
     assert ("[expanded]" in done.err + done.out) == warned
+    # The largest stretches of particles are 2.3 and 9.7.
+    assert ("of the volume of </Ball> was stretched more" in done.err + done.out) == warned
+    assert ("[stretched]" in done.err + done.out) == warned
