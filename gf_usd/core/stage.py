@@ -396,6 +396,13 @@ class Pin:
     body: int | None = None  # the only body that it holds; None: any that is in the region
     meshes: frozenset[str] = frozenset()  # prim paths of meshes all of whose points move with it
 
+    def holds(self, X: Floats, body: Ints | None) -> NDArray[np.bool_]:
+        """(n,) which points X (n, 3) [m] at rest it holds; body : (n,) of each, None: all are 0."""
+        held = np.asarray(self.inside(X), bool)
+        if self.body is None:
+            return held
+        return held & (self.body == (np.zeros(len(X), np.int64) if body is None else body))
+
 
 @dataclass(frozen=True, kw_only=True)
 class FleshLimits:

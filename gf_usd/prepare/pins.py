@@ -28,12 +28,15 @@ def make_pins(
     *,
     rest: float | None,
     option: str = "--pin",
+    bodies: Ints | None = None,
 ) -> tuple[Pin, ...]:
     """The pins of each name: "box:x0,y0,z0,x1,y1,z1" [stage units], "paint:PRIMVAR", "joint:NAME"
     or a prim path.
 
     file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
     option : --pin, or --rigid for regions that move by the forces on them.
+    bodies : (S,) of each surface of the solid, for --rigid: a part of a surface is rigid in the
+        body of that surface only; None: there is one body.
 
     Raises UsageError for a box that is none, InputError for a prim that is none or has no surface,
     and for a region that holds nothing of the body.
@@ -75,8 +78,23 @@ def make_pins(
     found = [region for name in names for region in every[name]]
     for region in found:
         _require_overlap(region, asset, option)
-    make = make_rigid if option == "--rigid" else make_pin
-    return tuple(make(region, solid, asset.surfaces) for region in found)
+    if option == "--rigid":
+        return tuple(
+            replace(make_rigid(region, solid, asset.surfaces), body=_body_of(region, solid, bodies))
+            for region in found
+        )
+    return tuple(make_pin(region, solid, asset.surfaces) for region in found)
+
+
+def _body_of(region: Region, solid: Solid, bodies: Ints | None) -> int | None:
+    """The body of the surface that a region is a part of; None: it is a volume of its own.
+
+    bodies : (S,) of each surface.
+    """
+    part = region.kind == "patch" or any(region.name in group for group in solid.joined)
+    if bodies is None or not part:
+        return None
+    return int(bodies[solid.filled[region.body or region.name]])
 
 
 def attachment_pins(

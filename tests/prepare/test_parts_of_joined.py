@@ -32,17 +32,13 @@ def part(name: str, points: np.ndarray, triangles: np.ndarray, *lines: str) -> s
     )
 
 
-def split_ball(
-    folder: Path,
-    *more: str,
-    apis: tuple[str, ...] = (),
-    low: tuple[str, ...] = (),
-    borders: tuple[float, float] = (0.75, 1.25),
-    turned: float = 0.0,
-) -> Path:
-    """A ball about y = 1 m in three meshes above each other.
+def parts_of_ball(
+    borders: tuple[float, float] = (0.75, 1.25), turned: float = 0.0, low: tuple[str, ...] = ()
+) -> list[str]:
+    """A ball of radius 0.5 m about y = 1 m in three meshes above each other.
 
-    borders : heights [m] between them; turned : share of the faces whose winding is reversed.
+    borders : heights [m] between them; turned : share of the faces whose winding is reversed; low :
+    lines of the lowest.
     """
     ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
     welded = weld(ball.points)[0][ball.triangles]
@@ -51,12 +47,16 @@ def split_ball(
     welded = np.where(chosen[:, None], welded[:, ::-1], welded)
     rows = np.searchsorted(borders, middle)
     names = {"Low": low, "Middle": (), "High": ()}
-    parts = [
+    return [
         part(name, ball.points, welded[rows == k], *lines)
         for k, (name, lines) in enumerate(names.items())
     ]
+
+
+def split_ball(folder: Path, *more: str, apis: tuple[str, ...] = (), **parts: Any) -> Path:
+    """A stage of the ball of `parts_of_ball`, with more lines in the prim above its meshes."""
     path = folder / "ball.usda"
-    root = prim("Xform", "Ball", *more, *parts, apis=apis)
+    root = prim("Xform", "Ball", *more, *parts_of_ball(**parts), apis=apis)
     path.write_text(head(extra='defaultPrim = "Ball"') + root, encoding="utf-8")
     return path
 
@@ -198,3 +198,42 @@ def test_a_part_of_a_ball_is_what_it_encloses(tmp_path: Path, option: str) -> No
     X = np.asarray(plan.particles.X)
     held = plan.pins[0].inside(X)
     assert X[held][:, 1].max() == pytest.approx(X[~held][:, 1].min(), abs=plan.particles.spacing)
+
+
+def two_bodies(folder: Path, low: tuple[float, float, float], parts: list[str]) -> Path:
+    """A body of UsdPhysics in parts, and a cube of edge 0.8 m with a corner at `low` [m]."""
+    path = folder / "two.usda"
+    cube = part("Cube", 0.8 * CUBE_POINTS + low, CUBE_TRIANGLES)
+    bodies = [prim("Xform", name, *one, apis=BODY) for name, one in (("A", parts), ("B", [cube]))]
+    root = prim("Xform", "World", *bodies)
+    path.write_text(head(extra='defaultPrim = "World"') + root, encoding="utf-8")
+    return path
+
+
+def held_of(plan: Plan | None) -> np.ndarray:
+    """(2,) particles of each body that the first pin holds."""
+    assert plan is not None
+    body = plan.particles.body_of
+    return np.bincount(body[plan.pins[0].holds(plan.particles.X, body)], minlength=2)
+
+
+def test_a_conversion_of_a_part_leaves_an_overlapping_body_alone(tmp_path: Path) -> None:
+    """88 particles of the cube became honey: the part was the surface nearest to them."""
+    both = two_bodies(tmp_path, (-0.4, 1.3, -0.4), parts_of_ball())
+    plan = gf_usd.inspect(both, conversions="/World/A/High=honey@time:3", **SMALL).plan
+    assert plan is not None
+    (one,) = plan.particles.conversions
+    assert set(plan.particles.body_of[one.particles]) == {0}
+
+
+def test_a_rigid_part_leaves_other_bodies_alone(tmp_path: Path) -> None:
+    """All of the cube was rigid, 1 m away, and what of it overlapped a part of the ball."""
+    faces = [part(f"F{k}", CUBE_POINTS, CUBE_TRIANGLES[2 * k : 2 * k + 2]) for k in range(6)]
+    above = two_bodies(tmp_path, (0.1, 0.1, 2.0), faces)
+    mine, others = held_of(gf_usd.inspect(above, rigid=("/World/A/F1",), **SMALL).plan)
+    assert mine > 0
+    assert others == 0
+    overlapping = two_bodies(tmp_path, (-0.4, 1.3, -0.4), parts_of_ball())
+    mine, others = held_of(gf_usd.inspect(overlapping, rigid=("/World/A/High",), **SMALL).plan)
+    assert mine > 0
+    assert others == 0

@@ -390,7 +390,7 @@ def build_stencil(
     held = prescribed_nearby(pins, held, node_X, h)
     held = fully_prescribed(pins, held, mass, node_body, node_X)
     held = _without_other_limbs(held, pins, cells, rest, body)
-    region = _rigid_regions(pins, cells, rest, m, held)
+    region = _rigid_regions(pins, cells, rest, m, held, body)
     if region is not None:
         held = PinnedPoints(axes=np.where(region[:, None] >= 0, region[:, None], held.axes))
     solid = node_ijk[held.pin >= 0]
@@ -514,16 +514,16 @@ def _without_other_limbs(
 
 
 def _rigid_regions(
-    pins: Sequence[Pin], cells: _Cells, X: Floats, m: Floats, held: PinnedPoints
+    pins: Sequence[Pin], cells: _Cells, X: Floats, m: Floats, held: PinnedPoints, body: Ints
 ) -> Ints | None:
     """(M,) rigid pin of each node, -1: none; None without rigid pins.
 
-    X : (N, 3) [m] particles at rest; m : (N,) [kg].
+    X : (N, 3) [m] particles at rest; m : (N,) [kg]; body : (N,).
     """
     rigid = [k for k, pin in enumerate(pins) if pin.rigid]
     if not rigid:
         return None
-    masses = [cells.nodal_mass(m * pins[k].inside(X)) for k in rigid]
+    masses = [cells.nodal_mass(m * pins[k].holds(X, body)) for k in rigid]
     return region_of_nodes(masses, cells.nodal_mass(m), held.pin >= 0, rigid)
 
 

@@ -359,7 +359,7 @@ def with_soft_material(
     """
     if not regions:
         return particles
-    inside = np.any([np.asarray(pin.inside(particles.X), bool) for pin in regions], axis=0)
+    inside = np.any([pin.holds(particles.X, particles.body) for pin in regions], axis=0)
     flesh, stone = np.flatnonzero(~inside), np.flatnonzero(inside)
     if not len(flesh):
         raise InputError(

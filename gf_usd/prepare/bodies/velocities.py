@@ -30,7 +30,7 @@ def unpinned_animation_notes(
     for pin in pins:
         if pin.rigid:
             continue
-        mine = np.asarray(pin.inside(particles.X), bool)
+        mine = pin.holds(particles.X, particles.body)
         if not mine.any():  # a region may hold nodes of the grid only
             mine[np.argmin(np.linalg.norm(particles.X - pin.anchors.mean(0), axis=1))] = True
         held |= mine

@@ -57,7 +57,10 @@ def constrain(inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[P
         if filled.characters:
             meet_from = animation.lead(every, cycle * settings.samples_per_frame * repeats)
     names = [name for name in request.listed("rigid") if name not in flesh.rigid]
-    found += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
+    found += make_pins(
+        names, asset, solid, every, file, rest=request.start, option="--rigid",
+        bodies=filled.bodies.of_surface,
+    )  # fmt: skip
     return Constraints(
         pins=tuple(found), flesh=flesh, cycle=cycle, meet_from=meet_from,
         attachment_notes=(*notes, *_ignored_attachment_notes(inputs, shot)),

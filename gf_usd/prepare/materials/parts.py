@@ -50,18 +50,23 @@ def in_regions(slot: Ints, particles: Particles, parts: Sequence[MaterialPart], 
 
 
 def part_of_particles(solid: Solid, particles: Particles, parts: Sequence[MaterialPart]) -> Ints:
-    """(N,) part of each particle: of the nearest surface, or of the nearest face's subset."""
-    out = np.asarray(particles.surface).copy()
+    """(N,) part of each particle: of its surface, or of the subset of that surface's nearest face.
+
+    Surfaces of other bodies that overlap its own may be nearer, but do not count.
+    """
+    surface = np.asarray(particles.surface)
+    out = surface.copy()
     divided = {slot.surface for slot in parts if slot.subset}
     if not divided:
         return out
     from gf_usd.geometry.surface import nearest
 
-    at = nearest(solid, particles.X)
     of_triangle = part_of_triangles(solid, parts)
     for k in divided:
-        mine = np.flatnonzero(at.surface == k)
-        out[mine] = of_triangle[k][at.triangle[mine]]
+        mine = np.flatnonzero(surface == k)
+        if len(mine):
+            at = nearest(solid.part(np.array([k])), particles.X[mine])
+            out[mine] = of_triangle[k][at.triangle]
     return out
 
 
