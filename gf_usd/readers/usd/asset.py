@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pxr import Sdf, Usd, UsdGeom
@@ -28,6 +28,7 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
 from gf_usd.readers.usd.stage import (
     SkippedPrim,
+    composition_errors,
     open_stage,
     reading,
     require_saved,
@@ -187,7 +188,7 @@ def _note_other_variants(
     """
     roots = [root.GetPath() for root in found.roots]
     above = dict.fromkeys(path for prim in baked for path in prim.GetPath().GetPrefixes())
-    known: dict[tuple[Sdf.Path, str], tuple[list[str], int]] = {}
+    known: dict[tuple[Sdf.Path, str], _Variants] = {}
     left = MOST_VARIANTS
     for path in above:
         prim = stage.GetPrimAtPath(path)
@@ -198,19 +199,35 @@ def _note_other_variants(
                 within = [root for root in roots if root.HasPrefix(path)] or [path]
                 below = [one for one in baked if one.GetPath().HasPrefix(path)]
                 mine = _meshes(stage, within, time, named) if others[:left] else set()
-                unlike = [
-                    variant
-                    for variant in others[:left]
-                    if (other := _with_variant(stage, prim, name, variant, within))
-                    and (
+                unlike, broken = [], {}
+                for variant in others[:left]:
+                    other = _with_variant(stage, prim, name, variant, within)
+                    errors = composition_errors(other)
+                    fault = next((e for e in errors if e not in composition_errors(stage)), "")
+                    if fault:
+                        broken[variant] = fault
+                    elif (
                         _has_other_faces(below, other, time)
                         or _meshes(other, within, time, named) - mine
-                    )
-                ]
-                known[key] = unlike, len(others[left:])
+                    ):
+                        unlike.append(variant)
+                known[key] = _Variants(unlike=unlike, broken=broken, uncompared=len(others[left:]))
                 left -= len(others[:left])
-            if any(known[key]):
-                notes.add(_variants_text(prim, name, *known[key]), str(path))
+            if known[key].any:
+                notes.add(_variants_text(prim, name, known[key]), str(path))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Variants:
+    """The other variants of a set that a note names."""
+
+    unlike: Sequence[str]  # that the baked points do not fit
+    broken: Mapping[str, str]  # the error of each that does not compose
+    uncompared: int
+
+    @property
+    def any(self) -> bool:
+        return bool(self.unlike or self.broken or self.uncompared)
 
 
 def _shared_path(prim: Usd.Prim) -> Sdf.Path:
@@ -220,8 +237,9 @@ def _shared_path(prim: Usd.Prim) -> Sdf.Path:
     return (prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath()
 
 
-def _variants_text(prim: Usd.Prim, name: str, unlike: Sequence[str], uncompared: int) -> str:
+def _variants_text(prim: Usd.Prim, name: str, others: _Variants) -> str:
     """The note on variants that the baked points do not fit, and on those not compared."""
+    unlike, uncompared = others.unlike, others.uncompared
     one = prim.GetVariantSets().GetVariantSet(name)
     chosen = one.GetVariantSelection()
     if chosen not in one.GetVariantNames():
@@ -232,6 +250,8 @@ def _variants_text(prim: Usd.Prim, name: str, unlike: Sequence[str], uncompared:
             f", and the motion does not fit {', '.join(unlike)}, with other meshes or faces: for"
             f" {'it' if len(unlike) == 1 else 'each'}, bake a layer that selects it"
         )
+    for variant, error in others.broken.items():
+        text += f"; {variant} does not compose and was not compared: {error}"
     if uncompared:
         text += (
             f"; {counted(uncompared, 'other variant')} {'was' if uncompared == 1 else 'were'} not"
@@ -268,17 +288,15 @@ def _may_change_meshes(spec: Sdf.PrimSpec) -> bool:
 
 def _with_variant(
     stage: Usd.Stage, prim: Usd.Prim, name: str, variant: str, within: Sequence[Sdf.Path]
-) -> Usd.Stage | None:
-    """The prims `within` of the stage with a variant; None where that does not compose."""
+) -> Usd.Stage:
+    """The prims `within` of the stage with a variant."""
     session = Sdf.Layer.CreateAnonymous(".usda")
     session.TransferContent(stage.GetSessionLayer())
     for instance in instances_above(prim):
         Sdf.CreatePrimInLayer(session, instance.GetPath()).SetInfo("instanceable", False)
     Sdf.CreatePrimInLayer(session, prim.GetPath()).variantSelections[name] = variant
     mask = Usd.StagePopulationMask(list(within))
-    other = Usd.Stage.OpenMasked(stage.GetRootLayer(), session, mask)
-    same = set(map(str, stage.GetCompositionErrors()))
-    return None if set(map(str, other.GetCompositionErrors())) - same else other
+    return Usd.Stage.OpenMasked(stage.GetRootLayer(), session, mask)
 
 
 def _has_other_faces(baked: Sequence[Usd.Prim], other: Usd.Stage, time: Usd.TimeCode) -> bool:

@@ -142,11 +142,16 @@ def _require_rates(path: Path, layer: Sdf.Layer) -> None:
                 )
 
 
+def composition_errors(stage: Usd.Stage) -> list[str]:
+    """The first line of each error."""
+    return [plain_parse_error(_first_line(_text(e))) for e in stage.GetCompositionErrors()]
+
+
 def require_composed(stage: Usd.Stage, path: Path) -> None:
     """Raise InputError for a stage with a layer that does not exist or is damaged."""
-    for error in stage.GetCompositionErrors():
+    for error in composition_errors(stage):
         raise InputError(
-            f"{path} does not compose: {_first_line(_text(error))}",
+            f"{path} does not compose: {error}",
             "if it is a bake, move its root layer, its cache and its asset together, and write a"
             " damaged file again; if it is an asset, bake it first with gf-usd bake",
         )
@@ -170,8 +175,8 @@ def stage_facts(
     codes, frames = (
         float(_metadata(stage, key)) if stage.HasAuthoredMetadata(key) else None for key in RATES
     )
-    for error in stage.GetCompositionErrors():
-        notes.add(f"does not compose: {_first_line(_text(error))}")
+    for error in composition_errors(stage):
+        notes.add(f"does not compose: {error}")
     default = stage.GetDefaultPrim()
     if root.HasDefaultPrim() and not default:
         notes.add(

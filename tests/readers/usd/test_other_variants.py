@@ -135,11 +135,19 @@ def test_a_level_of_detail_that_is_hidden_counts(tmp_path: Path) -> None:
     assert len(found(path)) == 1
 
 
-def test_a_variant_that_does_not_compose_is_not_compared(tmp_path: Path) -> None:
+def test_a_variant_that_does_not_compose_is_named(tmp_path: Path) -> None:
+    """Nothing said that it was not compared."""
     missing = 'def Mesh "Geo" (references = @missing.usda@) {\n}'
-    assert found(stage(tmp_path, geo(BOX), missing)) == []
+    path = stage(tmp_path, geo(BOX), missing, geo(FINE))
+    (note,) = found(path)
+    assert "does not fit v2, with" in note
+    assert "; v1 does not compose and was not compared: " in note
+    assert "missing.usda" in note
+    assert "\n" not in note
     (tmp_path / "missing.usda").write_text("#usda 1.0\nnonsense", encoding="utf-8")
-    assert found(stage(tmp_path, geo(BOX), missing)) == []
+    (note,) = found(stage(tmp_path, geo(BOX), missing))
+    assert "; v1 does not compose and was not compared: " in note
+    assert "missing.usda" in note
 
 
 def test_looks_are_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
