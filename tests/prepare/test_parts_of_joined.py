@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from physics_stages import head, prim
+from physics_stages import bound, head, prim
 from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
 
 import gf_usd
@@ -28,17 +28,20 @@ def part(name: str, points: np.ndarray, triangles: np.ndarray, *lines: str) -> s
         f"int[] faceVertexIndices = {renumbered.ravel().tolist()}",
         f"point3f[] points = [{', '.join(str(tuple(p)) for p in points[used].tolist())}]",
         *lines,
-        apis=("PhysicsMassAPI", "GaussianFleshBakeAPI") if lines else (),
+        apis=("PhysicsMassAPI", "GaussianFleshBakeAPI", "MaterialBindingAPI") if lines else (),
     )
 
 
 def parts_of_ball(
-    borders: tuple[float, float] = (0.75, 1.25), turned: float = 0.0, low: tuple[str, ...] = ()
+    borders: tuple[float, float] = (0.75, 1.25),
+    turned: float = 0.0,
+    low: tuple[str, ...] = (),
+    rest: tuple[str, ...] = (),
 ) -> list[str]:
     """A ball of radius 0.5 m about y = 1 m in three meshes above each other.
 
-    borders : heights [m] between them; turned : share of the faces whose winding is reversed; low :
-    lines of the lowest.
+    borders : heights [m] between them; turned : share of the faces whose winding is reversed;
+    low : lines of the lowest; rest : of the others.
     """
     ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
     welded = weld(ball.points)[0][ball.triangles]
@@ -46,7 +49,7 @@ def parts_of_ball(
     chosen = np.random.default_rng(0).random(len(welded)) < turned
     welded = np.where(chosen[:, None], welded[:, ::-1], welded)
     rows = np.searchsorted(borders, middle)
-    names = {"Low": low, "Middle": (), "High": ()}
+    names = {"Low": low, "Middle": rest, "High": rest}
     return [
         part(name, ball.points, welded[rows == k], *lines)
         for k, (name, lines) in enumerate(names.items())
@@ -59,6 +62,14 @@ def split_ball(folder: Path, *more: str, apis: tuple[str, ...] = (), **parts: An
     root = prim("Xform", "Ball", *more, *parts_of_ball(**parts), apis=apis)
     path.write_text(head(extra='defaultPrim = "Ball"') + root, encoding="utf-8")
     return path
+
+
+def whole_and_notes(file: Path, **options: Any) -> tuple[bool, str]:
+    """Whether the ball is filled as a whole, and the notes."""
+    seen = gf_usd.inspect(file, **SMALL, **options)
+    assert seen.plan is not None
+    whole = abs(seen.plan.particles.volume / BALL - 1.0) < 0.03
+    return whole, "\n".join(seen.notes)
 
 
 def converted(plan: Plan | None) -> np.ndarray:
@@ -237,3 +248,93 @@ def test_a_rigid_part_leaves_other_bodies_alone(tmp_path: Path) -> None:
     mine, others = held_of(gf_usd.inspect(overlapping, rigid=("/World/A/High",), **SMALL).plan)
     assert mine > 0
     assert others == 0
+
+
+MATERIALS = [
+    prim("Material", name, f"float physics:density = {value}", apis=("PhysicsMaterialAPI",))
+    for name, value in (("Wood", 500), ("Pine", 500), ("Iron", 8000))
+]
+HARD = prim(
+    "Material", "Hard", "float physics:youngsModulus = 1e5", "float physics:poissonsRatio = 0.3",
+    apis=("PhysicsMaterialAPI", "PhysicsDeformableMaterialAPI"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("float physics:density = 500",),
+        (bound("/Ball/Wood"),),
+        (bound("/Ball/Hard"),),
+        ('uniform token gaussianFlesh:material = "jelly"',),
+    ],
+)
+def test_parts_of_one_material_are_one_body(tmp_path: Path, lines: tuple[str, ...]) -> None:
+    """Outside a body of UsdPhysics they were refused as open."""
+    ball = split_ball(tmp_path, *MATERIALS, HARD, low=lines, rest=lines)
+    whole, notes = whole_and_notes(ball)
+    assert whole
+    assert "not filled" not in notes
+
+
+def test_materials_of_the_same_values_are_one(tmp_path: Path) -> None:
+    low, rest = (bound("/Ball/Pine"),), (bound("/Ball/Wood"),)
+    assert whole_and_notes(split_ball(tmp_path, *MATERIALS, low=low, rest=rest))[0]
+
+
+@pytest.mark.parametrize(
+    ("low", "rest", "why"),
+    [
+        (bound("/Ball/Iron"), bound("/Ball/Wood"), "the physics material of </Ball/Middle> is"),
+        ("float physics:density = 500", "float physics:density = 7", "the mass or density of </"),
+        (
+            'uniform token gaussianFlesh:material = "jelly"',
+            'uniform token gaussianFlesh:material = "rubber"',
+            "the gaussianFlesh:material of </Ball/Middle> is rubber, and that of </Ball/Low> is je",
+        ),
+        (
+            f"float[] primvars:gaussianFlesh:youngsModulus = {185 * [1e5]}"
+            ' (interpolation = "vertex")',
+            "",
+            "</Ball/Low> has painted values",
+        ),
+    ],
+)
+def test_parts_of_different_materials_are_named(
+    tmp_path: Path, low: str, rest: str, why: str
+) -> None:
+    """Of two materials without elasticity the ball had that of the largest part, without a word."""
+    ball = split_ball(tmp_path, *MATERIALS, low=(low,), rest=(rest,) if rest else ())
+    whole, notes = whole_and_notes(ball)
+    assert not whole
+    assert "not filled as one body" in notes
+    assert why in notes
+
+
+def test_the_refusal_of_parts_of_different_mass_says_why(tmp_path: Path) -> None:
+    mass = ("float physics:mass = 1",)
+    seen = gf_usd.inspect(split_ball(tmp_path, low=mass, rest=mass), **SMALL)
+    assert seen.refusal is not None
+    assert "is 1 kg (of </Ball/Middle>), and that of </Ball/Low> is 1" in seen.refusal.message
+    assert "state the same physics" in seen.refusal.hint
+
+
+SLIDING = (
+    "float3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 3: (1, 0, 0) }",
+    'uniform token[] xformOpOrder = ["xformOp:translate"]',
+)
+
+
+def test_flesh_says_that_it_joins_no_meshes(tmp_path: Path) -> None:
+    """It listed their holes only."""
+    seen = gf_usd.inspect(split_ball(tmp_path, *SLIDING), flesh=True, particles=400)
+    assert seen.refusal is not None
+    assert "meshes are not joined with flesh" in seen.refusal.message
+    assert seen.refusal.hint.startswith("merge them")
+
+
+def test_a_repair_of_parts_that_are_not_joined_says_so(tmp_path: Path) -> None:
+    mass = ("float physics:mass = 1",)
+    whole, notes = whole_and_notes(split_ball(tmp_path, low=mass, rest=mass), repair=True)
+    assert not whole
+    assert "not filled as one body" in notes

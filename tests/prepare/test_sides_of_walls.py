@@ -179,3 +179,15 @@ def test_meshes_of_different_advised_materials_are_no_wall(tmp_path: Path) -> No
     seen = seen_of(tmp_path, steel, foam, material="auto")
     assert seen.plan is not None
     assert {one.material for one in seen.plan.advice} == {"metal", "foam"}
+
+
+@pytest.mark.parametrize("repair", [False, True])
+def test_a_count_of_the_inner_side_is_that_of_the_wall(tmp_path: Path, repair: bool) -> None:
+    """It was ignored, and there were 8000."""
+    inner = ball("Inner", 0.8, inward=True)
+    inner = inner.replace("uniform", "uniform int gaussianFlesh:particles = 400\nuniform", 1)
+    path = stage(tmp_path, ball("Outer", 1.0), inner)
+    plan = inspect(path, repair=repair).plan
+    assert plan is not None
+    spacing = np.cbrt(plan.particles.volume / 400)
+    assert plan.particles.spacing == pytest.approx(spacing, rel=0.01)

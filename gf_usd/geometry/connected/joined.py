@@ -37,7 +37,7 @@ class Joined:
         """One on each group."""
         return tuple(
             f"{len(paths)} meshes share borders and enclose a volume only together: they are filled"
-            f" as one body: {_listed(paths)}"
+            f" as one body: {listed(paths)}"
             for paths in self.groups
         )
 
@@ -59,7 +59,8 @@ def _with_surfaces(asset: Asset, made: Mapping[str, Surface | None]) -> Asset:
     return replace(asset, surfaces=tuple(s for s in kept if s is not None))
 
 
-def _listed(paths: Sequence[str]) -> str:
+def listed(paths: Sequence[str]) -> str:
+    """Prim paths for a message; of many, the first."""
     more = len(paths) - MOST_LISTED
     return ", ".join(f"<{path}>" for path in paths[:MOST_LISTED]) + (
         f" and {more} more" if more > 0 else ""

@@ -17,7 +17,7 @@ import numpy as np
 from gf_usd.core.arrays import triple
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Choices, Settings
-from gf_usd.core.stage import PhysicsMaterialSpec, Pin, StageSpec, Triple
+from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare.bodies.cages import cage_notes
 from gf_usd.prepare.bodies.characters import without_props
 from gf_usd.prepare.bodies.contact import (
@@ -54,6 +54,7 @@ from gf_usd.prepare.fill.notes import (
     not_filled_notes,
     paper_notes,
 )
+from gf_usd.prepare.fill.parts import Parts, of_their_own, one_thing
 from gf_usd.prepare.fill.shot import Length, plan_length, plan_shot
 from gf_usd.prepare.materials.assign import Assigned
 from gf_usd.prepare.materials.densities import implausible_densities
@@ -99,13 +100,13 @@ def fill(
     unit = asset.facts.units.length
     paper = request.preset == "paper"
     in_scene = file is not None and not request.flesh
-    apart, alike = _parts_of_bodies(spec)
     if in_scene:
-        asset = without_room_parts(asset, repair=repair, bodies=_of_their_own(spec))
+        asset = without_room_parts(asset, repair=repair, bodies=of_their_own(spec))
     build = partial(
         build_meshes, repair=repair, resolution=resolution_function(request, spec, unit),
-        paper=paper, apart=apart if in_scene else None, alike=alike, known=known,
-        one_thing=partial(_one_thing, asset, spec) if in_scene else None,
+        paper=paper, parts=Parts(spec) if in_scene else None,
+        flesh=request.flesh, known=known,
+        one_thing=partial(one_thing, asset, spec) if in_scene else None,
     )  # fmt: skip
     meshes = build(asset, built=built)
     if request.flesh and file is not None:
@@ -196,54 +197,6 @@ def fill(
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid
-
-
-def _one_thing(asset: Asset, spec: StageSpec, one: str, two: str) -> bool:
-    """Whether an inner and an outer mesh are of one physics body, component and material of the
-    stage.
-    """
-
-    def of(path: str) -> tuple[str, str | None, str, PhysicsMaterialSpec]:
-        body, bake, advice = spec.bodies.get(path), spec.bakes.get(path), spec.advice.get(path)
-        return (
-            body.owner if body else "",
-            bake.material if bake else None,
-            advice.material if advice else "",
-            body.spec if body else PhysicsMaterialSpec(),
-        )
-
-    inner = spec.bodies.get(one)
-    if one in spec.painted or (inner and inner.subsets):  # values that the outer mesh cannot have
-        return False
-    component = {s.path: s.component for s in asset.surfaces if s.path in (one, two)}
-    return len(set(component.values())) == 1 and of(one) == of(two)
-
-
-def _of_their_own(spec: StageSpec) -> set[str]:
-    """Paths of meshes with physics of their own, which one surface of several could not keep."""
-    bodies = {
-        body.path
-        for body in spec.physics.bodies
-        if body.owner or body.mass_of or body.material or body.subsets or body.density is not None
-    }
-    own = bodies | set(spec.painted) | {path for path, bake in spec.bakes.items() if bake.material}
-    advised = {one.material for one in spec.advice.values()}
-    return own | set(spec.advice) if len(advised) > 1 else own
-
-
-def _parts_of_bodies(spec: StageSpec) -> tuple[set[str], Callable[[str, str], bool]]:
-    """Paths of meshes that are no part of another, and whether two others may be parts of one.
-
-    Meshes of one physics body may, where the stage states the same of them.
-    """
-    bodies = {
-        path: replace(body, path="", density_of="")
-        for path, body in spec.bodies.items()
-        if body.owner and not body.subsets and body.moving is None
-    }
-    alone = replace(spec, physics=replace(spec.physics, bodies=()))
-    others = _of_their_own(alone) | (_of_their_own(spec) - bodies.keys())
-    return others, lambda one, two: bodies.get(one) == bodies.get(two)
 
 
 def _floor_notes(floating: bool, asset: Asset, poses: Poses | None) -> tuple[str, ...]:

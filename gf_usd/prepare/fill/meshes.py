@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import signed_volume
 
 if TYPE_CHECKING:
@@ -16,11 +17,14 @@ if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
     from gf_usd.geometry.repair import Repairs
     from gf_usd.geometry.solid import Solid
+    from gf_usd.prepare.fill.parts import Parts
     from gf_usd.prepare.settings import Resolution
 
 Volumes = Callable[[], Mapping[tuple[str, ...], float]]  # see `stated_spacing`
 ResolutionOf = Callable[[Volumes], "Resolution"]
 OneThing = Callable[[str, str], bool]  # whether two prim paths may be sides of one wall
+WITH_FLESH = "meshes are not joined with --flesh"
+JOIN_HINT = "{}merge them into one mesh whose common points are welded"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +41,7 @@ class FilledMeshes:
     def volumes(self) -> dict[tuple[str, ...], float]:
         """[m^3] of its closed surfaces, by the prim paths of their meshes."""
         closed = zip(self.solid.surfaces, self.solid.triangles, strict=True)
-        return _volumes(closed, self.solid.joined)
+        return _volumes(closed, _with_inner_sides(self.solid.joined, self.solid.walls))
 
 
 def _volumes(
@@ -45,7 +49,7 @@ def _volumes(
 ) -> dict[tuple[str, ...], float]:
     """[m^3] of surfaces with their triangles (T, 3), by the prim paths of their meshes.
 
-    groups : prim paths of meshes that were joined; the first is that of their surface.
+    groups : prim paths of meshes that are one surface; the first is that of the surface.
     """
     parts = {group[0]: group for group in groups}
     return {
@@ -54,14 +58,27 @@ def _volumes(
     }
 
 
+def _with_inner_sides(
+    joined: Sequence[tuple[str, ...]], outer: Mapping[str, str]
+) -> tuple[tuple[str, ...], ...]:
+    """Groups of joined meshes with the inner sides of their walls, and those of other walls.
+
+    outer : of each inner side; the outer side is the first of its group.
+    """
+    groups = {group[0]: group for group in joined}
+    for inner, host in outer.items():
+        groups[host] = (*groups.get(host, (host,)), inner)
+    return tuple(groups.values())
+
+
 def build_meshes(
     asset: Asset,
     *,
     repair: bool,
     resolution: ResolutionOf,
     paper: bool,
-    apart: Collection[str] | None = None,
-    alike: OneThing | None = None,
+    parts: Parts | None = None,
+    flesh: bool = False,
     one_thing: OneThing | None = None,
     known: Sequence[Diagnosis] = (),
     built: Solid | None = None,
@@ -69,8 +86,8 @@ def build_meshes(
     """The meshes of an asset and their solid.  Raises InputError where they cannot be filled.
 
     resolution : see `repair_for_fill`; paper : whether the fill is that of the paper.
-    apart, alike : paths of meshes that are filled by themselves, and whether two others may be
-        parts of one (see `joined_surfaces`); apart None: all are filled by themselves.
+    parts : which meshes may be parts of one (see `joined_surfaces`); None: all are filled by
+        themselves, for --flesh if `flesh`.
     one_thing : see `find_walls`; None: no two meshes are sides of one wall.
     known : result of `diagnose` for the surfaces, if available.
     built : the solid without `repair`, if available.
@@ -84,28 +101,47 @@ def build_meshes(
     oriented, turned = consistently_oriented_asset(asset)
     if built and not repair:
         return FilledMeshes(asset=oriented, solid=built)
-    joined = Joined(asset=oriented) if apart is None else joined_surfaces(oriented, apart, alike)
+    joined = Joined(asset=oriented)
+    if parts is not None:
+        joined = joined_surfaces(oriented, parts.apart, parts.alike)
     sides = find_walls(joined.asset, one_thing) if one_thing else Walls()
     # a repair makes the winding consistent itself, and counts what it turns
     groups = joined.groups
     whole = with_walls(joined_alike(asset, joined) if repair else joined.asset, sides)
     walls, joined = sides.with_parts(joined)
+    why_not = parts.why_not if parts is not None else lambda _: WITH_FLESH if flesh else ""
 
     def made(filled: Asset) -> Solid:
-        solid = build_solid(filled, repaired=repair)
+        try:
+            solid = build_solid(filled, repaired=repair)
+        except InputError as refused:
+            not_joined = _not_joined(oriented, groups, why_not)
+            if not not_joined:
+                raise
+            hint = JOIN_HINT.format("" if flesh else "state the same physics of them, or ")
+            raise InputError("\n".join((refused.message, *not_joined)), hint) from refused
         embedded = (*solid.embedded, *walls.embedded)
         return replace(solid, embedded=embedded, walls=walls.outer)
 
     if repair:
         display, filled, repairs, spacing = repair_for_fill(
-            whole, resolution, paper=paper, groups=groups
+            whole,
+            resolution,
+            paper=paper,
+            groups=_with_inner_sides(joined.groups, walls.outer),
         )
+        thickened = any(one.thickened for one in repairs)
         return FilledMeshes(
             asset=_as_authored(display, asset, walls, joined),
             solid=built or replace(made(filled), joined=joined.groups),
-            notes=(*notes(repairs), *joined.notes, *walls.notes),
+            notes=(
+                *notes(repairs),
+                *joined.notes,
+                *walls.notes,
+                *(_not_joined(oriented, groups, why_not) if thickened else ()),
+            ),
             repairs=tuple(repairs),
-            thickened=any(one.thickened for one in repairs),
+            thickened=thickened,
             spacing=spacing,
         )
     solid = replace(made(whole), joined=joined.groups)
@@ -116,8 +152,30 @@ def build_meshes(
         *(tolerated_defects(diagnosis) for diagnosis in diagnoses),
         lost_volume_warning(diagnoses, solid.volume, solid.adding_nothing),
     )
-    notes_on = (*turned, *joined.notes, *filter(None, defects), *walls.notes)
+    left = {path for path, _ in solid.embedded} - walls.outer.keys()
+    not_joined = _not_joined(oriented, groups, why_not) if left else ()
+    notes_on = (*turned, *joined.notes, *not_joined, *filter(None, defects), *walls.notes)
     return FilledMeshes(asset=oriented, solid=solid, notes=notes_on)
+
+
+def _not_joined(
+    asset: Asset, groups: Sequence[tuple[str, ...]], why_not: Callable[[Sequence[str]], str]
+) -> tuple[str, ...]:
+    """A line on each group of meshes that enclose a volume only together, and were not joined.
+
+    groups : of those that were; why_not : the reason for prim paths, "": none is known.
+    """
+    from gf_usd.geometry.connected.joined import joined_surfaces, listed
+
+    known = [set(group) for group in groups]
+    left = (group for group in joined_surfaces(asset).groups if set(group) not in known)
+    found = ((group, why_not(group)) for group in left)
+    return tuple(
+        f"{listed(group)} share borders and enclose a volume only together, but are not filled as"
+        f" one body: {reason}"
+        for group, reason in found
+        if reason
+    )
 
 
 def _as_authored(repaired: Asset, asset: Asset, walls: Walls, joined: Joined) -> Asset:
@@ -144,7 +202,7 @@ def repair_for_fill(
     given.
 
     resolution : the requested one, for the volumes of the repaired surfaces.
-    groups : prim paths of meshes that were joined; the first is that of their surface.
+    groups : prim paths of meshes that are one surface; the first is that of the surface.
     """
     from gf_usd.geometry.repair import repair_asset
     from gf_usd.geometry.thin.thicken import thicken_asset, thicken_to_count
