@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import igl
 import numpy as np
 from scipy.sparse import coo_matrix
 
@@ -37,6 +38,11 @@ OFF_EDGE = 0.01  # of the way to the centroid of a triangle
 RAYS = 64  # of a part, for its thickness
 CLEAR_OF_WALL = 0.05  # [walls] offset from its surface for an unambiguous inside test
 VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
+WHOLE = ("empty", "few", "thin")  # kinds of whole shells
+# A shell that is apart from the others is a speck below these shares of the diagonal of all shells,
+# and of their volume.
+SPECK, SPECK_VOLUME = 0.1, 1e-3
+APART = 0.25  # [spacings] from other shells: bodies that are nearer count as touching
 SENSIBLE = 2_000_000  # particles: the greatest number that is suggested
 # Of the box's diagonal: below it a thickness is the rounding error of the volume of loose faces.
 LOOSE = 1e-9
@@ -58,6 +64,7 @@ class Part:
     rays: tuple[Floats, Floats]  # points (n, 3) [m] of its surface, and normals
     within: Floats  # (n,) [m] lengths of these rays in a whole shell by itself; nan: of a region
     thickness: float = 0.0  # [m] median along rays inward: the diameter of a rod
+    speck: bool = False  # a whole shell that is small and apart from all others, as noise of scans
 
     @property
     def size(self) -> float:
@@ -89,13 +96,56 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
         settled |= {(number, part.shell) for part in found}
         settled |= {(number, shell) for shell in hollow}
     parts += _poor_regions(solid, labels, settled, particles, samples)
-    parts = _with_thickness(solid, parts)
+    parts = _with_thickness(solid, _with_specks(solid, labels, parts, particles.spacing))
     return tuple(sorted(parts, key=lambda part: -part.size))
 
 
 def suggestion(parts: tuple[Part, ...]) -> int | None:
-    """The greatest number of particles that is suggested for a part; None where there is none."""
-    return max((part.suggested for part in parts if part.suggested), default=None)
+    """The greatest number of particles that is suggested for a part; None where there is none.
+
+    Specks do not count: they would ask for many times as many, and are hardly meant.
+    """
+    return max((p.suggested for p in parts if p.suggested and not p.speck), default=None)
+
+
+def _with_specks(
+    solid: Solid, labels: Sequence[Ints], parts: Sequence[Part], spacing: float
+) -> list[Part]:
+    """The parts, where specks are marked.
+
+    labels : (T,) shell of each triangle, for each surface; spacing : [m] of the particles.
+    """
+    longest = float(np.linalg.norm(solid.high - solid.low))
+    small = [
+        p.kind in WHOLE
+        and p.size < SPECK * longest
+        and 0.5 * p.wall * p.area < SPECK_VOLUME * solid.volume
+        for p in parts
+    ]
+    rows = {(p.path, p.shell): k for k, p in enumerate(parts) if small[k]}
+    ends, owner, rest, points = [], [], [], []
+    first = 0
+    for surface, triangles, label in zip(solid.surfaces, solid.triangles, labels, strict=True):
+        row = np.array([rows.get((surface.path, k), -1) for k in range(label.max() + 1)])[label]
+        corners = triangles[row >= 0]
+        ends.append(surface.points[corners].reshape(-1, 3))
+        owner.append(np.repeat(row[row >= 0], 3))
+        rest.append(triangles[row < 0] + first)
+        points.append(surface.points)
+        first += len(surface.points)
+    X, others = np.concatenate(ends), np.concatenate(rest)
+    if not len(X) or not len(others):
+        return list(parts)
+    center = X.mean(0)
+    squared = igl.point_mesh_squared_distance(
+        X - center, np.concatenate(points) - center, others.astype(np.int64)
+    )[0]
+    gap = np.full(len(parts), np.inf)
+    np.minimum.at(gap, np.concatenate(owner), np.sqrt(np.asarray(squared).reshape(-1)))
+    return [
+        replace(part, speck=bool(small[k] and gap[k] > APART * spacing))
+        for k, part in enumerate(parts)
+    ]
 
 
 def _poor_shells(

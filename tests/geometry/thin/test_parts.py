@@ -173,3 +173,38 @@ def test_the_thickness_of_an_end_of_a_shell_is_its_diameter() -> None:
     found = parts_of(surface(mesh.vertices, mesh.faces, "/Body"), particles=300)
     spine = max(found, key=lambda part: part.high[2])
     assert spine.thickness == pytest.approx(0.06, rel=0.02)
+
+
+SMALL_CUBE = cube(low=(2.0, 0.0, 0.0), edge=0.1)  # 0.02 % of the volume of the ball
+
+
+def test_a_speck_apart_from_the_rest_does_not_set_the_number() -> None:
+    """One speck of noise in a scan suggested 270,000 particles."""
+    found = parts_of(shells_of(sphere(), SMALL_CUBE), particles=2000)
+    assert [(p.shell, p.speck) for p in found] == [(1, True)]
+    assert found[0].suggested is not None
+    assert suggestion(found) is None
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        cube(low=(0.98, -0.05, -0.05), edge=0.1),
+        cube(low=(1.01, -0.05, -0.05), edge=0.1),
+        cube(low=(2.0, 0.0, 0.0), edge=(0.6, 0.05, 0.05)),
+    ],
+    ids=["overlaps", "touches", "long"],
+)
+def test_what_is_near_or_long_is_no_speck(other) -> None:
+    found = parts_of(shells_of(sphere(), other), particles=2000)
+    assert [p.speck for p in found if p.shell == 1] in ([False], [])
+    assert not any(p.speck for p in found)
+
+
+def test_thin_parts_set_the_number_beside_specks() -> None:
+    rod = cube(low=(0.5, -0.1, -0.1), edge=(1.5, 0.05, 0.05))
+    alone = parts_of(shells_of(sphere(), rod), particles=2000)
+    both = parts_of(shells_of(sphere(), rod, SMALL_CUBE), particles=2000)
+    assert [p.shell for p in both if p.speck] == [2]
+    assert suggestion(alone) is not None
+    assert suggestion(both) == pytest.approx(suggestion(alone), rel=0.1)
