@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from typing import Any
 
 import typer
+
+from gf_usd.core.errors import did_you_mean, meant
 
 # The base class of the parser's errors, of a value or of a command line.
 WrongUsage: Any = typer.BadParameter.__mro__[1]
@@ -55,10 +56,10 @@ def usage_message(error: Any, command: str = "gf-usd") -> str:
         return f"{option} {needs}\n\nhint: {command} --help shows its form"
     if (extra := EXTRA.search(message)) is not None:
         return f"{command} does not take {extra[1]} as well\n\nhint: {_fewer(context)}"
-    message, _, meant = message.partition(" Did you mean ")
-    meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""
+    message, _, one = message.partition(" Did you mean ")
+    guess = meant([one.strip(chr(39) + "?")] if one else [])
     message = f"{message[:1].lower()}{message[1:].rstrip('.')}"
-    return f"{message}\n\nhint: {meant}see {command} --help"
+    return f"{message}\n\nhint: {guess}see {command} --help"
 
 
 def _word(parameter: Any) -> str:
@@ -104,5 +105,4 @@ def _flags_of_bake() -> set[str]:
 
 def _nearest(option: str, context: Any) -> str:
     known = [flag for p in context.command.params for flag in (*p.opts, *p.secondary_opts)]
-    close = difflib.get_close_matches(option, known, n=1)
-    return f"did you mean {close[0]}? " if close else ""
+    return did_you_mean(option, known)

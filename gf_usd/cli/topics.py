@@ -5,12 +5,11 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Annotated
 
 import typer
 
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, did_you_mean
 
 TOPICS: dict[str, tuple[str, str]] = {
     "start": ("the first bake, in order", """\
@@ -93,8 +92,7 @@ def topic(
         )
         return
     if about not in TOPICS:
-        close = difflib.get_close_matches(about, TOPICS, n=1)
-        guess = f"did you mean {close[0]}? " if close else ""
+        guess = did_you_mean(about, TOPICS)
         raise UsageError(
             f"unknown topic {about!r}", f"{guess}topics are {', '.join(TOPICS)}; {OF_COMMANDS}"
         )

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
+
+SIMILAR = 0.6  # least similarity of a name that a hint gives, by difflib's ratio of equal letters
 
 # As USD writes it: the rule of the grammar in C++, possibly a template with others as arguments.
 PARSE_ERROR = re.compile(r"parse error matching (?:\w+::)*(\w+)(<.*?>)?(?= at '|$)")
@@ -12,6 +18,25 @@ PARSE_ERROR = re.compile(r"parse error matching (?:\w+::)*(\w+)(<.*?>)?(?= at '|
 def counted(count: int, one: str, many: str = "") -> str:
     """A number with its noun, "1 frame" or "2 frames"; many : a plural that is not one with s."""
     return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def similar(name: str, known: Iterable[str], *, most: int = 1) -> list[str]:
+    """Up to `most` of the known names that are similar to one, nearest first, in upper or lower
+    case.
+    """
+    by_lower = {one.lower(): one for one in known}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=most, cutoff=SIMILAR)
+    return [by_lower[one] for one in close]
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The start of a hint, "did you mean NAME? ", or "" where no known name is similar."""
+    return meant(similar(name, known))
+
+
+def meant(names: Sequence[str]) -> str:
+    """The start of a hint at names, "did you mean NAME or OTHER? "; "" for none."""
+    return f"did you mean {' or '.join(names)}? " if names else ""
 
 
 def plain_parse_error(text: str) -> str:
@@ -60,6 +85,17 @@ class InputError(GfUsdError):
     """The input was refused (exit status 3); nothing was written."""
 
     exit_status = 3
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Context whose InputErrors name a file, where they do not yet."""
+    try:
+        yield
+    except InputError as refused:
+        if str(path) in refused.message:
+            raise
+        raise InputError(f"{path}: {refused.message}", refused.hint) from refused
 
 
 class SchemaTooLate(GfUsdError):

@@ -7,14 +7,13 @@ not be at rest in any frame, and the values are smooth functions of the material
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, did_you_mean
 from gf_usd.core.units import code_text
 from gf_usd.fitting.observation import Observation, Scene, TrackedPoints, vertices_as_points
 from gf_usd.fitting.targets import SIGMA, TargetSpec
@@ -221,8 +220,7 @@ def figure_named(name: str) -> Figure:
     """The figure of a name.  Raises UsageError for an unknown name."""
     if name in FIGURES:
         return FIGURES[name]
-    close = difflib.get_close_matches(name, FIGURES, n=1)
-    guess = f"did you mean {close[0]}? " if close else ""
+    guess = did_you_mean(name, FIGURES)
     raise UsageError(f"unknown figure {name!r}", f"{guess}choose one of {', '.join(FIGURES)}")
 
 

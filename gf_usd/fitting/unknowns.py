@@ -10,7 +10,6 @@ Steps, priors and singular values refer to these coordinates, which lie in 0..1.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, did_you_mean
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.material import Material
@@ -105,8 +104,7 @@ def unknowns(
     ]
     for name in (*requested, *bounds_by_name):
         if name not in allowed:
-            close = difflib.get_close_matches(name, [*allowed, *SHORT_NAMES], n=1)
-            guess = f"did you mean {close[0]}? " if close else ""
+            guess = did_you_mean(name, [*allowed, *SHORT_NAMES])
             raise UsageError(
                 f"{name} cannot be fitted for {material.name}, whose law is {material.law}",
                 f"{guess}choose one of {', '.join(allowed)}",

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, meant, similar
 from gf_usd.readers.formats import SUFFIXES, USD, Format, format_of
 from gf_usd.system.atomic_files import require_utf8
 
@@ -146,6 +145,6 @@ def _near(path: Path) -> str:
     names = [p.name for p in path.parent.iterdir() if _is_candidate(p)]
     # a suffix in common makes no names similar
     stems = sorted({Path(name).stem for name in names})
-    near = difflib.get_close_matches(path.stem, stems, n=3)
+    near = similar(path.stem, stems, most=3)
     close = [name for stem in near for name in sorted(names) if Path(name).stem == stem][:3]
-    return f"did you mean {' or '.join(close)}? otherwise " if close else ""
+    return f"{meant(close)}otherwise " if close else ""

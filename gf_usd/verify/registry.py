@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import time
 from collections.abc import Iterator, Sequence
 
-from gf_usd.core.errors import SolverError, UsageError
+from gf_usd.core.errors import SolverError, UsageError, did_you_mean
 from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
     drop,
@@ -98,8 +97,7 @@ def select(names: Sequence[str] = ()) -> tuple[Case, ...]:
     cases_by_name = {case.name: case for case in CASES}
     for name in names:
         if name not in cases_by_name:
-            close = difflib.get_close_matches(name, cases_by_name, n=1, cutoff=0.5)
-            guess = f"did you mean {close[0]}? " if close else ""
+            guess = did_you_mean(name, cases_by_name)
             raise UsageError(f"there is no case {name!r}", f"{guess}gf-usd verify --list shows all")
     return tuple(case for case in CASES if not names or case.name in names)
 

@@ -8,7 +8,7 @@ import pickle
 import pytest
 
 from gf_usd.core import errors
-from gf_usd.core.errors import GfUsdError, counted
+from gf_usd.core.errors import GfUsdError, counted, did_you_mean, meant, similar
 
 RAISED = [
     *(kind("it is wrong", "mend it") for kind in (GfUsdError, errors.UsageError, errors.BakeError)),
@@ -39,3 +39,24 @@ def test_an_error_passes_between_processes(error: GfUsdError) -> None:
         assert type(same) is type(error)
         assert vars(same) == vars(error)
         assert (str(same), same.args) == (str(error), error.args)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("ruber", "did you mean rubber? "),
+        ("RUBBER", "did you mean rubber? "),
+        ("/ball/low", "did you mean /Ball/Low? "),
+        ("granite", ""),
+    ],
+)
+def test_hints_name_what_is_similar(name: str, hint: str) -> None:
+    """Each of fourteen places compared names in its own way, some with regard to case."""
+    assert did_you_mean(name, ["rubber", "metal", "/Ball/Low"]) == hint
+
+
+def test_several_similar_names_are_nearest_first() -> None:
+    found = similar("ball", ["Balls", "Ball", "bell", "cube"], most=3)
+    assert found == ["Ball", "Balls", "bell"]
+    assert meant(found[:2]) == "did you mean Ball or Balls? "
+    assert meant([]) == ""

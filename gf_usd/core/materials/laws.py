@@ -6,11 +6,10 @@ formulas are in the module of gf_usd.physics.laws that the row names.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, did_you_mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,7 +307,5 @@ def check_law(law: str) -> str:
     """The law's token; UsageError where there is none of that name."""
     if law in LAWS:
         return law
-    tokens = {token.lower(): token for token in LAWS}
-    close = difflib.get_close_matches(law.lower(), tokens, n=1)
-    guess = f"did you mean {tokens[close[0]]}? " if close else ""
+    guess = did_you_mean(law, LAWS)
     raise UsageError(f"there is no law {law!r}", f"{guess}choose one of {', '.join(LAWS)}")

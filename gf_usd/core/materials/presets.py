@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, replace
 
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, did_you_mean
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, DimensionlessPreset
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.physical import PHYSICAL, PhysicalPreset
@@ -40,8 +39,7 @@ def find_preset(name: str) -> Preset:
     known = presets()
     if name in known:
         return known[name]
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    guess = f"did you mean {close[0]}? " if close else ""
+    guess = did_you_mean(name, known)
     raise UsageError(
         f"there is no material {name!r}",
         f"{guess}choose one of {', '.join(known)} (gf-usd materials shows them),"

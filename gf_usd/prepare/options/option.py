@@ -8,13 +8,12 @@ name, the type and the default, the `Option` gives the rest.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, Field, dataclass, fields, replace
 from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_origin
 
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, did_you_mean
 from gf_usd.core.units import positive
 from gf_usd.prepare.options import values
 
@@ -120,9 +119,8 @@ class Option:
 
 
 def _choose(option: Option, value: str) -> str:
-    close = difflib.get_close_matches(value.lower(), option.choices, n=1)
-    if close and option.choices[2:]:
-        return f"did you mean {close[0]}? choose one of {', '.join(option.choices)}"
+    if option.choices[2:] and (guess := did_you_mean(value, option.choices)):
+        return f"{guess}choose one of {', '.join(option.choices)}"
     *others, last = option.choices
     if not others:
         return f"the only {option.name} is {last}"

@@ -6,12 +6,11 @@ so they are not strings.
 Nothing here loads NumPy, because ``gf-usd --help`` imports this module.
 """
 
-import difflib
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, did_you_mean, meant
 from gf_usd.prepare.options import texts, values
 from gf_usd.prepare.options.option import BAKE, BATCH, Option, command_arguments, rows, table
 from gf_usd.prepare.options.sweep import parse_sweep
@@ -471,9 +470,8 @@ def nearest(name: str, known: Collection[str]) -> str:
     bare = name.lstrip("-").replace("-", "_").lower()
     flags = {row.flag[2:].replace("-", "_"): row.name for row in OPTIONS.values()}
     if flags.get(bare) in known:
-        return f"did you mean {flags[bare]}? "
-    close = difflib.get_close_matches(bare, known, n=1)
-    return f"did you mean {close[0]}? " if close else ""
+        return meant([flags[bare]])
+    return did_you_mean(bare, known)
 
 
 def arguments(given: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
@@ -13,7 +12,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Texture
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.errors import InputError, UsageError, did_you_mean
 from gf_usd.core.scene import (
     Bounds,
     Camera,
@@ -427,13 +426,12 @@ def _select_variant(stage: Usd.Stage, path: Path, variant: str) -> None:
     sets = [prim.GetVariantSet(VARIANTS) for prim in stage.GetPseudoRoot().GetChildren()]
     known = sorted({name for variant_set in sets for name in variant_set.GetVariantNames()})
     if variant not in known:
-        close = difflib.get_close_matches(variant, known, n=1)
-        guess = f"did you mean {close[0]}? " if close else ""
         listed = (
             f"choose one of {', '.join(known)}"
             if known
             else "it has no variants: leave out --variant"
         )
+        guess = did_you_mean(variant, known)
         raise UsageError(f"{path} has no variant {variant!r}", f"{guess}{listed}")
     stage.SetEditTarget(stage.GetSessionLayer())
     for variant_set in sets:

@@ -7,7 +7,6 @@ change a transform under baked points.  Such instances are skipped (`hidden_opin
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from pxr import Pcp, Sdf, Usd, UsdGeom
 
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, meant, similar
 from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.solids.points import is_body
 from gf_usd.readers.usd.stage import SPLAT_TYPE, is_bake_particles
@@ -25,6 +24,7 @@ PROXIES = Usd.TraverseInstanceProxies()
 BAKED_PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 # Reasons for skipping a prim: in full, by prefix, and by suffix.
 INVISIBLE, PURPOSE, REPEATED = "invisible", "purpose ", ": its instances are not made soft"
+OF_BAKE = " are the particles of a bake"
 PROXY = f"{PURPOSE}proxy"
 KINDS = ": only meshes, solid shapes, points and splats are made soft"
 
@@ -185,7 +185,7 @@ def _skip_reason(prim: Usd.Prim, time: Usd.TimeCode) -> str:
     name = str(prim.GetTypeName())
     if is_bake_particles(prim):
         what = "Gaussians" if name == SPLAT_TYPE else "points"
-        return f"these {what} are the particles of a bake"
+        return f"these {what}{OF_BAKE}"
     if prim.IsA(UsdGeom.Points):
         if not is_body(prim, time):
             return "Points without widths and without physics are not a body"
@@ -227,9 +227,9 @@ def named_prim(
     every = sensible(Usd.PrimRange.Stage(stage, PROXIES))
     leaf = name.rsplit("/", 1)[-1]
     close = [p for p in every if p.rsplit("/", 1)[-1] == leaf][:3]
-    close += [p for p in difflib.get_close_matches(name, every, n=3) if p not in close]
+    close += [p for p in similar(name, every, most=3) if p not in close]
     if close:
-        hint = f"did you mean {' or '.join(close)}?"
+        hint = meant(close).strip()
     else:
         parent = _nearest(stage, wanted)
         while known is not None and parent.GetParent() and parent.GetPath() not in known:

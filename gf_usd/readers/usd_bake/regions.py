@@ -6,7 +6,6 @@ the faces all of whose points have a weight of at least `HALF`.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts, first_time_code
-from gf_usd.core.errors import InputError, counted
+from gf_usd.core.errors import InputError, counted, meant, similar
 from gf_usd.core.stage import Region
 from gf_usd.readers.usd.mesh import has_surface, posed_points, read_surface
 from gf_usd.readers.usd.select import PROXIES, named_prim
@@ -146,8 +145,7 @@ def _without_weights(
     """
     kind = PAINT if name.startswith(PAINT) else JOINT
     bare = name.removeprefix(kind).removeprefix("primvars:")
-    leaves = {one.rpartition("/")[2].lower(): one.rpartition("/")[2] for one in known}
-    close = difflib.get_close_matches(bare.lower(), leaves, n=1)
+    close = similar(bare, (one.rpartition("/")[2] for one in known))
     count = counted(len(meshes), "mesh has", "meshes have")
     if not bare.strip():
         what = "primvar" if kind == PAINT else "joint"
@@ -180,8 +178,8 @@ def _without_weights(
                     f"<{prim.GetPath()}> has {bare} as {other.GetTypeName()} with the"
                     f" interpolation {other.GetInterpolation()}"
                 )
-    if close and leaves[close[0]] != bare:
-        hint = f"did you mean {kind}{leaves[close[0]]}?"
+    if close and close[0] != bare:
+        hint = meant([f"{kind}{close[0]}"]).strip()
     return InputError(f"{where}: {message}", hint)
 
 

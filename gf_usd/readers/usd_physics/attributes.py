@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from pxr import Usd
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, did_you_mean
 
 
 def authored(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
@@ -59,9 +58,8 @@ def word(
     value = authored(prim, name, time)
     if value is None or (isinstance(value, str) and value in known):
         return value
-    close = difflib.get_close_matches(str(value), known, n=1)
-    guess = f"did you mean {close[0]}? " if close else ""
     shown = ", ".join(one for one in known if one)
+    guess = did_you_mean(str(value), known)
     raise invalid_value(path, prim, name, value, f"{guess}author one of {shown}")
 
 
