@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from gf_usd.prepare.plan import Plan
 
 
+COARSE = "coarse-mesh"
+TOUCHES = 1e-3  # [spacings] from the floor: a body this near rests on it
+
+
 def show_plan(
     prepared: Prepared, *, max_hours: float, as_json: bool = False, err: bool = False
 ) -> None:
@@ -33,7 +37,7 @@ def show_plan(
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
-    drop = f"{d['drop_m']:.3g} m" if drops(prepared.plan) else "none"
+    drop = drop_of(prepared.plan, f"{d['drop_m']:.3g} m", "none")
     too_long = d["estimated_seconds"] > 3600.0 * max_hours
     lines = [
         f"{d['source']}: {counted(len(d['bodies']), 'mesh', 'meshes')}, {d['volume_m3']:.4g} m^3,"
@@ -58,6 +62,16 @@ def drops(plan: Plan) -> bool:
     """Whether a body falls onto a floor; bodies held by bones or pins do if they were lifted."""
     held = plan.held or plan.goals is not None
     return plan.settings.floor is not None and (any(plan.settings.lift) or not held)
+
+
+def drop_of(plan: Plan, text: str, none: str) -> str:
+    """The text of a drop, or that there is none, and where the bodies are then."""
+    if not drops(plan):
+        return none
+    if plan.drop > TOUCHES * plan.particles.spacing:
+        return text
+    deep = plan.drop < -TOUCHES * plan.particles.spacing
+    return f"{none}: it starts {'in' if deep else 'on'} the floor"
 
 
 def landing_of(plan: Plan, cost: Mapping[str, Any]) -> str:
@@ -330,6 +344,7 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
         lines += [
             f"warning: {bake.variant}: {c.message} [{c.about}]\n  hint: {c.hint}"
             for c in bake.warnings
+            if not (c.about == COARSE and plan.coarse)  # which was a note before the bake
         ]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from gf_usd.cli.console import drops, frames_of, landing_of
+from gf_usd.cli.console import drop_of, frames_of, landing_of
 from gf_usd.core.errors import counted
 from gf_usd.core.units import bytes_text, code_text, length_text, number_text, volume_text
 from gf_usd.geometry.diagnosis import faults
@@ -137,7 +137,7 @@ def _body(console: Console, seen: Inspection) -> None:
         return
     p, s = plan.particles, plan.settings
     forecast = {"frames": s.frames, **cost}
-    drop = f"drop {length_text(plan.drop)}" if drops(plan) else "no drop"
+    drop = drop_of(plan, f"drop {length_text(plan.drop)}", "no drop")
     console.print(
         f"\n{len(p)} particles, {length_text(p.spacing)} apart, fill {volume_text(p.volume)}"
         f" (as much as a ball of radius {length_text(p.radius)}); {frames_of(forecast)} at"
@@ -191,16 +191,36 @@ def _parts(console: Console, seen: Inspection) -> None:
         table.add_column(title)
     table.add_column("would need", justify="right")
     unit = seen.asset.facts.units.length
-    for part in seen.parts[:MOST_PARTS]:
-        table.add_row(*_part(part, unit))
+    parts = [part for part in seen.parts if not part.speck]
+    specks = [part for part in seen.parts if part.speck]
     console.print()
+    if specks:
+        console.print(_specks_text(specks))
+    if not parts:
+        return
+    for part in parts[:MOST_PARTS]:
+        table.add_row(*_part(part, unit))
     console.print(table)
-    if len(seen.parts) > MOST_PARTS:
-        console.print(f"and {len(seen.parts) - MOST_PARTS} more (--json lists all)")
+    if len(parts) > MOST_PARTS:
+        console.print(f"and {len(parts) - MOST_PARTS} more (--json lists all)")
     console.print("such parts contain few particles or none, and may be too stiff", end="")
     needed = suggestion(seen.parts)
-    which = "all but the thinnest" if any(p.suggested is None for p in seen.parts) else "them"
+    which = "all but the thinnest" if any(p.suggested is None for p in parts) else "them"
     console.print(f"; --particles {needed} would fill {which}" if needed else "")
+
+
+def _specks_text(specks: Sequence[Part]) -> str:
+    """What is said of specks, the largest of which is the first."""
+    count, one = len(specks), specks[0]
+    size = f"{'up to ' if count > 1 else ''}{length_text(one.size)} large"
+    where = f"shell {one.shell} of {escape(one.path)}" + (
+        f" and {count - 1} more" if count > 1 else ""
+    )
+    return (
+        f"{counted(count, 'speck')}, {size}, {'is' if count == 1 else 'are'} apart from the rest"
+        f" and too small for the spacing ({where}): delete {'it' if count == 1 else 'them'} from"
+        f" the mesh if {'it is' if count == 1 else 'they are'} noise of a scan"
+    )
 
 
 def _part(part: Part, unit: float) -> Sequence[str]:

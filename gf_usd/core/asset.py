@@ -69,6 +69,7 @@ class StageFacts:
     animated: bool = False  # a layer of it holds time samples
     says_physics: bool = False  # a UsdPhysics scene or API is authored on the stage
     baked_prim: str | None = None  # a root prim with the variants of a bake
+    baked_from: str = ""  # the asset of that bake, as its command names it
     notes: tuple[str, ...] = ()  # assumptions and omissions
 
     @property
@@ -79,15 +80,20 @@ class StageFacts:
     def require_not_baked(self) -> None:
         """Raise InputError where the stage is the result of a bake."""
         if self.baked_prim is not None:
-            raise baked_already(self.path, self.baked_prim)
+            raise baked_already(self.path, self.baked_prim, self.baked_from)
 
 
-def baked_already(path: Path, prim: str) -> InputError:
-    """The refusal of a stage whose root prim has the variants of a bake."""
+def baked_already(path: Path, prim: str, asset: str = "") -> InputError:
+    """The refusal of a stage whose root prim has the variants of a bake of an asset."""
     return InputError(
         f"{path}: <{prim}> already has a variant set {BAKES!r}: this file is the result of a bake",
-        "bake the original asset instead",
+        bake_original(asset),
     )
+
+
+def bake_original(asset: str) -> str:
+    """A hint at the asset of a bake; "": it is not known."""
+    return f"bake the original asset{f', {asset},' if asset else ''} instead"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,9 @@ body        particles, spacing, volume_m3, radius, frames, fps, start, drop, fir
             particles_across the former
 parts       poorly filled: path, shell, kind (empty | few | thin | bare region | thin region),
             center, size, thickness (median: of a rod, its diameter), particles,
-            suggested_particles; none where faults of a mesh cost much of the fill
-suggested_particles     a total that fills all parts that a sensible number fills
+            suggested_particles, speck (small and apart from all others); none where faults of
+            a mesh cost much of the fill
+suggested_particles     a total that fills all parts that a sensible number fills, without specks
 materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
             substeps (expected in all), damping_ratio (of the grid's stiffest vibration),
             critical_damping_time ([s] of all materials, with which that ratio is 1;
@@ -35,7 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,14 @@ from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.fill.inputs import repair_asset_for_fill
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
-from gf_usd.prepare.prepare import parse_request, read_stage, reading, would_fill
+from gf_usd.prepare.prepare import (
+    ROOT,
+    parse_request,
+    read_stage,
+    reading,
+    with_neighbors,
+    would_fill,
+)
 from gf_usd.system.sandbox import Limits
 
 
@@ -245,6 +253,7 @@ def _part(part: Part) -> dict[str, Any]:
         "thickness": part.thickness,
         "particles": part.particles,
         "suggested_particles": part.suggested,
+        "speck": part.speck,
     }
 
 
@@ -290,7 +299,13 @@ def inspect(
             asset, request, found.presets, law, files, found.file, spec=spec, repair=repair,
             known=seen.diagnoses,
         )  # fmt: skip
-    except InputError as refusal:
+    except InputError as refused:
+        refusal = refused
+        if prims and not request.flesh:
+            everything = partial(
+                reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
+            )
+            refusal = with_neighbors(refused, asset, everything)
         warnings = [implausible_size(asset)]
         mendable = not repair and not would_fill(asset)
         if mendable and would_fill(repair_asset_for_fill(asset, request, spec)[1]):

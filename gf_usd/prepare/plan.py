@@ -64,8 +64,8 @@ class Plan:
     notes: tuple[str, ...]
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     repairs: tuple[Repairs, ...] = ()  # of --repair, one for each mesh that it may change
+    coarse: str = ""  # which of its meshes have faces too long to bend, if any; one of the notes
     heavy: str = ""  # which of its densities no solid has, if any
-    heavy_by: str = ""  # what states that: density | mass
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
     cycle: int = 0  # frames of a period that is repeated before it is written; 0: none is

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
+ROOT = "/"  # the path above all prims
 DEFAULT_MATERIAL = "rubber"  # where neither an option nor the stage gives one
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
@@ -113,9 +115,17 @@ def prepare(
     if files.is_package:
         require_packable(found.file, source)
     asset = found.asset
-    plan, solid = fill(
-        asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
-    )
+    try:
+        plan, solid = fill(
+            asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
+        )
+    except InputError as refused:
+        if not prims or request.flesh:
+            raise
+        everything = partial(
+            reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
+        )
+        raise with_neighbors(refused, asset, everything) from refused
     if once_filled:
 
         def refill(spacing: float) -> Plan:
@@ -297,6 +307,34 @@ def reading(
         time_code=request.start, elastic=_elastic(presets), bind_pose=request.flesh,
         fps=request.fps, max_edge_length=longest, edges_for=count,
     )  # fmt: skip
+
+
+def with_neighbors(
+    refused: InputError, asset: Asset, everything: Callable[[], Reading]
+) -> InputError:
+    """The refusal of an asset with the meshes of its stage that close its open ones, if there are.
+
+    everything : starts to read all of the stage.
+    """
+    from gf_usd.geometry.connected.joined import joined_surfaces, listed
+
+    mine = {s.path for s in asset.surfaces}
+    if would_fill(asset):
+        return refused
+    try:
+        with everything() as read:
+            stage = read.result().asset
+    except InputError:  # of prims that were not named: those named are what is refused
+        return refused
+    for group in joined_surfaces(stage).groups:
+        named, others = ([p for p in group if (p in mine) == own] for own in (True, False))
+        if named and others:
+            what = listed(others)
+            one = "encloses" if len(named) == 1 else "enclose"
+            message = f"{refused.message}\n{listed(named)} {one} a volume together with {what}"
+            hint = "name those meshes as well (--prim), or a prim above all of them"
+            return InputError(message, hint)
+    return refused
 
 
 def would_fill(asset: Asset) -> bool:

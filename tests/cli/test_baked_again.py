@@ -10,7 +10,7 @@ import pytest
 SMALL = ("--particles", "300", "--frames", "3")
 REFUSAL = (
     "error: block.rubber.usda: </World> already has a variant set 'gaussianFlesh': "
-    "this file is the result of a bake\n\nhint: bake the original asset instead\n"
+    "this file is the result of a bake\n\nhint: bake the original asset, {}, instead\n"
 )
 
 
@@ -21,17 +21,37 @@ def baked(gf_usd, here: Path, block: Path) -> str:
     return "block.rubber.usda"
 
 
-def test_the_result_of_a_bake_is_refused_before_work(gf_usd, baked: str) -> None:
+def test_the_result_of_a_bake_is_refused_before_work(gf_usd, baked: str, block: Path) -> None:
     done = gf_usd("bake", baked, *SMALL)
-    assert (done.status, done.out, done.err) == (3, "", REFUSAL)
+    assert (done.status, done.out, done.err) == (3, "", REFUSAL.format(block.name))
 
 
-def test_inspect_refuses_the_result_of_a_bake(gf_usd, baked: str) -> None:
+def test_inspect_refuses_the_result_of_a_bake(gf_usd, baked: str, block: Path) -> None:
     done = gf_usd("inspect", baked, *SMALL)
-    assert (done.status, done.out, done.err) == (3, "", REFUSAL)
+    assert (done.status, done.out, done.err) == (3, "", REFUSAL.format(block.name))
     report = json.loads(gf_usd("inspect", baked, *SMALL, "--json").out)
     assert report["bakeable"] is False
     assert "is the result of a bake" in report["refusal"]["message"]
+
+
+def test_the_cache_of_a_bake_is_refused_with_the_name_of_its_asset(
+    gf_usd, baked: str, block: Path
+) -> None:
+    """The hint was to give it a mesh."""
+    cache = Path(baked.replace(".usda", ".cache.usdc"))
+    for command in ("bake", "inspect"):
+        done = gf_usd(command, cache, *SMALL)
+        assert (done.status, done.out) == (3, "")
+        assert done.err.endswith(f"\n\nhint: bake the original asset, {block.name}, instead\n")
+    Path(baked).unlink()
+    done = gf_usd("bake", cache, *SMALL)
+    assert done.err.endswith("\n\nhint: bake the original asset instead\n")
+
+
+def test_a_spacing_above_the_asset_is_refused_with_its_file(gf_usd, block: Path) -> None:
+    done = gf_usd("bake", block, "--spacing", "900")
+    assert done.status == 3
+    assert done.err.startswith(f"error: {block}: only 0 particles fit at a spacing of 9 m")
 
 
 def test_the_result_of_a_bake_can_be_an_obstacle(gf_usd, baked: str, block: Path) -> None:

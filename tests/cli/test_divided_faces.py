@@ -77,6 +77,17 @@ def test_a_coarse_mesh_is_warned_of_and_a_divided_one_is_not(cube: Path) -> None
 
 
 @pytest.mark.slow
+def test_long_faces_are_told_of_once(gf_usd, cube: Path) -> None:
+    """A note says it before the bake; the report has the warning of what was measured."""
+    words = ("-m", "jelly", "--particles", "600", "--frames", "24", "--drop", "3")
+    done = gf_usd("bake", cube, *words)
+    assert done.status == 0
+    assert done.err.count("note: faces of </World/Cube> (edges up to") == 1
+    assert "coarse-mesh" not in done.out + done.err
+    assert "coarse-mesh" in Path("cube.jelly.report.json").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
 def test_the_layer_is_used_again_for_the_same_and_refused_for_another(cube: Path) -> None:
     options = {**OPTIONS, "frames": 2}
     bake(cube, **options, max_edge_length=0.5)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+import trimesh
 
 DUCK = Path(__file__).parents[2] / "samples" / "duck.usda"
 FEW = ["--particles", "300", "--frames", "3"]
@@ -160,3 +161,16 @@ def test_a_face_that_encloses_nothing_does_not_make_a_bake_slow(gf_usd, tmp_path
         assert done.status == 0, done.err
         (row,) = json.loads(done.out)["materials"]
         assert row["contact_factor"] < 6.0  # 64 and 196 with springs of a layer that is not there
+
+
+def test_specks_are_named_apart_from_poorly_filled_parts(gf_usd, tmp_path: Path) -> None:
+    """They raised the suggested number of particles to hundreds of thousands."""
+    shells = [trimesh.creation.icosphere(3, 0.5), trimesh.creation.icosphere(1, 0.01)]
+    shells[1].apply_translation((0.8, 0.0, 0.0))
+    trimesh.util.concatenate(shells).export(tmp_path / "scan.obj")
+    done = gf_usd("inspect", "scan.obj", "--meters-per-unit", "1", "--particles", "2000")
+    assert done.status == 0, done.err
+    words = " ".join(done.out.split())
+    assert "1 speck, 3.46 cm large, is apart from the rest and too small for the spacing" in words
+    assert "poorly filled" not in words
+    assert "would fill" not in words

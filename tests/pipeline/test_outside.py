@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from solids import cube, sphere
+from solids import cube
 
 from gf_usd.core.frames import Pose
-from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse_meshes, mesh_names
+from gf_usd.pipeline.measures.outside import OutsideMeasure
 
 SPACING = 0.1
 MIDDLES = (np.arange(10) + 0.5) * SPACING
@@ -41,23 +39,3 @@ def test_particles_without_a_mesh_at_rest_do_not_count():
     assert measure.measure(low, np.concatenate([X, apart])).share == pytest.approx(0.3)
     none = OutsideMeasure([box], apart, SPACING).measure(low, apart)
     assert (none.share, none.depth) == (0.0, 0.0)
-
-
-def test_meshes_with_long_faces_are_named():
-    box, ball = cube((0.0, 0.0, 0.0), path="/Box"), sphere(subdivisions=4, path="/Ball")
-    assert coarse_meshes([ball], SPACING) == {}
-    assert coarse_meshes([box], 0.5) == {}, "its diagonals are less than four spacings long"
-    found = coarse_meshes([ball, box], SPACING)
-    assert found == {"/Box": pytest.approx(2.0**0.5)}
-    assert mesh_names(found, SPACING) == "</Box> (edges up to 14 spacings of 0.1 m)"
-    assert mesh_names({**found, "/Other": 1.0}, SPACING).startswith("</Box> and 1 more ")
-
-
-def test_a_mesh_with_few_long_faces_is_fine_enough():
-    """A cap of long triangles on one of many, as primitives have them."""
-    ball = sphere(subdivisions=4, path="/Ball")
-    long = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    points = np.concatenate([ball.points, long])
-    triangles = np.concatenate([ball.triangles, [[0, 1, 2]] + np.array(len(ball.points))])
-    both = replace(ball, points=points, triangles=triangles)
-    assert coarse_meshes([both], SPACING) == {}

@@ -338,3 +338,17 @@ def test_a_repair_of_parts_that_are_not_joined_says_so(tmp_path: Path) -> None:
     whole, notes = whole_and_notes(split_ball(tmp_path, low=mass, rest=mass), repair=True)
     assert not whole
     assert "not filled as one body" in notes
+
+
+def test_a_named_part_is_refused_with_the_parts_that_close_it(tmp_path: Path) -> None:
+    """Only its hole was named."""
+    ball = split_ball(tmp_path)
+    seen = gf_usd.inspect(ball, prims=["/Ball/Low"], **SMALL)
+    with pytest.raises(InputError) as raised:
+        gf_usd.bake(ball, prims=["/Ball/Low"], output=tmp_path / "out.usda", **SMALL)
+    for refusal in (seen.refusal, raised.value):
+        assert refusal is not None
+        assert refusal.message.endswith(
+            "\n</Ball/Low> encloses a volume together with </Ball/Middle>, </Ball/High>"
+        )
+        assert refusal.hint.startswith("name those meshes as well (prims)")

@@ -25,7 +25,8 @@ from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.measures.inside import Inside, InsideMeasure
-from gf_usd.pipeline.measures.outside import OutsideMeasure, coarse_meshes, mesh_names
+from gf_usd.pipeline.measures.outside import OutsideMeasure
+from gf_usd.prepare.bodies.coarse import coarse_meshes, mesh_names
 
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin

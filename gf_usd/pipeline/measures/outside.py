@@ -21,11 +21,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
-from gf_usd.core.mesh import areas
 from gf_usd.pipeline.measures.inside import WITHIN, WindingNumbers, stacked
 
-LONG = 4.0  # [spacings] edge length: shorter edges resolve any bend of the grid (cell size 2)
-SHARE = 0.01  # least share of a mesh's area in faces with a long edge
 FAR = 1.0  # [spacings] from the meshes
 MOST = 3000  # particles of a measurement
 
@@ -76,25 +73,3 @@ class OutsideMeasure:
         return (
             np.abs(WindingNumbers(points, self._triangles, self._ends).winding_numbers(X)) > WITHIN
         )
-
-
-def coarse_meshes(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
-    """The longest edge [m] of meshes with many long faces, by path, longest first.
-
-    surfaces : at rest; spacing : [m] of the particles.
-    """
-    found: dict[str, float] = {}
-    for one in surfaces:
-        corners = np.asarray(one.points, float)[one.triangles]
-        edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(1)
-        area = areas(one.points, one.triangles)
-        if area[edges > LONG * spacing].sum() > SHARE * area.sum():
-            found[one.path] = float(edges.max())
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
-
-
-def mesh_names(meshes: Mapping[str, float], spacing: float) -> str:
-    """Text that names the meshes of `coarse_meshes`."""
-    path, edge = next(iter(meshes.items()))
-    more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
-    return f"<{path}>{more} (edges up to {edge / spacing:.2g} spacings of {spacing:.3g} m)"

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import UsageError, naming
 from gf_usd.prepare.bodies.characters import characters_of
 from gf_usd.prepare.bodies.sampling import SampledBodies, count_notes, sample_bodies, spacing_of
 from gf_usd.prepare.fill.inputs import Inputs, resolution_of
@@ -65,17 +65,19 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
         request, inputs.spec, inputs.unit, meshes.volumes, None if meshes.thickened else thin
     )
     count = 0 if paper or (requested.spacing and not meshes.spacing) else requested.particles
-    filled = sample_bodies(
-        asset, solid, replace(requested, spacing=meshes.spacing or requested.spacing), inputs.flow,
-        seed=request.seed or 0,
-        paper=paper,
-        mixed=inputs.mixed,
-        combine=combine,
-        owners=owners,
-        find=find,
-        characters=characters,
-        can_combine=inputs.file is not None,
-    )  # fmt: skip
+    filling = replace(requested, spacing=meshes.spacing or requested.spacing)
+    with naming(asset.facts.path):
+        filled = sample_bodies(
+            asset, solid, filling, inputs.flow,
+            seed=request.seed or 0,
+            paper=paper,
+            mixed=inputs.mixed,
+            combine=combine,
+            owners=owners,
+            find=find,
+            characters=characters,
+            can_combine=inputs.file is not None,
+        )  # fmt: skip
     _require_one_body(
         filled.bodies.count, skin=request.skin, wls=bool(request.wls),
         procrustes=bool(request.procrustes),

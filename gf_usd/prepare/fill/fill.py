@@ -18,8 +18,8 @@ from gf_usd.core.arrays import triple
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Choices, Settings
 from gf_usd.core.stage import Pin, StageSpec, Triple
-from gf_usd.prepare.bodies.cages import cage_notes
 from gf_usd.prepare.bodies.characters import without_props
+from gf_usd.prepare.bodies.coarse import cage_notes, coarse_note
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
     contact_setup,
@@ -152,13 +152,17 @@ def fill(
         unpinned = unpinned_animation_notes(
             filled.bodies, spec.bodies, limbs.particles, constraints.pins
         )
+    drawn = _moving_surfaces(inputs, filled, materials)
+    spacing, refined = filled.particles.spacing, request.max_edge_length is not None
+    cages = cage_notes(drawn, spacing, refined=refined)
+    coarse = coarse_note(drawn, spacing, refined=refined)
     notes = (
         *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
         *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
         *stage_notes, *_floor_notes(floating, asset, constraints.flesh.poses),
         *shot.notes, *constraints.attachment_notes, *goal_notes,
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
-        *_cage_notes(inputs, filled, materials), *unpinned,
+        *cages, *filter(None, (coarse,)), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
         *softness, *length.physics.notes, *not_filled_notes(solid),
         *not_baked_notes(asset.skipped), *SKIN_NOTES.get(settings.skin, ()),
@@ -166,7 +170,6 @@ def fill(
         *no_internals_notes(materials.main, settings),
     )  # fmt: skip
     moving = {s.path for s in asset.surfaces}
-    heavy, heavy_by = implausible_densities(materials.stated, asset.facts.units)
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -192,8 +195,8 @@ def fill(
         tets=tets,
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
-        heavy=heavy,
-        heavy_by=heavy_by,
+        coarse=coarse,
+        heavy=implausible_densities(materials.stated, asset.facts.units),
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid
@@ -218,14 +221,6 @@ def _ground_notes(inputs: Inputs, scenery: Sequence[Surface]) -> tuple[str, ...]
             asset.facts.units.length,
         ),
     )
-
-
-def _cage_notes(inputs: Inputs, filled: SampledBodies, materials: Assigned) -> tuple[str, ...]:
-    """Notes on cages of subdivision surfaces that move."""
-    return cage_notes(
-        _moving_surfaces(inputs, filled, materials), filled.particles.spacing,
-        refined=inputs.request.max_edge_length is not None,
-    )  # fmt: skip
 
 
 def _moving_surfaces(

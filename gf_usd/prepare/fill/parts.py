@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,8 +54,8 @@ class Parts:
             self.spec.advice[p].material if p in self.spec.advice else "" for p in (one, two)
         )
         if a.owner != b.owner:
-            of = (f"of <{x.owner}>" if x.owner else "of no physics body" for x in (a, b))
-            return "<{}> is {}, and <{}> is {}".format(*_in_turn((one, two), of))
+            owners = (f"<{x.owner}>" if x.owner else "none" for x in (a, b))
+            return _different(one, two, "physics body", *owners)
         if bakes[0] != bakes[1]:
             return _different(one, two, "gaussianFlesh:material", *(n or "none" for n in bakes))
         if _values(a.spec) != _values(b.spec):
@@ -72,10 +72,6 @@ class Parts:
     def _bake_material(self, path: str) -> str | None:
         bake = self.spec.bakes.get(path)
         return bake.material if bake else None
-
-
-def _in_turn(paths: Sequence[str], texts: Collection[str]) -> list[str]:
-    return [one for pair in zip(paths, texts, strict=True) for one in pair]
 
 
 def _different(one: str, two: str, what: str, *values: str) -> str:

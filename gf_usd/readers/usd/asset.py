@@ -8,12 +8,14 @@ from pathlib import Path
 
 from pxr import Sdf, Usd, UsdGeom
 
-from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, first_time_code
+from gf_usd.core import USD_SUFFIXES
+from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, bake_original, first_time_code
 from gf_usd.core.errors import InputError, counted
 from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.usd.mesh import Reading, read_surface, with_limit
 from gf_usd.readers.usd.select import (
     INVISIBLE,
+    OF_BAKE,
     PROXIES,
     PURPOSE,
     REPEATED,
@@ -28,6 +30,7 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
 from gf_usd.readers.usd.stage import (
     SkippedPrim,
+    baked_asset,
     composition_errors,
     open_stage,
     reading,
@@ -43,6 +46,7 @@ COMPOSING = (
     "active", "references", "payload", "inheritPaths", "specializes", "variantSetNames",
     "variantSelection",
 )  # fmt: skip
+CACHE = ".cache."  # before the suffix in the names of caches of bakes
 MOST_NAMED = 3  # prims that a note lists
 INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
 
@@ -359,6 +363,8 @@ def _no_geometry(
 
 def _remedy(stage: Usd.Stage, where: str, reason: str, by_name: bool) -> str:
     """A hint at how the skipped prim at a path can be simulated."""
+    if reason.endswith(OF_BAKE):
+        return bake_original(_asset_of_cache(stage.GetRootLayer()))
     if reason == INVISIBLE:
         return f"make <{where}> visible in the file: what is hidden is not baked"
     if reason.startswith(INVISIBLE):
@@ -371,6 +377,18 @@ def _remedy(stage: Usd.Stage, where: str, reason: str, by_name: bool) -> str:
         return f"bake {what}; the prototype may reference the result"
     mesh = "give the asset a visible mesh"
     return mesh if by_name else f"{mesh}, or name other prims with --prim"
+
+
+def _asset_of_cache(cache: Sdf.Layer) -> str:
+    """The asset of the bake whose cache a layer is, by the root layer next to it; "": not known."""
+    path = Path(cache.realPath)
+    name, is_cache, _ = path.name.rpartition(CACHE)
+    for suffix in USD_SUFFIXES if is_cache else ():
+        root = path.with_name(f"{name}{suffix}")
+        layer = Sdf.Layer.FindOrOpen(str(root)) if root.is_file() else None
+        if layer and (asset := baked_asset(layer)):
+            return asset
+    return ""
 
 
 def _own_file(stage: Usd.Stage, where: str) -> str:

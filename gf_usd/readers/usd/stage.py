@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -206,6 +207,7 @@ def stage_facts(
         animated=any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()),
         says_physics=any(_is_physics(prim) for prim in _everything(stage)),
         baked_prim=_baked_prim(stage),
+        baked_from=baked_asset(root),
     )
 
 
@@ -215,6 +217,19 @@ def _baked_prim(stage: Usd.Stage) -> str | None:
         if prim.GetVariantSets().HasVariantSet(BAKES):
             return str(prim.GetPath())
     return None
+
+
+def baked_asset(layer: Sdf.Layer) -> str:
+    """The asset of a bake, as the command in its root layer names it; "": none is named."""
+    data = layer.customLayerData.get(BAKES)
+    command = data.get("command") if isinstance(data, dict) else None
+    if not isinstance(command, str):  # another program may have written anything
+        return ""
+    try:
+        words = shlex.split(command)
+    except ValueError:  # quotes without an end
+        return ""
+    return words[2] if words[2:] else ""
 
 
 def _time_code(authored: bool, value: float, path: Path, which: str) -> float | None:

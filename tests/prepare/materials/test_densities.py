@@ -120,10 +120,11 @@ def test_a_material_of_a_subset_counts(plan) -> None:
     ("line", "by", "lines"),
     [("float physics:density = 1000", "density", LARGE), ("float physics:mass = 1", "mass", ())],
 )
-def test_the_hint_names_what_is_stated(plan, line: str, by: str, lines: tuple[str, ...]) -> None:
+def test_the_warning_names_what_is_stated(plan, line: str, by: str, lines: tuple[str, ...]) -> None:
     made = plan(mesh("Duck", line, *lines, apis=[MASS]), layer=CENTIMETERS)
-    (warning,) = plan_warnings("", made.heavy, made.heavy_by)
-    assert warning.hint.startswith(f"correct the {by} in the file, or")
+    (warning,) = plan_warnings("", made.heavy)
+    assert f"states a {by} of" in warning.message
+    assert warning.hint.startswith("correct it in the file, or")
 
 
 def test_painted_densities_go_before_that_of_the_prim(plan) -> None:

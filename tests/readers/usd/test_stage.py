@@ -223,3 +223,21 @@ def test_a_composition_error_may_quote_bytes_that_are_no_text(write, monkeypatch
     monkeypatch.setattr(Usd.Stage, "GetCompositionErrors", lambda stage: [Quoting()])
     notes = read_asset(file).facts.notes
     assert "does not compose: it holds bytes that are not UTF-8" in notes
+
+
+@pytest.mark.parametrize(
+    ("metadata", "asset"),
+    [
+        (
+            'dictionary gaussianFlesh = { string command = "gf-usd bake a.usda -o b.usda" }',
+            "a.usda",
+        ),
+        ('dictionary gaussianFlesh = { string command = "gf-usd bake \'a b" }', ""),
+        ('dictionary gaussianFlesh = { string command = "gf-usd" }', ""),
+        ("dictionary gaussianFlesh = { int command = 3 }", ""),
+        ('string gaussianFlesh = "of another program"', ""),
+    ],
+)
+def test_the_asset_of_a_bake_is_that_of_its_command(read, metadata: str, asset: str) -> None:
+    text = f"#usda 1.0\n(\ncustomLayerData = {{\n{metadata}\n}}\n)\n{BALL}"
+    assert read(text).facts.baked_from == asset
