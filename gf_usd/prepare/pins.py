@@ -58,13 +58,13 @@ def make_pins(
     if boxes:
         # a capture has no surface in its stage, and its animation is not followed
         still = [s.points for s in asset.surfaces if s.splats is not None]
-        bodies = read([s.path for s in asset.surfaces if s.splats is None])
-        length = max((len(body.path) for body in bodies), default=1)
-        points = np.concatenate([*(body.points for body in bodies), *still])
+        moving = read([s.path for s in asset.surfaces if s.splats is None])
+        length = max((len(body.path) for body in moving), default=1)
+        points = np.concatenate([*(body.points for body in moving), *still])
         path = np.concatenate(
             [
                 np.broadcast_to(one, (length, *one.shape[1:]))
-                for one in (*(body.path for body in bodies), *(at[None] for at in still))
+                for one in (*(body.path for body in moving), *(at[None] for at in still))
             ],
             axis=1,
         )

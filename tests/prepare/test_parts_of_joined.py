@@ -244,6 +244,8 @@ def test_a_rigid_part_leaves_other_bodies_alone(tmp_path: Path) -> None:
     mine, others = held_of(gf_usd.inspect(above, rigid=("/World/A/F1",), **SMALL).plan)
     assert mine > 0
     assert others == 0
+    both = ("/World/A/F1", "box:0,0,0,0.3,0.3,0.3")
+    assert held_of(gf_usd.inspect(above, rigid=both, **SMALL).plan).tolist() == [mine, 0]
     overlapping = two_bodies(tmp_path, (-0.4, 1.3, -0.4), parts_of_ball())
     mine, others = held_of(gf_usd.inspect(overlapping, rigid=("/World/A/High",), **SMALL).plan)
     assert mine > 0
