@@ -148,7 +148,7 @@ def test_a_material_file_with_a_fault(gf_usd, here: Path, block: Path) -> None:
 
 def test_too_few_particles(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, "--particles", "3")
-    refused(done, 3, "only ", "--particles")
+    refused(done, 3, f"{block}: only ", "--particles")
     assert names(here) == []
 
 

@@ -161,7 +161,7 @@ def test_an_odd_size_is_reported(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--meters-per-unit", "2", "--dry-run")
     assert "warning: the asset is 60 m wide: 30 units of 2 m" in done.out
     done = gf_usd("inspect", block, "--meters-per-unit", "40")
-    assert "; 200 x 200 x 1200 m" in done.out
+    assert "; 800 x 800 x 1200 m" in done.out
     assert "warning: the asset is 1200 m wide: 30 units of 40 m" in done.out
 
 
