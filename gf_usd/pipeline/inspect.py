@@ -305,7 +305,7 @@ def inspect(
             everything = partial(
                 reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
             )
-            refusal = with_neighbors(refused, asset, everything)
+            refusal = with_neighbors(refused, asset, everything) or refused
         warnings = [implausible_size(asset)]
         mendable = not repair and not would_fill(asset)
         if mendable and would_fill(repair_asset_for_fill(asset, request, spec)[1]):

@@ -22,6 +22,7 @@ from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
 from gf_usd.prepare.asset_size import implausible_size
 from gf_usd.prepare.bodies.contact import file_obstacles
 from gf_usd.prepare.fill.fill import fill
+from gf_usd.prepare.fill.parts import Parts
 from gf_usd.prepare.materials.table import Authored, variant_name
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import Swept, swept
@@ -125,7 +126,10 @@ def prepare(
         everything = partial(
             reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
         )
-        raise with_neighbors(refused, asset, everything) from refused
+        closed = with_neighbors(refused, asset, everything)
+        if closed is None:
+            raise
+        raise closed from refused
     if once_filled:
 
         def refill(spacing: float) -> Plan:
@@ -311,8 +315,10 @@ def reading(
 
 def with_neighbors(
     refused: InputError, asset: Asset, everything: Callable[[], Reading]
-) -> InputError:
-    """The refusal of an asset with the meshes of its stage that close its open ones, if there are.
+) -> InputError | None:
+    """The refusal of an asset with the meshes of its stage that would close its open ones.
+
+    None where there are none that could be filled together with these.
 
     everything : starts to read all of the stage.
     """
@@ -320,13 +326,14 @@ def with_neighbors(
 
     mine = {s.path for s in asset.surfaces}
     if would_fill(asset):
-        return refused
+        return None
     try:
         with everything() as read:
-            stage = read.result().asset
+            found = read.result()
     except InputError:  # of prims that were not named: those named are what is refused
-        return refused
-    for group in joined_surfaces(stage).groups:
+        return None
+    parts = Parts(found.spec or StageSpec())
+    for group in joined_surfaces(found.asset, parts.apart, parts.alike).groups:
         named, others = ([p for p in group if (p in mine) == own] for own in (True, False))
         if named and others:
             what = listed(others)
@@ -334,7 +341,7 @@ def with_neighbors(
             message = f"{refused.message}\n{listed(named)} {one} a volume together with {what}"
             hint = "name those meshes as well (--prim), or a prim above all of them"
             return InputError(message, hint)
-    return refused
+    return None
 
 
 def would_fill(asset: Asset) -> bool:

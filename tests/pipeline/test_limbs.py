@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 from solids import asset, ball, cube, fill, preset_material, settings, solid
 
 from gf_usd.core.materials.material import Material
@@ -15,6 +16,7 @@ from gf_usd.core.stage import ContactSetup, Pin, Skin
 from gf_usd.pipeline.cost import budget
 from gf_usd.pipeline.cost.limbs import COMPACT, Limbs, hull_fill, limb_share, limbs_of
 from gf_usd.pipeline.prepared import limbs
+from gf_usd.prepare.bodies.convexity import SupportPoints
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
 
@@ -44,6 +46,17 @@ def test_a_ball_fills_its_hull() -> None:
     # the points of the bound leave out up to 4 % of it
     assert hull_fill(samples.X, 4.0 / 3.0 * np.pi) == pytest.approx(1.0, abs=0.02)
     assert limb_share(hull_fill(samples.X, body.volume)) == 0.0
+
+
+def test_the_hull_is_right_where_the_center_of_the_box_is_outside_it() -> None:
+    """Three rods along the axes from a corner: the hull is about a sixth of a box."""
+    dice = np.random.default_rng(0)
+    ends = np.repeat(np.where(np.eye(3) > 0.0, 1.0, 0.03), 400, axis=0)
+    X = dice.uniform(0.0, ends)
+    volume = 3 * 0.03**2
+    assert SupportPoints(X).hull_lower_bound() == 0.0
+    assert hull_fill(X, volume) == pytest.approx(volume / ConvexHull(X).volume, rel=0.05)
+    assert limb_share(hull_fill(X, volume)) == 1.0
 
 
 def test_a_flat_body_has_no_limbs() -> None:

@@ -354,3 +354,12 @@ def test_a_named_part_is_refused_with_the_parts_that_close_it(tmp_path: Path) ->
             "\n</Ball/Low> encloses a volume together with </Ball/Middle>, </Ball/High>"
         )
         assert refusal.hint.startswith("name those meshes as well (prims)")
+
+
+def test_parts_that_are_not_joined_are_no_remedy(tmp_path: Path) -> None:
+    """They were named, and refused as well; and the error was its own cause."""
+    ball = split_ball(tmp_path, low=("float physics:density = 500",))
+    with pytest.raises(InputError) as raised:
+        gf_usd.bake(ball, prims=["/Ball/Low"], output=tmp_path / "out.usda", **SMALL)
+    assert "together with" not in raised.value.message
+    assert raised.value.__cause__ is None

@@ -45,11 +45,21 @@ def limbs_of(samples: SurfaceSamples, particles: Particles, bodies: Iterable[int
 def hull_fill(X: Floats, volume: float) -> float:
     """Volume [m^3] of a body over that of the convex hull of its samples X (n, 3) [m], at most 1.
 
-    The hull is taken for that of its points that are farthest in 146 directions, which is at most
-    4 % too small (measured with a ball).  1 for a flat body, which has no such hull.
+    The hull is that of the points that are farthest in 146 directions, which is at most 4 % too
+    small (measured with a ball).  1 for a flat body, which has no such hull.  A body that fills
+    so little that `limb_share` is 1 may fill even less.
     """
-    hull = SupportPoints(X).hull_lower_bound()
-    return min(1.0, volume / hull) if hull > 0.0 else 1.0
+    supports = SupportPoints(X)
+    bound = supports.hull_lower_bound()  # 0, or too small, where its center is not well inside
+    fill = min(1.0, volume / bound) if bound > 0.0 else 1.0
+    if bound > 0.0 and limb_share(fill) in (0.0, 1.0):
+        return fill
+    from scipy.spatial import ConvexHull, QhullError  # takes longer to import than all of this
+
+    try:
+        return min(1.0, volume / ConvexHull(supports.points).volume)
+    except QhullError:  # flat to rounding
+        return 1.0
 
 
 def limb_share(fill: float) -> float:

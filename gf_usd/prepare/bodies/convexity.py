@@ -54,14 +54,14 @@ class SupportPoints:
     """The points of a body that are farthest along directions on all sides, from the center of its
     bounding box.
 
-    points : (V, 3) [m].
+    points : (V, 3) [m]; of those kept, from that center, one for each direction.
     """
 
     def __init__(self, points: Floats) -> None:
         self._directions, self._triangles = _octahedron(SIDE)
         X = points - 0.5 * (points.min(0) + points.max(0))
         # One direction at a time: all products at once take a gigabyte for a million points.
-        self._points = X[[int((X @ way).argmax()) for way in self._directions]]
+        self.points = X[[int((X @ way).argmax()) for way in self._directions]]
 
     def hull_lower_bound(self) -> float:
         """[m^3] lower bound of the volume of the convex hull; 0 where there is none.
@@ -75,7 +75,7 @@ class SupportPoints:
 
         The solid angle is that of van Oosterom and Strackee (1983).
         """
-        corners = self._points[self._triangles]
+        corners = self.points[self._triangles]
         a, b, c = np.moveaxis(corners, 1, 0)
         la, lb, lc = np.moveaxis(np.linalg.norm(corners, axis=2), 1, 0)
         cone = row_dots(cross(a, b), c)  # 6 V_i
@@ -95,7 +95,7 @@ class SupportPoints:
         """
         from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-        height = row_dots(self._points, self._directions)
+        height = row_dots(self.points, self._directions)
         if (height <= 0.0).any():
             return np.inf
         planes = np.column_stack([self._directions, -height])

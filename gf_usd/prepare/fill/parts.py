@@ -64,7 +64,7 @@ class Parts:
         if (a.mass, a.mass_of, a.density) != (b.mass, b.mass_of, b.density):
             return _different(one, two, "mass or density", _mass_text(a), _mass_text(b))
         if advised[0] != advised[1]:
-            return _different(one, two, "material", *advised)
+            return _different(one, two, "material", *(n or "none" for n in advised))
         if a.owner and _others(a) != _others(b):
             return f"the stage states other physics of <{one}> than of <{two}>"
         return ""

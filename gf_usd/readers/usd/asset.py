@@ -419,7 +419,8 @@ def _unselected_variants(roots: Sequence[Usd.Prim]) -> str:
 def _inactive(roots: Sequence[Usd.Prim]) -> Sdf.Path | None:
     """The first inactive prim that may be, or hold, a mesh; None: there is none."""
     for prim in (p for root in roots for p in Usd.PrimRange(root, Usd.PrimAllPrimsPredicate)):
-        if not prim.IsActive() and (not prim.GetTypeName() or prim.IsA(UsdGeom.Imageable)):
+        groups = prim.GetTypeName() in ("", "Xform", "Scope")
+        if not prim.IsActive() and (groups or prim.IsA(UsdGeom.Gprim)):
             return prim.GetPath()
     return None
 

@@ -270,6 +270,7 @@ def test_what_inherits_from_a_baked_prim_follows_it(read):
         ),
         (
             'def Xform "A" {\ndef Material "L" (active = false) {}\n'
+            'def Camera "C" (active = false) {}\n'
             'def Mesh "M" (active = false) {}\n}',
             "no mesh was found under </A>, which contains 1 Xform",
             "</A/M> is inactive: activate it in the file if it is meant",

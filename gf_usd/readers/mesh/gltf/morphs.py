@@ -40,17 +40,19 @@ def morphed(
     if not count:
         return list(primitives.values())
     weights = node.get("weights") or mesh.get("weights") or [0.0] * count
-    if len(weights) != count or any(len(targets) != count for targets in rows.values()):
-        numbers = ", ".join(str(len(targets)) for targets in rows.values())
-        raise InputError(
-            f"{gltf.path}: mesh '{where}' has {counted(len(weights), 'weight')} for the morph "
-            f"targets of its primitives, which are {numbers}",
-            REPAIR,
-        )
+    for p, targets in rows.items():  # a primitive without targets is the same at all weights
+        if targets and not len(weights) == len(targets) == count:
+            raise InputError(
+                f"{gltf.path}: mesh '{where}' has {counted(len(weights), 'weight')} for the "
+                f"{counted(len(targets), 'morph target')} of its primitive {p}",
+                REPAIR,
+            )
     used = [i for i in range(count) if weights[i]]
     notes.add(_note(mesh, weights, used), where)
     return [
         _primitive(gltf, f"mesh '{where}', primitive {p}", primitive, rows[p], weights, used)
+        if rows[p]
+        else primitive
         for p, primitive in primitives.items()
     ]
 
@@ -85,8 +87,9 @@ def _note(mesh: dict[str, Any], weights: Sequence[float], used: Sequence[int]) -
         return f"{counted(len(weights), 'morph target')} of weight 0: left out"
     extras = mesh.get("extras")  # of any type, as the standard says
     names = extras.get("targetNames") if isinstance(extras, dict) else None
-    if not isinstance(names, list) or len(names) != len(weights):
-        names = [f"number {i}" for i in range(len(weights))]
-    listed = ", ".join(f"{names[i]} {weights[i]:.3g}" for i in used[:NAMED])
+    listed = names if isinstance(names, list) else []
+    if len(listed) != len(weights) or not all(isinstance(name, str) for name in listed):
+        listed = [f"target {i}" for i in range(len(weights))]
+    shown = ", ".join(f"{listed[i]} with {weights[i]:.3g}" for i in used[:NAMED])
     others = f" and {len(used) - NAMED} more" if len(used) > NAMED else ""
-    return f"is read with its morph targets at their default weights: {listed}{others}"
+    return f"is read with its morph targets at their default weights: {shown}{others}"
