@@ -57,7 +57,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         "up to 3 at once, from frame 1 on, down to J = -0.5; 1 still are at the end",
     ),
     "expanded": (
-        summary(Health(max_J=5.0, expanded=1.25, expanded_body="/A")),
+        summary(Health(max_J=3.7, expanded=1.4, expanded_body="/A")),
         summary(Health(max_J=5.0, expanded=1.5, expanded_body="/A")),
         "</A> expanded to 1.5 times its volume in frame 1, single particles to 5 times theirs",
     ),
