@@ -139,6 +139,7 @@ class Surface:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] of the prim's own space, in world
     limit: LimitSurface | None = None  # of a cage that is far from it; None: the cage is drawn
     component: str = ""  # the model of kind component that the prim belongs to; "": none
+    hole_faces: int = 0  # authored faces that are holes (holeIndices): no triangle is of one
 
     @cached_property
     def representative(self) -> Ints:

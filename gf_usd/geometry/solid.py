@@ -239,15 +239,15 @@ def closed_triangles(surface: Surface) -> tuple[Ints, Ints, str]:
         return welded, source, "every face is collapsed"
     open_share = hole_fraction(surface.points, welded)
     if open_share > OPEN_FRACTION:
-        edges = len(boundary_edges(welded))
-        return (
-            welded,
-            source,
-            (
-                f"the surface is open: {edges} boundary edges, holes of {100 * open_share:.0f} % of"
-                f" the closed area (at most {100 * OPEN_FRACTION:.0f} %)"
-            ),
+        edges, holes = len(boundary_edges(welded)), surface.hole_faces
+        reason = (
+            f"the surface is open: {edges} boundary edges, holes of {100 * open_share:.0f} % of the"
+            f" closed area (at most {100 * OPEN_FRACTION:.0f} %)"
         )
+        if holes:
+            are = "a hole" if holes == 1 else "holes"
+            reason += f"; holeIndices of the mesh makes {holes} of its faces {are}"
+        return welded, source, reason
     a, b, c = np.moveaxis(surface.points[welded], 1, 0)
     area = 0.5 * float(np.linalg.norm(cross(b - a, c - a), axis=1).sum())
     volume = abs(signed_volume(surface.points, welded))

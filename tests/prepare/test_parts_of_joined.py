@@ -335,6 +335,24 @@ def test_flesh_says_that_it_joins_no_meshes(tmp_path: Path) -> None:
     assert seen.refusal.hint.startswith("merge them")
 
 
+def test_flesh_says_which_sheets_a_repair_made_thick(tmp_path: Path) -> None:
+    """It said "has 185 points, but 555 points of its surface have to follow them"."""
+    seen = gf_usd.inspect(split_ball(tmp_path, *SLIDING), flesh=True, repair=True, particles=400)
+    assert seen.refusal is not None
+    said = seen.refusal.message
+    assert "ball.usda: </Ball/Low>, </Ball/Middle>, </Ball/High>" in said
+    assert "are open or thin, and repair=True made them one spacing thick" in said
+    assert seen.refusal.hint.startswith("merge meshes that close each other into one")
+
+
+def test_the_hint_at_sheets_with_flesh_works(tmp_path: Path) -> None:
+    ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
+    path = tmp_path / "ball.usda"
+    whole = part("Whole", ball.points, weld(ball.points)[0][ball.triangles])
+    path.write_text(head() + prim("Xform", "Ball", *SLIDING, whole), encoding="utf-8")
+    assert gf_usd.inspect(path, flesh=True, repair=True, particles=400).refusal is None
+
+
 def test_a_repair_of_parts_that_are_not_joined_says_so(tmp_path: Path) -> None:
     mass = ("float physics:mass = 1",)
     whole, notes = whole_and_notes(split_ball(tmp_path, low=mass, rest=mass), repair=True)

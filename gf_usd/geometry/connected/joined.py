@@ -187,5 +187,6 @@ def _one_surface(group: Sequence[Surface], against: NDArray[np.bool_]) -> Surfac
         triangle_uvs=corner_values(turned([s.triangle_uvs for s in group]), group, (0.0, 0.0)),
         triangle_materials=material_rows(group),
         materials=tuple(one for s in group for one in s.materials),
+        hole_faces=sum(s.hole_faces for s in group),
         limit=max(limits, key=lambda one: one.shift) if limits else None,
     )

@@ -16,7 +16,7 @@ that the skinned pose reproduces the animated points.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from scipy import sparse
 from scipy.spatial.distance import cdist
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.matrices import signed_polar
@@ -42,6 +43,7 @@ BALLS = 6  # of a piece's core
 BETWEEN = 0.4  # of the distance to the next piece, at which a core ends, so that the rest can bend
 FEW = 24  # least number of samples that a rigid motion is fitted to
 LEAST = 1e-3  # weights below it are ignored
+MOST_NAMED = 3  # meshes in a message
 
 
 def medial_skeleton(
@@ -151,14 +153,39 @@ def _paths(
         for surface, to_points in parts:
             points = frame[surface.path]
             if len(points) != len(surface.points):
-                raise InputError(
-                    f"{where}: --flesh: <{surface.path}> has {len(points)} points, but "
-                    f"{len(surface.points)} points of its surface have to follow them",
-                    "bake it without --repair, or give a cache of a mesh",
-                )
+                raise _cannot_follow(solid.surfaces, frame, surface, where)
             now += to_points @ points
         out.append(x + now - rest)
     return np.stack(out)
+
+
+def _cannot_follow(
+    surfaces: Sequence[Surface], frame: Mapping[str, Floats], first: Surface, where: str
+) -> InputError:
+    """The refusal of surfaces of other numbers of points than a frame has, the first of which is
+    given.
+    """
+    # The faces of a thickened sheet are authored ones, and its points are more than those have.
+    thick = [
+        f"<{s.path}>"
+        for s in surfaces
+        if s.own_points is None and s.face_indices.max() < len(frame[s.path]) < len(s.points)
+    ]
+    if thick:
+        them, they = ("it", "its") if len(thick) == 1 else ("them", "their")
+        return InputError(
+            f"{where}: {', '.join(thick[:MOST_NAMED])}"
+            + (f" and {len(thick) - MOST_NAMED} more" if len(thick) > MOST_NAMED else "")
+            + f" {'is' if len(thick) == 1 else 'are'} open or thin, and --repair made {them} one"
+            f" spacing thick; with --flesh the added points cannot follow {they} animated ones",
+            "merge meshes that close each other into one whose common points are welded, or close"
+            " the holes; make thin parts thicker",
+        )
+    return InputError(
+        f"{where}: --flesh: <{first.path}> has {len(frame[first.path])} points at a frame of its"
+        f" animation, and {len(first.points)} at rest",
+        "give a cache of a mesh whose number of points does not change",
+    )
 
 
 def _bone(number: int, at: Floats, weight: Floats, x: Floats, path: Floats) -> Bone:

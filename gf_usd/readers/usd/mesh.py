@@ -111,6 +111,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         own_points=None if carriers is None else authored,
         origin=_origin(prim, reading),
         component=_component(prim),
+        hole_faces=int(np.isin(np.arange(len(polygons.counts)), polygons.holes).sum()),
     )
 
 

@@ -108,5 +108,5 @@ def test_the_goal_is_the_cache_at_the_skin_and_near_it_inside(tmp_path: Path) ->
 
 def test_another_number_of_points_is_refused(tmp_path: Path) -> None:
     solid, X, samples = body(tmp_path)
-    with pytest.raises(InputError, match="has 35 points, but 36 points of its surface"):
+    with pytest.raises(InputError, match="35 points at a frame of its animation, and 36 at rest"):
         made(solid, X, samples, lambda x, k: x[1:])

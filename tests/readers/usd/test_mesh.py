@@ -5,6 +5,7 @@ import pytest
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import boundary_edges, signed_volume
+from gf_usd.geometry.solid import closed_triangles
 
 # A unit cube on the origin, quads, outward.
 CUBE = """
@@ -122,6 +123,14 @@ def test_hole_faces_are_open(read):
     assert len(surface.triangles) == 8
     assert len(boundary_edges(surface.triangles)) == 6
     assert len(surface.face_counts) == 6  # as authored
+
+
+def test_the_reason_of_a_mesh_that_its_hole_faces_open_names_them(read):
+    asset = read(mesh("int[] holeIndices = [1, 2]"))
+    assert asset.surfaces[0].hole_faces == 2
+    reason = closed_triangles(asset.surfaces[0])[2]
+    assert reason.startswith("the surface is open: 6 boundary edges")
+    assert "holeIndices of the mesh makes 2 of its faces holes" in reason
 
 
 def test_concave_face(read):
