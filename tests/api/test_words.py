@@ -110,8 +110,10 @@ def test_repairs_are_not_suggested_for_a_scene() -> None:
         gf_usd.simulate(scene(FACES[:4]), particles=100)
     assert caught.value.hint == "close the holes or give the mesh thickness"
     inside_out = scene([face[::-1] for face in FACES])
-    (note,) = gf_usd.simulate(inside_out, frames=1, particles=100).notes
-    assert note == "</body0> is filled despite 1 of 1 shell inside out"
+    winding, coarse = gf_usd.simulate(inside_out, frames=1, particles=100).notes
+    assert winding == "</body0> is filled despite 1 of 1 shell inside out"
+    assert coarse.startswith("faces of </body0> (edges up to 6.6 spacings")
+    assert coarse.endswith("and only the particles and Gaussians show its shape")
 
 
 @pytest.mark.slow

@@ -49,10 +49,10 @@ def coarse_note(surfaces: Sequence[Surface], spacing: float, *, refined: bool) -
     found = coarse_meshes(own, spacing)
     if not found:
         return ""
-    what = "" if refined else ": --max-edge-length auto divides them"
+    what = "" if refined else "; --max-edge-length auto divides them"
     return (
-        f"faces of {mesh_names(found, spacing)} stay flat however the body bends{what}; the"
-        " particles and Gaussians show its shape"
+        f"faces of {mesh_names(found, spacing)} stay flat however the body bends, and only the"
+        f" particles and Gaussians show its shape{what}"
     )
 
 
