@@ -38,8 +38,9 @@ def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, blo
     done = gf_usd("bake", block, *SMALL, "--floor", "none", "--events", "events.ndjson")
     assert done.status == 0
     found = events((here / "events.ndjson").read_text())
-    assert kinds(found) == ["started", "plan", "frame", "finished"]
-    first, plan, *frames, last = found
+    assert kinds(found) == ["started", "plan", "note", "frame", "finished"]
+    first, plan, note, *frames, last = found
+    assert [note["message"]] == plan["notes"]  # on the long faces of the block
     assert first == {
         "event": "started", "time": first["time"], "asset": str(block), "version": __version__,
         "pid": os.getpid(),

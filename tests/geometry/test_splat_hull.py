@@ -192,7 +192,7 @@ def test_an_asset_gets_one_for_each_capture():
     assert asset.splats == ()
     # the second is as large as the first where its prim stands
     assert off(asset.surfaces[1]).max() < 2 * NEAR
-    assert [n.split(":")[0] for n in asset.facts.notes] == ["/ball", "/other"]
+    assert [n.split(":")[0] for n in asset.facts.notes] == ["</ball>", "</other>"]
     assert build_solid(asset).volume == pytest.approx(BALL, rel=0.1)
 
 
