@@ -63,6 +63,7 @@ def test_free_fall_stays_exact_with_all_of_them():
         assert frame.health.clamped == frame.health.stress_capped == frame.health.rollbacks == 0
 
 
+@pytest.mark.acceptance
 @pytest.mark.slow  # compiles kernels of its own
 def test_wls_gives_energy_to_a_free_body_and_its_absence_does_not():
     # docs/physics.md: the grid's force is not the adjoint of WLS.  In the Lagrangian limit

@@ -164,7 +164,7 @@ def test_a_body_at_rest_has_no_energy_and_no_plastic_flow(family):
 
 
 @pytest.mark.slow  # compiles kernels of double precision
-@families
+@longest_families
 def test_to_turn_a_bent_body_is_no_flow(family):
     press = Press(family, np.float64)
     stress = press.strain(uniaxial(0.05, YIELD + HARD * 0.05))

@@ -21,7 +21,8 @@ LONG = {  # more than half of the time of all
 LONGEST = {  # which `gf-usd verify` of the acceptance has
     "hydrostatic", "puddle", "taylor", "arms", "column", "incline", "law-crushable", "law-paste",
     "expansion", "rim", "penetration", "dam", "collisions", "slope", "law-vonMises",
-    "law-druckerPrager",
+    "law-druckerPrager", "patch", "drop-of-both", "solvers", "taylor-f64", "rigid-end", "slump",
+    "burst", "law-fluid", "law-corotated", "uniaxial", "hertz", "goals", "lamb",
 }  # fmt: skip
 
 

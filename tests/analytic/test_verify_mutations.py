@@ -16,10 +16,9 @@ from slow_parameters import longest_but
 import gf_usd
 
 pytestmark = pytest.mark.slow  # each fault is compiled anew, some ten seconds
-QUICKEST = (  # of a law, the transfers, the boundary conditions and the forces
+QUICKEST = (  # of a law, the transfers and the forces
     "2/h^2 for 4/h^2 in APIC",
     "half the shear modulus in the corotated stress",
-    "pins mirror without the sign",
     "no body force",
 )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from slow_parameters import slow_but
+from slow_parameters import longest_but
 
 import gf_usd
 
@@ -59,7 +59,7 @@ def run(text: str, known: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", slow_but(WITH_EXAMPLES, *(name for name in WITH_EXAMPLES if name != "fit"))
+    "name", longest_but(WITH_EXAMPLES, *(name for name in WITH_EXAMPLES if name != "fit"))
 )
 def test_the_examples_of_a_name_run(
     name: str, folder: Path, result: Any, monkeypatch: pytest.MonkeyPatch

@@ -32,6 +32,7 @@ def script(name: str) -> Any:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_duck_is_baked_and_read(tmp_path: Path) -> None:
     result = script("bake_the_duck").main(ROOT / "samples" / "duck.usda", tmp_path, particles=300)
     assert (tmp_path / "duck.png").is_file()

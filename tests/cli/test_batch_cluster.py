@@ -197,6 +197,7 @@ def test_jobs_that_no_worker_can_do_are_reported_and_can_be_stopped(
     assert (end["state"], end["message"]) == ("stopped", "interrupted before it started")
 
 
+@pytest.mark.acceptance
 def test_a_scheduler_that_dies_is_reported(
     cut: Job, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:

@@ -36,6 +36,7 @@ def bundle(here: Path, block: Path, *arguments: str) -> list[str]:
             "-p", f"file://{folder / 'parameters.json'}"]  # fmt: skip
 
 
+@pytest.mark.acceptance
 def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -> None:
     command = bundle(here, block, "--particles", "150", "--frames", "2")
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -83,6 +83,7 @@ def test_a_cache_gives_back_its_material(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_density_and_stiffness_are_reported_as_one(tmp_path: Path) -> None:
     truth = cache_of_truth(tmp_path, 16)
     found = gf_usd.fit(SPHERE, truth, unknowns=["E", "rho"], damping_time=6.4e-3, **SMALL)

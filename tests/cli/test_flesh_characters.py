@@ -102,6 +102,7 @@ def test_combine_makes_one_body_of_all_characters(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_characters_whose_bind_poses_overlap_follow_their_own_skeletons(tmp_path: Path) -> None:
     """As near to the skinned pose as a lone arm is: see `test_flesh_cli`."""
     out = tmp_path / "out.usda"

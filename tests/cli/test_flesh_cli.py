@@ -317,6 +317,7 @@ def test_a_repeated_cycle_is_nearer_to_periodic(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_cycle_that_ends_by_itself_is_the_one_that_so_many_times_make(tmp_path: Path) -> None:
     path = write(tmp_path, swinging())
     options = {"material": "jelly", "gravity": 0.0, **FEW}

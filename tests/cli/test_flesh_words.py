@@ -164,6 +164,7 @@ def test_there_is_no_drop(gf_usd: Callable[..., Done], here: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_frames_before_the_animation_are_distinguished(
     gf_usd: Callable[..., Done], here: Path
 ) -> None:

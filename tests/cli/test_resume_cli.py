@@ -299,7 +299,7 @@ def test_captured_gaussians_continue_identically(gf_usd, here: Path, tmp_path: P
     [
         pytest.param((), marks=pytest.mark.acceptance),  # the others have its state, and more
         ("--goal-frequency", "4"),
-        ("--rigid", "box:1.5,-1,-1,3,1,1"),
+        pytest.param(("--rigid", "box:1.5,-1,-1,3,1,1"), marks=pytest.mark.acceptance),
         ("--squish", "0.6", "--stretch", "0.3", "--field", "noise:9:length=0.5:rate=2"),
     ],
 )

@@ -116,6 +116,7 @@ def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_served_bakes_equal_single_ones(
     gf_usd: Call, here: Path, block: Path, path: Path, server: object
 ) -> None:

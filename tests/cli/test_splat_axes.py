@@ -41,7 +41,13 @@ def same(ply, spz, turn: np.ndarray) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("axis", "turn"), [("Y", np.eye(3)), ("-Y", HALF_TURN), ("Z", STOOD), ("-Z", STOOD @ HALF_TURN)]
+    ("axis", "turn"),
+    [
+        pytest.param("Y", np.eye(3), marks=pytest.mark.acceptance),
+        ("-Y", HALF_TURN),
+        pytest.param("Z", STOOD, marks=pytest.mark.acceptance),
+        ("-Z", STOOD @ HALF_TURN),
+    ],
 )
 def test_a_capture_stands_in_spz_as_it_does_in_the_bake(gf_usd, here, tmp_path, axis, turn):
     path = write_ply(tmp_path / "ball.ply", ball(300, degree=3))

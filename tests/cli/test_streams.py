@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from slow_parameters import slow_but
+from slow_parameters import longest_but, slow_but
 from small_bakes import names
 
 pytestmark = pytest.mark.skipif(
@@ -38,7 +38,7 @@ def test_what_is_said_on_the_way_ends_nothing(here: Path, block: Path, where: st
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("where", ["2>&-", "2>/dev/full", ">&- 2>&-"])
+@pytest.mark.parametrize("where", longest_but(["2>&-", "2>/dev/full", ">&- 2>&-"], ">&- 2>&-"))
 def test_a_bake_continues(here: Path, block: Path, where: str) -> None:
     assert run(here, f"GF bake {block} --particles 100 --frames 2 {where}").returncode == 0
     kinds = ("cache.usdc", "report.json", "usda")
@@ -70,7 +70,7 @@ def test_a_reader_that_has_enough_gets_no_traceback(here: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "status", "message"),
-    slow_but([("| head -1", 0, ""), (">/dev/full", 1, NO_ROOM)], (">/dev/full", 1, NO_ROOM)),
+    longest_but([("| head -1", 0, ""), (">/dev/full", 1, NO_ROOM)], (">/dev/full", 1, NO_ROOM)),
 )
 def test_a_batch_ends_its_work_before_an_error_of_stdout(
     here: Path, block: Path, where: str, status: int, message: str

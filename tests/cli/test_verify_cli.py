@@ -82,6 +82,7 @@ def test_wrong_words_are_usage_errors(gf_usd) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_cases_in_processes_are_what_they_are_in_one(gf_usd) -> None:
     arguments = ("verify", "--case", "thin", "--case", "inertia", "--case", "uniaxial", "--json")
     one, two = (gf_usd(*arguments, "--jobs", number) for number in ("1", "2"))

@@ -210,6 +210,7 @@ def test_another_variant_keeps_the_camera_and_the_frame(browser: Browser) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_surface_whose_faces_change_plays(opened: Browser, tmp_path: Path) -> None:
     file = tmp_path / "flow.html"
     file.write_text(build_report([MeltingBox()], report_of(), "", Limits()), encoding="utf-8")

@@ -223,6 +223,7 @@ def test_light_turns_with_the_body(opened, up: tuple) -> None:
         assert page.pixel(np.zeros(3))[:3] == pytest.approx(np.clip(color, 0, 1), abs=0.02)
 
 
+@pytest.mark.acceptance
 def test_variants_are_switched_between(opened) -> None:
     page = opened(shell(100), Splats([(0, 0, 0), (1, 1, 1)], np.full((2, 3), 0.1),
                                      np.full((2, 3), 0.5), variant="jelly")).page  # fmt: skip

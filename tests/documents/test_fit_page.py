@@ -19,6 +19,7 @@ def test_the_page_has_every_number() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_example_runs(tmp_path: Path) -> None:
     script = "\n".join(block.text for block in blocks(PAGE) if block.language == "bash")
     # fewer particles and frames than a reader would like to see

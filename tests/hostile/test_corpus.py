@@ -126,11 +126,14 @@ def test_bomb_in_a_package(tmp_path: Path) -> None:
     assert stopped([file], EACH) == {}
 
 
-SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 12)]
+SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4)]
+LONGEST = [
+    pytest.param(seed, marks=[pytest.mark.slow, pytest.mark.acceptance]) for seed in range(4, 12)
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, *SLOW])
+@pytest.mark.parametrize("seed", [0, *SLOW, *LONGEST])
 def test_mutated_files(tmp_path: Path, seed: int) -> None:
     dice = random.Random(f"corpus:{seed}")
     cases = []
@@ -147,6 +150,7 @@ def test_mutated_files(tmp_path: Path, seed: int) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_fuzzer_finds_no_error_of_others_in_a_short_run() -> None:
     """Other cases than the recorded runs: as many as 8 s hold.
 

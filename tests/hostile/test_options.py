@@ -10,6 +10,7 @@ import pytest
 from hostile_options import OPTIONS, asset, planned
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from slow_parameters import longest_but
 
 FLESH = (
     *("flesh", "bone_radius", "preroll", "loop"),
@@ -43,7 +44,7 @@ def test_options_together(here: Path, options: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.parametrize("name", longest_but(OPTIONS, *list(OPTIONS)[::3]))
 def test_each_value_alone(here: Path, name: str) -> None:
     """The first value of each is one that is right."""
     found = [planned(here, {name: value}) for value in OPTIONS[name]]

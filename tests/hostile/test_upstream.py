@@ -38,6 +38,7 @@ def test_a_wrong_number_of_children(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_wrong_number_of_specs(tmp_path: Path) -> None:
     file = made(SCRIPTS[1], "many_specs.usdc", tmp_path)
     assert "reading it took longer than 2 s" in stopped([file], Limits(time=2.0))[file]

@@ -75,6 +75,7 @@ def test_particles_are_shown_instead_of_the_mesh_from_the_first_converted_on(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_surface_is_drawn_around_what_was_converted(blocks: Path, tmp_path: Path) -> None:
     done = gf_usd.bake(
         blocks, frames=6, output=tmp_path / "out.usda", surface=True,
@@ -179,6 +180,7 @@ def test_it_can_be_combined_with_other_output_options(
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_solids_that_overlap_stay_one_body_of_which_a_part_is_converted(tmp_path: Path) -> None:
     """They were torn apart, since only one of them can be converted."""
     path = scene(

@@ -81,6 +81,7 @@ def test_what_contradicts_it_is_refused(options: dict) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_variants_and_a_sheet(tmp_path: Path) -> None:
     asset = tmp_path / "box.obj"
     corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]

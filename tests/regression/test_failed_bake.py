@@ -77,6 +77,7 @@ def fault(monkeypatch: pytest.MonkeyPatch) -> Fault:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_step_that_is_far_too_long_ends_in_words(here: Path) -> None:
     (here / "hard.usda").write_text(HARD)
     done = subprocess.run(

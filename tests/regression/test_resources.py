@@ -209,6 +209,7 @@ def start(asset: Path, out: Path, more: str = "") -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 @pytest.mark.skipif(os.name == "nt", reason="no file size limit")
 def test_a_disk_that_is_full_without_warning(tmp_path: Path) -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000000, 1000000))"

@@ -457,6 +457,7 @@ def test_a_ball_that_rolls_on_a_table_stops_on_it_or_falls(table: Path, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_ball_that_rolls_comes_to_a_stop(tmp_path: Path) -> None:
     """v falls by 5/7 c g: in v^2 / (10/7 c g) of way; a soft ball rolls on a flat, and less far."""
     c, speed = 0.1, 1.5

@@ -33,6 +33,7 @@ def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: str) -> tuple
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_baked_or_refused_in_words(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     status, page = run(monkeypatch, folder, "--particles", "100")
     assert status == 0

@@ -20,6 +20,7 @@ def ran(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_cut_short_they_are_not_yet_at_rest_and_say_so() -> None:
     done = ran("--particles", "300", "--frames-scale", "0.01")
     runs = json.loads(done.stdout.splitlines()[-1])["runs"]

@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize("clip_frames", [0, 30])
 def test_memory_stays_flat(clip_frames: int, tmp_path: Path) -> None:

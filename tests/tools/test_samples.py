@@ -251,6 +251,7 @@ def test_sphere_is_round_and_its_sibling_is_not() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_generator_reproduces_the_files(tmp_path: Path) -> None:
     script = REPO / "tools" / "make_samples.py"
     subprocess.run([sys.executable, str(script), "--out", str(tmp_path)], check=True)

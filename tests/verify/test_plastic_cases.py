@@ -31,6 +31,7 @@ def test_taylors_bar_passes_with_copper_and_fails_with_ten_times_its_yield_stres
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_two_observers_of_taylors_bar_notice_a_wall_that_is_a_trifle_slow(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -150,6 +150,7 @@ def test_velocities_are_those_of_the_random_places() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_frame_says_what_the_change_of_solver_gave() -> None:
     run = converting(("rubber",), {0: at(2.0)}, frames=6)
     seen = list(run.frames())

@@ -175,6 +175,7 @@ def test_limits_that_are_not_met_change_nothing():
     np.testing.assert_allclose(states[0], states[1], atol=1e-9)
 
 
+@pytest.mark.acceptance
 @pytest.mark.slow  # compiles kernels of its own
 def test_what_is_saved_continues_bit_identically():
     def solver():

@@ -75,6 +75,7 @@ def test_a_solver_that_nobody_holds_is_gone_at_once() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_strains_are_worked_out_again_only_where_f0_or_the_frame_is_another(monkeypatch):
     particles, _ = ball(120)
     chosen = settings(frames=3, wls=True)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slow_parameters import slow_but
+from slow_parameters import longest_but
 
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials.conversion import STRAIN, STRESS, TIME, Conversion, Limit
@@ -51,7 +51,8 @@ def frames(run: UpdatedLagrangian, count: int):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", slow_but(["honey", "powder-snow", "dry-sand", "toothpaste"], "powder-snow")
+    "name",
+    longest_but(["honey", "powder-snow", "dry-sand", "toothpaste"], "powder-snow"),
 )
 def test_momenta_are_kept_and_the_energy_lost_is_counted(name: str) -> None:
     """The block implodes and turns; half of it is converted after two frames."""

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from slow_parameters import slow_but
+from slow_parameters import longest_but, slow_but
 from solids import ball, preset_material, settings
 
 from gf_usd.core.errors import SolverError, UsageError
@@ -58,7 +58,7 @@ def test_reruns_and_thread_counts_agree_to_the_bit(kernel, threads):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS[1:])
+@pytest.mark.parametrize("kernel", longest_but(KERNELS[1:], "parallel"))
 def test_the_kernels_agree(kernel):
     # The same sums in the same order, but compiled apart: see test_determinism.
     serial, other = dropped(), dropped()
@@ -197,6 +197,7 @@ def bursting() -> UpdatedLagrangian:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_more_nodes_than_memory_allows_is_a_solver_error():
     solver = bursting()
     solver.state._most_nodes = solver.state.node_capacity
@@ -207,7 +208,7 @@ def test_more_nodes_than_memory_allows_is_a_solver_error():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", longest_but(KERNELS, "serial"))
 def test_what_flies_apart_has_a_grid_wherever_it_goes(kernel):
     solver = bursting()
     solver.kernel = kernel

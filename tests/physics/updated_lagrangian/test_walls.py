@@ -19,6 +19,7 @@ def run(body, walls=(), velocity=(0.0, 0.0, 0.0), **changes):
     return UpdatedLagrangian(body, [MADE], s, walls=walls, velocity=velocity, real=np.float64)
 
 
+@pytest.mark.acceptance
 @pytest.mark.slow  # compiles kernels of its own
 def test_half_of_a_symmetric_body_moves_as_the_whole() -> None:
     whole = block((-2 * H, 0.0, 0.0), (4, 2, 2), H)

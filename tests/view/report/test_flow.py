@@ -56,6 +56,7 @@ def test_the_view_holds_the_whole_motion(gaussians: int) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_page_says_what_it_left_out() -> None:
     page = build_report([MeltingBox()], report_of(), "", Limits())
     assert "all 56 vertices of flowing surfaces" in page

@@ -46,7 +46,7 @@ def test_a_thread_a_cell_takes_the_same_sums_to_the_bit() -> None:
     "changes",
     [
         pytest.param({"law": "corotated", "stress": True}, marks=pytest.mark.acceptance),
-        {"law": "vonMises"},
+        pytest.param({"law": "vonMises"}, marks=pytest.mark.acceptance),
         {
             "law": "corotated",
             "stress": True,
