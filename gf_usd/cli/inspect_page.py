@@ -183,7 +183,7 @@ def _advice(console: Console, seen: Inspection) -> None:
 def _parts(console: Console, seen: Inspection) -> None:
     if not seen.parts:
         return
-    from gf_usd.geometry.thin.parts import suggestion
+    from gf_usd.geometry.thin.advice import poor_text, specks_note
 
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("poorly filled", overflow="fold")
@@ -192,10 +192,9 @@ def _parts(console: Console, seen: Inspection) -> None:
     table.add_column("would need", justify="right")
     unit = seen.asset.facts.units.length
     parts = [part for part in seen.parts if not part.speck]
-    specks = [part for part in seen.parts if part.speck]
     console.print()
-    if specks:
-        console.print(_specks_text(specks))
+    if specks := specks_note(seen.parts):
+        console.print(escape(specks))
     if not parts:
         return
     for part in parts[:MOST_PARTS]:
@@ -203,24 +202,7 @@ def _parts(console: Console, seen: Inspection) -> None:
     console.print(table)
     if len(parts) > MOST_PARTS:
         console.print(f"and {len(parts) - MOST_PARTS} more (--json lists all)")
-    console.print("such parts contain few particles or none, and may be too stiff", end="")
-    needed = suggestion(seen.parts)
-    which = "all but the thinnest" if any(p.suggested is None for p in parts) else "them"
-    console.print(f"; --particles {needed} would fill {which}" if needed else "")
-
-
-def _specks_text(specks: Sequence[Part]) -> str:
-    """What is said of specks, the largest of which is the first."""
-    count, one = len(specks), specks[0]
-    size = f"{'up to ' if count > 1 else ''}{length_text(one.size)} large"
-    where = f"shell {one.shell} of {escape(one.path)}" + (
-        f" and {count - 1} more" if count > 1 else ""
-    )
-    return (
-        f"{counted(count, 'speck')}, {size}, {'is' if count == 1 else 'are'} apart from the rest"
-        f" and too small for the spacing ({where}): delete {'it' if count == 1 else 'them'} from"
-        f" the mesh if {'it is' if count == 1 else 'they are'} noise of a scan"
-    )
+    console.print(f"such parts contain {poor_text(parts)}")
 
 
 def _part(part: Part, unit: float) -> Sequence[str]:

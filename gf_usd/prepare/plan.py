@@ -65,6 +65,7 @@ class Plan:
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     repairs: tuple[Repairs, ...] = ()  # of --repair, one for each mesh that it may change
     coarse: str = ""  # which of its meshes have faces too long to bend, if any; one of the notes
+    lost: str = ""  # how little of its volume faults of its meshes let be filled; one of the notes
     heavy: str = ""  # which of its densities no solid has, if any
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None

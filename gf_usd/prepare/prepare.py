@@ -13,6 +13,7 @@ from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.materials.laws import check_law
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.materials.presets import Fixed, find_preset
 from gf_usd.core.mesh import EDGE
 from gf_usd.core.stage import StageSpec
@@ -53,6 +54,7 @@ from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import init_taichi, kernel_cache_notes
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
@@ -150,11 +152,29 @@ def prepare(
     odd = implausible_size(plan.asset)
     plan = replace(
         plan, command=command,
-        notes=(*plan.notes, *filter(None, (odd, plan.heavy)), *kernel_cache_notes()),
+        notes=(
+            *plan.notes, *_poorly_filled(plan, solid), *filter(None, (odd, plan.heavy)),
+            *kernel_cache_notes(),
+        ),
         odd=odd if asset.facts.unit_from == ASSUMED else "",
         sequences=targets.sequences, seen=targets.seen, seen_source=seen_source,
     )  # fmt: skip
     return plan, found.converted
+
+
+def _poorly_filled(plan: Plan, solid: Solid) -> tuple[str, ...]:
+    """Notes on parts with too few particles, as `inspect` names them."""
+    from gf_usd.geometry.thin.advice import poor_note, specks_note
+    from gf_usd.geometry.thin.parts import poor_parts
+
+    # faults of meshes cause thin parts where they remove much of the volume; what flows has no
+    # thin parts to bend
+    flows = all(unbounded(plan.particles, variant.table).all() for variant in plan.variants)
+    if plan.lost or flows:
+        return ()
+    parts = poor_parts(solid, plan.particles, plan.samples)
+    solid.release()
+    return tuple(filter(None, (poor_note(parts), specks_note(parts))))
 
 
 @dataclass(frozen=True, kw_only=True)

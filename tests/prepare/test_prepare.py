@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
 
 from gf_usd.core.errors import InputError, UsageError
@@ -320,3 +321,28 @@ def test_memory_is_estimated_within_a_factor_of_two(tmp_path, particles):
     )
     measured = 1024 * int(done.stdout.split()[-1])
     assert 0.5 < expected / measured < 2.0
+
+
+def rod(radius: float) -> str:
+    body = trimesh.creation.cylinder(radius=radius, height=2.0, sections=12)
+    return mesh("Rod", body.vertices + [0.0, 0.0, 1.5], body.faces)
+
+
+def test_a_bake_names_thin_parts_as_an_inspection_does(stage):
+    """It was silent about them."""
+    path = stage(ball(), rod(0.05))
+    needed = inspect(path, **FEW).as_json()["suggested_particles"]
+    (note,) = [one for one in prepare(path, **FEW).plan.notes if "few particles or none" in one]
+    assert note.startswith("1 part contains")
+    assert f"; --particles {needed} would fill it (shell 0 of </Root/Rod>, 2 m large" in note
+
+
+def test_a_bake_names_no_thin_parts_where_there_are_none(stage):
+    path = stage(ball(), rod(0.5))
+    assert not any("few particles" in one for one in prepare(path, **FEW).plan.notes)
+
+
+def test_nothing_is_too_stiff_where_all_flows(stage):
+    path = stage(ball(), rod(0.05))
+    notes = prepare(path, material="water", **FEW).plan.notes
+    assert not any("few particles" in one for one in notes)

@@ -39,6 +39,9 @@ RAYS = 64  # of a part, for its thickness
 CLEAR_OF_WALL = 0.05  # [walls] offset from its surface for an unambiguous inside test
 VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
 WHOLE = ("empty", "few", "thin")  # kinds of whole shells
+# [spacings^3] volume from which particles in a shell that is not thin are not counted: there are
+# more than `FEW`, and counting them took half of the time (measured).
+SURE = 8 * FEW
 # A shell that is apart from the others is a speck below these shares of the diagonal of all shells,
 # and of their volume.
 SPECK, SPECK_VOLUME = 0.1, 1e-3
@@ -160,8 +163,10 @@ def _poor_shells(
     cavity = winding.orientations(points, triangles, label).target == -1
     tree = kd_tree(particles.X)
     found = []
+    wide = 2.0 * volume >= THIN * particles.spacing * area
+    filled = wide & (volume >= SURE * particles.spacing**3)
     for k, rows in enumerate(winding.rows_of(label)):
-        if cavity[k]:
+        if cavity[k] or filled[k]:
             continue
         X = particles.X[tree.query_ball_point(0.5 * (low[k] + high[k]), reach[k])]
         count = int(winding.winding_inside(points, triangles[rows], X).sum()) if len(X) else 0
@@ -200,10 +205,11 @@ def _poor_regions(
 ) -> list[Part]:
     """Connected surface regions far from any particle, or thinner than a layer."""
     s = particles.spacing
-    distance = kd_tree(particles.X).query(samples.X)[0]
+    distance, closest = kd_tree(particles.X).query(samples.X)
     at = nearest(solid, samples.X)
     X = _off_edges(solid, samples.X, at)
-    poor = np.flatnonzero((distance > BARE * s) | _thin(solid, X, at.normal, s))
+    side = np.sign(((particles.X[closest] - X) * at.normal).sum(axis=1))
+    poor = np.flatnonzero((distance > BARE * s) | _thin(solid, X, at.normal, side, s))
     if len(poor) == 0:
         return []
     moved, normal = X[poor], at.normal[poor]
@@ -290,17 +296,24 @@ def _off_edges(solid: Solid, X: Floats, at: Nearest) -> Floats:
     return moved
 
 
-def _thin(solid: Solid, X: Floats, normal: Floats, spacing: float) -> winding.Flags:
+def _thin(solid: Solid, X: Floats, normal: Floats, side: Floats, spacing: float) -> winding.Flags:
     """(n,) True for surface points X where the solid is thinner than `THIN` spacings.
 
     Inward is the side of the normal on which the solid is deeper, since the winding may be
-    reversed.
+    reversed.  side : (n,) the sign of the one that is tested first.
     """
     depth = (np.arange(STEPS) + 0.5) / STEPS * THIN * spacing
-    way = np.stack([depth, -depth])
-    probes = X[:, None, None, :] + way[None, :, :, None] * normal[:, None, None, :]
-    inside = solid.inside(probes.reshape(-1, 3)).reshape(len(X), 2, STEPS)
-    return inside.sum(axis=2).max(axis=1) < STEPS
+
+    def reaches(rows: Ints, sign: Floats) -> winding.Flags:
+        way = sign[:, None, None] * depth[:, None] * normal[rows, None, :]
+        inside = solid.inside((X[rows, None, :] + way).reshape(-1, 3))
+        return np.all(inside.reshape(len(rows), STEPS), axis=1)
+
+    first = np.where(side < 0.0, -1.0, 1.0)
+    thin = ~reaches(np.arange(len(X)), first)
+    rows = np.flatnonzero(thin)
+    thin[rows] = ~reaches(rows, -first[rows])
+    return thin
 
 
 def _volume_where(

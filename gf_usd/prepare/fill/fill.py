@@ -196,6 +196,7 @@ def fill(
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
         coarse=coarse,
+        lost=meshes.lost,
         heavy=implausible_densities(materials.stated, asset.facts.units),
         notes=merged(notes, [one.note for one in advice]),
     )

@@ -37,6 +37,7 @@ class FilledMeshes:
     thickened: bool = False  # sheets are as thick as the spacing
     repairs: tuple[Repairs, ...] = ()  # of each surface that is filled, where it was asked for
     spacing: float | None = None  # [m] of as many particles as requested, sheets included
+    lost: str = ""  # see `lost_volume_warning`; one of the notes
 
     def volumes(self) -> dict[tuple[str, ...], float]:
         """[m^3] of its closed surfaces, by the prim paths of their meshes."""
@@ -148,14 +149,12 @@ def build_meshes(
     changed = {*walls.outer.values(), *(paths[0] for paths in joined.groups)}
     by_path = {} if turned else {one.path: one for one in known if one.path not in changed}
     diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
-    defects = (
-        *(tolerated_defects(diagnosis) for diagnosis in diagnoses),
-        lost_volume_warning(diagnoses, solid.volume, solid.adding_nothing),
-    )
+    lost = lost_volume_warning(diagnoses, solid.volume, solid.adding_nothing)
+    defects = (*(tolerated_defects(diagnosis) for diagnosis in diagnoses), lost)
     left = {path for path, _ in solid.embedded} - walls.outer.keys()
     not_joined = _not_joined(oriented, groups, why_not) if left else ()
     notes_on = (*turned, *joined.notes, *not_joined, *filter(None, defects), *walls.notes)
-    return FilledMeshes(asset=oriented, solid=solid, notes=notes_on)
+    return FilledMeshes(asset=oriented, solid=solid, notes=notes_on, lost=lost)
 
 
 def _not_joined(
