@@ -90,3 +90,17 @@ def test_rays_through_a_hole_are_left_out() -> None:
 
 def test_particles_across() -> None:
     assert Thickness(thin=0.12, median=1.0).across(0.04) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.01, 1e6])
+def test_thickness_scales_with_the_body(size: float) -> None:
+    """The ray test of libigl misses triangles whose doubled area is below 1e-6 of its unit: a
+    ball 2 cm wide had no thickness."""
+    fine = sphere(subdivisions=4)
+    whole = thickness(solid(fine))
+    seen = thickness(solid(surface(size * fine.points, fine.triangles)))
+    assert whole is not None
+    assert seen is not None
+    assert seen.thin == pytest.approx(size * whole.thin, rel=1e-5)
+    assert seen.median == pytest.approx(size * whole.median, rel=1e-5)
+    assert len(ray_lengths(solid(surface(size * fine.points, fine.triangles)), None, 200)) == 200
