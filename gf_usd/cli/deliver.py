@@ -12,7 +12,7 @@ import typer
 
 from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text
+from gf_usd.core.units import bytes_text, percent_text
 
 if TYPE_CHECKING:
     from gf_usd.delivery.deliver import Delivered, DeliveredBody, DeliveredSplats
@@ -109,7 +109,7 @@ def _show(done: Delivered) -> None:
         typer.echo(f"{name}<{cloud.path}>: {error_text(cloud)}")
     typer.echo(
         f"{done.path}: {bytes_text(done.bytes)}, {counted(done.frames, 'frame')}, largest error"
-        f" {100 * done.error:.2g} % of the radius"
+        f" {percent_text(done.error)} of the radius"
     )
 
 
@@ -131,7 +131,7 @@ def error_text(cloud: DeliveredSplats) -> str:
     # two digits, also above 100 %, where "2g" alone has an exponent
     middle, most, largest = (f"{float(f'{100 * share:.2g}'):g} %" for share in cloud.covariance)
     return (
-        f"{cloud.count} Gaussians, position error at most {100 * cloud.position:.2g} % of the "
+        f"{cloud.count} Gaussians, position error at most {percent_text(cloud.position)} of the "
         f"radius; covariance error {middle} (median), {most} (99 in 100), {largest} (largest)"
     )
 

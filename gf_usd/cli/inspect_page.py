@@ -12,7 +12,14 @@ from rich.table import Table
 
 from gf_usd.cli.console import drop_of, frames_of, landing_of
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text, code_text, length_text, number_text, volume_text
+from gf_usd.core.units import (
+    bytes_text,
+    code_text,
+    length_text,
+    number_text,
+    percent_text,
+    volume_text,
+)
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -118,7 +125,7 @@ def _closed(mesh: Diagnosis) -> str:
     if mesh.watertight:
         return "watertight"
     holes = len(mesh.holes)
-    share = f"{100 * mesh.hole_share:.2g} %"
+    share = percent_text(mesh.hole_share)
     return f"[yellow]{holes} hole{'' if holes == 1 else 's'}, {share} of the area[/]"
 
 

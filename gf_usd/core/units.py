@@ -133,6 +133,17 @@ def number_text(value: float) -> str:
     return f"{float(text):.0f}" if 1e3 <= abs(float(text)) < 1e9 else text
 
 
+def rounded_text(value: float) -> str:
+    """A number to two significant digits; from 100 to 1e9 without an exponent."""
+    text = f"{value:.2g}"
+    return f"{float(text):.0f}" if 1e2 <= abs(float(text)) < 1e9 else text
+
+
+def percent_text(share: float) -> str:
+    """A share in percent, to two significant digits: 100 %, not 1e+02 %."""
+    return f"{rounded_text(100.0 * share)} %"
+
+
 def check_unit(meters_per_unit: float | None) -> None:
     """Raise UsageError for an option that is no size of a unit."""
     if meters_per_unit is not None and not LEAST < meters_per_unit < MOST:

@@ -12,6 +12,7 @@ import numpy as np
 from gf_usd.core import PACKAGE_SUFFIX
 from gf_usd.core.errors import BakeError, UsageError, counted
 from gf_usd.core.scene import Recording
+from gf_usd.core.units import percent_text
 from gf_usd.delivery.gltf.read import read_error, read_splat_errors
 from gf_usd.delivery.gltf.write import write_glb
 from gf_usd.delivery.motion import BodyMotion
@@ -345,7 +346,7 @@ def _fitter(
             return with_single_joints(last) if nodes else last
         reason = (
             f"{_named(variant, body)}: {counted(last.joints, 'joint leaves', 'joints leave')} an"
-            f" error of {100 * last.error:.2g} % of the radius, {last.error * body.radius:.2g} m"
+            f" error of {percent_text(last.error)} of the radius, {last.error * body.radius:.2g} m"
         )
         remedy = "more joints with --max-joints"
         if last.joints < most_joints:
@@ -403,11 +404,11 @@ def _within(
         aim *= AGAIN
     step, far = max(_rounding(body) for variant in variants for body in variant.bodies)
     raise BakeError(
-        f"{files.target} differs by {100 * off:.2g} % of the radius when it is read back, but at"
+        f"{files.target} differs by {percent_text(off)} of the radius when it is read back, but at"
         f" most {100 * error:g} % is allowed",
         "allow a larger --error"
         if step < error / 4.0
-        else f"numbers in single precision have steps of {100 * step:.2g} % of the radius at the"
+        else f"numbers in single precision have steps of {percent_text(step)} of the radius at the"
         f" {far:.3g} m that the body is from the origin: move the asset closer to it",
     )
 

@@ -21,6 +21,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.errors import counted
 from gf_usd.core.mesh import WELD_FRACTION, areas, proper, shells
 from gf_usd.core.neighbors import components
+from gf_usd.core.units import percent_text
 from gf_usd.geometry import winding
 from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
 
@@ -208,7 +209,7 @@ def faults(seen: Diagnosis) -> list[str]:
     """Phrases for the faults of a mesh as the boundary of a solid."""
     found = []
     if seen.holes:
-        share = f"{100 * seen.hole_share:.2g} % of the closed area"
+        share = f"{percent_text(seen.hole_share)} of the closed area"
         found.append(f"{counted(len(seen.holes), 'hole')} ({share})")
     if against := sum(shell.against for shell in seen.shells):
         found.append(f"{counted(against, 'triangle')} facing the other way")

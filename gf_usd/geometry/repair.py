@@ -17,6 +17,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import counted
 from gf_usd.core.mesh import areas, proper, shells, triangulate
+from gf_usd.core.units import percent_text
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import (
     DUPLICATE,
@@ -278,4 +279,4 @@ def _with_corners(surface: Surface, corners: Ints) -> Surface:
 
 
 def _share(value: float) -> str:
-    return f"{100 * value:.2g} %"
+    return percent_text(value)

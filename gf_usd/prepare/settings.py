@@ -21,7 +21,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import CONSISTENT, LUMPED, MIXED, Field, Settings
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
-from gf_usd.core.units import code_text
+from gf_usd.core.units import code_text, length_text
 from gf_usd.prepare.options.fields import GravityKeys, in_meters, parse_field
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import AUTO, Floor, Height, Triple
@@ -442,21 +442,18 @@ def by_thickness(volume: float, thick: Thickness | None) -> Resolution:
     longer = (count / base) ** (4.0 / 3.0)
     if longer < LONGER:
         return Resolution(spacing=None, particles=count)
-    note = (
-        f"5 % of the surface is at most {thick.thin:.3g} m thick: {count} particles put {ACROSS:g}"
-        f" across it and take about {longer:.1f} times as long as {base}"
-    )
+    thin = f"5 % of the surface is at most {length_text(thick.thin)} thick"
+    time = f"take about {longer:.1f} times as long as {base}"
+    note = f"{thin}: {count} particles put {ACROSS:g} across it and {time}"
     across = thick.across(float(np.cbrt(volume / count)))
     if wanted > count and across < SHORT * ACROSS:
         digit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)
         more = int(np.ceil(wanted / digit) * digit)
-        note = (
-            f"5 % of the surface is at most {thick.thin:.3g} m thick: {count} particles, the most"
-            f" by default, put {across:.1f} across it and take about {longer:.1f} times as long as"
-            f" {base}; "
-        ) + (
+        remedy = (
             f"--particles {more} would put {ACROSS:g} across"
             if more <= SENSIBLE
             else f"{ACROSS:g} across would need more than {SENSIBLE} particles"
         )
+        most = f"{count} particles, the most by default, put {across:.1f} across it"
+        note = f"{thin}: {most} and {time}; {remedy}"
     return Resolution(spacing=None, particles=count, note=note)

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from gf_usd.core.units import bytes_text, code_text, length_text, volume_text
+from gf_usd.core.units import (
+    bytes_text,
+    code_text,
+    length_text,
+    percent_text,
+    rounded_text,
+    volume_text,
+)
 
 
 @pytest.mark.parametrize(
@@ -76,3 +83,16 @@ def test_volumes_have_three_digits_and_no_exponent(cubic_meters: float, text: st
 )
 def test_time_codes_have_no_exponent(code: float, text: str):
     assert code_text(code) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0123, "0.012"), (99.4, "99"), (99.6, "100"), (213.0, "210"), (-250.0, "-250")],
+)
+def test_two_digits_have_no_exponent_from_a_hundred_on(value: float, text: str) -> None:
+    assert rounded_text(value) == text
+
+
+def test_all_is_a_hundred_percent() -> None:
+    """Warnings wrote 1e+02 %."""
+    assert [percent_text(share) for share in (1.0, 0.034)] == ["100 %", "3.4 %"]

@@ -30,7 +30,7 @@ def test_thin_parts_take_three_across() -> None:
     assert made.particles == pytest.approx((3.0 / 0.12) ** 3, abs=1)
     assert (1.0 / made.particles) ** (1.0 / 3.0) == pytest.approx(0.04)
     assert made.note == (
-        "5 % of the surface is at most 0.12 m thick: 15625 particles put 3 across it and take"
+        "5 % of the surface is at most 12 cm thick: 15625 particles put 3 across it and take"
         " about 2.4 times as long as 8000"
     )
 

@@ -21,7 +21,7 @@ from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import GaussianPose, Particles, Settings
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.matrices import rotation_rows
-from gf_usd.core.units import StageUnits, code_text
+from gf_usd.core.units import StageUnits, code_text, percent_text
 from gf_usd.layers.stage import box, f32, xyzw
 from gf_usd.layers.tracks.accuracy import HALF_SHAPE, shape_errors
 from gf_usd.layers.tracks.meshes import check
@@ -292,7 +292,7 @@ class Track:
     def text(self) -> str:
         """A note on the largest error."""
         if self._relative:
-            return f"{self.name} by {100.0 * self.error:.2g} %"
+            return f"{self.name} by {percent_text(self.error)}"
         return f"{self.name} by {self.error:.2g}"
 
 

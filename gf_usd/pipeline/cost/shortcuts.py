@@ -12,6 +12,7 @@ from typing import Any
 
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
+from gf_usd.core.units import percent_text
 from gf_usd.pipeline.cost.budget import Cost, rough_duration
 
 LONG = 300.0  # [s] of a bake of a flowing material from which mass scaling is suggested
@@ -121,7 +122,7 @@ def mass_scaling_hint(
         f"--mass-scaling {whole:g} would bake {what} in about {rough_duration(promised)} and"
         f" dent {', '.join(plastic) if len(rows) > 1 else 'it'} alike:"
         f" {'they spring' if len(plastic) > 1 else 'it springs'} back by up to"
-        f" {100.0 * factor * strain:.2g} % instead of {100.0 * strain:.2g} %"
+        f" {percent_text(factor * strain)} instead of {percent_text(strain)}"
     )
 
 

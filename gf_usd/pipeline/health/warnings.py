@@ -15,6 +15,7 @@ from typing import Any
 from gf_usd.core.errors import counted
 from gf_usd.core.frames import STRETCH
 from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.units import percent_text, rounded_text
 
 HealthSummary = Mapping[str, Any]
 
@@ -132,7 +133,7 @@ def _energy(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"energy rose without a known cause: {h['energy_gain_max_J']:.3g} J in one frame,"
-        f" {100.0 * share:.2g} % of the energy scale of the body",
+        f" {percent_text(share)} of the energy scale of the body",
         f"{_gentler(h)}, or use a softer material",
     )
 
@@ -168,7 +169,7 @@ def _stretched(h: HealthSummary) -> MessageAndHint:
     if share is None or share <= STRETCHED or any(LAWS[law].flows for law in h[LAWS_OF]):
         return None
     return (
-        f"{100.0 * share:.2g} % of the volume of <{h['stretched_body']}> was stretched more than"
+        f"{percent_text(share)} of the volume of <{h['stretched_body']}> was stretched more than"
         f" {STRETCH:g}-fold in frame {h['stretched_frame']}, single particles"
         f" {h['max_stretch']:.3g}-fold; it is too soft for its own weight or its motion",
         f"use a stiffer material (a preset in pascals for thin parts), {_gentler(h)}, or pin a"
@@ -191,7 +192,7 @@ def _clamped(h: HealthSummary) -> MessageAndHint:
     if h["clamped_share"] <= ALTERED:
         return None
     return (
-        f"stretches were clamped in {100.0 * h['clamped_share']:.2g} % of all particles and frames:"
+        f"stretches were clamped in {percent_text(h['clamped_share'])} of all particles and frames:"
         " there the material law does not hold",
         f"widen the limits (--clamp), or {_gentler(h)}",
     )
@@ -201,7 +202,7 @@ def _capped(h: HealthSummary) -> MessageAndHint:
     if h["stress_capped_share"] <= ALTERED:
         return None
     return (
-        f"stress was capped in {100.0 * h['stress_capped_share']:.2g} % of all particles and"
+        f"stress was capped in {percent_text(h['stress_capped_share'])} of all particles and"
         " frames: there the material law does not hold",
         f"raise --stress-cap, or {_gentler(h)}",
     )
@@ -214,7 +215,7 @@ def _injected(h: HealthSummary) -> MessageAndHint:
         return None
     done = f"put {given:.3g} J into" if given > 0.0 else f"took {-given:.3g} J out of"
     return (
-        f"shape corrections {done} the body, {100.0 * share:.2g} % of the energy scale of the body",
+        f"shape corrections {done} the body, {percent_text(share)} of the energy scale of the body",
         "lower --procrustes, or use --no-wls",
     )
 
@@ -225,7 +226,7 @@ def _planes(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"contact put {share * h['energy_scale_J']:.3g} J into the bodies,"
-        f" {100.0 * share:.2g} % of their energy scale",
+        f" {percent_text(share)} of their energy scale",
         f"{_gentler(h)}, or use more --particles; if bodies overlap at the start, move"
         " them apart in the asset",
     )
@@ -235,7 +236,7 @@ def _deep(h: HealthSummary) -> MessageAndHint:
     if h["deepest_penetration_spacings"] <= DEEP:
         return None
     return (
-        f"the surface sank {h['deepest_penetration_spacings']:.2g} spacings"
+        f"the surface sank {rounded_text(h['deepest_penetration_spacings'])} spacings"
         f" ({h['deepest_penetration_m']:.3g} m) into the floor",
         f"{_gentler(h)}, or use a stiffer material",
     )
@@ -248,7 +249,7 @@ def _overlap(h: HealthSummary) -> MessageAndHint:
         return None  # see `_pierced`
     pair = h.get("overlap_pair") or "bodies or obstacles"  # some solvers do not know it
     return (
-        f"{pair} overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
+        f"{pair} overlapped by {rounded_text(h['deepest_overlap_spacings'])} spacings"
         f" ({h['deepest_overlap_m']:.3g} m) at frame {h['overlap_frame']}",
         f"{_gentler(h)}, or use more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
@@ -261,7 +262,7 @@ def _pierced(h: HealthSummary) -> MessageAndHint:
         return None
     how = "and comes out on the other side, " if through else ""
     return (
-        f"an edge or corner of {h['pierced_pair']}, {how}{depth:.2g} spacings"
+        f"an edge or corner of {h['pierced_pair']}, {how}{rounded_text(depth)} spacings"
         f" ({h['pierced_max_m']:.3g} m) deep at frame {h['pierced_frame']}",
         "round the edges of the obstacle, make the body thicker, or use more --particles;"
         f" {_gentler(h)}",
@@ -288,7 +289,7 @@ def _inside(h: HealthSummary) -> MessageAndHint:
     coarse = h.get("outside_mesh_max_share") is not None
     first = "divide the faces of the coarse mesh (--max-edge-length auto); then " if coarse else ""
     return (
-        f"{100.0 * share:.2g} % of the surface is half a spacing or more inside a body at the"
+        f"{percent_text(share)} of the surface is half a spacing or more inside a body at the"
         f" end, up to {_length(h['inside_at_end_m'])} deep",
         f"{first}use more --particles or a stiffer material,"
         f" {_gentler(h)}, and do not use --no-self-contact",
@@ -301,7 +302,7 @@ def _outside(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"faces of {h['outside_mesh']} are too long to show how the body bends: in some frame"
-        f" {100.0 * share:.2g} % of the particles are a spacing or more outside the mesh, up to"
+        f" {percent_text(share)} of the particles are a spacing or more outside the mesh, up to"
         f" {_length(h['outside_mesh_max_m'])}",
         "divide its faces (--max-edge-length auto); the particles and Gaussians show the true"
         " shape",
@@ -313,7 +314,7 @@ def _resting(h: HealthSummary) -> MessageAndHint:
     if depth is None or depth <= RESTING:
         return None
     return (
-        f"at rest the surface lies {depth:.2g} spacings deep in the floor",
+        f"at rest the surface lies {rounded_text(depth)} spacings deep in the floor",
         "use more --particles for a smaller spacing",
     )
 
@@ -323,8 +324,8 @@ def _drift(h: HealthSummary) -> MessageAndHint:
     if linear is None or spin is None or max(linear, spin) <= DRIFT:
         return None
     return (
-        f"momentum drifted in free flight: by {100.0 * linear:.2g} % of the momentum and"
-        f" {100.0 * spin:.2g} % of the angular momentum of the fastest motion; with"
+        f"momentum drifted in free flight: by {percent_text(linear)} of the momentum and"
+        f" {percent_text(spin)} of the angular momentum of the fastest motion; with"
         f" {h['substeps_max_per_frame']} substeps a frame, rounding errors of single precision add"
         " up",
         "use a softer or less damped material, which allows longer time steps",
@@ -368,7 +369,7 @@ def _lost(h: HealthSummary) -> MessageAndHint:
     count = h.get("lost_particles", 0)
     if not count:
         return None
-    are = f"{100.0 * h['lost_share']:.2g} % of all, {'is' if count == 1 else 'are'} below"
+    are = f"{percent_text(h['lost_share'])} of all, {'is' if count == 1 else 'are'} below"
     return (
         f"{counted(count, 'flowing particle')}, {are} the floor or every obstacle in the last"
         f" frame, the first from frame {h['first_lost_frame']} on",
@@ -401,9 +402,9 @@ def _thin_flow(h: HealthSummary) -> MessageAndHint:
     if count is None or count >= SPARSE:
         return None
     return (
-        f"flowing material is spread too thin for its particles: {count:.2g} are in a cell of the"
-        " grid at the end, and about 6 where it is deep, so that it looks like single drops or"
-        " grains",
+        f"flowing material is spread too thin for its particles: {rounded_text(count)} are in a"
+        " cell of the grid at the end, and about 6 where it is deep, so that it looks like"
+        " single drops or grains",
         "use more --particles or fewer --frames, or hold it in a container",
     )
 
@@ -414,7 +415,7 @@ def _loop(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"after {h['loop_cycles']} cycles, the last one differs from the one before by"
-        f" {h['loop_difference_m']:.2g} m, {100.0 * share:.2g} % of the radius: the loop has a"
+        f" {h['loop_difference_m']:.2g} m, {percent_text(share)} of the radius: the loop has a"
         f" visible jump",
         "repeat it until it is periodic (--loop), or longer, and damp the flesh (--goal-frequency,"
         " --damping-time)",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import UsageError
+from gf_usd.core.units import percent_text
 from gf_usd.pipeline.cost.budget import duration
 from gf_usd.pipeline.measures.certify import Certificate
 from gf_usd.pipeline.measures.convergence import HIGHEST, LOWEST
@@ -98,11 +99,11 @@ def next_step(
     width, order, text = widest
     edge = found[0].runs[0][1]
     if width <= until.share:
-        return Refinement(spacing=None, reason=f"--until {target}: {text} +- {100.0 * width:.2g} %")
+        return Refinement(spacing=None, reason=f"--until {target}: {text} +- {percent_text(width)}")
     p = min(max(order, LOWEST), HIGHEST)
     ratio = min(max(MARGIN * (until.share / width) ** (1.0 / p), FINEST), COARSEST)
     needed = seconds * ratio**-WORK
-    known = f"+- {100.0 * width:.2g} %" if width < float("inf") else "without an interval"
+    known = f"+- {percent_text(width)}" if width < float("inf") else "without an interval"
     if spent + needed > budget:
         return Refinement(
             spacing=None,

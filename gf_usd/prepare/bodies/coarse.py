@@ -12,6 +12,7 @@ import numpy as np
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.mesh import areas
+from gf_usd.core.units import length_text, rounded_text
 
 FAR = 1.0  # [spacings] from the limit surface
 LONG = 4.0  # [spacings] edge length: shorter edges resolve any bend of the grid (cell size 2)
@@ -30,10 +31,10 @@ def cage_notes(surfaces: Sequence[Surface], spacing: float, *, refined: bool) ->
             continue
         notes.append(
             f"<{one.path}> is the cage of a subdivision surface, and its polygons are simulated:"
-            f" the surface that renderers draw is up to {one.limit.shift:.3g} m"
-            f" ({one.limit.shift / spacing:.2g} spacings) away from them and does not touch"
-            f" what the body touches; {what}author subdivisionScheme = none if the polygons are"
-            " what is meant"
+            f" the surface that renderers draw is up to {length_text(one.limit.shift)}"
+            f" ({rounded_text(one.limit.shift / spacing)} spacings) away from them and does not"
+            f" touch what the body touches; {what}author subdivisionScheme = none if the polygons"
+            " are what is meant"
         )
     return tuple(notes)
 
@@ -75,4 +76,5 @@ def mesh_names(meshes: Mapping[str, float], spacing: float) -> str:
     """Text that names the meshes of `coarse_meshes`."""
     path, edge = next(iter(meshes.items()))
     more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
-    return f"<{path}>{more} (edges up to {edge / spacing:.2g} spacings of {spacing:.3g} m)"
+    long = f"{rounded_text(edge / spacing)} spacings of {length_text(spacing)}"
+    return f"<{path}>{more} (edges up to {long})"

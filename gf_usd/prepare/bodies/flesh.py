@@ -14,6 +14,7 @@ from gf_usd.core.asset import Asset, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
 from gf_usd.core.stage import Goals, Pin, Skeleton
+from gf_usd.core.units import percent_text
 from gf_usd.prepare.bodies.characters import character_paths
 from gf_usd.prepare.pins import FREE
 from gf_usd.prepare.settings import Animation
@@ -419,7 +420,7 @@ def _loose_meshes(paths: Sequence[str]) -> tuple[str, ...]:
 def _hanging_meshes(near: Mapping[str, float]) -> tuple[str, ...]:
     """Notes on meshes of several joints that the flesh holds at few of their points."""
     return tuple(
-        f"<{path}> follows several joints, and only {100.0 * share:.2g} % of its points are near"
+        f"<{path}> follows several joints, and only {percent_text(share)} of its points are near"
         f" the flesh that holds it: the rest hangs from there; --goal-frequency pulls it to its"
         f" skinned pose"
         for path, share in near.items()

@@ -11,6 +11,7 @@ import numpy as np
 from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.units import length_text
 from gf_usd.prepare.bodies.plan import BodyPlan, plan_bodies
 from gf_usd.prepare.materials.flowing import Dispatch
 from gf_usd.prepare.settings import Resolution
@@ -116,6 +117,6 @@ def count_notes(requested: int, particles: Particles, *, sheets: bool) -> tuple[
     return (
         f"there are {count} particles instead of {requested}: {least}each cell of the grid that the"
         " surface cuts gets four or eight, which are many where the body is thinner than a cell"
-        f" ({CELL_PER_LATTICE * particles.lattice:.3g} m); for fewer, give a larger --spacing in"
-        " place of --particles",
+        f" ({length_text(CELL_PER_LATTICE * particles.lattice)}); for fewer, give a larger"
+        " --spacing in place of --particles",
     )

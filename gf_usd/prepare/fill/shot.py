@@ -11,6 +11,7 @@ import numpy as np
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
+from gf_usd.core.units import rounded_text
 from gf_usd.prepare.bodies.flesh import read_animation
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
@@ -100,8 +101,8 @@ def _deep_notes(settings: Settings, gap: float, spacing: float, inputs: Inputs) 
     to = f" to {(settings.floor + gap) / inputs.unit:.3g}" if settings.floor_normal is None else ""
     given = inputs.request.parsed["floor"] is not None
     return (
-        f"the asset begins {-gap:.3g} m ({-gap / spacing:.2g} spacings) below the floor, which"
-        f" pushes it out at once: lower --floor{to}{', or leave it out' if given else ''}",
+        f"the asset begins {-gap:.3g} m ({rounded_text(-gap / spacing)} spacings) below the floor,"
+        f" which pushes it out at once: lower --floor{to}{', or leave it out' if given else ''}",
     )
 
 

@@ -11,6 +11,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
+from gf_usd.core.units import percent_text
 
 
 def mass_scaled(
@@ -45,8 +46,8 @@ def mass_scaled(
         f"--mass-scaling {factor:g}: {m.name} has a Young's modulus of"
         f" {m.youngs_modulus / factor:.3g} Pa instead of {m.youngs_modulus:.3g} Pa"
         + (
-            f", and yields at an elastic strain of {100.0 * factor * strain:.2g} % instead of"
-            f" {100.0 * strain:.2g} %"
+            f", and yields at an elastic strain of {percent_text(factor * strain)} instead of"
+            f" {percent_text(strain)}"
             if (strain := m.yield_strain) is not None else ""
         )
         + "; mass, weight and yield stress do not change"

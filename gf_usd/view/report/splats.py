@@ -13,7 +13,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.matrices import ellipsoids
 from gf_usd.core.radiance import Y_0, linear_to_srgb, turned
 from gf_usd.core.scene import RenderSplats, to_frame
-from gf_usd.core.units import code_text
+from gf_usd.core.units import code_text, percent_text
 from gf_usd.view.report.html import (
     SHORT,
     SPEEDS,
@@ -316,7 +316,7 @@ def _describe_content(number: int, splats: SplatRecording, rounding: float) -> H
         )
     lines.append(
         "Positions are rounded to 1/65536 of the size of the motion, standard deviations by"
-        f" {100.0 * rounding:.2g} %, orientations to half a degree."
+        f" {percent_text(rounding)}, orientations to half a degree."
     )
     notes = [*lines, *splats.notes_on_color, *splats.source.notes]
     card = tag(

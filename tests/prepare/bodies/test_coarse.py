@@ -39,7 +39,7 @@ def cage_note(path: Path, **options) -> list[str]:
 def test_a_coarse_cage_is_reported(cube: Path):
     (note,) = cage_note(cube)
     assert note.startswith("</Cube> is the cage of a subdivision surface")
-    assert "up to 0.866 m (4.3 spacings) away from them" in note, "spacing 2 m / 10"
+    assert "up to 86.6 cm (4.3 spacings) away from them" in note, "spacing 2 m / 10"
 
 
 def test_a_refined_cage_is_not(cube: Path):
@@ -76,7 +76,7 @@ def test_meshes_with_long_faces_are_named():
     assert coarse_meshes([box], 0.5) == {}, "its diagonals are less than four spacings long"
     found = coarse_meshes([ball, box], APART)
     assert found == {"/Box": pytest.approx(2.0**0.5)}
-    assert mesh_names(found, APART) == "</Box> (edges up to 14 spacings of 0.1 m)"
+    assert mesh_names(found, APART) == "</Box> (edges up to 14 spacings of 10 cm)"
     assert mesh_names({**found, "/Other": 1.0}, APART).startswith("</Box> and 1 more ")
 
 
@@ -97,7 +97,7 @@ def test_long_faces_are_noted_before_the_bake(cube: Path):
     polygons.Save()
     plan = prepare(cube, particles=1000).plan
     assert plan.coarse in plan.notes
-    assert plan.coarse.startswith("faces of </Cube> (edges up to 14 spacings of 0.2 m) stay flat")
+    assert plan.coarse.startswith("faces of </Cube> (edges up to 14 spacings of 20 cm) stay flat")
     assert "--max-edge-length auto" in plan.coarse
     assert prepare(cube, particles=1000, max_edge_length="auto").plan.coarse == ""
     assert prepare(cube, particles=1000, material="honey").plan.coarse == "", "no mesh is shown"

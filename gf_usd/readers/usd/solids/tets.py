@@ -17,6 +17,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.mesh import tet_surface, weld
+from gf_usd.core.units import percent_text
 
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 FLAT = 1e-9  # of the cube of its longest edge: volume below which a tetrahedron is degenerate
@@ -147,7 +148,7 @@ def _check_rest_shape(body: Tets, sign: float, say: Callable[[str], None]) -> No
     change = float(np.abs(now - then).max() / max(then.max(), np.finfo(float).tiny))
     if change > STRETCHED:
         say(
-            f"its rest shape differs from its points (an edge by {100.0 * change:.2g} % of the"
+            f"its rest shape differs from its points (an edge by {percent_text(change)} of the"
             " longest one): the bake starts at its points, free of stress"
         )
 
