@@ -124,9 +124,10 @@ def _closed(mesh: Diagnosis) -> str:
         return "[red]no face with an area[/]"
     if mesh.watertight:
         return "watertight"
-    holes = len(mesh.holes)
+    if not mesh.holes:
+        return f"[yellow]{counted(mesh.boundary_edges, 'boundary edge')}[/]"
     share = percent_text(mesh.hole_share)
-    return f"[yellow]{holes} hole{'' if holes == 1 else 's'}, {share} of the area[/]"
+    return f"[yellow]{counted(len(mesh.holes), 'hole')}, {share} of the area[/]"
 
 
 def _winding(mesh: Diagnosis) -> str:
@@ -242,7 +243,8 @@ def _notes(seen: Inspection) -> list[str]:
         if seen.plan is None and (wrong := faults(mesh)):
             notes.append(f"<{mesh.path}> has {', '.join(wrong)}")
         elif odd:
-            notes.append(f"<{mesh.path}> has {', '.join(odd)}, which do not affect the fill")
+            harmless = ", which do not affect the fill" if seen.plan else ""
+            notes.append(f"<{mesh.path}> has {', '.join(odd)}{harmless}")
     return [*notes, *seen.shortcuts]
 
 

@@ -9,6 +9,10 @@ from gf_usd.core.asset import ASSUMED, FILE, OPTION
 from gf_usd.core.units import number_text
 
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
+POSED = (
+    "is animated by its skeleton: the simulation starts from its pose at the first frame; --flesh"
+    " keeps the animation, and makes the flesh around the bones soft"
+)
 
 
 ALONE = re.compile(r"<(?P<path>/[^<>]*)>(?P<text> (?:is|has|was) .*)", re.DOTALL)  # of one prim

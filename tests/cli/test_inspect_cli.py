@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -174,3 +175,30 @@ def test_specks_are_named_apart_from_poorly_filled_parts(gf_usd, tmp_path: Path)
     assert "1 speck, 3.46 cm large, is apart from the rest and too small for the spacing" in words
     assert "poorly filled" not in words
     assert "would fill" not in words
+
+
+def test_one_poor_part_is_in_the_plural_of_its_table(gf_usd, tmp_path: Path) -> None:
+    rod = trimesh.creation.cylinder(0.03, 1.5)
+    rod.apply_translation((0.0, 0.0, 1.6))
+    trimesh.util.concatenate([trimesh.creation.icosphere(2), rod]).export(tmp_path / "a.obj")
+    done = gf_usd("inspect", "a.obj", "--meters-per-unit", "1", *FEW)
+    assert done.status == 0, done.err
+    assert "such parts contain few particles or none" in done.out
+    assert "would fill them" in done.out
+
+
+def test_a_one_sided_strip_is_open_and_not_without_effect(gf_usd, tmp_path: Path) -> None:
+    """The page said 0 holes, 0 % of the area, and that its boundary has no effect on the fill."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)[:, None]
+    width = np.array([-0.3, 0.3])
+    across = 1.0 + width * np.cos(turn / 2.0)
+    points = np.stack([across * np.cos(turn), across * np.sin(turn), width * np.sin(turn / 2.0)], 2)
+    rows = [(2 * k, 2 * k + 2, 2 * k + 3, 2 * k + 1) for k in range(23)] + [(46, 1, 0, 47)]
+    lines = [f"v {x} {y} {z}" for x, y, z in points.reshape(-1, 3)]
+    lines += ["f " + " ".join(str(i + 1) for i in row) for row in rows]
+    (tmp_path / "strip.obj").write_text("\n".join(lines), encoding="utf-8")
+    done = gf_usd("inspect", "strip.obj", "--meters-per-unit", "1")
+    assert done.status == 3
+    assert "48 boundary edges" in done.out
+    assert "0 holes" not in done.out
+    assert "do not affect" not in done.out

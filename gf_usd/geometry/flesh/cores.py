@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import counted
 from gf_usd.core.stage import Bone, Pin
+from gf_usd.core.units import length_text
 from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
@@ -123,8 +124,9 @@ def bone_cores(
         notes.append(f"{_some(outside)}: outside the flesh, and holding nothing")
     if thin:
         notes.append(
-            f"{_some(thin)}: the flesh around them is too thin for the grid, which has cells of "
-            f"{cell:.3g} m, and moves with the bones; more --particles make the grid finer"
+            f"{_some(thin)}: the flesh around {'it' if len(thin) == 1 else 'them'} is too thin for"
+            f" the grid, which has cells of {length_text(cell)}, and moves with the"
+            f" bone{'s' * (len(thin) > 1)}; more --particles make the grid finer"
         )
     return Cores(cores=tuple(cores)), tuple(notes)
 

@@ -20,16 +20,16 @@ def poor_note(parts: Sequence[Part]) -> str:
     one, more = thin[0], len(thin) > 1
     place = f"shell {one.shell}" if one.kind in WHOLE else "a region"
     where = f"{place} of <{one.path}>, {length_text(one.size)} large and {_thick(one)}"
+    what = f"contain {poor_text(thin)}" if more else f"contains {poor_text(thin, 'it')}"
     return (
-        f"{counted(len(thin), 'part')} contain{'' if more else 's'} {poor_text(thin)}"
+        f"{counted(len(thin), 'part')} {what}"
         f" ({'the largest: ' if more else ''}{where}; gf-usd inspect shows where)"
     )
 
 
-def poor_text(parts: Sequence[Part]) -> str:
-    """What is wrong with poorly filled parts, and the number of particles that fills them."""
+def poor_text(parts: Sequence[Part], them: str = "them") -> str:
+    """What is wrong with poorly filled parts, and the number of particles that fills `them`."""
     needed = suggestion(tuple(parts))
-    them = "it" if len(parts) == 1 else "them"
     which = "all but the thinnest" if any(p.suggested is None for p in parts) else them
     more = f"; --particles {needed} would fill {which}" if needed else ""
     return f"few particles or none, and may be too stiff{more}"

@@ -19,7 +19,7 @@ from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.mesh import areas, shells
 from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
-from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.solid import Bounds, Solid
 from gf_usd.geometry.surface import Nearest, nearest
 from gf_usd.geometry.thin.thickness import chords, shell_chords, spread
 
@@ -143,8 +143,12 @@ def _with_specks(
     squared = igl.point_mesh_squared_distance(
         X - center, np.concatenate(points) - center, others.astype(np.int64)
     )[0]
+    # one that pierces another has no end near its surface
+    squared = np.where(
+        Bounds(np.concatenate(points), others).inside(X), 0.0, np.asarray(squared).reshape(-1)
+    )
     gap = np.full(len(parts), np.inf)
-    np.minimum.at(gap, np.concatenate(owner), np.sqrt(np.asarray(squared).reshape(-1)))
+    np.minimum.at(gap, np.concatenate(owner), np.sqrt(squared))
     return [
         replace(part, speck=bool(small[k] and gap[k] > APART * spacing))
         for k, part in enumerate(parts)

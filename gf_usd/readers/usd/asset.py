@@ -11,7 +11,7 @@ from pxr import Sdf, Usd, UsdGeom
 from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, bake_original, first_time_code
 from gf_usd.core.errors import InputError, counted
-from gf_usd.readers.notes import ANIMATED, Notes
+from gf_usd.readers.notes import ANIMATED, POSED, Notes
 from gf_usd.readers.usd.mesh import Reading, read_surface, with_limit
 from gf_usd.readers.usd.select import (
     INVISIBLE,
@@ -134,7 +134,8 @@ def _surfaces(
             skipped[str(prim.GetPath())] = str(reason)
         else:
             if _stands(prim, time, named):
-                notes.drop(ANIMATED, str(prim.GetPath()))
+                for text in (ANIMATED, POSED):
+                    notes.drop(text, str(prim.GetPath()))
                 continue
             for instance in instances_above(prim):
                 notes.add(INSTANCE, str(instance.GetPath()))

@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.matrices import signed_polar
-from gf_usd.readers.notes import ANIMATED, Notes
+from gf_usd.readers.notes import POSED, Notes
 from gf_usd.readers.usd.stage import Placement
 
 PROXIES = Usd.TraverseInstanceProxies()
@@ -182,7 +182,7 @@ class Skins:
         animation = query.GetAnimQuery()
         moves = animation and animation.JointTransformsMightBeTimeVarying()
         if moves and not self._bind:
-            self._notes.add(ANIMATED, str(prim.GetPath()))
+            self._notes.add(POSED, str(prim.GetPath()))
         if not query.HasBindPose():
             self._notes.add(
                 "its skeleton has no bind pose: the identity is assumed", str(prim.GetPath())

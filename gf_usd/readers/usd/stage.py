@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
+from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import ASSUMED, BAKES, FILE, LATEST, OPTION, StageFacts
 from gf_usd.core.errors import InputError, plain_parse_error
@@ -82,6 +83,11 @@ def open_stage(path: Path) -> Usd.Stage:
     with path.open("rb") as file:
         head = file.read(64)
     if not any(head.startswith(magic) for magic in MAGIC):
+        if path.suffix.lower() not in USD_SUFFIXES:
+            raise InputError(
+                f"{path} is not a USD file",
+                "give a file of USD: of a mesh file, the root layer that gf-usd bake writes",
+            )
         shown = head.split(b"\n")[0][:24].decode("ascii", errors="replace")
         raise InputError(
             f"{path} is not a USD file: it begins with {shown!r}",

@@ -54,7 +54,7 @@ def test_a_bone_outside_holds_nothing_and_a_thin_limb_moves_with_its_bone() -> N
     bones = [bone("out", (0.5, 1.5), y=0.5), bone("in", (0.5, 1.5))]
     cores, notes = bone_cores(bones, BAR, 0.2, 0.5)
     assert "out: outside the flesh" in notes[0]
-    assert "in: the flesh around them is too thin for the grid" in notes[1]
+    assert "in: the flesh around it is too thin for the grid, which has cells of 50 cm" in notes[1]
     (pin,) = bone_pins(bones, cores)
     assert pin.name == "in"
     assert not pin.sharp

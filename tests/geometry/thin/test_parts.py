@@ -194,8 +194,9 @@ def test_a_speck_apart_from_the_rest_does_not_set_the_number() -> None:
         cube(low=(0.98, -0.05, -0.05), edge=0.1),
         cube(low=(1.01, -0.05, -0.05), edge=0.1),
         cube(low=(2.0, 0.0, 0.0), edge=(0.6, 0.05, 0.05)),
+        cube(low=(0.88, 0.0, 0.0), edge=(0.3, 0.01, 0.01)),
     ],
-    ids=["overlaps", "touches", "long"],
+    ids=["overlaps", "touches", "long", "pierces"],
 )
 def test_what_is_near_or_long_is_no_speck(other) -> None:
     found = parts_of(shells_of(sphere(), other), particles=2000)

@@ -196,7 +196,10 @@ def test_instanced_characters_are_posed(write):
     np.testing.assert_array_equal(instance.points, plain.points)
 
 
-ANIMATED = "</Rig/Other/Bar>: is animated: the simulation starts from its pose at the first frame"
+ANIMATED = (
+    "</Rig/Other/Bar>: is animated by its skeleton: the simulation starts from its pose at the"
+    " first frame; --flesh keeps the animation, and makes the flesh around the bones soft"
+)
 
 
 def test_the_animation_that_is_replaced_is_said(write):

@@ -6,6 +6,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers import read_asset
+from gf_usd.readers.usd.stage import open_stage
 
 BALL = 'def Sphere "Ball" {}'
 
@@ -93,6 +94,16 @@ def test_meters_per_unit_authored_as_a_float(tmp_path):
     assert content.count(as_double) == 1
     path.write_bytes(content.replace(as_double, as_float))
     assert read_asset(path).facts.units.meters_per_unit == 0.5
+
+
+@pytest.mark.parametrize("name", ["a b.obj", "ball.GLB", "x.spz"])
+def test_a_file_of_another_format_is_not_quoted(write, name):
+    """The error had the bytes that the file begins with."""
+    path = write(b"glTF\x02\x00\x00\x00", name=name)
+    with pytest.raises(InputError) as error:
+        open_stage(path)
+    assert error.value.message == f"{path} is not a USD file"
+    assert error.value.hint.endswith("the root layer that gf-usd bake writes")
 
 
 @pytest.mark.parametrize("suffix", ["usda", "usdc", "usdz", "usd"])
