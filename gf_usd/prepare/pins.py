@@ -35,8 +35,8 @@ def make_pins(
 
     file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
     option : --pin, or --rigid for regions that move by the forces on them.
-    bodies : (S,) of each surface of the solid, for --rigid: a part of a surface is rigid in the
-        body of that surface only; None: there is one body.
+    bodies : (S,) of each surface of the solid: a part of a surface holds the body of that surface
+        only; None: there is one body.
 
     Raises UsageError for a box that is none, InputError for a prim that is none or has no surface,
     and for a region that holds nothing of the body.
@@ -78,12 +78,11 @@ def make_pins(
     found = [region for name in names for region in every[name]]
     for region in found:
         _require_overlap(region, asset, option)
-    if option == "--rigid":
-        return tuple(
-            replace(make_rigid(region, solid, asset.surfaces), body=_body_of(region, solid, bodies))
-            for region in found
-        )
-    return tuple(make_pin(region, solid, asset.surfaces) for region in found)
+    make = make_rigid if option == "--rigid" else make_pin
+    return tuple(
+        replace(make(region, solid, asset.surfaces), body=_body_of(region, solid, bodies))
+        for region in found
+    )
 
 
 def _body_of(region: Region, solid: Solid, bodies: Ints | None) -> int | None:
@@ -104,8 +103,12 @@ def attachment_pins(
     settings: Settings,
     file: Path,
     rest: float | None,
+    bodies: Ints,
 ) -> tuple[tuple[Pin, ...], tuple[str, ...]]:
-    """Pins from attachments of the stage, and notes; raises InputError as `read_attachments`."""
+    """Pins from attachments of the stage, and notes; raises InputError as `read_attachments`.
+
+    bodies : as in `make_pins`.
+    """
     if not paths:
         return (), ()
     from gf_usd.geometry.regions import make_pin
@@ -117,14 +120,22 @@ def attachment_pins(
     others = [path for path in paths if path not in ours]
     regions, notes = read_attachments(file, others, asset.facts, rest=rest, times=times)
     held = f"attachments pin parts of the body: {', '.join(paths)}"
-    pins = [make_pin(region, solid, asset.surfaces, "attachment") for region in regions]
+    pins = [
+        replace(
+            make_pin(region, solid, asset.surfaces, "attachment"),
+            body=_body_of(region, solid, bodies),
+        )
+        for region in regions
+    ]
     for region in dict.fromkeys(one.region for one in written):
         mine = [one for one in written if one.region == region]  # one of each body
         name, length = mine[0].name, max(len(one.path) for one in mine)
         each = [np.broadcast_to(one.path, (length, *one.path.shape[1:])) for one in mine]
         path = np.concatenate(each, axis=1)
         option = f"<{name}>: the region"
-        made = make_pins([region], asset, solid, settings, file, rest=rest, option=option)
+        made = make_pins(
+            [region], asset, solid, settings, file, rest=rest, option=option, bodies=bodies
+        )
         # the attachments give its positions, however the surface of the stage moves
         pins += [replace(pin, name=name, anchors=path[0], path=path) for pin in made]
     return tuple(pins), (held, *notes)

@@ -211,10 +211,15 @@ def test_a_part_of_a_ball_is_what_it_encloses(tmp_path: Path, option: str) -> No
     assert X[held][:, 1].max() == pytest.approx(X[~held][:, 1].min(), abs=plan.particles.spacing)
 
 
-def two_bodies(folder: Path, low: tuple[float, float, float], parts: list[str]) -> Path:
-    """A body of UsdPhysics in parts, and a cube of edge 0.8 m with a corner at `low` [m]."""
+def two_bodies(
+    folder: Path, low: tuple[float, float, float], parts: list[str], lines: tuple[str, ...] = ()
+) -> Path:
+    """A body of UsdPhysics in parts, and a cube of edge 0.8 m with a corner at `low` [m].
+
+    lines : of the cube.
+    """
     path = folder / "two.usda"
-    cube = part("Cube", 0.8 * CUBE_POINTS + low, CUBE_TRIANGLES)
+    cube = part("Cube", 0.8 * CUBE_POINTS + low, CUBE_TRIANGLES, *lines)
     bodies = [prim("Xform", name, *one, apis=BODY) for name, one in (("A", parts), ("B", [cube]))]
     root = prim("Xform", "World", *bodies)
     path.write_text(head(extra='defaultPrim = "World"') + root, encoding="utf-8")
@@ -252,6 +257,30 @@ def test_a_rigid_part_leaves_other_bodies_alone(tmp_path: Path) -> None:
     assert others == 0
 
 
+@pytest.mark.parametrize("option", ["pins", "rigid"])
+def test_a_part_holds_its_own_body_only(tmp_path: Path, option: str) -> None:
+    """A pinned face of a box also held the nodes of a cube that stood on it."""
+    faces = [part(f"F{k}", CUBE_POINTS, CUBE_TRIANGLES[2 * k : 2 * k + 2]) for k in range(6)]
+    on_top = two_bodies(tmp_path, (0.1, 0.1, 1.0), faces)
+    for region, body in (("/World/A/F1", 0), ("/World/B", None), ("box:0,0,0.8,1,1,2", None)):
+        plan = gf_usd.inspect(on_top, **{option: (region,)}, **SMALL).plan
+        assert plan is not None
+        assert plan.pins[0].body == body
+
+
+def test_what_a_part_of_another_body_holds_leaves_a_body_unpinned(tmp_path: Path) -> None:
+    """The note on its animation was missing: a particle of its own was the nearest to the pin."""
+    faces = [part(f"F{k}", CUBE_POINTS, CUBE_TRIANGLES[2 * k : 2 * k + 2]) for k in range(6)]
+    path = two_bodies(tmp_path, (0.1, 0.1, 0.8), faces, SLIDING)
+    notes = "\n".join(gf_usd.inspect(path, pins=("/World/A/F1",), **SMALL).notes)
+    assert "its transform is animated" in notes
+    assert "</World/B/Cube>" in notes
+
+
+SLIDING = (
+    "float3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 3: (1, 0, 0) }",
+    'uniform token[] xformOpOrder = ["xformOp:translate"]',
+)
 MATERIALS = [
     prim("Material", name, f"float physics:density = {value}", apis=("PhysicsMaterialAPI",))
     for name, value in (("Wood", 500), ("Pine", 500), ("Iron", 8000))
@@ -319,12 +348,6 @@ def test_the_refusal_of_parts_of_different_mass_says_why(tmp_path: Path) -> None
     assert seen.refusal is not None
     assert "is 1 kg (of </Ball/Middle>), and that of </Ball/Low> is 1" in seen.refusal.message
     assert "state the same physics" in seen.refusal.hint
-
-
-SLIDING = (
-    "float3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 3: (1, 0, 0) }",
-    'uniform token[] xformOpOrder = ["xformOp:translate"]',
-)
 
 
 def test_flesh_says_that_it_joins_no_meshes(tmp_path: Path) -> None:

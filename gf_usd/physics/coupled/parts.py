@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
 from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples
 from gf_usd.core.materials.conversion import Conversion
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import convertible, unbounded
-from gf_usd.core.stage import ContactSetup
+from gf_usd.core.stage import ContactSetup, Pin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,19 @@ class Part:
             return velocity
         mine = [velocity[k] for k in self.bodies]
         return mine if len(mine) > 1 else mine[0]
+
+    def pins(self, pins: Sequence[Pin]) -> tuple[Pin, ...]:
+        """Pins with the numbers of the part's bodies; raises InputError for one of another body."""
+        number = {int(k): i for i, k in enumerate(self.bodies)}
+        for pin in pins:
+            if pin.body is not None and pin.body not in number:
+                raise InputError(
+                    f"the pin {pin.name} is part of a body that flows, which cannot be pinned",
+                    "leave it out, or give that body a solid --material",
+                )
+        return tuple(
+            pin if pin.body is None else replace(pin, body=number[pin.body]) for pin in pins
+        )
 
 
 def flowing_bodies(particles: Particles, materials: Sequence[Material]) -> Ints:

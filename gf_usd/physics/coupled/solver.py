@@ -38,7 +38,8 @@ class Coupled(Solver):
 
     flows : (B,) which bodies flow; None: those that flow in part, or can be converted.
 
-    Raises UsageError for options that only one of the two solvers supports.
+    Raises UsageError for options that only one of the two solvers supports, InputError for a pin
+    of a body that flows.
     """
 
     def __init__(
@@ -82,7 +83,8 @@ class Coupled(Solver):
         made, of_solid = used_materials(self._solid.particles, materials)
         self.solid = TotalLagrangian(
             made, of_solid, own, samples=self._solid.samples,
-            embedded=self._solid.embedded, velocity=self._solid.velocity(velocity), pins=pins,
+            embedded=self._solid.embedded, velocity=self._solid.velocity(velocity),
+            pins=self._solid.pins(pins),
             contact_setup=solid_setup(contact_setup, self._solid, self._solid.copies),
             embedded_body=self._solid.embedded_body, embedded_copy=self._solid.embedded_copy,
             h=h, real=real,

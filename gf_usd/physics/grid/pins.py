@@ -136,9 +136,9 @@ def region_of_nodes(
     return out
 
 
-def boundary_held(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
+def boundary_held(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> PinnedPoints:
     """`pinned_by` for pins with prescribed boundaries, inside of which nothing is simulated."""
-    axes = pinned_by(pins, X).axes
+    axes = pinned_by(pins, X, body).axes
     cores = [index for index, pin in enumerate(pins) if not pin.sharp]
     return PinnedPoints(axes=np.where(np.isin(axes, cores), -1, axes))
 
@@ -146,17 +146,23 @@ def boundary_held(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
 Given = Callable[[Ints, Floats], NDArray[np.float64]]  # of nodes by number, and X' [m] of each
 
 
-def prescribed_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> PinnedPoints:
+def prescribed_nearby(
+    pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float, body: Ints | None = None
+) -> PinnedPoints:
     """Pins of nodes X (n, 3) [m], with those of the body within NEAR of a held boundary.
+
+    body : (n,) of each node; None: all are of the first.
 
     A pin that holds no node itself holds none nearby, except for a patch, which may be smaller than
     a cell: this holds the nearest ones.
     """
+    body = np.zeros(len(X), np.int64) if body is None else body
     axes = held.axes.copy()
     for index, pin in enumerate(pins):
         empty = not (held.axes == index).any()
         if _holds(pin) and (pin.patch or not empty):
-            rows = np.flatnonzero((axes < 0).all(1))
+            mine = True if pin.body is None else body == pin.body
+            rows = np.flatnonzero((axes < 0).all(1) & mine)
             s = np.linalg.norm(pin.nearest(X[rows]) - X[rows], axis=1)
             reach = NEAR * h
             if empty and len(s) and reach <= s.min() < h:
@@ -275,12 +281,14 @@ def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
 class PinConstraint:
     """The pins of a solver: held points, and their prescribed positions.
 
+    X : (N, 3) [m] particles; body : (N,) of each, None: there is one.
+
     Raises InputError for pins that hold all particles; `check` for a pin that holds no node.
     """
 
-    def __init__(self, pins: Sequence[Pin], X: Floats) -> None:
+    def __init__(self, pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> None:
         self.pins = tuple(pins)
-        self.particles = boundary_held(self.pins, X)
+        self.particles = boundary_held(self.pins, X, body)
         self.motions = [Motion(pin.anchors, pin.path) for pin in self.pins]
         if (self.particles.pin >= 0).all():
             raise InputError(

@@ -387,7 +387,7 @@ def build_stencil(
     rest = X - shift[body]
     pins = pin_constraint.pins if pin_constraint else ()
     held = pinned_by(pins, node_X, node_body)
-    held = prescribed_nearby(pins, held, node_X, h)
+    held = prescribed_nearby(pins, held, node_X, h, node_body)
     held = fully_prescribed(pins, held, mass, node_body, node_X)
     held = _without_other_limbs(held, pins, cells, rest, body)
     region = _rigid_regions(pins, cells, rest, m, held, body)

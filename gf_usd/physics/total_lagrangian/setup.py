@@ -170,7 +170,7 @@ def build_body(
     from gf_usd.system.taichi_runtime import epoch, resident_blocks
 
     particles = with_soft_material(particles, materials, [pin for pin in pins if pin.rigid])
-    pin_constraint = PinConstraint(pins, particles.X) if pins else None
+    pin_constraint = PinConstraint(pins, particles.X, particles.body) if pins else None
     per = per_particle(
         particles, materials, pin_constraint.particles.pin if pin_constraint else None
     )
@@ -191,7 +191,7 @@ def build_body(
     held, regions = {}, None
     if pin_constraint:
         pin_constraint.check(stencil.held)
-        held = _held_points(pin_constraint, pins, embedded or {})
+        held = _held_points(pin_constraint, pins, embedded or {}, embedded_body or {})
         regions = rigid_regions(stencil, m, pin_constraint.pins)
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
@@ -265,10 +265,19 @@ def build_body(
 
 
 def _held_points(
-    constraint: PinConstraint, pins: Sequence[Pin], embedded: Mapping[str, Floats]
+    constraint: PinConstraint,
+    pins: Sequence[Pin],
+    embedded: Mapping[str, Floats],
+    body: Mapping[str, int],
 ) -> dict[str, PinnedPoints]:
-    """The pinned points of each embedded set, by name, and those of the particles, ""."""
-    held = {name: boundary_held(pins, X) for name, X in embedded.items()}
+    """The pinned points of each embedded set, by name, and those of the particles, "".
+
+    body : that each set belongs to, by name.
+    """
+    held = {
+        name: boundary_held(pins, X, np.full(len(X), body.get(name, 0)))
+        for name, X in embedded.items()
+    }
     for index, pin in enumerate(pins):
         for name in pin.meshes & held.keys():
             held[name] = PinnedPoints(axes=np.full(held[name].axes.shape, index))
@@ -409,7 +418,7 @@ def surface_contact(
     """
     if samples is None or (settings.floor is None and not pair_contact):
         return None
-    free = boundary_held(pins, samples.X).pin < 0
+    free = boundary_held(pins, samples.X, samples.body).pin < 0
     if not free.any():
         return None
     samples = samples.subset(free)

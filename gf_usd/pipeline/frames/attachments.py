@@ -23,8 +23,9 @@ def tet_attachments(
 
     found: list[TetAttachment] = []
     for one in tets:
-        held = pinned_by(pins, one.X)
-        axes = prescribed_nearby(pins, held, one.X, 2.0 * particles.lattice).axes
+        body = np.full(len(one.X), one.body)
+        held = pinned_by(pins, one.X, body)
+        axes = prescribed_nearby(pins, held, one.X, 2.0 * particles.lattice, body).axes
         names = dict.fromkeys(pin.name for pin in pins if pin.sharp and not pin.rigid)
         for name in names:
             mine = [k for k, pin in enumerate(pins) if pin.name == name and all(pin.axes)]

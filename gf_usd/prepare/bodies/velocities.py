@@ -32,7 +32,9 @@ def unpinned_animation_notes(
             continue
         mine = pin.holds(particles.X, particles.body)
         if not mine.any():  # a region may hold nodes of the grid only
-            mine[np.argmin(np.linalg.norm(particles.X - pin.anchors.mean(0), axis=1))] = True
+            far = np.linalg.norm(particles.X - pin.anchors.mean(0), axis=1)
+            own = True if pin.body is None else particles.body_of == pin.body
+            mine[np.argmin(np.where(own, far, np.inf))] = True
         held |= mine
     body = np.zeros(len(particles), int) if particles.body is None else particles.body
     followed = set(body[held].tolist())

@@ -38,9 +38,13 @@ def constrain(inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[P
             attachment_notes=_ignored_attachment_notes(inputs, shot),
         )  # fmt: skip
     animation, flesh, cycle, meet_from = shot.animation, Flesh(), 0, 0
-    found = list(pins)
-    found += make_pins(request.listed("pins"), asset, solid, every, file, rest=request.start)
-    attached, notes = attachment_pins(shot.attachments, asset, solid, every, file, request.start)
+    found, of_surface = list(pins), filled.bodies.of_surface
+    found += make_pins(
+        request.listed("pins"), asset, solid, every, file, rest=request.start, bodies=of_surface
+    )
+    attached, notes = attachment_pins(
+        shot.attachments, asset, solid, every, file, request.start, of_surface
+    )
     found += attached
     if animation:
         cycle = animation.cycle(written(settings)) if request.loop else 0
@@ -58,8 +62,7 @@ def constrain(inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[P
             meet_from = animation.lead(every, cycle * settings.samples_per_frame * repeats)
     names = [name for name in request.listed("rigid") if name not in flesh.rigid]
     found += make_pins(
-        names, asset, solid, every, file, rest=request.start, option="--rigid",
-        bodies=filled.bodies.of_surface,
+        names, asset, solid, every, file, rest=request.start, option="--rigid", bodies=of_surface
     )  # fmt: skip
     return Constraints(
         pins=tuple(found), flesh=flesh, cycle=cycle, meet_from=meet_from,

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from solids import cube, solid
 
+from gf_usd.core.errors import InputError
 from gf_usd.core.frames import CellCopies, SurfaceSamples
 from gf_usd.core.materials.conversion import TIME, Conversion, Limit
 from gf_usd.core.materials.presets import find_preset
-from gf_usd.core.stage import ContactSetup
+from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.coupled.parts import flowing_bodies, part_of, passes, solid_setup
 from gf_usd.prepare.bodies.contact import skins
@@ -66,6 +67,19 @@ def test_copies_of_cells_go_with_their_bodies() -> None:
     assert copies.links.tolist() == [[0, 1]]
     assert np.array_equal(copies.of, hold.particles.body)
     assert flow.particles.copies is None
+
+
+def test_pins_of_a_body_have_its_new_number() -> None:
+    """They had the number among all bodies, and held another one or none."""
+    _, (hold, _) = parts()
+    everywhere = Pin(
+        name="box", inside=lambda X: X[:, 0] > -np.inf, nearest=lambda X: X,
+        anchors=np.zeros((1, 3)), path=np.zeros((1, 1, 3)),
+    )  # fmt: skip
+    mine = hold.pins([replace(everywhere, body=3), everywhere])
+    assert [pin.body for pin in mine] == [1, None]
+    with pytest.raises(InputError, match="the pin box is part of a body that flows"):
+        hold.pins([replace(everywhere, body=2)])
 
 
 def test_a_body_flows_where_a_part_of_it_does_or_can_be_converted() -> None:

@@ -11,7 +11,7 @@ from solids import asset, cube, fill, preset_material, settings, solid, surface
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.regions import box_region, make_pin
@@ -311,6 +311,46 @@ def test_a_pin_of_one_body_holds_nothing_of_another_in_the_same_place() -> None:
     own = replace(box("box:-1,-1,-1,1,1,1"), body=1)
     assert pinned_by([own], X, body).pin.tolist() == [-1, 0]
     assert pinned_by([replace(own, body=None)], X, body).pin.tolist() == [0, 0]
+
+
+def test_a_pin_of_one_body_holds_nodes_of_that_body_only() -> None:
+    """A bar in the place of a pinned one had its nodes, particles and surface held as well."""
+    one = bar(200)
+    count = len(one)
+    both = replace(
+        one,
+        **{
+            name: np.concatenate([getattr(one, name)] * 2)
+            for name in ("X", "V0", "material", "orientation", "scale", "color", "opacity")
+        },
+        surface=np.repeat([0, 1], count),
+        body=np.repeat([0, 1], count),
+        corners=np.tile(one.corner, (2, 1)),
+        volume=2.0 * one.volume,
+    )
+    X = np.array([[0.1, 0.1, 0.1]])
+    pin = replace(box("box:-1,-1,-1,0.5,2,2"), body=1)
+    made = TotalLagrangian(
+        both, [soft()], settings(floor=0.0), pins=[pin],
+        samples=SurfaceSamples(X=both.X, area=both.V0, body=both.body),
+        embedded={"/A": X, "/B": X}, embedded_body={"/A": 0, "/B": 1},
+    ).body  # fmt: skip
+    assert set(made.stencil.node_body[made.stencil.held.pin >= 0]) == {1}
+    held = made.held[""].pin >= 0
+    assert held.sum() == pytest.approx(0.5 * count, rel=0.1)
+    assert not held[:count].any()
+    assert made.held["/A"].pin.tolist() == [-1]
+    assert made.held["/B"].pin.tolist() == [0]
+    assert made.contact is not None
+    assert len(made.contact.samples.X) == 2 * count - held.sum()
+
+
+def test_nodes_of_another_body_near_a_pin_are_free() -> None:
+    pin = replace(box("box:-1,-1,-1,0,2,2"), body=1)
+    X = np.array([[0.01, 0.1, 0.1], [-0.1, 0.1, 0.1], [0.01, 0.1, 0.1]])
+    body = np.array([1, 1, 0])
+    held = pinned_by([pin], X, body)
+    assert prescribed_nearby([pin], held, X, 0.1, body).pin.tolist() == [0, 0, -1]
 
 
 def test_a_falling_body_without_pins_is_as_it_was() -> None:
