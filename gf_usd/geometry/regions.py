@@ -136,7 +136,8 @@ def make_pin(
 
 
 def make_rigid(region: Region, solid: Solid, drawn: Sequence[Surface] = ()) -> Pin:
-    """A rigid region: the points that a volume encloses, or those nearest to a surface patch.
+    """A rigid region: the points that a volume encloses, or those nearest to a surface patch that
+    are not in another surface only.
 
     drawn : as in `make_pin`.  Raises InputError for a patch of a surface that is not filled.
     """
@@ -164,15 +165,25 @@ def _surface_of_patch(region: Region, solid: Solid, option: str) -> int:
 
 
 def _nearest_to(region: Region, solid: Solid, at: int) -> Callable[[Floats], Floats]:
-    """A test of points X (n, 3) [m]: (n,) whether the patch is the nearest part of its surface."""
+    """A test of points X (n, 3) [m]: (n,) whether the patch is the nearest part of its surface, and
+    no other surface alone encloses the point.
+    """
     patch = Shape(region.points, region.triangles)
     whole = Shape(solid.surfaces[at].points, solid.triangles[at])
-    return partial(_as_near, patch, whole, _tolerance(solid))
+    return partial(_as_near, patch, whole, solid, _tolerance(solid))
 
 
-def _as_near(patch: Shape, whole: Shape, slack: float, X: Floats) -> Floats:
-    """(n,) whether a patch is nearest to X (n, 3) [m], up to some slack [m], of a whole surface."""
-    return np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
+def _as_near(patch: Shape, whole: Shape, solid: Solid, slack: float, X: Floats) -> Floats:
+    """(n,) whether a patch is nearest to X (n, 3) [m], up to some slack [m], of a whole surface,
+    and X is not in other surfaces of the solid only.
+
+    Which surface is nearest does not tell where surfaces touch: both are equally near.
+    """
+    out = np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
+    near = np.flatnonzero(out)
+    beyond = near[~whole.encloses(X[near])]
+    out[beyond] = ~solid.inside(X[beyond])
+    return out
 
 
 def _tolerance(solid: Solid) -> float:

@@ -212,15 +212,19 @@ def test_a_part_of_a_ball_is_what_it_encloses(tmp_path: Path, option: str) -> No
 
 
 def two_bodies(
-    folder: Path, low: tuple[float, float, float], parts: list[str], lines: tuple[str, ...] = ()
+    folder: Path,
+    low: tuple[float, float, float],
+    parts: list[str],
+    lines: tuple[str, ...] = (),
+    apis: tuple[str, ...] = BODY,
 ) -> Path:
     """A body of UsdPhysics in parts, and a cube of edge 0.8 m with a corner at `low` [m].
 
-    lines : of the cube.
+    lines : of the cube; apis : of each, none: they are one body where they touch.
     """
     path = folder / "two.usda"
     cube = part("Cube", 0.8 * CUBE_POINTS + low, CUBE_TRIANGLES, *lines)
-    bodies = [prim("Xform", name, *one, apis=BODY) for name, one in (("A", parts), ("B", [cube]))]
+    bodies = [prim("Xform", name, *one, apis=apis) for name, one in (("A", parts), ("B", [cube]))]
     root = prim("Xform", "World", *bodies)
     path.write_text(head(extra='defaultPrim = "World"') + root, encoding="utf-8")
     return path
@@ -266,6 +270,22 @@ def test_a_part_holds_its_own_body_only(tmp_path: Path, option: str) -> None:
         plan = gf_usd.inspect(on_top, **{option: (region,)}, **SMALL).plan
         assert plan is not None
         assert plan.pins[0].body == body
+
+
+def test_a_rigid_part_leaves_a_touching_mesh_of_its_body_alone(tmp_path: Path) -> None:
+    """All of the cube was rigid that stood on a box whose upper side was rigid."""
+    faces = [part(f"F{k}", CUBE_POINTS, CUBE_TRIANGLES[2 * k : 2 * k + 2]) for k in range(6)]
+    path = two_bodies(tmp_path, (0.1, 0.1, 1.0), faces, apis=())
+    plan = gf_usd.inspect(path, rigid=("/World/A/F1",), **SMALL).plan
+    assert plan is not None
+    assert plan.bodies is not None
+    assert plan.bodies.count == 1
+    X = plan.particles.X
+    under = (X[:, 2] < 1.0) & (X[:, 2] > np.abs(X[:, :2] - 0.5).max(1) + 0.55)
+    held = plan.pins[0].holds(X, plan.particles.body)
+    assert X[held][:, 2].max() < 1.0
+    assert held[under].all()
+    assert under.sum() > 3
 
 
 def test_what_a_part_of_another_body_holds_leaves_a_body_unpinned(tmp_path: Path) -> None:
