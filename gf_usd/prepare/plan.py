@@ -67,6 +67,7 @@ class Plan:
     coarse: str = ""  # which of its meshes have faces too long to bend, if any; one of the notes
     lost: str = ""  # how little of its volume faults of its meshes let be filled; one of the notes
     heavy: str = ""  # which of its densities no solid has, if any
+    stated_heavy: str = ""  # what of the stage gives it that density, as "the mass of </Ball>"
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
     cycle: int = 0  # frames of a period that is repeated before it is written; 0: none is

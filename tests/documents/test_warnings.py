@@ -9,7 +9,10 @@ import pytest
 from gf_usd.pipeline.health.warnings import RULES, plan_warnings
 from tools.documents import ROOT
 
-NAMES = {*RULES, *(warning.about for warning in plan_warnings("an odd size", "a density"))}
+NAMES = {
+    *RULES,
+    *(warning.about for warning in plan_warnings("an odd size", "a density", "its density")),
+}
 
 
 def test_the_guide_lists_every_warning() -> None:

@@ -92,16 +92,18 @@ def health_warnings(health: HealthSummary, laws: Collection[str] = ()) -> tuple[
     return tuple(found)
 
 
-def plan_warnings(odd: str, heavy: str) -> tuple[HealthWarning, ...]:
+def plan_warnings(odd: str, heavy: str, stated: str) -> tuple[HealthWarning, ...]:
     """The warnings about a body of implausible size in a unit that the file does not state, and
     about a density that no solid has; "": there is none.
+
+    stated : what of the stage gives that density.
     """
     found = []
     if odd:
         hint = "give the unit with --meters-per-unit"
         found.append(HealthWarning(about="size", message=odd, hint=hint))
     if heavy:
-        hint = "correct it in the file, or give the unit of the stage: --meters-per-unit"
+        hint = f"correct {stated} in the file, or give the unit of the stage: --meters-per-unit"
         found.append(HealthWarning(about="density", message=heavy, hint=hint))
     return tuple(found)
 

@@ -293,7 +293,7 @@ def _outcome(run: VariantRun, done: Simulated) -> Outcome:
         health=health,
         per_frame=run.log.per_frame(),
         warnings=(
-            *plan_warnings(plan.odd, plan.heavy),
+            *plan_warnings(plan.odd, plan.heavy, plan.stated_heavy),
             *health_warnings(health, [m.law for m in variant.table]),
         ),
         certificate=certificate,

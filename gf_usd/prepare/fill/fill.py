@@ -155,6 +155,7 @@ def fill(
     drawn = _moving_surfaces(inputs, filled, materials)
     spacing, refined = filled.particles.spacing, request.max_edge_length is not None
     cages = cage_notes(drawn, spacing, refined=refined)
+    heavy, stated_heavy = implausible_densities(materials.stated, asset.facts.units)
     coarse = coarse_note(drawn, spacing, refined=refined)
     notes = (
         *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
@@ -197,7 +198,8 @@ def fill(
         advice=advice,
         coarse=coarse,
         lost=meshes.lost,
-        heavy=implausible_densities(materials.stated, asset.facts.units),
+        heavy=heavy,
+        stated_heavy=stated_heavy,
         notes=merged(notes, [one.note for one in advice]),
     )
     return plan, solid

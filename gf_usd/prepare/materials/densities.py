@@ -82,13 +82,13 @@ def _stated(part: MaterialPart, body: BodyPhysics) -> tuple[float | None, str]:
     return body.spec.density, body.spec.path
 
 
-def implausible_densities(stated: Sequence[StatedDensity], units: StageUnits) -> str:
-    """A warning where the stage states a density that no solid has, or a mass that gives it; or
-    "".
+def implausible_densities(stated: Sequence[StatedDensity], units: StageUnits) -> tuple[str, str]:
+    """A warning where the stage states a density that no solid has, or a mass that gives it, and
+    what is to be corrected; "" and "" where it states none.
     """
     found = {one.prim: one for one in stated if one.density > DENSEST}
     if not found:
-        return ""
+        return "", ""
     path, first = next(iter(found.items()))
     if first.mass is None:
         what = f"a density of {_text(first.density)}{_meant(first.density, units)}"
@@ -98,7 +98,11 @@ def implausible_densities(stated: Sequence[StatedDensity], units: StageUnits) ->
             f" {_text(first.density)}"
         )
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-    return f"<{path}>{more} states {what}; no solid has more than {_text(DENSEST)}"
+    wrong = "density" if first.mass is None else "mass"
+    return (
+        f"<{path}>{more} states {what}; no solid has more than {_text(DENSEST)}",
+        f"the {wrong} of <{path}>",
+    )
 
 
 def _meant(density: float, units: StageUnits) -> str:

@@ -42,7 +42,7 @@ def test_the_number_the_prim_and_what_was_meant_are_named(plan, stated, probably
         f" cubic unit of 0.01 m): {probably}; no solid has more than 23,000 kg/m^3"
     )
     assert made.heavy in made.notes
-    (warning,) = plan_warnings(made.odd, made.heavy)
+    (warning,) = plan_warnings(made.odd, made.heavy, made.stated_heavy)
     assert warning.about == "density"
 
 
@@ -122,9 +122,9 @@ def test_a_material_of_a_subset_counts(plan) -> None:
 )
 def test_the_warning_names_what_is_stated(plan, line: str, by: str, lines: tuple[str, ...]) -> None:
     made = plan(mesh("Duck", line, *lines, apis=[MASS]), layer=CENTIMETERS)
-    (warning,) = plan_warnings("", made.heavy)
+    (warning,) = plan_warnings("", made.heavy, made.stated_heavy)
     assert f"states a {by} of" in warning.message
-    assert warning.hint.startswith("correct it in the file, or")
+    assert warning.hint.startswith(f"correct the {by} of </Duck> in the file, or")
 
 
 def test_painted_densities_go_before_that_of_the_prim(plan) -> None:
