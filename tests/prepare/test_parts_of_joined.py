@@ -13,6 +13,8 @@ from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
 import gf_usd
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import weld
+from gf_usd.core.stage import BodyPhysics, StagePhysics, StageSpec
+from gf_usd.prepare.fill.parts import Parts
 from gf_usd.prepare.plan import Plan
 
 SMALL: dict[str, Any] = {"particles": 400, "drop": 0, "frames": 3}
@@ -368,6 +370,41 @@ def test_the_refusal_of_parts_of_different_mass_says_why(tmp_path: Path) -> None
     assert seen.refusal is not None
     assert "is 1 kg (of </Ball/Middle>), and that of </Ball/Low> is 1" in seen.refusal.message
     assert "state the same physics" in seen.refusal.hint
+
+
+PAINTED = 'float[] primvars:gaussianFlesh:youngsModulus = [1e5] (interpolation = "constant")'
+WOODEN = prim(
+    "GeomSubset", "Some", 'uniform token elementType = "face"', "int[] indices = [0]",
+    'uniform token familyName = "materialBind"', bound("/Ball/Wood"), apis=("MaterialBindingAPI",),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lines", "remedy"),
+    [
+        ((PAINTED,), "remove the painted values of </Ball/Middle>, </Ball/Low>, </Ball/High>, or"),
+        ((WOODEN,), "bind one physics material to all faces of </Ball/Middle>, </Ball/Low>, </"),
+    ],
+)
+def test_the_refusal_of_parts_has_a_remedy_for_its_reason(
+    tmp_path: Path, lines: tuple[str, ...], remedy: str
+) -> None:
+    """It was to state the same physics, which they had."""
+    seen = gf_usd.inspect(split_ball(tmp_path, *MATERIALS, low=lines, rest=lines), **SMALL)
+    assert seen.refusal is not None
+    assert seen.refusal.hint.startswith(remedy)
+    assert seen.refusal.hint.endswith("or merge them into one mesh whose common points are welded")
+
+
+def test_an_animation_that_ends_at_the_start_is_what_to_remove() -> None:
+    bodies = tuple(
+        BodyPhysics(path=path, owner="/Ball", moving=np.zeros((1, 3)))
+        for path in ("/Ball/A", "/Ball/B")
+    )
+    parts = Parts(StageSpec(physics=StagePhysics(bodies=bodies)))
+    both = ("/Ball/A", "/Ball/B")
+    assert parts.why_not(both) == "</Ball/A> has an animation that ends at the start"
+    assert parts.remedy(both) == "remove the animation before the start of </Ball/A>, </Ball/B>"
 
 
 def test_flesh_says_that_it_joins_no_meshes(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ Volumes = Callable[[], Mapping[tuple[str, ...], float]]  # see `stated_spacing`
 ResolutionOf = Callable[[Volumes], "Resolution"]
 OneThing = Callable[[str, str], bool]  # whether two prim paths may be sides of one wall
 WITH_FLESH = "meshes are not joined with --flesh"
-JOIN_HINT = "{}merge them into one mesh whose common points are welded"
+MERGE = "merge them into one mesh whose common points are welded"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,11 +116,12 @@ def build_meshes(
         try:
             solid = build_solid(filled, repaired=repair)
         except InputError as refused:
-            not_joined = _not_joined(oriented, groups, why_not)
-            if not not_joined:
+            apart = _apart(oriented, groups, why_not)
+            if not apart:
                 raise
-            hint = JOIN_HINT.format("" if flesh else "state the same physics of them, or ")
-            raise InputError("\n".join((refused.message, *not_joined)), hint) from refused
+            ways = [] if parts is None else [parts.remedy(group) for group in apart]
+            hint = ", or ".join((*dict.fromkeys(ways), MERGE))
+            raise InputError("\n".join((refused.message, *apart.values())), hint) from refused
         embedded = (*solid.embedded, *walls.embedded)
         return replace(solid, embedded=embedded, walls=walls.outer)
 
@@ -160,7 +161,15 @@ def build_meshes(
 def _not_joined(
     asset: Asset, groups: Sequence[tuple[str, ...]], why_not: Callable[[Sequence[str]], str]
 ) -> tuple[str, ...]:
-    """A line on each group of meshes that enclose a volume only together, and were not joined.
+    """A line on each group of `_apart`."""
+    return tuple(_apart(asset, groups, why_not).values())
+
+
+def _apart(
+    asset: Asset, groups: Sequence[tuple[str, ...]], why_not: Callable[[Sequence[str]], str]
+) -> dict[tuple[str, ...], str]:
+    """The groups of meshes that enclose a volume only together and were not joined, each with a
+    line on why.
 
     groups : of those that were; why_not : the reason for prim paths, "": none is known.
     """
@@ -169,12 +178,12 @@ def _not_joined(
     known = [set(group) for group in groups]
     left = (group for group in joined_surfaces(asset).groups if set(group) not in known)
     found = ((group, why_not(group)) for group in left)
-    return tuple(
-        f"{listed(group)} share borders and enclose a volume only together, but are not filled as"
-        f" one body: {reason}"
+    return {
+        group: f"{listed(group)} share borders and enclose a volume only together, but are not"
+        f" filled as one body: {reason}"
         for group, reason in found
         if reason
-    )
+    }
 
 
 def _as_authored(repaired: Asset, asset: Asset, walls: Walls, joined: Joined) -> Asset:

@@ -9,6 +9,18 @@ from functools import cached_property
 from gf_usd.core.asset import Asset
 from gf_usd.core.stage import BodyPhysics, PhysicsMaterialSpec, StageSpec
 
+PAINTED, SUBSETS, ANIMATED = (
+    "has painted values",
+    "has faces of several physics materials",
+    "has an animation that ends at the start",
+)
+# what makes a mesh with each a possible part of another
+REMEDIES = {
+    PAINTED: "remove the painted values",
+    SUBSETS: "bind one physics material to all faces",
+    ANIMATED: "remove the animation before the start",
+}
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -22,12 +34,12 @@ class Parts:
     @cached_property
     def apart(self) -> Mapping[str, str]:
         """Why meshes are no part of another, by prim path: each has values of points or faces."""
-        found = dict.fromkeys(self.spec.painted, "has painted values")
+        found = dict.fromkeys(self.spec.painted, PAINTED)
         for path, body in self._bodies.items():
             if body.subsets:
-                found[path] = "has faces of several physics materials"
+                found[path] = SUBSETS
             elif body.owner and body.moving is not None:
-                found[path] = "has an animation that ends at the start"
+                found[path] = ANIMATED
         return found
 
     def alike(self, one: str, two: str) -> bool:
@@ -41,6 +53,19 @@ class Parts:
                 return f"<{path}> {self.apart[path]}"
         found = (self._difference(paths[0], path) for path in paths[1:])
         return next((text for text in found if text), "")
+
+    def remedy(self, paths: Sequence[str]) -> str:
+        """What in the stage would make meshes that cannot be parts of one such parts."""
+        from gf_usd.geometry.connected.joined import listed
+
+        own = {path: self.apart[path] for path in paths if path in self.apart}
+        if not own:
+            return "state the same physics of them"
+        ways = (
+            f"{REMEDIES[reason]} of {listed([path for path in own if own[path] == reason])}"
+            for reason in dict.fromkeys(own.values())
+        )
+        return " and ".join(ways)
 
     @cached_property
     def _bodies(self) -> Mapping[str, BodyPhysics]:
