@@ -23,12 +23,12 @@ def baked(gf_usd, here: Path, block: Path) -> str:
 
 def test_the_result_of_a_bake_is_refused_before_work(gf_usd, baked: str, block: Path) -> None:
     done = gf_usd("bake", baked, *SMALL)
-    assert (done.status, done.out, done.err) == (3, "", REFUSAL.format(block.name))
+    assert (done.status, done.out, done.err) == (3, "", REFUSAL.format(f"../{block.name}"))
 
 
 def test_inspect_refuses_the_result_of_a_bake(gf_usd, baked: str, block: Path) -> None:
     done = gf_usd("inspect", baked, *SMALL)
-    assert (done.status, done.out, done.err) == (3, "", REFUSAL.format(block.name))
+    assert (done.status, done.out, done.err) == (3, "", REFUSAL.format(f"../{block.name}"))
     report = json.loads(gf_usd("inspect", baked, *SMALL, "--json").out)
     assert report["bakeable"] is False
     assert "is the result of a bake" in report["refusal"]["message"]
@@ -42,10 +42,49 @@ def test_the_cache_of_a_bake_is_refused_with_the_name_of_its_asset(
     for command in ("bake", "inspect"):
         done = gf_usd(command, cache, *SMALL)
         assert (done.status, done.out) == (3, "")
-        assert done.err.endswith(f"\n\nhint: bake the original asset, {block.name}, instead\n")
+        assert done.err.endswith(f"\n\nhint: bake the original asset, ../{block.name}, instead\n")
     Path(baked).unlink()
     done = gf_usd("bake", cache, *SMALL)
     assert done.err.endswith("\n\nhint: bake the original asset instead\n")
+
+
+@pytest.mark.parametrize(
+    ("folder", "typed"), [("my assets", "'../my assets/block.usda'"), ("", "block.usda")]
+)
+def test_the_hint_at_the_original_has_its_folder(
+    gf_usd, here: Path, block: Path, folder: str, typed: str
+) -> None:
+    """It was the name alone, wherever the asset was; the name is what the layer has."""
+    at = here.parent / folder if folder else here
+    at.mkdir(exist_ok=True)
+    block.rename(at / block.name)
+    asset = f"@../{folder}/{block.name}@" if folder else ""
+    (here / "baked.usda").write_text(
+        f"""#usda 1.0
+(
+    customLayerData = {{
+        dictionary gaussianFlesh = {{
+            string command = "gf-usd bake {block.name} -m jelly"
+        }}
+    }}
+    subLayers = [{asset}]
+)
+def Xform "World" (variants = {{ string gaussianFlesh = "jelly" }}
+    prepend variantSets = "gaussianFlesh")
+{{
+    def Mesh "Face"
+    {{
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    }}
+    variantSet "gaussianFlesh" = {{ "jelly" {{}} }}
+}}
+""",
+        encoding="utf-8",
+    )
+    done = gf_usd("bake", "baked.usda", *SMALL)
+    assert done.err.endswith(f"\n\nhint: bake the original asset, {typed}, instead\n")
 
 
 def test_a_spacing_above_the_asset_is_refused_with_its_file(gf_usd, block: Path) -> None:

@@ -21,7 +21,7 @@ from gf_usd.core.asset import ASSUMED, BAKES, FILE, LATEST, OPTION, StageFacts
 from gf_usd.core.errors import InputError, plain_parse_error
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import ANIMATED, Notes
-from gf_usd.system.atomic_files import require_utf8
+from gf_usd.system.atomic_files import relative, require_utf8
 
 MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
 NO_TEXT = "it holds bytes that are not UTF-8"
@@ -226,7 +226,12 @@ def _baked_prim(stage: Usd.Stage) -> str | None:
 
 
 def baked_asset(layer: Sdf.Layer) -> str:
-    """The asset of a bake, as the command in its root layer names it; "": none is named."""
+    """The path of the asset of a bake from the working folder, to be typed in a shell; "": no asset
+    is named.
+
+    The command in the root layer has its name.  Where no file of this name is referenced or next to
+    the layer, it is the name alone.
+    """
     data = layer.customLayerData.get(BAKES)
     command = data.get("command") if isinstance(data, dict) else None
     if not isinstance(command, str):  # another program may have written anything
@@ -235,7 +240,13 @@ def baked_asset(layer: Sdf.Layer) -> str:
         words = shlex.split(command)
     except ValueError:  # quotes without an end
         return ""
-    return words[2] if words[2:] else ""
+    if not words[2:]:
+        return ""
+    name = words[2]
+    layers = (layer.ComputeAbsolutePath(one) for one in layer.GetCompositionAssetDependencies())
+    places = [*map(Path, layers), Path(layer.realPath).parent / name]
+    found = next((one for one in places if one.name == name and one.is_file()), None)
+    return shlex.quote(name if found is None else relative(found, Path.cwd()))
 
 
 def _time_code(authored: bool, value: float, path: Path, which: str) -> float | None:
