@@ -329,6 +329,8 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
 
     spent : the seconds of its stages, as text.
     """
+    from gf_usd.prepare.bodies.coarse import is_noted
+
     clips = [clip for bake in result.bakes for clip in bake.clips]
     files = [path for path in result.outputs if path.exists() and path not in clips]
     lines = [f"{path}  {bytes_text(path.stat().st_size)}" for path in files]
@@ -344,7 +346,10 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
         lines += [
             f"warning: {bake.variant}: {c.message} [{c.about}]\n  hint: {c.hint}"
             for c in bake.warnings
-            if not (c.about == COARSE and plan.coarse)  # which was a note before the bake
+            # which may have been a note before the bake
+            if not (
+                c.about == COARSE and is_noted(bake.health.get("outside_mesh") or "", plan.coarse)
+            )
         ]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
-from gf_usd.cli.console import Lines, Spent, disk_of, frames_of, time_of
+from gf_usd.cli.console import Lines, Spent, disk_of, frames_of, summarize, time_of
 from gf_usd.pipeline.cost.forecast import (
     CHECKING,
     COMPILING,
@@ -15,6 +17,14 @@ from gf_usd.pipeline.cost.forecast import (
     SIMULATING,
     Activity,
 )
+from gf_usd.pipeline.health.warnings import HealthWarning
+from gf_usd.pipeline.result import BakeResult
+from gf_usd.prepare.plan import Plan
+
+HEALTH = (
+    "restitution", "deepest_overlap_spacings", "rollbacks", "deepest_penetration_spacings",
+    "deepest_penetration_m", "min_J", "max_J", "substeps",
+)  # fmt: skip
 
 
 class Clock:
@@ -116,3 +126,22 @@ def test_a_frame_that_takes_minutes_is_not_silent(done: int) -> None:
     for clock.now in range(0, 120, 10):
         lines.tick()
     assert len(printed) >= 4
+
+
+@pytest.mark.parametrize(("noted", "said"), [("/Box", 0), ("/Other", 1)])
+def test_a_coarse_mesh_that_no_note_names_is_warned_of(
+    capsys: pytest.CaptureFixture[str], noted: str, said: int
+) -> None:
+    """One note on any mesh took back the warnings on all others."""
+    warning = HealthWarning(about="coarse-mesh", message="faces of </Box> are", hint="divide them")
+    health = dict.fromkeys(HEALTH, 0.0) | {"outside_mesh": "</Box> (edges up to 9 spacings of 1 m)"}
+    one = SimpleNamespace(
+        variant="rubber", clips=(), frames=2, at_rest=None, health=health, certificate=None,
+        warnings=(warning,),
+    )  # fmt: skip
+    result = SimpleNamespace(bakes=(one,), outputs=(), particles=8, notes=(), findings=())
+    plan = SimpleNamespace(
+        notes=(), coarse=f"faces of <{noted}> (edges up to 9 spacings) stay flat"
+    )
+    summarize(cast(BakeResult, result), cast(Plan, plan), "1 s")
+    assert capsys.readouterr().out.count("[coarse-mesh]") == said

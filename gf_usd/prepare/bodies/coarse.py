@@ -16,6 +16,7 @@ from gf_usd.core.units import length_text, rounded_text
 
 FAR = 1.0  # [spacings] from the limit surface
 LONG = 4.0  # [spacings] edge length: shorter edges resolve any bend of the grid (cell size 2)
+EDGES = " (edges up to "  # what follows the names of meshes
 SHARE = 0.01  # least share of a mesh's area in faces with a long edge
 
 
@@ -57,6 +58,16 @@ def coarse_note(surfaces: Sequence[Surface], spacing: float, *, refined: bool) -
     )
 
 
+def is_noted(measured: str, note: str) -> bool:
+    """Whether a note names the meshes of a warning after the bake.
+
+    measured : of `mesh_names`; note : of `coarse_note`.  The warning counts cages as well, which
+    have a note of another kind, and is not of meshes that begin to flow.
+    """
+    meshes, _, _ = measured.partition(EDGES)
+    return bool(meshes) and meshes in note
+
+
 def coarse_meshes(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
     """The longest edge [m] of meshes with many long faces, by path, longest first.
 
@@ -77,4 +88,4 @@ def mesh_names(meshes: Mapping[str, float], spacing: float) -> str:
     path, edge = next(iter(meshes.items()))
     more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
     long = f"{rounded_text(edge / spacing)} spacings of {length_text(spacing)}"
-    return f"<{path}>{more} (edges up to {long})"
+    return f"<{path}>{more}{EDGES}{long})"

@@ -11,7 +11,13 @@ import solids
 from pxr import Gf, Usd, UsdGeom
 
 from gf_usd.pipeline.prepared import prepare
-from gf_usd.prepare.bodies.coarse import cage_notes, coarse_meshes, coarse_note, mesh_names
+from gf_usd.prepare.bodies.coarse import (
+    cage_notes,
+    coarse_meshes,
+    coarse_note,
+    is_noted,
+    mesh_names,
+)
 
 POINTS = [Gf.Vec3f(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]
 FACES = [0, 2, 3, 1, 4, 5, 7, 6, 0, 1, 5, 4, 2, 6, 7, 3, 0, 4, 6, 2, 1, 3, 7, 5]
@@ -107,3 +113,20 @@ def test_a_cage_has_one_note(cube: Path):
     plan = prepare(cube, particles=1000).plan
     assert plan.coarse == ""
     assert coarse_note(plan.asset.surfaces, 2.0, refined=False) == "", "its edges are short"
+
+
+@pytest.mark.parametrize(
+    ("measured", "before", "noted"),
+    [
+        ({"/Box": 0.9}, {"/Box": 0.9}, True),
+        ({"/Box": 0.9}, {"/Box": 0.9, "/Flows": 0.8}, True),
+        ({"/Box": 0.9}, {"/Other": 0.9}, False),
+        ({"/Cage": 0.95, "/Box": 0.9}, {"/Box": 0.9}, False),
+        ({"/Box": 0.9}, {}, False),
+    ],
+)
+def test_a_warning_is_noted_where_its_meshes_are(
+    measured: dict[str, float], before: dict[str, float], noted: bool
+) -> None:
+    note = f"faces of {mesh_names(before, 0.1)} stay flat" if before else ""
+    assert is_noted(mesh_names(measured, 0.1), note) == noted
