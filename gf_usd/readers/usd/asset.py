@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 from pxr import Sdf, Usd, UsdGeom
@@ -195,6 +196,7 @@ def _note_other_variants(
     above = dict.fromkeys(path for prim in baked for path in prim.GetPath().GetPrefixes())
     known: dict[tuple[Sdf.Path, str], _Variants] = {}
     left = MOST_VARIANTS
+    before = cache(partial(composition_errors, stage))  # a walk over all prims
     for path in above:
         prim = stage.GetPrimAtPath(path)
         for name in prim.GetVariantSets().GetNames():
@@ -208,7 +210,7 @@ def _note_other_variants(
                 for variant in others[:left]:
                     other = _with_variant(stage, prim, name, variant, within)
                     errors = composition_errors(other)
-                    fault = next((e for e in errors if e not in composition_errors(stage)), "")
+                    fault = next((e for e in errors if e not in before()), "")
                     if fault:
                         broken[variant] = fault
                     elif (

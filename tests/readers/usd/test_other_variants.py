@@ -10,6 +10,8 @@ from physics_stages import BOX, head
 from pxr import Sdf, Usd
 
 from gf_usd.readers import read_asset
+from gf_usd.readers.usd import asset as reader
+from gf_usd.readers.usd.stage import composition_errors
 
 # a cube with its top divided in two triangles
 FINE = BOX.replace("[4, 4, 4, 4, 4, 4]", "[4, 3, 3, 4, 4, 4, 4]").replace(
@@ -133,6 +135,24 @@ def test_a_level_of_detail_that_is_hidden_counts(tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('variantSet "LOD"', shapes + 'variantSet "LOD"'), encoding="utf-8")
     assert len(found(path)) == 1
+
+
+def test_errors_of_the_stage_are_found_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were found again for each error of each variant."""
+    missing = [f'def Mesh "Geo" (references = @no{k}.usda@) {{\n}}' for k in range(3)]
+    path = stage(tmp_path, geo(BOX), *missing)
+    asked = []
+
+    def errors(of: Usd.Stage) -> list[str]:
+        asked.append(of)
+        return composition_errors(of)
+
+    monkeypatch.setattr(reader, "composition_errors", errors)
+    (note,) = found(path)
+    assert note.count("does not compose") == 3
+    assert len(asked) == 1 + 3
 
 
 def test_a_variant_that_does_not_compose_is_named(tmp_path: Path) -> None:
