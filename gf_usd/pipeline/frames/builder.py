@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import (
     STRETCH,
@@ -16,6 +17,7 @@ from gf_usd.core.frames import (
     GaussianPose,
     Health,
     MeshPose,
+    Particles,
     Pose,
     Settings,
     SurfacePose,
@@ -193,10 +195,7 @@ class FrameBuilder:
         health = frame.health
         if health.max_J <= IMPLAUSIBLE or not self._bodies:
             return health
-        body, rest = self.solver.particles.body_of, self.solver.particles.V0
-        volume = np.bincount(body, rest * np.linalg.det(frame.particles.F)) / np.bincount(
-            body, rest
-        )
+        volume = mean_of_bodies(np.linalg.det(frame.particles.F), self.solver.particles)
         most = int(volume.argmax())
         return replace(health, expanded=float(volume[most]), expanded_body=self._bodies[most][0])
 
@@ -206,10 +205,9 @@ class FrameBuilder:
         """
         if health.max_stretch <= STRETCH or not self._bodies:
             return health
-        body, rest = self.solver.particles.body_of, self.solver.particles.V0
         F = frame.particles.F
         squared = np.linalg.eigvalsh(np.swapaxes(F, 1, 2) @ F)[:, -1]  # of the largest stretch
-        share = np.bincount(body, rest * (squared > STRETCH**2)) / np.bincount(body, rest)
+        share = mean_of_bodies(squared > STRETCH**2, self.solver.particles)
         most = int(share.argmax())
         return replace(health, stretched=float(share[most]), stretched_body=self._bodies[most][0])
 
@@ -225,6 +223,15 @@ class FrameBuilder:
             health, outside_share=outside.share, outside_depth=outside.depth,
             outside_mesh=self._coarse,
         )  # fmt: skip
+
+
+def mean_of_bodies(values: Floats, particles: Particles) -> Floats:
+    """(B,) mean over the rest volume of each body of values (N,); 0 of one without particles."""
+    body, V0 = particles.body_of, np.asarray(particles.V0, float)
+    whole = np.bincount(body, V0)
+    return np.divide(
+        np.bincount(body, V0 * values), whole, out=np.zeros(len(whole)), where=whole > 0.0
+    )
 
 
 def with_lead_frames(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:
