@@ -27,10 +27,12 @@ def morphed(
     primitives: dict[int, Primitive],
     notes: Notes,
     where: str,
+    name: str,
 ) -> list[Primitive]:
     """The primitives of the mesh of a node with its morph targets applied.
 
-    primitives : of the mesh, by their index in it; where : name of the mesh, for notes.
+    primitives : of the mesh, by their index in it; where, name : of the mesh and the node, for
+    notes.
 
     Raises InputError for weights and targets that do not fit the mesh.
     """
@@ -48,7 +50,9 @@ def morphed(
                 REPAIR,
             )
     used = [i for i in range(count) if weights[i]]
-    notes.add(_note(mesh, weights, used), where)
+    uses = (one for one in gltf.rows("nodes") if one.get("mesh") == node["mesh"])
+    shared = any(one.get("weights") != node.get("weights") for one in uses)
+    notes.add(_note(mesh, weights, used), f"{where} of node {name}" if shared else where)
     return [
         _primitive(gltf, f"mesh '{where}', primitive {p}", primitive, rows[p], weights, used)
         if rows[p]

@@ -141,7 +141,7 @@ class _Scene:
         if not with_surface:
             return None
         name = str(self._gltf.row("meshes", row["mesh"]).get("name") or node)
-        primitives = morphed(self._gltf, row, with_surface, self._notes, name)
+        primitives = morphed(self._gltf, row, with_surface, self._notes, name, node)
         starts = np.cumsum([0] + [len(p.points) for p in primitives])
         indices = np.concatenate([p.triangles + at for p, at in zip(primitives, starts)])
         materials = [

@@ -69,9 +69,22 @@ def test_a_mesh_of_two_nodes_has_the_weights_of_each(tmp_path: Path) -> None:
     maker = GltfMaker()
     box(maker, {}, name="still")
     maker.tree["nodes"].append({"mesh": 0, "weights": [1.0, 0.0], "name": "wide"})
-    nodes = read_gltf(maker.glb(tmp_path / "thing.glb")).nodes
-    widths = [float(np.ptp(node.mesh.points[:, 0])) for node in nodes if node.mesh]
+    file = read_gltf(maker.glb(tmp_path / "thing.glb"))
+    widths = [float(np.ptp(node.mesh.points[:, 0])) for node in file.nodes if node.mesh]
     assert widths == [np.ptp(CORNERS[:, 0]), 2 * np.ptp(CORNERS[:, 0])]
+    # both notes were on Box alone
+    assert "Box of node still: 2 morph targets of weight 0: left out" in file.notes
+    (wide,) = [note for note in file.notes if note.startswith("Box of node wide: ")]
+    assert wide.endswith("target 0 with 1")
+
+
+def test_a_mesh_of_two_nodes_with_the_same_weights_has_one_note(tmp_path: Path) -> None:
+    maker = GltfMaker()
+    box(maker, {"weights": [1.0, 0.0]}, name="one")
+    maker.tree["nodes"].append({"mesh": 0, "name": "two"})
+    notes = read_gltf(maker.glb(tmp_path / "thing.glb")).notes
+    assert [note for note in notes if "morph" in note and "node" not in note] != []
+    assert [note for note in notes if "morph" in note and "node" in note] == []
 
 
 def test_a_primitive_without_targets_is_the_same_at_all_weights(tmp_path: Path) -> None:
