@@ -59,6 +59,7 @@ from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.prepare import (
     ROOT,
+    neighbor_notes,
     parse_request,
     read_stage,
     reading,
@@ -294,6 +295,10 @@ def inspect(
     asset, spec = found.asset, found.spec
     seen = examine(asset)
     files = outputs(source, [preset.name for preset in found.presets], None)
+    alone = bool(prims) and not request.flesh
+    everything = partial(
+        reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
+    )
     try:
         plan, solid = fill(
             asset, request, found.presets, law, files, found.file, spec=spec, repair=repair,
@@ -301,10 +306,7 @@ def inspect(
         )  # fmt: skip
     except InputError as refused:
         refusal = refused
-        if prims and not request.flesh:
-            everything = partial(
-                reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
-            )
+        if alone:
             refusal = with_neighbors(refused, asset, everything) or refused
         warnings = [implausible_size(asset)]
         mendable = not repair and not would_fill(asset)
@@ -314,6 +316,8 @@ def inspect(
             seen, refusal=refusal, warnings=tuple(w for w in warnings if w),
             repairs=repair_asset_for_fill(asset, request, spec)[2] if repair else (),
         )  # fmt: skip
+    if alone:
+        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, everything)))
     prepared = with_shot_length(Prepared(plan=plan))
     seen = replace(
         seen, plan=prepared.plan, repairs=prepared.plan.repairs, cost=prepared.cost,

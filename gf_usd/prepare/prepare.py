@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
 
 
 ROOT = "/"  # the path above all prims
+NAME_THEM = "name those meshes as well (--prim), or a prim above all of them"
 DEFAULT_MATERIAL = "rubber"  # where neither an option nor the stage gives one
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
@@ -117,21 +118,23 @@ def prepare(
         require_no_input_of_bake(files, _files_read(source, material, request))
     if files.is_package:
         require_packable(found.file, source)
-    asset = found.asset
+    asset, alone = found.asset, bool(prims) and not request.flesh
+    everything = partial(
+        reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
+    )
     try:
         plan, solid = fill(
             asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
         )
     except InputError as refused:
-        if not prims or request.flesh:
+        if not alone:
             raise
-        everything = partial(
-            reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
-        )
         closed = with_neighbors(refused, asset, everything)
         if closed is None:
             raise
         raise closed from refused
+    if alone:
+        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, everything)))
     if once_filled:
 
         def refill(spacing: float) -> Plan:
@@ -342,26 +345,42 @@ def with_neighbors(
 
     everything : starts to read all of the stage.
     """
+    if would_fill(asset):
+        return None
+    text = next(_neighbors(asset, everything), "")
+    return InputError(f"{refused.message}\n{text}", NAME_THEM) if text else None
+
+
+def neighbor_notes(asset: Asset, everything: Callable[[], Reading]) -> tuple[str, ...]:
+    """Notes on the meshes of the stage that would close the large holes of an asset that is filled.
+
+    everything : starts to read all of the stage, which is done where there are such holes.
+    """
+    from gf_usd.geometry.connected.joined import joined_surfaces
+    from gf_usd.geometry.diagnosis import HOLE_LIMIT, diagnose
+
+    own = (s for s in joined_surfaces(asset).asset.surfaces if s.splats is None)
+    if all(hole.share <= HOLE_LIMIT for one in own for hole in diagnose(one).holes):
+        return ()
+    return tuple(f"{text}: {NAME_THEM}" for text in _neighbors(asset, everything))
+
+
+def _neighbors(asset: Asset, everything: Callable[[], Reading]) -> Iterator[str]:
+    """Texts on meshes of an asset that enclose a volume together with others of its stage."""
     from gf_usd.geometry.connected.joined import joined_surfaces, listed
 
     mine = {s.path for s in asset.surfaces}
-    if would_fill(asset):
-        return None
     try:
         with everything() as read:
             found = read.result()
-    except InputError:  # of prims that were not named: those named are what is refused
-        return None
+    except InputError:  # of prims that were not named, which are not what is baked
+        return
     parts = Parts(found.spec or StageSpec())
     for group in joined_surfaces(found.asset, parts.apart, parts.alike).groups:
         named, others = ([p for p in group if (p in mine) == own] for own in (True, False))
         if named and others:
-            what = listed(others)
             one = "encloses" if len(named) == 1 else "enclose"
-            message = f"{refused.message}\n{listed(named)} {one} a volume together with {what}"
-            hint = "name those meshes as well (--prim), or a prim above all of them"
-            return InputError(message, hint)
-    return None
+            yield f"{listed(named)} {one} a volume together with {listed(others)}"
 
 
 def would_fill(asset: Asset) -> bool:

@@ -14,6 +14,8 @@ import gf_usd
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import weld
 from gf_usd.core.stage import BodyPhysics, StagePhysics, StageSpec
+from gf_usd.pipeline.prepared import prepare
+from gf_usd.prepare import prepare as reader
 from gf_usd.prepare.fill.parts import Parts
 from gf_usd.prepare.plan import Plan
 
@@ -452,6 +454,39 @@ def test_a_named_part_is_refused_with_the_parts_that_close_it(tmp_path: Path) ->
             "\n</Ball/Low> encloses a volume together with </Ball/Middle>, </Ball/High>"
         )
         assert refusal.hint.startswith("name those meshes as well (prims)")
+
+
+def test_named_parts_that_are_filled_have_a_note_on_the_part_that_closes_them(
+    tmp_path: Path,
+) -> None:
+    """The note on their hole named no mesh."""
+    ball = split_ball(tmp_path)
+    two = ["/Ball/Low", "/Ball/Middle"]
+    text = (
+        "</Ball/Middle>, </Ball/Low> enclose a volume together with </Ball/High>: name those"
+        " meshes as well ({}), or a prim above all of them"
+    )
+    seen = gf_usd.inspect(ball, prims=two, **SMALL)
+    assert seen.plan is not None
+    assert "is filled despite 1 hole" in "\n".join(seen.plan.notes)
+    assert text.format("prims") in seen.plan.notes
+    assert text.format("--prim") in prepare(ball, prims=two, particles=400).plan.notes
+    for closed in (["/Ball"], [*two, "/Ball/High"]):
+        plan = gf_usd.inspect(ball, prims=closed, **SMALL).plan
+        assert plan is not None
+        assert "together with" not in "\n".join(plan.notes)
+
+
+def test_only_a_part_with_a_large_hole_has_its_stage_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = []
+    monkeypatch.setattr(reader, "_neighbors", lambda *_: read.append(1) or iter(()))
+    ball = split_ball(tmp_path, borders=(0.52, 1.25))  # a hole of 2 % of the ball
+    gf_usd.inspect(ball, prims=["/Ball/Middle", "/Ball/High"], **SMALL)
+    assert read == []
+    gf_usd.inspect(split_ball(tmp_path), prims=["/Ball/Middle", "/Ball/High"], **SMALL)
+    assert read == [1]
 
 
 def test_parts_that_are_not_joined_are_no_remedy(tmp_path: Path) -> None:
