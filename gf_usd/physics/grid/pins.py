@@ -18,6 +18,9 @@ these rules the error is .7 to 1 % for any position of the nodes.
 A pin that is not `sharp`, such as a bone's core, has no mirrored nodes: all nodes inside it follow
 the motion, and the particles there keep their mass and stress.
 
+A node outside of a pin in the support of held particles only (`fully_prescribed`) acts on no free
+particle, and follows the motion as a deep one does.
+
 Both kinds are rows like those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces are
 distributed by the transpose. Particles inside a pin move as prescribed and carry no stress.
 
@@ -172,24 +175,30 @@ def prescribed_nearby(
 
 
 def fully_prescribed(
-    pins: Sequence[Pin], held: PinnedPoints, mass: Floats, body: Ints, X: Floats
-) -> PinnedPoints:
-    """Pins of nodes X (n, 3) [m], with all nodes of bodies without free particles.
+    held: PinnedPoints, mass: Floats, body: Ints, X: Floats,
+    particles: PinnedPoints, particle_X: Floats, particle_body: Ints,
+) -> PinnedPoints:  # fmt: skip
+    """Pins of nodes X (n, 3) [m], with those of nodes that only pinned particles reach.
 
-    mass : (n,) [kg] of free particles; body : (n,) of each node. Such a body has no free nodes for
-    its other nodes to depend on: each moves with the nearest pin of the body.
+    mass : (n,) [kg] of free particles; body : (n,) of each node. particles : pins of the particles
+    at particle_X (N, 3) [m]; particle_body : (N,).
+
+    A node without mass does not act on a free particle, but moves points of the surface.  The
+    nearest free node may be many cells away, and an affine fit multiplies its motion: the handle of
+    a pinned mug grew spikes. The node moves with the nearest pinned particle instead, unless that
+    slides; with the nearest that does not where the body has no free particle at all.
     """
-    massless = np.bincount(body, mass) == 0.0
-    if not massless.any():
-        return held
     axes = held.axes.copy()
-    for number in np.flatnonzero(massless):
-        mine = body == number
-        own = [k for k in np.unique(held.pin[mine]) if k >= 0 and all(pins[k].axes)]
-        rows = np.flatnonzero(mine & held.free.all(1))
-        if own and len(rows):
-            s = [np.linalg.norm(pins[k].nearest(X[rows]) - X[rows], axis=1) for k in own]
-            axes[rows] = np.array(own)[np.argmin(s, axis=0)][:, None]
+    bare = (mass == 0.0) & held.free.all(1)
+    whole = np.bincount(body, mass) == 0.0
+    firm = ~particles.free.any(1)
+    for number in np.unique(body[bare]):
+        rows = np.flatnonzero(bare & (body == number))
+        which = firm if whole[number] else particles.pin >= 0
+        from_ = np.flatnonzero(which & (particle_body == number))
+        if len(from_):
+            near = from_[kd_tree(particle_X[from_]).query(X[rows])[1]]
+            axes[rows[firm[near]]] = particles.axes[near[firm[near]]]
     return PinnedPoints(axes=axes)
 
 

@@ -205,8 +205,13 @@ class Stencil:
 
     @cached_property
     def _moving(self) -> Ints:
-        """(M,) nodes to which fields are fitted: free ones, and those of rigid regions."""
+        """(M,) nodes to which fields are fitted: free ones, those of rigid regions, and those deep
+        in a pin.
+
+        What is embedded in a pinned limb follows the limb, not the nearest nodes outside of it.
+        """
         moving = np.arange(self.node_count) < self.free_count
+        moving |= ~self.held.free.any(1) & np.isnan(self.mirror).any(1)
         return moving if self.region is None else moving | (self.region >= 0)
 
     @cached_property
@@ -388,7 +393,10 @@ def build_stencil(
     pins = pin_constraint.pins if pin_constraint else ()
     held = pinned_by(pins, node_X, node_body)
     held = prescribed_nearby(pins, held, node_X, h, node_body)
-    held = fully_prescribed(pins, held, mass, node_body, node_X)
+    if pin_constraint:
+        held = fully_prescribed(
+            held, mass, node_body, node_X, pin_constraint.particles, rest, body
+        )
     held = _without_other_limbs(held, pins, cells, rest, body)
     region = _rigid_regions(pins, cells, rest, m, held, body)
     if region is not None:

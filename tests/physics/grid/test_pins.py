@@ -110,10 +110,42 @@ def test_all_nodes_of_a_body_that_is_wholly_held_are_held() -> None:
     pins = [box("box:1.5,-1,-1,1.7,2,2"), box("box:1.7,-1,-1,2.1,2,2")]
     X = np.array([[x, 0.1, 0.1] for x in (0.0, 0.5, 1.4, 1.6, 1.8, 2.3)])
     body, mass = np.array([0, 0, 1, 1, 1, 1]), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    held = fully_prescribed(pins, pinned_by(pins, X), mass, body, X)
+    particles = pinned_by(pins, X[1:5])
+    held = fully_prescribed(pinned_by(pins, X), mass, body, X, particles, X[1:5], body[1:5])
     assert held.pin.tolist() == [-1, -1, 0, 0, 1, 1]
-    partly = fully_prescribed(pins, pinned_by(pins, X), np.where(X[:, 0] > 2.0, 0.1, mass), body, X)
-    assert partly.pin.tolist() == [-1, -1, -1, 0, 1, -1]
+
+
+def test_nodes_that_pinned_particles_alone_reach_are_held() -> None:
+    """The nearest free node may be many cells away: a fit of it would multiply its motion."""
+    pins = [
+        box("box:0.5,-1,-1,2,2,2"),
+        replace(box("box:-2,-1,-1,-1,2,2"), axes=(True, False, True)),
+    ]
+    X = np.array([[0.1, 0.1, 0.1], [0.6, 3.0, 0.1], [0.9, 3.0, 0.1], [-1.2, 3.0, 0.1]])
+    mass = np.array([1.0, 0.1, 0.0, 0.0])
+    Xp = np.array([[0.1, 0.1, 0.1], [0.9, 1.9, 0.1], [-1.2, 1.9, 0.1]])
+    body = np.zeros(4, int)
+    held = fully_prescribed(
+        pinned_by(pins, X), mass, body, X, pinned_by(pins, Xp), Xp, np.zeros(3, int)
+    )
+    assert held.pin.tolist() == [-1, -1, 0, -1]  # free, light, held; and beside a pin that slides
+
+
+def test_a_pinned_limb_stays_where_it_is_on_all_sides() -> None:
+    """Its surface is in the support of nodes outside the pin, ten cells from the free body."""
+    trunk, limb = cube((0.0, 0.0, 0.0), (0.3, 1.0, 1.0)), cube((0.3, 0.45, 0.45), (1.0, 0.1, 0.1))
+    particles = fill(solid(trunk, limb), 3000)[0]
+    inside = particles.X[particles.X[:, 0] > 0.3]  # a pin around these leaves the surface outside
+    ends = ",".join(str(v) for v in (*(inside.min(0) - 1e-5), *(inside.max(0) + 1e-5)))
+    pin = make_pin(box_region(f"box:{ends}", 1.0, np.zeros((0, 3)), STILL), BAR)
+    tip = np.array([[1.3, y, z] for y in (0.45, 0.55) for z in (0.45, 0.55)])
+    solver = TotalLagrangian(
+        particles, [soft()], settings(frames=2, gravity=(0.0, -9.81, 0.0)), pins=[pin],
+        embedded={"/Tip": tip},
+    )  # fmt: skip
+    *_, last = solver.frames()
+    assert np.abs(last.particles.x - particles.X).max() > 1e-3, "the trunk hangs"
+    np.testing.assert_allclose(last.embedded["/Tip"].x, tip, atol=1e-6)
 
 
 @pytest.mark.slow
