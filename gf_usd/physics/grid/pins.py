@@ -191,7 +191,7 @@ def fully_prescribed(
     axes = held.axes.copy()
     bare = (mass == 0.0) & held.free.all(1)
     whole = np.bincount(body, mass) == 0.0
-    firm = ~particles.free.any(1)
+    firm = np.asarray(~particles.free.any(1))
     for number in np.unique(body[bare]):
         rows = np.flatnonzero(bare & (body == number))
         which = firm if whole[number] else particles.pin >= 0

@@ -394,9 +394,7 @@ def build_stencil(
     held = pinned_by(pins, node_X, node_body)
     held = prescribed_nearby(pins, held, node_X, h, node_body)
     if pin_constraint:
-        held = fully_prescribed(
-            held, mass, node_body, node_X, pin_constraint.particles, rest, body
-        )
+        held = fully_prescribed(held, mass, node_body, node_X, pin_constraint.particles, rest, body)
     held = _without_other_limbs(held, pins, cells, rest, body)
     region = _rigid_regions(pins, cells, rest, m, held, body)
     if region is not None:
