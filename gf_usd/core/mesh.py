@@ -87,10 +87,28 @@ def tet_surface(tets: Ints) -> tuple[NDArray[np.int64], int]:
     return faces[count[inverse.reshape(-1)] == 1], int((count > 2).sum())
 
 
+SPARSE = 4  # points for each corner, from where corners are sorted rather than points marked
+
+
 def proper(triangles: Ints) -> NDArray[np.bool_]:
     """(T,) True where a triangle has three different vertices."""
     a, b, c = np.asarray(triangles).reshape(-1, 3).T
     return (a != b) & (b != c) & (c != a)
+
+
+def used_points(triangles: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The points (n,) that triangles have, ascending, and the triangles as rows of these.
+
+    As ``numpy.unique`` with its inverse, without a sort where most points are used.
+    """
+    triangles = np.asarray(triangles, dtype=np.int64)
+    span = int(triangles.max(initial=-1)) + 1
+    if span > SPARSE * triangles.size:
+        used, local = np.unique(triangles, return_inverse=True)
+        return used, local.reshape(triangles.shape)
+    taken = np.zeros(span, bool)
+    taken[triangles] = True
+    return np.flatnonzero(taken), (np.cumsum(taken) - 1)[triangles]
 
 
 def _edges(triangles: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -10,15 +10,15 @@ overlapping      parts whose solids overlap
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints, cross
-from gf_usd.core.mesh import areas
+from gf_usd.core.arrays import Floats, Ints, columns, cross
+from gf_usd.core.mesh import areas, used_points
 from gf_usd.core.neighbors import components
 
 Flags = NDArray[np.bool_]
@@ -26,7 +26,6 @@ Flags = NDArray[np.bool_]
 FLAT_FRACTION = 1e-4  # share of (area)^(3/2) below which a volume counts as 0: no inside
 OPEN_FRACTION = 0.25  # of `open_fractions`, above which a part has no inside
 PROBES = 16  # vertices of a part that are tested to lie inside another
-BATCH = 1024  # parts whose boxes are compared at a time: bounds memory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,23 +109,35 @@ def rows_of(label: Ints) -> list[Ints]:
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def enclosing_parts(points: Floats, triangles: Ints, label: Ints) -> Ints:
-    """(K,) the part of least volume that contains each part; -1: none does."""
-    low, high = boxes(points, triangles, label)
-    volume = np.abs(volumes(points, triangles, label))
+def enclosing_parts(points: Floats, triangles: Ints, label: Ints, volume: Floats) -> Ints:
+    """(K,) the part of least volume that contains each part; -1: none does.
+
+    volume : (K,) [m^3] of each part, without sign.
+    """
+    parent = np.full(len(volume), -1)
+    if len(volume) < 2:
+        return parent
+    low, high = (columns(corner) for corner in boxes(points, triangles, label))
     parts = rows_of(label)
-    parent = np.full(len(parts), -1)
-    for start in range(0, len(parts), BATCH):
-        mine = np.arange(start, min(start + BATCH, len(parts)))
-        around = (low[None] < low[mine, None]).all(2) & (high[None] > high[mine, None]).all(2)
-        for i, j in np.argwhere(around):
-            i = mine[i]
-            if parent[i] >= 0 and volume[parent[i]] <= volume[j]:
-                continue
-            corners = np.unique(triangles[parts[i]])
-            probes = corners[:: max(1, len(corners) // PROBES)]
-            if winding_inside(points, triangles[parts[j]], points[probes]).all():
-                parent[i] = j
+
+    @cache
+    def probes(part: int) -> Ints:
+        corners = used_points(triangles[parts[part]])[0]
+        return corners[:: max(1, len(corners) // PROBES)]
+
+    # By ascending volume, so that the first part around another is its parent, and that a part has
+    # one hierarchy for all that may be in it: there may be thousands of specks in the box of a scan
+    for j in np.argsort(volume, kind="stable"):
+        within = parent < 0
+        for lower, upper in zip(low, high):
+            within &= (lower > lower[j]) & (upper < upper[j])
+        if not within.any():
+            continue
+        rows = np.flatnonzero(within)
+        tested = [probes(int(i)) for i in rows]
+        inside = winding_inside(points, triangles[parts[j]], points[np.concatenate(tested)])
+        start = np.cumsum([0, *map(len, tested[:-1])])
+        parent[rows[np.logical_and.reduceat(inside, start)]] = j
     return parent
 
 
@@ -138,9 +149,8 @@ def winding_inside(points: Floats, triangles: Ints, X: Floats) -> Flags:
 
 def winding_numbers(points: Floats, triangles: Ints, X: Floats) -> Floats:
     """(n,) winding numbers of triangles (T, 3) about X (n, 3): positive behind their front."""
-    used, local = np.unique(triangles, return_inverse=True)
+    used, local = used_points(triangles)
     center = points[used].mean(0)
-    local = np.ascontiguousarray(local.reshape(-1, 3), np.int64)
     return np.atleast_1d(igl.fast_winding_number(points[used] - center, local, X - center))
 
 
@@ -181,7 +191,7 @@ def orientations(points: Floats, triangles: Ints, label: Ints) -> Orientations:
     inside &= open_fractions(points, triangles, label) <= OPEN_FRACTION
     current = np.where(inside, np.sign(volume), 0).astype(int)
     target = np.abs(current)
-    parent = enclosing_parts(points, triangles, label)
+    parent = enclosing_parts(points, triangles, label, np.abs(volume))
     # By descending volume: the enclosing part is larger and decided before.
     for i in np.argsort(-np.abs(volume), kind="stable"):
         j = parent[i]
