@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import AXES, Floats, Ints
 from gf_usd.core.errors import InputError, counted
 from gf_usd.core.matrices import gaussian_axes
-from gf_usd.core.mesh import weld
+from gf_usd.core.mesh import Welded, signed_volume, weld
 from gf_usd.core.radiance import DEGREE, Y_0
 from gf_usd.core.units import StageUnits
 
@@ -147,6 +147,16 @@ class Surface:
         found = weld(self.points)[0]
         found.flags.writeable = False
         return found
+
+    @cached_property
+    def welded(self) -> Welded:
+        """The triangles between representatives, without collapsed ones."""
+        return Welded(self.representative, self.triangles)
+
+    @cached_property
+    def signed_volume(self) -> float:
+        """[m^3] of the welded triangles, see `core.mesh.signed_volume`."""
+        return signed_volume(self.points, self.welded.triangles)
 
     @property
     def face_points(self) -> Floats:

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints, cross
+from gf_usd.core.arrays import Floats, Ints, cross, lengths
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import counted
-from gf_usd.core.mesh import WELD_FRACTION, areas, proper, shells
+from gf_usd.core.mesh import WELD_FRACTION, Edges, Welded, areas, first_equal, numbered
 from gf_usd.core.neighbors import components
 from gf_usd.core.units import percent_text
 from gf_usd.geometry import winding
-from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
+from gf_usd.geometry.winding import boundary_loops, fan_area
 
 HOLE_LIMIT = 0.05  # share of the area of its shell up to which repair closes a hole
 
@@ -107,11 +107,10 @@ class Diagnosis:
 def diagnose(surface: Surface) -> Diagnosis:
     """Diagnose one surface."""
     counts = surface.face_counts
-    welded = surface.representative[surface.triangles]
-    sound = proper(welded)
-    triangles = np.ascontiguousarray(welded[sound], np.int64)
-    edges = Edges.of(triangles)
-    parts, loose = _shells(surface.points, triangles, edges) if len(triangles) else ((), 0)
+    welded = surface.welded
+    triangles, edges = welded.triangles, welded.edges
+    parts, loose = _shells(surface.points, welded) if len(triangles) else ((), 0)
+    duplicates = classify_duplicates(triangles, authored_faces(surface)[welded.source], edges)
     return Diagnosis(
         path=surface.path,
         type_name=surface.type_name,
@@ -127,33 +126,32 @@ def diagnose(surface: Surface) -> Diagnosis:
         shells=parts,
         boundary_edges=len(edges.boundary),
         loose_edges=loose,
-        collapsed=int((~sound).sum()),
+        collapsed=len(surface.triangles) - len(triangles),
         slivers=int(slivers(surface.points, triangles).sum()),
-        duplicates=_duplicates(triangles, authored_faces(surface)[sound]),
+        duplicates=int((duplicates != SINGLE).sum()),
         non_manifold_edges=edges.non_manifold,
     )
 
 
-def _duplicates(triangles: Ints, face: Ints) -> int:
-    return int((classify_duplicates(triangles, face) != SINGLE).sum())
-
-
-def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell, ...], int]:
+def _shells(points: Floats, welded: Welded) -> tuple[tuple[Shell, ...], int]:
     """The shells, and the number of boundary edges that lie in no closed loop."""
-    label = shells(triangles)
+    triangles, edges, label = welded.triangles, welded.edges, welded.shell
     patch = winding.patches(points, triangles, edges)
-    agreed = winding.flipped(triangles, patch.against)
-    area = np.bincount(label, areas(points, triangles))
+    turned = patch.against.any()
+    agreed = winding.flipped(triangles, patch.against) if turned else triangles
     low, high = winding.boxes(points, triangles, label)
-    volume = np.abs(winding.volumes(points, agreed, label))
     orientation = winding.orientations(points, agreed, label)
+    volume = np.abs(orientation.volume)
+    area = np.bincount(label, areas(points, triangles)) if turned else orientation.area
     against = np.bincount(label, patch.against)
     one_sided = np.bincount(label, patch.one_sided) > 0
     # Boundary edges form loops only where the winding of their triangles is consistent.
     loops: list[Ints] = []
     loose, faced = 0, agreed
     if len(edges.boundary):
-        of_patches = winding.orientations(points, agreed, patch.label)
+        of_patches = orientation
+        if not np.array_equal(patch.label, label):
+            of_patches = winding.orientations(points, agreed, patch.label)
         faced = winding.flipped(agreed, of_patches.wrong[patch.label])
         loops, loose = boundary_loops(Edges.of(faced))
     holes: dict[int, list[Ints]] = {}
@@ -271,7 +269,7 @@ def authored_faces(surface: Surface) -> Ints:
     return np.searchsorted(ends, surface.triangle_corners[:, 0], side="right")
 
 
-def classify_duplicates(triangles: Ints, face: Ints) -> Ints:
+def classify_duplicates(triangles: Ints, face: Ints, edges: Edges | None = None) -> Ints:
     """(T,) why a triangle is redundant for the winding number; SINGLE where it is not.
 
     DUPLICATE : a coincident triangle of the same orientation is kept.
@@ -283,21 +281,24 @@ def classify_duplicates(triangles: Ints, face: Ints) -> Ints:
     face : (T,) the face that each triangle is part of. Whole faces are compared first, by their
     outlines, since a quad and its reverse may be triangulated along different diagonals; the
     remaining triangles are then compared one by one.
+
+    edges : of the triangles, where they are known.
     """
     kind = np.full(len(triangles), SINGLE)
     for one in (face, np.arange(len(triangles))):
         left = np.flatnonzero(kind == SINGLE)
         if len(left):
-            of = np.unique(one[left], return_inverse=True)[1]
-            kind[left] = _classify_faces(triangles[left], of)
+            of = numbered(one[left]).of
+            if edges is None or len(left) < len(triangles):
+                edges = Edges.of(triangles[left])
+            kind[left] = _classify_faces(edges, of)
             if of.max() + 1 == len(left):  # every face is a triangle: they have been compared
                 break
     return kind
 
 
-def _classify_faces(triangles: Ints, face: Ints) -> Ints:
+def _classify_faces(edges: Edges, face: Ints) -> Ints:
     """As `classify_duplicates`, for whole faces, numbered from 0."""
-    edges = Edges.of(triangles)
     group, odd = _outlines(edges, face)
     ahead, back = np.bincount(group, ~odd), np.bincount(group, odd)
     kind = np.full(len(group), SINGLE)
@@ -322,11 +323,12 @@ def _outlines(edges: Edges, face: Ints) -> tuple[Ints, Flags]:
     The outline of a face is the set of edges that only one of its triangles has.
     """
     of = np.repeat(face, 3)
-    _, at, uses = np.unique(
-        of * len(edges.uses) + edges.id, return_inverse=True, return_counts=True
-    )
-    rim = np.flatnonzero(uses[at.reshape(-1)] == 1)
-    rim = rim[np.lexsort((edges.id[rim], of[rim]))]
+    if np.array_equal(face, np.arange(len(face))):  # every face is a triangle
+        sides = np.argsort(edges.id.reshape(-1, 3), axis=1)
+        rim = (3 * face[:, None] + sides).reshape(-1)
+    else:
+        found = numbered(of * len(edges.uses) + edges.id)
+        rim = found.order[np.repeat(found.count == 1, found.count)]  # by face, then by edge
     count = np.bincount(of[rim], minlength=int(face.max()) + 1)
     start = np.cumsum(count) - count
     group = np.arange(len(count))  # a face without an outline has no duplicates
@@ -334,8 +336,7 @@ def _outlines(edges: Edges, face: Ints) -> tuple[Ints, Flags]:
     for n in np.unique(count[count > 0]):
         rows = np.flatnonzero(count == n)
         halves = rim[start[rows][:, None] + np.arange(n)]
-        _, first, same = np.unique(edges.id[halves], axis=0, return_index=True, return_inverse=True)
-        group[rows] = rows[first[same.reshape(-1)]]
+        group[rows] = rows[first_equal(edges.id[halves])]
         lowest = edges.directed[halves[:, 0]]
         odd[rows] = lowest[:, 0] > lowest[:, 1]
     return group, odd
@@ -375,9 +376,10 @@ def slivers(points: Floats, triangles: Ints) -> Flags:
     Measured is the height over the longest edge, 2 A / L.
     """
     corners = points[triangles]
-    sides = np.roll(corners, -1, axis=1) - corners
-    longest = np.linalg.norm(sides, axis=2).max(1)
-    twice_area = np.linalg.norm(cross(sides[:, 0], sides[:, 1]), axis=1)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, bc, ca = b - a, c - b, a - c
+    longest = np.maximum(np.maximum(lengths(ab), lengths(bc)), lengths(ca))
+    twice_area = lengths(cross(ab, bc))
     return twice_area <= WELD_FRACTION * float(np.linalg.norm(np.ptp(points, axis=0))) * longest
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import counted
-from gf_usd.core.mesh import areas, proper, shells, triangulate
+from gf_usd.core.mesh import Edges, areas, proper, shells, triangulate
 from gf_usd.core.units import percent_text
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import (
@@ -30,7 +30,7 @@ from gf_usd.geometry.diagnosis import (
     removable_slivers,
     slivers,
 )
-from gf_usd.geometry.winding import Edges, boundary_loops, fan_area, overlapping
+from gf_usd.geometry.winding import boundary_loops, fan_area, overlapping
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,16 +165,14 @@ def consistently_oriented_asset(asset: Asset) -> tuple[Asset, tuple[str, ...]]:
 
 def _with_consistent_winding(surface: Surface) -> tuple[Surface, int]:
     """As above for one surface, with the number of triangles whose winding was reversed."""
-    welded = surface.representative[surface.triangles]
-    sound = np.flatnonzero(proper(welded))
-    triangles = welded[sound]
-    edges = Edges.of(triangles)
-    starts = edges.directed[edges.pairs, 0]
-    if not (starts[:, 0] == starts[:, 1]).any():
+    welded = surface.welded
+    edges = welded.edges  # kept for the diagnosis
+    if welded.consistent:
         return surface, 0
-    against = np.zeros(len(welded), bool)
-    against[sound] = winding.patches(surface.points, triangles, edges).against
-    corners = np.arange(3 * len(welded)).reshape(-1, 3)
+    against = np.zeros(len(surface.triangles), bool)
+    patch = winding.patches(surface.points, welded.triangles, edges)
+    against[welded.source] = patch.against
+    corners = np.arange(3 * len(against)).reshape(-1, 3)
     return _with_corners(surface, winding.flipped(corners, against)), int(against.sum())
 
 

@@ -2,15 +2,15 @@
 
 patches          manifold parts, and their triangles of inconsistent winding
 orientations     which parts face outward, which are cavities, which bound no volume
-Edges            half-edges and edges
 boundary_loops   closed loops of boundary edges
 overlapping      parts whose solids overlap
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import igl
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints, columns, cross
-from gf_usd.core.mesh import areas, used_points
+from gf_usd.core.mesh import Edges, areas, used_points
 from gf_usd.core.neighbors import components
 
 Flags = NDArray[np.bool_]
@@ -72,7 +72,8 @@ def volumes(points: Floats, triangles: Ints, label: Ints) -> Floats:
     """(K,) [m^3] signed volume of each part about its own center; positive: it faces outward."""
     corners = points[triangles]
     count = np.bincount(label)
-    mean = corners.mean(1)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    mean = (a + b + c) / 3.0
     center = np.stack([np.bincount(label, mean[:, d]) / count for d in range(3)], 1)
     a, b, c = np.moveaxis(corners - center[label][:, None, :], 1, 0)
     return np.bincount(label, np.einsum("ti,ti->t", a, cross(b, c)) / 6.0)
@@ -95,11 +96,12 @@ def open_fractions(points: Floats, triangles: Ints, label: Ints) -> Floats:
 def boxes(points: Floats, triangles: Ints, label: Ints) -> tuple[Floats, Floats]:
     """(K, 3), (K, 3) [m] lowest and highest corner of the bounding box of each part."""
     order = np.argsort(label, kind="stable")
-    corners = points[triangles[order]]
     first = np.flatnonzero(np.diff(label[order], prepend=-1))
+    a, b, c = np.moveaxis(points[triangles[order]], 1, 0)
+    low, high = columns(np.minimum(np.minimum(a, b), c)), columns(np.maximum(np.maximum(a, b), c))
     return (
-        np.minimum.reduceat(corners.min(1), first, axis=0),
-        np.maximum.reduceat(corners.max(1), first, axis=0),
+        np.minimum.reduceat(low, first, axis=1).T,
+        np.maximum.reduceat(high, first, axis=1).T,
     )
 
 
@@ -149,9 +151,15 @@ def winding_inside(points: Floats, triangles: Ints, X: Floats) -> Flags:
 
 def winding_numbers(points: Floats, triangles: Ints, X: Floats) -> Floats:
     """(n,) winding numbers of triangles (T, 3) about X (n, 3): positive behind their front."""
+    return winding_function(points, triangles)(X)
+
+
+def winding_function(points: Floats, triangles: Ints) -> Callable[[Floats], Floats]:
+    """`winding_numbers` as a function of X (n, 3), for several queries."""
     used, local = used_points(triangles)
     center = points[used].mean(0)
-    return np.atleast_1d(igl.fast_winding_number(points[used] - center, local, X - center))
+    hierarchy = winding_hierarchy(points[used] - center, local)
+    return lambda X: np.asarray(hierarchy.winding_number(X - center)).reshape(-1)
 
 
 def winding_hierarchy(points: Floats, triangles: Ints) -> igl.FastWindingNumberBVH:
@@ -171,6 +179,8 @@ class Orientations:
     current: Ints  # (K,) as modeled
     target: Ints  # (K,) as it should be: -1 for cavities
     inner: Flags  # (K,) inside the solid of another part, with no cavity in it: bounds no volume
+    volume: Floats  # (K,) [m^3] signed
+    area: Floats  # (K,) [m^2]
 
     @property
     def wrong(self) -> Flags:
@@ -202,53 +212,7 @@ def orientations(points: Floats, triangles: Ints, label: Ints) -> Orientations:
     for i in np.argsort(np.abs(volume), kind="stable"):
         within = target[i] == 1 and parent[i] >= 0 and target[parent[i]] == 1
         inner[i] = within and inner[parent == i].all()
-    return Orientations(current=current, target=target, inner=inner)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Edges:
-    """Half-edges of welded triangles (T, 3): number 3 t + k starts at corner k of triangle t."""
-
-    directed: Ints  # (3T, 2) start and end vertex of each half-edge
-    id: Ints  # (3T,) of the undirected edge
-    uses: Ints  # (E,) half-edges of each edge: 1 boundary, 2 manifold, more: non-manifold
-
-    @staticmethod
-    def of(triangles: Ints) -> Edges:
-        """Edges of triangles, each of three distinct vertices."""
-        directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-        low, high = directed.min(1), directed.max(1)
-        span = int(high.max(initial=0)) + 1
-        _, ids, uses = np.unique(low * span + high, return_inverse=True, return_counts=True)
-        return Edges(directed=directed, id=ids.reshape(-1), uses=uses)
-
-    @cached_property
-    def boundary(self) -> Ints:
-        """(B,) half-edges of boundary edges."""
-        return np.flatnonzero(self.uses[self.id] == 1)
-
-    @cached_property
-    def pairs(self) -> Ints:
-        """(K, 2) the two half-edges of each manifold edge."""
-        shared = np.flatnonzero(self.uses[self.id] == 2)
-        return shared[np.argsort(self.id[shared], kind="stable")].reshape(-1, 2)
-
-    @property
-    def non_manifold(self) -> int:
-        """Number of edges that more than two triangles share."""
-        return int((self.uses > 2).sum())
-
-    @cached_property
-    def surplus(self) -> Ints:
-        """(S,) half-edges of non-manifold edges that have no half-edge of opposite direction."""
-        many = np.flatnonzero(self.uses[self.id] > 2)
-        way = np.where(self.directed[many, 0] < self.directed[many, 1], 1, -1)
-        net = np.bincount(self.id[many], way, minlength=len(self.uses)).astype(int)
-        spare = many[way * net[self.id[many]] > 0]
-        spare = spare[np.argsort(self.id[spare], kind="stable")]
-        ids = self.id[spare]
-        rank = np.arange(len(ids)) - np.searchsorted(ids, ids)
-        return spare[rank < np.abs(net[ids])]
+    return Orientations(current=current, target=target, inner=inner, volume=volume, area=area)
 
 
 def boundary_loops(edges: Edges) -> tuple[list[Ints], int]:

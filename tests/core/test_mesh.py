@@ -5,9 +5,13 @@ import pytest
 from solids import CUBE_POINTS, CUBE_TRIANGLES
 
 from gf_usd.core.mesh import (
+    Edges,
+    Welded,
     areas,
     boundary_edges,
     divided,
+    first_equal,
+    numbered,
     proper,
     shells,
     signed_volume,
@@ -207,3 +211,68 @@ def test_edges_at_seams_are_cut_at_the_same_places() -> None:
     joined, same = with_short_edges(CUBE_POINTS, CUBE_TRIANGLES, 0.4)
     assert len(cut) == len(same)
     assert {tuple(p) for p in finer.tolist()} == {tuple(p) for p in joined.tolist()}
+
+
+@pytest.mark.parametrize("most", [7, 1 << 40, 1 << 61], ids=["small", "packed", "too large"])
+def test_keys_are_numbered_as_numpy_does(most: int) -> None:
+    keys = np.random.default_rng(0).integers(0, 40, 200) * (most // 7)
+    found = numbered(keys)
+    expected, back, count = np.unique(keys, return_inverse=True, return_counts=True)
+    assert found.keys.tolist() == expected.tolist()
+    assert found.of.tolist() == back.tolist()
+    assert found.count.tolist() == count.tolist()
+    assert found.order.tolist() == np.argsort(keys, kind="stable").tolist()
+
+
+def test_no_keys_have_no_numbers() -> None:
+    found = numbered(np.zeros(0, np.int64))
+    assert [len(one) for one in (found.keys, found.of, found.count, found.order)] == [0] * 4
+
+
+def test_equal_rows_have_the_first_of_them() -> None:
+    rows = np.array([(1, 2), (3, 0), (1, 2), (1, 0), (3, 0), (1, 2)])
+    assert first_equal(rows).tolist() == [0, 1, 0, 3, 1, 0]
+
+
+def test_welded_triangles_know_their_borders() -> None:
+    closed = Welded(np.arange(8), cube_triangles())
+    assert closed.balanced
+    assert closed.consistent
+    assert not len(closed.boundary)
+    assert not closed.shell.any()
+    open_box = Welded(np.arange(8), cube_triangles()[2:])
+    assert open_box.consistent
+    assert not open_box.balanced
+    assert len(open_box.boundary) == 4
+    turned = cube_triangles()
+    turned[0] = turned[0, ::-1]
+    assert not Welded(np.arange(8), turned).consistent
+
+
+def test_collapsed_triangles_are_left_out_and_their_rows_known() -> None:
+    welded = Welded(np.array([0, 1, 2, 2]), np.array([(0, 2, 3), (0, 1, 3)]))
+    assert welded.triangles.tolist() == [[0, 1, 2]]
+    assert welded.source.tolist() == [1]
+
+
+def test_edges_are_found_once_until_they_are_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    true = Edges.of
+    monkeypatch.setattr(Edges, "of", lambda triangles: made.append(1) or true(triangles))
+    welded = Welded(np.arange(8), cube_triangles())
+    assert welded.edges is welded.edges
+    assert welded.balanced
+    assert not welded.shell.any()
+    assert len(made) == 1
+    welded.release()
+    assert welded.balanced
+    assert not welded.shell.any()
+    assert len(made) == 1
+    assert len(welded.edges.pairs) == 18
+    assert len(made) == 2
+
+
+def test_a_fine_mesh_is_not_divided() -> None:
+    triangles = cube_triangles()
+    assert with_short_edges(CUBE, triangles, 1.5)[1] is triangles
+    assert len(with_short_edges(CUBE, triangles, 1.2)[1]) > len(triangles)

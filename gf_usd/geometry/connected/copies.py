@@ -83,6 +83,7 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     rows = find_patches(skins, cell, bodies)
     parts = _Parts(rows, at, rows.keys.of(cell, body), TOUCHING * particles.spacing / h)
     links = np.concatenate([_through_triangles(rows, parts), _through_open_faces(rows, parts)])
+    skins.release()
     count = len(parts.key)
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count,) * 2)
     whole = components(graph)[1]

@@ -10,6 +10,7 @@ Lengths are in cells: the grid planes are at integers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,12 +22,13 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints, cross, lengths
-from gf_usd.core.mesh import shells
+from gf_usd.core.arrays import corners as outermost
+from gf_usd.core.mesh import Edges, used_points
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.sampling.pieces import cut
-from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.solid import INSIDE, Solid
 from gf_usd.geometry.surface import barycentric
-from gf_usd.geometry.winding import Edges, winding_inside
+from gf_usd.geometry.winding import winding_function
 
 # [cells] surfaces are offset inward, so that one in a grid plane is in the cell that it bounds.
 INSET = 1e-5
@@ -44,6 +46,10 @@ class Skins:
     surface: Ints  # (T,) in the order of `Solid.surfaces`
     body: Ints  # (T,)
     shell: Ints  # (T,)
+    # Winding numbers of the surfaces asked for so far: `inside` is called twice for each body.
+    _winding: dict[int, Callable[[Floats], Floats]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @staticmethod
     def of(solid: Solid, of_surface: Ints, corners: Floats, h: float) -> Skins:
@@ -54,7 +60,7 @@ class Skins:
             cells = (X - corners[of_surface[index]]) / h
             points.append(cells + ASIDE - INSET * vertex_normals(cells, faces))
             triangles.append(faces + first)
-            shell.append(shells(faces) + labels)
+            shell.append(solid.surfaces[index].welded.shell + labels)
             first, labels = first + len(X), int(shell[-1].max()) + 1
         counts = [len(t) for t in triangles]
         return Skins(
@@ -71,13 +77,18 @@ class Skins:
         for k in range(int(self.surface.max()) + 1 if len(X) else 0):
             mine = self.surface == k
             faces = self.triangles[mine]
-            corners = self.points[faces.ravel()]
-            low, high = corners.min(0), corners.max(0)
+            low, high = outermost(self.points[used_points(faces)[0]])
             own = ~out & (body == self.body[mine][0])
             near = np.flatnonzero(own & ((low <= X) & (high >= X)).all(1))
             if len(near):
-                out[near] = winding_inside(self.points, faces, X[near])
+                if k not in self._winding:
+                    self._winding[k] = winding_function(self.points, faces)
+                out[near] = np.abs(self._winding[k](X[near])) > INSIDE
         return out
+
+    def release(self) -> None:
+        """Free the hierarchies of `inside`; the next query builds them again."""
+        self._winding.clear()
 
 
 def vertex_normals(points: Floats, triangles: Ints) -> Floats:
@@ -102,9 +113,11 @@ class Keys:
 
     def of(self, ijk: Ints, body: Ints) -> Ints:
         """(n,) keys of cells (n, 3) of bodies (n,); -1 outside the grid."""
-        at = ijk - self.low
-        known = ((at >= 0) & (at < self.dims)).all(1)
-        linear = (at[:, 0] * self.dims[1] + at[:, 1]) * self.dims[2] + at[:, 2]
+        known, linear = np.ones(len(ijk), bool), np.zeros(len(ijk), np.int64)
+        for column, low, wide in zip(ijk.T, self.low, self.dims):
+            at = column - low
+            known &= (at >= 0) & (at < wide)
+            linear = linear * wide + at
         return np.where(known, linear * self.bodies + body, -1)
 
     def ijk(self, key: Ints) -> Ints:
@@ -247,9 +260,14 @@ def found(ascending: Ints, wanted: Ints, known: NDArray[np.bool_]) -> Ints:
 
 def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
     """The patches of surfaces; inside : (n, 3) additional cells in the range of the keys."""
-    corners = skins.points[skins.triangles]
-    made = cut(corners)
-    middle = made.corners.mean(1)
+    alone = _unconnected(skins, inside, bodies)
+    return replace(alone, patch=_patch(alone))
+
+
+def _unconnected(skins: Skins, inside: Ints, bodies: int) -> Patches:
+    """See `find_patches`; a patch of its own for each row."""
+    made = cut(skins.points[skins.triangles])
+    middle = made.middles
     ijk = np.floor(middle).astype(np.int64)
     both = np.concatenate([ijk, inside])
     low = both.min(0) - 1
@@ -263,26 +281,23 @@ def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
     triangle, key = made.source[rows], key[rows]
     in_cell = np.argsort(key, kind="stable")
     cells, start = np.unique(key[in_cell], return_index=True)
-    out = Patches(
+    return Patches(
         skins=skins, keys=keys, triangle=triangle, key=key, center=middle[rows],
         patch=np.arange(len(rows)), codes=codes, in_cell=in_cell, cells=cells,
         cell_start=np.append(start, len(rows)),
     )  # fmt: skip
-    return replace(out, patch=_patch(out))
 
 
 def _patch(rows: Patches) -> Ints:
     """Patch of each row: triangles are connected in the cells that their common edge crosses."""
     skins, keys = rows.skins, rows.keys
     edges = Edges.of(skins.triangles)
-    _, half = np.unique(edges.id, return_index=True)
-    edge, ijk = crossed(skins.points[edges.directed[half]])
-    by_edge = np.argsort(edges.id, kind="stable")
-    first = np.searchsorted(edges.id[by_edge], edge)
-    uses = edges.uses[edge]
+    begin = np.cumsum(edges.uses) - edges.uses
+    edge, ijk = crossed(skins.points[edges.directed[edges.by_id[begin]]])
+    first, uses = begin[edge], edges.uses[edge]
     node = np.repeat(np.arange(len(edge)), uses)
     turn = np.arange(len(node)) - np.repeat(np.cumsum(uses) - uses, uses)
-    triangle = by_edge[first[node] + turn] // 3
+    triangle = edges.by_id[first[node] + turn] // 3
     at = rows.row(triangle, keys.of(ijk[node], skins.body[triangle]))
     seen = at >= 0
     count = len(rows.triangle)
@@ -295,7 +310,11 @@ def _patch(rows: Patches) -> Ints:
 
 def crossed(segments: Floats) -> tuple[Ints, Ints]:
     """Segments (m,) and cells (m, 3) of the cells that segments (n, 2, 3) pass through, sorted."""
-    source = np.arange(len(segments))
+    a, b = np.moveaxis(segments, 1, 0)
+    several = np.ceil(np.maximum(a, b)) - np.floor(np.minimum(a, b)) > 1.0
+    single = ~several.any(1)
+    alone, source = (segments[single], np.flatnonzero(single)), np.flatnonzero(~single)
+    segments = segments[source]
     for axis in range(3):
         done: list[tuple[Floats, Ints]] = []
         while True:
@@ -315,6 +334,7 @@ def crossed(segments: Floats) -> tuple[Ints, Ints]:
             source = np.tile(source, 2)
         segments = np.concatenate([s for s, _ in done])
         source = np.concatenate([s for _, s in done])
+    segments, source = (np.concatenate(both) for both in zip(alone, (segments, source)))
     order = np.argsort(source, kind="stable")
     ijk = np.floor(0.5 * (segments[order, 0] + segments[order, 1])).astype(np.int64)
     return source[order], ijk

@@ -15,11 +15,11 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
-from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.core.mesh import Edges, areas, signed_volume
 from gf_usd.geometry.connected.joined import Joined
 from gf_usd.geometry.connected.merged import corner_values, material_rows
 from gf_usd.geometry.solid import Bounds, closed_triangles
-from gf_usd.geometry.winding import Edges, boundary_loops, fan_area
+from gf_usd.geometry.winding import boundary_loops, fan_area
 
 TESTED = 64  # triangles of a mesh, about, whose centers are tested for being inside another one
 INSIDE = 0.9  # of them: the flat faces of a coarse mesh may cut into a fine one

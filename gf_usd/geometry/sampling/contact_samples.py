@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints, cross
+from gf_usd.core.arrays import corners as outermost
 from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.mesh import first_equal, used_points
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.geometry.sampling.mirror import SAME, mirror_axes
 from gf_usd.geometry.sampling.particles import TURNS
@@ -70,8 +72,8 @@ def _sample_body(
     on the mirror plane itself.  Candidates so near to the plane that they would exclude their own
     mirror images come last: they are needed where the body is that thin.
     """
-    low = np.min([p[np.unique(t)].min(0) for p, t in surfaces], axis=0)
-    high = np.max([p[np.unique(t)].max(0) for p, t in surfaces], axis=0)
+    ends = np.array([outermost(p[used_points(t)[0]]) for p, t in surfaces])
+    low, high = ends[:, 0].min(0), ends[:, 1].max(0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
     mirrored = np.flatnonzero(mirror_axes(surfaces, ALIKE * spacing))
     radius = EXCLUDED * spacing
@@ -139,10 +141,11 @@ def _areas(corners: Floats) -> Floats:
 
 def _vertices(points: Floats, triangles: Ints) -> _Candidates:
     """Vertices, with area-weighted vertex normals."""
-    cross, around = _cross(points[triangles]), np.zeros_like(points)
-    for k in range(3):
-        np.add.at(around, triangles[:, k], cross)
-    used = np.unique(triangles)
+    corner = triangles.T.reshape(-1)
+    around = np.stack(
+        [np.bincount(corner, np.tile(n, 3), len(points)) for n in _cross(points[triangles]).T], 1
+    )
+    used = used_points(triangles)[0]
     return _Candidates(X=points[used], normal=around[used], area=np.zeros(len(used)))
 
 
@@ -231,8 +234,7 @@ def _thin_once(points: Floats, radius: float) -> Ints:
     """Ascending indices, no two within radius; the subset need not be maximal."""
     # Points in one cell of edge radius/sqrt(3) exclude each other, and are dropped first.
     cell = np.floor((points - points.min(0)) / (radius / np.sqrt(3.0))).astype(np.int64)
-    _, first = np.unique(cell, axis=0, return_index=True)
-    first.sort()
+    first = np.unique(first_equal(cell))
     few = points[first]
     pairs = kd_tree(few).query_pairs(radius, output_type="ndarray")
     pairs = pairs[np.argsort(pairs[:, 1], kind="stable")]

@@ -20,15 +20,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import shells, signed_volume
+from gf_usd.core.mesh import signed_volume
 from gf_usd.geometry.sampling.pieces import POINTS, WEIGHTS, cut
 from gf_usd.geometry.solid import INSIDE, Solid, spread_evenly
+from gf_usd.geometry.winding import rows_of
 
 # Powers of x, y, z, in the order of the moments.
 POWERS = np.array(
@@ -146,7 +146,7 @@ def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
             full=none, part=none, moments=np.zeros((0, 10)), faces=np.zeros((0, 2, 3)),
             doubtful=np.zeros(0, bool),
         )  # fmt: skip
-    at = np.floor(pieces.corners.mean(1)).astype(np.int64)
+    at = np.floor(pieces.middles).astype(np.int64)
     at = np.clip(at, 0, grid.count - 1)  # rounding may put a piece outside the grid
     vector = pieces.area_vectors
     integrals = _integrals(pieces.corners - (at + 0.5)[:, None, :], vector[:, 2])
@@ -154,8 +154,7 @@ def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
     place = place.reshape(-1)
     w, gaps = _along_columns(grid, key, _summed(place, integrals, len(key)))
     faces = _face_areas(grid.ijk(key), -_summed(place, vector, len(key)))
-    closed = _is_closed(triangles)
-    shell = shells(triangles)
+    closed, shell = solid.surfaces[index].welded.balanced, solid.surfaces[index].welded.shell
     of = shell[pieces.source]  # shell of each piece
     lowest = np.full(len(key), len(pieces.source))
     np.minimum.at(lowest, place, of)
@@ -163,8 +162,11 @@ def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
     np.maximum.at(highest, place, of)
     doubtful = np.full(len(key), not closed) | (highest > lowest)
     if closed:
-        facing = np.sign(
-            [signed_volume(points, triangles[shell == k]) for k in range(shell.max() + 1)]
+        one = not shell.any()  # whose triangles face outward
+        facing = (
+            np.ones(1)
+            if one
+            else np.sign([signed_volume(points, triangles[rows]) for rows in rows_of(shell)])
         )
         one_shell, wrong = _where_nonzero(w, facing[of[first]])
         moments = np.where(doubtful[:, None], w, one_shell)
@@ -291,41 +293,23 @@ def _integrals(local: Floats, nz: Floats) -> Floats:
 
     local : (n, 3, 3) corners about the center of the cell; nz : (n,) z of the area vector.
     """
-    out = np.zeros((len(local), 16))
+    out = np.zeros((16, len(local)))
+    a, b, c = np.ascontiguousarray(np.moveaxis(local, 0, 2))  # (3, n) each
     for point, weight in zip(POINTS, WEIGHTS):
-        x, y, z = np.einsum("k,nkd->dn", point, local)
+        x, y, z = point[0] * a + point[1] * b + point[2] * c
         share = -weight * nz
-        depth = [(0.5 ** (c + 1) - z ** (c + 1)) / (c + 1) * share for c in range(3)]
-        for k, (a, b, c) in enumerate(POWERS):
-            out[:, k] += x**a * y**b * depth[c]
-        for k, (a, b) in enumerate(PLANE):
-            out[:, 10 + k] += x**a * y**b * share
-    return out
-
-
-def _is_closed(triangles: Ints) -> bool:
-    """Whether every edge has as many half-edges in one direction as in the other.
-
-    The winding number is then an integer.
-    """
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    low, high = edges.min(1), edges.max(1)
-    _, which = np.unique(low * (int(high.max()) + 1) + high, return_inverse=True)
-    return bool((np.bincount(which, np.where(edges[:, 0] == low, 1.0, -1.0)) == 0.0).all())
+        depth = [(0.5 ** (k + 1) - z ** (k + 1)) / (k + 1) * share for k in range(3)]
+        plane = {(1, 0): x, (0, 1): y, (2, 0): x * x, (0, 2): y * y, (1, 1): x * y}
+        factors = [((i, j), depth[k]) for i, j, k in POWERS] + [(power, share) for power in PLANE]
+        for row, (power, factor) in zip(out, factors):
+            row += plane[power] * factor if any(power) else factor
+    return out.T
 
 
 def _winding(solid: Solid, index: int, X: Floats) -> Floats:
     """(n,) |w| of a surface at X (n, 3) [m]."""
-    points = solid.surfaces[index].points
-    center = points.mean(0)
-    parts = [
-        np.atleast_1d(
-            igl.fast_winding_number(
-                points - center, solid.triangles[index], X[k : k + BATCH] - center
-            )
-        )
-        for k in range(0, len(X), BATCH)
-    ]
+    bounds = solid.bounds[index]
+    parts = [bounds.winding_numbers(X[k : k + BATCH]) for k in range(0, len(X), BATCH)]
     return np.abs(np.concatenate(parts)) if parts else np.zeros(0)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, cross
+from gf_usd.core.arrays import Floats, Ints, cross, lengths
 
 FLAT = 1e-15  # [cells^2] pieces of less area are dropped, below the rounding error of integrals
 # Six points and weights that integrate polynomials of degree 4 over a triangle (Dunavant 1985).
@@ -35,21 +35,33 @@ class Pieces:
     corners: Floats  # (n, 3, 3) [cells]
     source: Ints  # (n,) row of the triangle each is part of
 
+    area_vectors: Floats  # (n, 3) [cells^2] normal times area
+
     @property
-    def area_vectors(self) -> Floats:
-        """(n, 3) [cells^2] normal times area."""
+    def middles(self) -> Floats:
+        """(n, 3) [cells]"""
         a, b, c = np.moveaxis(self.corners, 1, 0)
-        return 0.5 * cross(b - a, c - a)
+        return (a + b + c) / 3.0
 
 
 def cut(corners: Floats) -> Pieces:
     """Triangles (n, 3, 3) [cells] clipped at all grid planes, without degenerate pieces."""
-    source = np.arange(len(corners))
+    a, b, c = np.moveaxis(corners, 1, 0)
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    whole = (np.ceil(high) - np.floor(low) <= 1.0).all(1)
+    # Those that no plane cuts, which most of a fine mesh are, stay first in any case.
+    source = np.flatnonzero(~whole)
+    some = corners[source]
     for axis in range(3):
-        corners, source = cut_along(corners, source, axis)
-    made = Pieces(corners=corners, source=source)
-    solid = np.linalg.norm(made.area_vectors, axis=1) > FLAT
-    return Pieces(corners=corners[solid], source=source[solid])
+        some, source = cut_along(some, source, axis)
+    corners = np.concatenate([corners[whole], some])
+    source = np.concatenate([np.flatnonzero(whole), source])
+    a, b, c = np.moveaxis(corners, 1, 0)
+    vectors = 0.5 * cross(b - a, c - a)
+    solid = lengths(vectors) > FLAT
+    if solid.all():
+        return Pieces(corners=corners, source=source, area_vectors=vectors)
+    return Pieces(corners=corners[solid], source=source[solid], area_vectors=vectors[solid])
 
 
 def cut_along(corners: Floats, source: Ints, axis: int) -> tuple[Floats, Ints]:

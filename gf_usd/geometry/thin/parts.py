@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import igl
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Particles, SurfaceSamples
-from gf_usd.core.mesh import areas, shells
+from gf_usd.core.mesh import areas
 from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
 from gf_usd.geometry.solid import Bounds, Solid
@@ -90,7 +91,7 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
 
     samples : points about one spacing apart on the solid's surfaces (`sample_surface`).
     """
-    labels = [shells(triangles) for triangles in solid.triangles]
+    labels = [surface.welded.shell for surface in solid.surfaces]
     parts: list[Part] = []
     settled: set[tuple[int, int]] = set()  # shells whose regions are not checked
     for number, label in enumerate(labels):
@@ -164,7 +165,9 @@ def _poor_shells(
     volume = np.abs(winding.volumes(points, triangles, label))
     low, high = winding.boxes(points, triangles, label)
     reach = 0.5 * np.linalg.norm(high - low, axis=1)
-    cavity = winding.orientations(points, triangles, label).target == -1
+    # a single shell is no cavity, and its hierarchy is that of the solid
+    one = len(area) == 1
+    cavity = [False] if one else winding.orientations(points, triangles, label).target == -1
     tree = kd_tree(particles.X)
     found = []
     wide = 2.0 * volume >= THIN * particles.spacing * area
@@ -173,7 +176,12 @@ def _poor_shells(
         if cavity[k] or filled[k]:
             continue
         X = particles.X[tree.query_ball_point(0.5 * (low[k] + high[k]), reach[k])]
-        count = int(winding.winding_inside(points, triangles[rows], X).sum()) if len(X) else 0
+        within = (
+            solid.bounds[number].inside
+            if one
+            else partial(winding.winding_inside, points, triangles[rows])
+        )
+        count = int(within(X).sum()) if len(X) else 0
         wall = float(2.0 * volume[k] / area[k]) if area[k] > 0.0 else 0.0
         kind = "empty" if count == 0 else "few" if count < FEW else ""
         kind = kind or ("thin" if wall < THIN * particles.spacing else "")
@@ -181,7 +189,7 @@ def _poor_shells(
             continue
         spacing = min(wall, float(np.cbrt(volume[k] / FEW)))
         rays = spread(points, triangles[rows], RAYS)
-        within = shell_chords(points, triangles[rows], *rays, np.full(RAYS, CLEAR_OF_WALL * wall))
+        clear = np.full(RAYS, CLEAR_OF_WALL * wall)
         found.append(
             Part(
                 path=solid.surfaces[number].path,
@@ -193,7 +201,7 @@ def _poor_shells(
                 particles=count,
                 wall=wall,
                 rays=rays,
-                within=within,
+                within=shell_chords(points, triangles[rows], *rays, clear),
                 suggested=_particles_for(solid, spacing),
             )
         )

@@ -15,13 +15,12 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import areas, proper, shells, signed_volume
+from gf_usd.core.mesh import Edges, areas, proper, shells, signed_volume
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.sampling.particles import LEAST_PARTICLES, count_particles
 from gf_usd.geometry.solid import FLAT_FRACTION, OPEN_FRACTION, build_solid, hole_fraction
 from gf_usd.geometry.thin.parts import THIN
-from gf_usd.geometry.winding import Edges
 
 MITRE = 2.0  # length limit of the offset that moves all faces around a vertex by 1
 SHARP = 0.1  # of the greatest eigenvalue: pseudo-inverse cutoff in `offsets`

@@ -44,7 +44,12 @@ def thickness(solid: Solid, bodies: Ints | None = None, rays: int = RAYS) -> Thi
 
     bodies : (S,) the body of each surface, in which its rays end; None: a single body.
     """
-    length = ray_lengths(solid, bodies, rays)
+    of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
+    return solid.measured((rays, of.tobytes()), lambda: _quantiles(ray_lengths(solid, of, rays)))
+
+
+def _quantiles(length: Floats) -> Thickness | None:
+    """Of ray lengths (n,) [m]."""
     if not len(length):
         return None
     return Thickness(thin=float(np.quantile(length, THIN_SHARE)), median=float(np.median(length)))

@@ -130,7 +130,9 @@ def contact_setup(
     if self_contact is not False:
         passes = {a for a, b in through if a == b}
         meets = {
-            k for k, skin in enumerate(made) if self_contact or not cannot_touch_itself(skin)
+            k
+            for k, skin in enumerate(made)
+            if self_contact or not cannot_touch_itself(skin, _shell(solid, bodies, k, skin))
         } - passes
     return ContactSetup(
         skins=tuple(
@@ -142,6 +144,14 @@ def contact_setup(
         self_contact=frozenset(meets),
         meet_from=meet_from,
     )
+
+
+def _shell(solid: Solid, bodies: BodyPlan, body: int, skin: Skin) -> Ints | None:
+    """(T,) shell of each triangle of a skin that is one whole surface; None: it is not."""
+    mine = np.flatnonzero(bodies.of_surface == body)
+    welded = solid.surfaces[mine[0]].welded
+    whole = len(mine) == 1 and len(skin.triangles) == len(welded.triangles)
+    return welded.shell if whole else None
 
 
 BURIED = 0.02  # of the particles: less is a touch, which contact resolves

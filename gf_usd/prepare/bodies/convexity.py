@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross, row_dots
-from gf_usd.core.mesh import shells, signed_volume, weld
+from gf_usd.core.mesh import shells, signed_volume, used_points, weld
 from gf_usd.core.stage import Skin
 
 CONVEX = 0.9  # of the volume of its convex hull: a body that fills as much of it ...
@@ -20,18 +20,21 @@ SIDE = 6  # parts of an octahedron's edges: 146 directions, which hold 0.98 of a
 MANY = 1 << 25  # triangles times points, from where a hull is found sooner than its bound
 
 
-def cannot_touch_itself(skin: Skin) -> bool:
-    """Whether a body is one shell, nearly convex and so compact that it cannot touch itself."""
-    representative, _ = weld(skin.points)
-    used, triangles = np.unique(representative[skin.triangles], return_inverse=True)
-    if shells(triangles.reshape(-1, 3)).max(initial=0) > 0:
+def cannot_touch_itself(skin: Skin, shell: Ints | None = None) -> bool:
+    """Whether a body is one shell, nearly convex and so compact that it cannot touch itself.
+
+    shell : (T,) see `shells`, of a skin whose triangles are welded; None: they are not.
+    """
+    welded = skin.triangles if shell is not None else weld(skin.points)[0][skin.triangles]
+    if (shells(welded) if shell is None else shell).max(initial=0) > 0:
         return False
+    used, triangles = used_points(welded)
     points = skin.points[used]
     center = points - points.mean(0)
     length = np.ptp(center @ np.linalg.svd(center, full_matrices=False)[2].T, axis=0)
     if length.max() > STOUT * length.min():
         return False
-    volume, triangles = signed_volume(skin.points, skin.triangles), triangles.reshape(-1, 3)
+    volume = signed_volume(skin.points, skin.triangles)
     if len(points) * len(triangles) < MANY and volume >= CONVEX * star_hull_upper_bound(
         points, triangles
     ):

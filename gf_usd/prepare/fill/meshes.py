@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import signed_volume
@@ -41,22 +40,19 @@ class FilledMeshes:
 
     def volumes(self) -> dict[tuple[str, ...], float]:
         """[m^3] of its closed surfaces, by the prim paths of their meshes."""
-        closed = zip(self.solid.surfaces, self.solid.triangles, strict=True)
+        closed = ((s, s.signed_volume) for s in self.solid.surfaces)
         return _volumes(closed, _with_inner_sides(self.solid.joined, self.solid.walls))
 
 
 def _volumes(
-    closed: Iterable[tuple[Surface, Ints]], groups: Sequence[tuple[str, ...]]
+    closed: Iterable[tuple[Surface, float]], groups: Sequence[tuple[str, ...]]
 ) -> dict[tuple[str, ...], float]:
-    """[m^3] of surfaces with their triangles (T, 3), by the prim paths of their meshes.
+    """[m^3] of surfaces with their signed volumes [m^3], by the prim paths of their meshes.
 
     groups : prim paths of meshes that are one surface; the first is that of the surface.
     """
     parts = {group[0]: group for group in groups}
-    return {
-        parts.get(s.path, (s.path,)): abs(signed_volume(s.points, triangles))
-        for s, triangles in closed
-    }
+    return {parts.get(s.path, (s.path,)): abs(volume) for s, volume in closed}
 
 
 def _with_inner_sides(
@@ -101,6 +97,7 @@ def build_meshes(
 
     oriented, turned = consistently_oriented_asset(asset)
     if built and not repair:
+        _release_edges(asset, oriented)
         return FilledMeshes(asset=oriented, solid=built)
     joined = Joined(asset=oriented)
     if parts is not None:
@@ -126,6 +123,7 @@ def build_meshes(
         return replace(solid, embedded=embedded, walls=walls.outer)
 
     if repair:
+        _release_edges(asset, oriented)
         display, filled, repairs, spacing = repair_for_fill(
             whole,
             resolution,
@@ -155,7 +153,15 @@ def build_meshes(
     left = {path for path, _ in solid.embedded} - walls.outer.keys()
     not_joined = _not_joined(oriented, groups, why_not) if left else ()
     notes_on = (*turned, *joined.notes, *not_joined, *filter(None, defects), *walls.notes)
+    _release_edges(asset, oriented, whole)
     return FilledMeshes(asset=oriented, solid=solid, notes=notes_on, lost=lost)
+
+
+def _release_edges(*assets: Asset) -> None:
+    """Free the edges of surfaces, which only the steps so far need."""
+    for one in assets:
+        for surface in one.surfaces:
+            surface.welded.release()
 
 
 def _not_joined(
@@ -216,7 +222,11 @@ def repair_for_fill(
     from gf_usd.geometry.thin.thicken import thicken_asset, thicken_to_count
 
     repaired, repairs = repair_asset(asset)
-    requested = resolution(lambda: _volumes(((s, s.triangles) for s in repaired.surfaces), groups))
+    requested = resolution(
+        lambda: _volumes(
+            ((s, signed_volume(s.points, s.triangles)) for s in repaired.surfaces), groups
+        )
+    )
     if requested.spacing is None and not paper:
         return repaired, *thicken_to_count(repaired, repairs, requested.particles)
     filled, repairs = thicken_asset(

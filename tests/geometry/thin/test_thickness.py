@@ -104,3 +104,11 @@ def test_thickness_scales_with_the_body(size: float) -> None:
     assert seen.thin == pytest.approx(size * whole.thin, rel=1e-5)
     assert seen.median == pytest.approx(size * whole.median, rel=1e-5)
     assert len(ray_lengths(solid(surface(size * fine.points, fine.triangles)), None, 200)) == 200
+
+
+def test_a_thickness_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = solid(cube())
+    found = thickness(body)
+    monkeypatch.setattr("gf_usd.geometry.thin.thickness.ray_lengths", lambda *_: np.ones(3))
+    assert thickness(body, np.zeros(1, np.int64)) is found
+    assert thickness(body, rays=100) != found
