@@ -145,12 +145,15 @@ COMPILES = " (or loading them from the cache, once a bake with the same laws has
 
 
 @contextmanager
-def progress(*, shown: bool) -> Iterator[Spent]:
-    """What shows the activities of a bake on stderr: a bar on a terminal, plain lines elsewhere."""
+def progress(*, shown: bool, stays: bool = True) -> Iterator[Spent]:
+    """What shows the activities of a bake on stderr: a bar on a terminal, plain lines elsewhere.
+
+    stays : the bar is left on the terminal at the end.
+    """
     if not shown:
         yield Spent(lambda now: None)
     elif sys.stderr.isatty():
-        with _bar() as show:
+        with _bar(stays=stays) as show:
             yield Spent(show)
     else:
         lines = Lines(lambda line: typer.echo(line, err=True))
@@ -238,9 +241,10 @@ class Lines:
         whole = now.total > 0 and now.done == now.total
         far = now.done - self._done >= STEP * max(1, now.total)
         new = stage != self._stage
-        self._now, self._stage = now, stage
+        before, self._now, self._stage = self._now, now, stage
         if new and now.stage in (READING, FILLING):
-            self._at, self._wait = self._clock(), PATIENCE
+            if before is None or before.stage != now.stage:  # not at another step of it
+                self._at, self._wait = self._clock(), PATIENCE
         elif new or (now.done > self._done and (far or whole)):
             self._tell(now)
 
@@ -278,7 +282,7 @@ def _left(seconds: float | None, *, ends_early: bool) -> str:
 
 
 @contextmanager
-def _bar() -> Iterator[Callable[[Activity], None]]:
+def _bar(*, stays: bool) -> Iterator[Callable[[Activity], None]]:
     """A bar of the time that a bake takes, which moves between frames as well."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
@@ -305,8 +309,9 @@ def _bar() -> Iterator[Callable[[Activity], None]]:
         TimeElapsedColumn(),
     )  # fmt: skip
     bar = Progress(
-        *columns, console=Console(stderr=True), redirect_stdout=False, refresh_per_second=4
-    )
+        *columns, console=Console(stderr=True), redirect_stdout=False, refresh_per_second=4,
+        transient=not stays,
+    )  # fmt: skip
     with bar:
         task = bar.add_task("", total=None, frames="", ends=None, share=0.0, ends_early=False)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,12 +29,15 @@ def inspect(
     The exit status is 0 if the asset can be baked, 3 if bake would refuse it, with the
     same message.
     """
+    from gf_usd.cli.console import progress
     from gf_usd.pipeline.inspect import inspect as inspect_asset
     from gf_usd.system.sandbox import parse_limits
 
     options["limits"] = parse_limits(options["limits"])
+    shown = sys.stderr.isatty() and not as_json
     try:
-        seen = inspect_asset(asset, repair=repair, **options)
+        with progress(shown=shown, stays=False) as show:
+            seen = inspect_asset(asset, repair=repair, watch=show, **options)
     except InputError as error:
         if as_json:
             out = {"file": str(asset), "bakeable": False}

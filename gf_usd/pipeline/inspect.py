@@ -51,6 +51,7 @@ from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.thin.parts import Part, suggestion
 from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.cost.budget import Cost
+from gf_usd.pipeline.cost.forecast import FILLING, INSPECTING, READING, Stages, Watch
 from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
 from gf_usd.prepare.fill.fill import fill
@@ -67,6 +68,7 @@ from gf_usd.prepare.prepare import (
     would_fill,
 )
 from gf_usd.system.sandbox import Limits
+from gf_usd.system.taichi_runtime import watching
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,9 +274,12 @@ def inspect(
     up_axis: str | None = None,
     repair: bool = False,
     limits: Limits | None = None,
+    watch: Watch | None = None,
     **options: Any,
 ) -> Inspection:
     """The result of `bake` with the same parameters without simulating, and defects of the asset.
+
+    watch : called with the current stage.
 
     A refusal is part of the result (`Inspection.refusal`), provided that the file can be read.
 
@@ -287,12 +292,14 @@ def inspect(
 
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
-    source = Path(path)
+    source, stages = Path(path), Stages(watch)
+    stages.begin(READING, source.name)
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
         found = read_stage(
             read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
         )
     asset, spec = found.asset, found.spec
+    stages.begin(INSPECTING, "(meshes)")
     seen = examine(asset)
     files = outputs(source, [preset.name for preset in found.presets], None)
     alone = bool(prims) and not request.flesh
@@ -302,7 +309,7 @@ def inspect(
     try:
         plan, solid = fill(
             asset, request, found.presets, law, files, found.file, spec=spec, repair=repair,
-            known=seen.diagnoses,
+            known=seen.diagnoses, progress=partial(stages.begin, FILLING),
         )  # fmt: skip
     except InputError as refused:
         refusal = refused
@@ -318,10 +325,13 @@ def inspect(
         )  # fmt: skip
     if alone:
         plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, everything)))
-    prepared = with_shot_length(Prepared(plan=plan))
+    stages.begin(INSPECTING, "(time and memory)")
+    with watching(stages.compile):
+        prepared = with_shot_length(Prepared(plan=plan))
+        cost, hints = prepared.cost, prepared.shortcuts
+    stages.begin(INSPECTING, "(thin parts)")
     seen = replace(
-        seen, plan=prepared.plan, repairs=prepared.plan.repairs, cost=prepared.cost,
-        shortcuts=prepared.shortcuts,
+        seen, plan=prepared.plan, repairs=prepared.plan.repairs, cost=cost, shortcuts=hints,
         thickness=thickness(solid, plan.bodies.of_surface if plan.bodies else None),
     )  # fmt: skip
     lost = lost_volume(seen, solid)

@@ -173,7 +173,7 @@ def prepare(
     with gathered() as warned, watching(stages.compile):
         plan, converted = prepare_plan(
             path, overwrite=overwrite, resume=resume, draw=draw,
-            once_read=partial(stages.begin, FILLING), once_filled=refills.append, **options,
+            progress=partial(stages.begin, FILLING), once_filled=refills.append, **options,
         )  # fmt: skip
     plan = replace(plan, notes=(*plan.notes, *warned.lines(stated=plan.notes)))
     known_warnings = frozenset(warned.counts)

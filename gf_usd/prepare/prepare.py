@@ -23,6 +23,7 @@ from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
 from gf_usd.prepare.asset_size import implausible_size
 from gf_usd.prepare.bodies.contact import file_obstacles
 from gf_usd.prepare.fill.fill import fill
+from gf_usd.prepare.fill.inputs import Progress, silent
 from gf_usd.prepare.fill.parts import Parts
 from gf_usd.prepare.materials.table import Authored, variant_name
 from gf_usd.prepare.options.request import Request
@@ -79,14 +80,14 @@ def prepare(
     resume: bool = False,
     limits: Limits | None = None,
     draw: Draw,
-    once_read: Callable[[], None] | None = None,
+    progress: Progress = silent,
     once_filled: Callable[[Refill], None] | None = None,
     **options: Any,
 ) -> tuple[Plan, MeshSource | None]:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters.
 
     draw : makes the picture of the asset for an advisor.
-    once_read : called after the file is read, before it is filled.
+    progress : called with each step once the file is read; see `fill`.
     once_filled : called with a function that fills the same asset at a lower resolution.
 
     Returns the plan, and the layer of an asset that is not USD, which is in a temporary folder that
@@ -109,8 +110,7 @@ def prepare(
         found = read_stage(
             read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
         )
-    if once_read:
-        once_read()
+    progress("")
     targets = targets or _targets(source, found.presets, target, request, **again)
     shared = request.max_edge_length is None  # else the layer is that of this bake alone
     files, seen_source = _with_layer(targets, found.converted, shared=shared)
@@ -124,8 +124,9 @@ def prepare(
     )
     try:
         plan, solid = fill(
-            asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
-        )
+            asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair,
+            progress=progress,
+        )  # fmt: skip
     except InputError as refused:
         if not alone:
             raise

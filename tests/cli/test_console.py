@@ -90,6 +90,17 @@ def test_what_takes_long_is_said_again() -> None:
     assert printed[2:] == ["simulating rubber: frame 3/100, about 40 s left"] * 2
 
 
+def test_steps_of_the_fill_are_said_where_all_of_it_takes_long() -> None:
+    printed: list[str] = []
+    clock = Clock()
+    lines = Lines(printed.append, clock)
+    for clock.now, step in ((0.0, "(checking the meshes)"), (3.0, "(placing particles)")):
+        lines(Activity(stage=FILLING, what=step))
+    for clock.now in (4.0, 6.0, 7.0):
+        lines.tick()
+    assert printed == ["filling (placing particles)"]
+
+
 def test_compiling_is_said_once() -> None:
     printed: list[str] = []
     lines = Lines(printed.append, Clock())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,39 @@ def test_a_file_that_cannot_be_read_is_json_too(gf_usd, tmp_path):
     out = json.loads(done.out)
     assert (out["file"], out["bakeable"]) == ("none.usda", False)
     assert "does not exist" in out["refusal"]["message"]
+
+
+def test_progress_is_shown_on_a_terminal_only(gf_usd, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    seen = gf_usd("inspect", DUCK, *FEW)
+    assert "inspecting (thin parts)" in seen.err
+    assert "inspecting" not in seen.out
+    refused = gf_usd("inspect", "none.usda", "--json")
+    assert "reading" not in refused.err
+    monkeypatch.undo()
+    assert gf_usd("inspect", "none.usda").err == refused.err
+
+
+def test_the_steps_of_an_inspection_are_told_as_they_begin() -> None:
+    """A mesh of two million triangles takes most of a minute."""
+    from gf_usd.pipeline.inspect import inspect
+
+    told: list[str] = []
+    inspect(
+        DUCK, particles=300, frames="3", watch=lambda now: told.append(f"{now.stage} {now.what}")
+    )
+    assert [one for one in told if not one.startswith("compiling")] == [
+        "reading duck.usda",
+        "inspecting (meshes)",
+        "filling (checking the meshes)",
+        "filling (placing particles)",
+        "filling (sampling the surface)",
+        "filling (preparing contact)",
+        "filling (separating limbs)",
+        "inspecting (time and memory)",
+        "inspecting (thin parts)",
+    ]
 
 
 def test_wrong_options_are_wrong_usage(gf_usd, tmp_path):

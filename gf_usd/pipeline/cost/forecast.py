@@ -32,7 +32,7 @@ FEW = 3  # samples with substeps from which the forecast replaces the estimate
 
 READING, FILLING, COMPILING = "reading", "filling", "compiling kernels"
 SIMULATING, WRITING, CHECKING = "simulating", "writing", "checking"
-CERTIFYING, DRAWING = "simulating coarsely", "drawing"
+CERTIFYING, DRAWING, INSPECTING = "simulating coarsely", "drawing", "inspecting"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class Activity:
     """The current stage of a bake and its progress."""
 
     stage: str  # one of the stages above
-    what: str = ""  # the file that is read, or the variant that is simulated
+    what: str = ""  # the file that is read, the step of the fill, or the variant that is simulated
     done: int = 0  # frames of all variants
     total: int = 0
     left: float | None = None  # [s] until the end of the bake; None: not known yet

@@ -45,12 +45,15 @@ def sample_bodies(
     find: Callable[[float], Ints],
     characters: bool,
     can_combine: bool,
+    placing: Callable[[], None],
+    covering: Callable[[], None],
 ) -> SampledBodies:
     """Fill a solid.  Raises InputError where a body cannot be filled.
 
     seed : of random places; paper : whether particles are placed as in the paper.
     mixed : there are solid and flowing bodies, each with its own solver.
     combine, owners, find, characters, can_combine : see `plan_bodies`.
+    placing, covering : called before particles are placed, and before surfaces get samples.
     """
     from gf_usd.geometry.sampling.contact_samples import sample_surface
     from gf_usd.geometry.sampling.particles import expected_particles, sample_solid
@@ -68,6 +71,7 @@ def sample_bodies(
             later=None if paper else flow.flows & ~flow.first,
         )
 
+    placing()
     spacing = resolution.spacing or spacing_of(solid.volume, resolution.particles or 1)
     expected_particles(solid, spacing)  # before the search for bodies samples surfaces as finely
     bodies, particles = plan_bodies(
@@ -75,6 +79,7 @@ def sample_bodies(
         kinds=flow.first if mixed else None, characters=characters,
         can_combine=can_combine,
     )  # fmt: skip
+    covering()
     if paper or (flow.flows.any() and not mixed):
         # Contact with the floor acts on every particle; a mass of rho * area * spacing is its own.
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import UsageError, naming
 from gf_usd.prepare.bodies.characters import characters_of
 from gf_usd.prepare.bodies.sampling import SampledBodies, count_notes, sample_bodies, spacing_of
-from gf_usd.prepare.fill.inputs import Inputs, resolution_of
+from gf_usd.prepare.fill.inputs import PARTICLES, SAMPLES, THICKNESS, Inputs, resolution_of
 from gf_usd.prepare.settings import DEFAULT_PARTICLES
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
     def thin() -> tuple[float, Thickness | None]:
         from gf_usd.geometry.thin.thickness import thickness
 
+        inputs.progress(THICKNESS)
         apart = not combine and _some_touch(solid, owned, kinds)
         bodies = find(spacing_of(solid.volume, DEFAULT_PARTICLES)) if apart else None
         return solid.volume, thickness(solid, bodies)
@@ -77,6 +78,8 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
             find=find,
             characters=characters,
             can_combine=inputs.file is not None,
+            placing=partial(inputs.progress, PARTICLES),
+            covering=partial(inputs.progress, SAMPLES),
         )  # fmt: skip
     _require_one_body(
         filled.bodies.count, skin=request.skin, wls=bool(request.wls),

@@ -40,7 +40,15 @@ from gf_usd.prepare.bodies.sampling import SampledBodies, spacing_of
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
 from gf_usd.prepare.fill.constraints import constrain, springs_of
-from gf_usd.prepare.fill.inputs import Inputs, resolution_function
+from gf_usd.prepare.fill.inputs import (
+    CONTACT,
+    LIMBS,
+    MESHES,
+    Inputs,
+    Progress,
+    resolution_function,
+    silent,
+)
 from gf_usd.prepare.fill.materials import (
     assign,
     material_changes,
@@ -85,6 +93,7 @@ def fill(
     known: Sequence[Diagnosis] = (),
     built: Solid | None = None,
     more_pins: Callable[[Solid], Sequence[Pin]] | None = None,
+    progress: Progress = silent,
 ) -> tuple[Plan, Solid]:
     """A plan for an asset.  Raises InputError where the asset is refused.
 
@@ -93,10 +102,12 @@ def fill(
     known : result of `diagnose` for its surfaces, if available.
     built : its solid without `repair`, if available.
     more_pins : of the solid, in addition to those of the options.
+    progress : called with each step that takes long for a large mesh.
     """
     from gf_usd.geometry.sampling.tets import tet_lattices
     from gf_usd.geometry.skinning import SKIN_NOTES
 
+    progress(MESHES)
     unit = asset.facts.units.length
     paper = request.preset == "paper"
     in_scene = file is not None and not request.flesh
@@ -129,8 +140,9 @@ def fill(
     floating = request.floats
     request, stage_notes = with_stage(request, spec, asset)
     inputs = Inputs(
-        meshes=meshes, request=request, spec=spec, presets=presets, law=law, file=file, flow=flow
-    )
+        meshes=meshes, request=request, spec=spec, presets=presets, law=law, file=file, flow=flow,
+        progress=progress,
+    )  # fmt: skip
     filled = fill_bodies(inputs)
     solid.release()
     shot = plan_shot(inputs, filled, gravity_keys)
@@ -269,6 +281,7 @@ def _plan_contact(
     """
     request, asset, solid = inputs.request, inputs.asset, inputs.solid
     bodies, particles, settings = filled.bodies, materials.particles, length.settings
+    inputs.progress(CONTACT)
     limbs = LimbPlan(
         particles=particles,
         samples=filled.samples,
@@ -287,6 +300,7 @@ def _plan_contact(
         require_clear_start(asset.facts.path, particles, settings.lift, setup, inputs.unit)
         notes = (*turned, *penetration_notes(particles, settings.lift, setup, bodies))
     if not inputs.paper and request.solver != "ul":
+        inputs.progress(LIMBS)
         limbs = separate_limbs(solid, bodies, limbs, embedded_points(asset))
     return limbs, notes
 

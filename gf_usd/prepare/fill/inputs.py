@@ -21,6 +21,20 @@ if TYPE_CHECKING:
     from gf_usd.geometry.thin.thickness import Thickness
 
 
+Progress = Callable[[str], None]  # called with each step of the fill, in brackets
+MESHES, THICKNESS, PARTICLES, SAMPLES, CONTACT, LIMBS = (
+    f"({step})"
+    for step in (
+        "checking the meshes", "measuring thickness", "placing particles", "sampling the surface",
+        "preparing contact", "separating limbs",
+    )
+)  # fmt: skip
+
+
+def silent(step: str) -> None:
+    """No progress is shown."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
     """What all steps of `fill` read."""
@@ -32,6 +46,7 @@ class Inputs:
     law: str | None
     file: Path | None
     flow: Dispatch
+    progress: Progress = silent
 
     @property
     def asset(self) -> Asset:
