@@ -1,6 +1,6 @@
-"""How time and memory grow with particles, bodies, frames and jobs: the table of BENCHMARKS.md.
+"""How time and memory grow with particles, bodies, frames and more: the table of BENCHMARKS.md.
 
-    python -m tools.bench.scale [--axes particles,bodies,frames,jobs] [--most N] [--write]
+    python -m tools.bench.scale [--axes AXIS,...] [--most N] [--write]
 
 Every size runs in its own process, whose peak memory is then that of the size.  The time is CPU
 time of all threads and children.  An exponent p is the slope of log(time) over log(size), time ~
@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ A_BODY = 60  # particles, of a row of bodies
 POINTS = 10_000  # of the mesh of a row of particles
 FEW_FRAMES = 4  # the first of them loads kernels
 BODY_FRAMES = 12
+SPECKS = 300
 APART = 3.0  # [m] between the middles of balls of 1 m
 Row = dict[str, float]
 
@@ -157,6 +159,38 @@ def jobs(size: int) -> Row:
         }  # fmt: skip
 
 
+def inspection(size: int, specks: int = 0) -> Row:
+    """An uneven ball of so many triangles, and specks of 80 triangles around it."""
+    import trimesh
+    from pxr import Sdf, Usd, UsdGeom, Vt
+
+    rings = round(np.sqrt(max(size - 80 * specks, 128) / 8.0))
+    ball = trimesh.creation.uv_sphere(count=[rings, 2 * rings])
+    x, y, z = ball.vertices.T
+    bumps = 0.1 * np.sin(5.0 * x) * np.sin(6.0 * y + 1.0) * np.cos(4.0 * z)
+    ball.vertices *= (1.0 + bumps + 0.004 * np.sin(60.0 * x) * np.sin(60.0 * y))[:, None]
+    grain, places = trimesh.creation.icosphere(1, 0.003), np.random.default_rng(0)
+    parts = [ball]
+    for place in places.normal(size=(specks, 3)):
+        parts.append(grain.copy().apply_translation(1.3 * place / np.linalg.norm(place)))
+    whole = trimesh.util.concatenate(parts)
+    with tempfile.TemporaryDirectory(prefix="gf-usd-scale-") as folder:
+        path = f"{folder}/ball.usdc"
+        stage = Usd.Stage.CreateNew(path)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        mesh = UsdGeom.Mesh.Define(stage, Sdf.Path("/Ball"))
+        stage.SetDefaultPrim(mesh.GetPrim())
+        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(whole.vertices.astype(np.float32)))
+        counts = np.full(len(whole.faces), 3, np.int32)
+        mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
+        mesh.CreateFaceVertexIndicesAttr(
+            Vt.IntArray.FromNumpy(whole.faces.astype(np.int32).reshape(-1))
+        )
+        stage.GetRootLayer().Save()
+        return {"an inspection": _commands("inspect", path)}
+
+
 AXES = {
     "particles": Axis(
         measure=particles, sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000), knee=10_000,
@@ -174,7 +208,18 @@ AXES = {
         measure=jobs, sizes=(1, 10, 100, 1_000), knee=10,
         text="`gf-usd batch --jobs 1`, 120 particles of rubber, 24 frames",
     ),
+    "triangles": Axis(
+        measure=inspection, sizes=(20_000, 200_000, 2_000_000), knee=200_000,
+        text="`gf-usd inspect` of an uneven ball",
+    ),
+    "triangles of a scan": Axis(
+        measure=partial(inspection, specks=SPECKS), sizes=(40_000, 200_000, 2_000_000),
+        knee=200_000, text=f"`gf-usd inspect` of the same with {SPECKS} specks around it",
+    ),
 }  # fmt: skip
+
+
+COMMANDS = [axis for axis in AXES if axis not in ("particles", "bodies")]  # children
 
 
 def case(axis: str, size: int) -> Row:
@@ -184,7 +229,7 @@ def case(axis: str, size: int) -> Row:
         resource.getrusage(who).ru_maxrss
         for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     ]
-    return {**row, "memory": (peaks[1] if axis in ("frames", "jobs") else peaks[0]) / 1e3}
+    return {**row, "memory": (peaks[1] if axis in COMMANDS else peaks[0]) / 1e3}
 
 
 def exponent(sizes: list[int], values: list[float], knee: int) -> float | None:
@@ -229,7 +274,7 @@ def table(axis: str, most: int) -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--axes", default=",".join(AXES))
-    parser.add_argument("--most", type=int, default=1_000_000, help="the largest size of an axis")
+    parser.add_argument("--most", type=int, default=2_000_000, help="the largest size of an axis")
     parser.add_argument("--write", action="store_true", help="put it into BENCHMARKS.md")
     parser.add_argument("--case", nargs=2, metavar=("AXIS", "SIZE"), help=argparse.SUPPRESS)
     args = parser.parse_args()
