@@ -9,9 +9,10 @@ from gf_usd.core.asset import ASSUMED, FILE, OPTION
 from gf_usd.core.units import number_text
 
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
+FLESH_KEEPS = "--flesh keeps the animation, and makes the flesh around the bones soft"
 POSED = (
-    "is animated by its skeleton: the simulation starts from its pose at the first frame; --flesh"
-    " keeps the animation, and makes the flesh around the bones soft"
+    "is animated by its skeleton: the simulation starts from its pose at the first frame; "
+    + FLESH_KEEPS
 )
 
 

@@ -21,7 +21,7 @@ from gf_usd.readers.mesh.gltf.nodes import Nodes, local_matrix
 from gf_usd.readers.mesh.gltf.primitives import Primitive, read_primitives
 from gf_usd.readers.mesh.gltf.rigs import Rigs
 from gf_usd.readers.mesh.gltf.skins import Skins
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.notes import FLESH_KEEPS, Notes
 
 
 def read_gltf(path: Path) -> MeshFile:
@@ -31,7 +31,8 @@ def read_gltf(path: Path) -> MeshFile:
     """
     gltf, notes = open_gltf(path), Notes()
     if gltf.tree.get("animations"):
-        notes.add("its animations are ignored: the pose of its nodes is used")
+        flesh = f"; {FLESH_KEEPS}" if gltf.tree.get("skins") else ""
+        notes.add(f"its animations are ignored: the pose of its nodes is used{flesh}")
     return _file(gltf, _Scene(gltf, notes), notes)
 
 

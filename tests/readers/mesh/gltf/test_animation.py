@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.gltf.animation import CUBIC, STEP, Channel, frame_times, read_animation
 from gf_usd.readers.mesh.gltf.container import open_gltf
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.mesh.gltf.scene import read_gltf
+from gf_usd.readers.notes import FLESH_KEEPS, Notes
 
 TIMES = np.array([0.5, 1.0, 2.0])
 AT = np.array([0.0, 0.5, 0.75, 1.0, 1.25, 1.999, 2.0, 3.0])
@@ -89,6 +90,16 @@ def test_the_first_of_several_is_read_and_weights_are_not(tmp_path: Path) -> Non
     assert animation.nodes == {3, 4}
     assert "only the first of 2 animations is read: wave" in notes.lines()
     assert "animated weights of morph targets are ignored" in notes.lines()
+
+
+def test_the_note_on_animations_names_flesh_where_there_is_a_skin(tmp_path: Path) -> None:
+    made = gltf_arm.maker()
+    ignored = "its animations are ignored: the pose of its nodes is used"
+    assert f"{ignored}; {FLESH_KEEPS}" in read_gltf(gltf_arm.write(tmp_path, made)).notes
+    for node in made.tree["nodes"]:
+        node.pop("skin", None)
+    del made.tree["skins"]
+    assert ignored in read_gltf(gltf_arm.write(tmp_path, made)).notes
 
 
 BROKEN = {
