@@ -73,7 +73,7 @@ from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Plan, embedded_points
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, Animation
-from gf_usd.readers.notes import ANIMATED, merged
+from gf_usd.readers.notes import ANIMATED, POSED, merged
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
@@ -325,4 +325,5 @@ def _scaled(vector: Triple | None, unit: float) -> Triple | None:
 def _asset_notes(asset: Asset, animation: Animation | None) -> tuple[str, ...]:
     """Notes on the asset; of its animation only where no --flesh follows it."""
     followed = animation is not None and animation.cached
-    return tuple(note for note in asset.facts.notes if not (followed and note.endswith(ANIMATED)))
+    about_motion = (ANIMATED, POSED) if followed else ()
+    return tuple(note for note in asset.facts.notes if not note.endswith(about_motion))

@@ -20,7 +20,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import ASSUMED, BAKES, FILE, LATEST, OPTION, StageFacts
 from gf_usd.core.errors import InputError, plain_parse_error
 from gf_usd.core.units import StageUnits
-from gf_usd.readers.notes import ANIMATED, Notes
+from gf_usd.readers.notes import ANIMATED, POSED, Notes
 from gf_usd.system.atomic_files import relative, require_utf8
 
 MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
@@ -341,7 +341,7 @@ FLAT = 1e-12
 
 # The note on a mesh whose animation is replaced by the simulation.
 CHANGES = "its topology changes over time: that of the first frame is used"
-FOR_BAKES = (ANIMATED, CHANGES)  # notes that do not apply to rendering
+FOR_BAKES = (ANIMATED, POSED, CHANGES)  # notes that do not apply to rendering
 
 
 class SkippedPrim(Exception):

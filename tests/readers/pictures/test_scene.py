@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import arm
 import numpy as np
 import pytest
 
@@ -122,6 +123,11 @@ def test_the_floor_of_a_motion(tmp_path, heights, ground):
     stage = PictureStage(write(tmp_path, body, Z_UP))
     assert stage.motion.ground == pytest.approx(ground)
     assert not any("simulation" in note for note in stage.scene().notes)
+
+
+def test_a_picture_of_a_character_has_no_note_for_bakes(tmp_path):
+    path = arm.write(tmp_path, arm.arm())
+    assert read_scene(path).notes == ()
 
 
 def test_the_motion_of_a_bake_ends_with_its_stage(tmp_path):
