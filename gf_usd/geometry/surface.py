@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import NO_COLOR, Texture
 from gf_usd.core.radiance import srgb_to_linear
-from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.solid import ROUNDING, Solid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,22 @@ class Nearest:
 
 
 def nearest(solid: Solid, X: Floats) -> Nearest:
-    """Nearest points of the solid's surfaces for points X (n, 3) [m]."""
+    """Nearest points of the solid's surfaces for points X (n, 3) [m].
+
+    Of surfaces that are equally near up to rounding, as where faces of two meshes coincide, that of
+    the one that encloses the point.
+    """
+    at = _of_any(solid, X)
+    for k, rows in _tied(solid, X, at):
+        own = _of_any(solid.part(np.array([k])), X[rows])
+        at.surface[rows] = k
+        at.triangle[rows], at.barycentric[rows] = own.triangle, own.barycentric
+        at.normal[rows], at.distance[rows] = own.normal, own.distance
+    return at
+
+
+def _of_any(solid: Solid, X: Floats) -> Nearest:
+    """Nearest points, of any of the surfaces that are equally near."""
     counts = [len(s.points) for s in solid.surfaces]
     first = np.cumsum([0, *counts])
     points = np.concatenate([s.points for s in solid.surfaces])
@@ -51,6 +66,38 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
         normal=n * sign[owner[at], None],
         distance=np.sqrt(np.maximum(squared, 0.0)),
     )
+
+
+def _tied(solid: Solid, X: Floats, at: Nearest) -> list[tuple[int, Ints]]:
+    """Surfaces, and rows of X that each encloses and that have an equally near one that does not.
+
+    Only points in the box of another surface than their own are tested further: elsewhere no other
+    surface encloses them.
+    """
+    count = len(solid.surfaces)
+    if count < 2:
+        return []
+    low = np.array([s.face_points.min(0) for s in solid.surfaces])
+    high = np.array([s.face_points.max(0) for s in solid.surfaces])
+    rounding = ROUNDING * float(np.maximum(np.abs(low), np.abs(high)).max())  # [m]
+    found = []
+    for k in range(count):
+        meet = ((low <= high[k] + rounding) & (high >= low[k] - rounding)).all(1)
+        others = [int(j) for j in np.flatnonzero(meet) if j != k]
+        mine = np.flatnonzero(at.surface == k) if others else np.zeros(0, np.int64)
+        boxed = np.zeros(len(mine), bool)
+        for j in others:
+            boxed |= ((low[j] <= X[mine]) & (X[mine] <= high[j])).all(1)
+        left = mine[boxed]
+        left = left[~solid.bounds[k].inside(X[left])]
+        for j in others:
+            rows = left[solid.bounds[j].inside(X[left])]
+            if len(rows):
+                away = _of_any(solid.part(np.array([j])), X[rows]).distance
+                rows = rows[away <= at.distance[rows] + rounding]
+                left = np.setdiff1d(left, rows)
+                found.append((j, rows))
+    return found
 
 
 def barycentric(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:

@@ -47,6 +47,31 @@ def test_each_point_finds_its_own_surface_far_from_the_origin():
     np.testing.assert_allclose(at.distance, 0.2, atol=1e-9)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("overlap", [0.0, 3e-8])  # [m] less than the rounding of float32 at 1 m
+def test_of_surfaces_that_coincide_a_point_gets_the_one_around_it(turned, overlap):
+    below, above = cube(edge=(1.0, 1.0, 0.5)), cube((0.3, 0.3, 0.5 - overlap), 0.4)
+    body = solid(above, below) if turned else solid(below, above)
+    grid = 0.35 + 0.1 * np.indices((4, 4)).reshape(2, -1).T
+    X = np.array([[x, y, 0.5 + z] for z in (-0.04, 0.04) for x, y in grid])
+    at, high = nearest(body, X), X[:, 2] > 0.5
+    assert (at.surface == (high ^ turned)).all()
+    np.testing.assert_allclose(at.normal[:, 2], np.where(high, -1.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(at.distance, 0.04, atol=1e-7)
+    triangles = [s.triangles for s in body.surfaces]
+    found = [
+        w @ body.surfaces[s].points[triangles[s][t]]
+        for s, t, w in zip(at.surface, at.triangle, at.barycentric)
+    ]
+    np.testing.assert_allclose(found, np.c_[X[:, :2], np.full(len(X), 0.5)], atol=1e-7)
+
+
+def test_a_point_in_one_solid_near_another_inside_of_it_keeps_the_nearest():
+    body = solid(cube(), cube((0.4, 0.4, 0.4), 0.2))
+    X = np.array([[0.5, 0.5, 0.35], [0.5, 0.5, 0.1], [0.5, 0.5, 0.5]])
+    assert nearest(body, X).surface.tolist() == [1, 0, 1]
+
+
 def test_rows_are_those_of_the_authored_triangles():
     triangles = np.insert(CUBE_TRIANGLES, 0, [7, 7, 2], axis=0)  # a collapsed one first
     body = solid(surface(cube().points, triangles))
