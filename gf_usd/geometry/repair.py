@@ -56,7 +56,7 @@ class Repairs:
     loose_edges: int = 0  # boundary edges in no closed loop, left open
     thickened: int = 0  # thin parts that were made one spacing thick
     thickness: float = 0.0  # [m] of the thickened parts
-    thin_left: int = 0  # sheets left unchanged: too small, or non-orientable
+    thin_left: int = 0  # sheets left unchanged: too small
 
     @property
     def changed(self) -> bool:
@@ -123,8 +123,8 @@ class Repairs:
             )
         if self.thin_left:
             lines.append(
-                f"left {counted(self.thin_left, 'sheet')} unfilled: too small for a body of "
-                f"particles, or one-sided"
+                f"left {counted(self.thin_left, 'sheet')} unfilled: too small for a body of"
+                " particles"
             )
         return tuple(lines)
 

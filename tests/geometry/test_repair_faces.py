@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import CUBE_POINTS, CUBE_TRIANGLES, asset, cube, joined, sphere, surface, turned, volume
+from solids import (
+    CUBE_POINTS,
+    CUBE_TRIANGLES,
+    asset,
+    cube,
+    joined,
+    moebius,
+    sphere,
+    surface,
+    turned,
+    volume,
+)
 
 from gf_usd.core.errors import InputError
 from gf_usd.geometry.diagnosis import diagnose
@@ -137,22 +148,7 @@ def test_a_loose_sliver_is_dropped():
     np.testing.assert_array_equal(mended.triangles, whole.triangles)
 
 
-def moebius():
-    """A band with half a twist."""
-    n = 40
-    t = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
-    across = np.stack([np.cos(t / 2) * np.cos(t), np.cos(t / 2) * np.sin(t), np.sin(t / 2)], axis=1)
-    middle = np.stack([np.cos(t), np.sin(t), 0.0 * t], axis=1)
-    points = np.concatenate([middle - 0.2 * across, middle + 0.2 * across])
-    faces = []
-    for i in range(n):
-        j = (i + 1) % n
-        low, high = (j, j + n) if j else (n, 0)
-        faces += [[i, low, high], [i, high, i + n]]
-    return surface(points, faces)
-
-
-def test_a_one_sided_surface_is_refused_with_or_without_repair():
+def test_a_one_sided_surface_is_no_solid_until_it_is_thick():
     body = moebius()
     assert diagnose(body).shells[0].winding == "one-sided"
     mended, done = repair_surface(body)

@@ -76,6 +76,24 @@ def sphere(
     return surface(np.asarray(center) + mesh.vertices, np.asarray(mesh.faces), **more)
 
 
+def moebius(turned: Any = ()) -> Surface:
+    """A band of 80 triangles with half a twist, without consistent winding; turned : of them, those
+    whose winding is reversed."""
+    n = 40
+    t = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    across = np.stack([np.cos(t / 2) * np.cos(t), np.cos(t / 2) * np.sin(t), np.sin(t / 2)], axis=1)
+    middle = np.stack([np.cos(t), np.sin(t), 0.0 * t], axis=1)
+    points = np.concatenate([middle - 0.2 * across, middle + 0.2 * across])
+    faces = []
+    for i in range(n):
+        j = (i + 1) % n
+        low, high = (j, j + n) if j else (n, 0)
+        faces += [[i, low, high], [i, high, i + n]]
+    triangles = np.array(faces)
+    triangles[list(turned)] = triangles[list(turned), ::-1]
+    return surface(points, triangles)
+
+
 def needle(length: float, width: float, *, mirrored: bool = False, **more: Any) -> Surface:
     """A long thin tetrahedron along a diagonal of its box, from a corner; lengths in m."""
     points = length * np.array([[0.0] * 3, [1.0] * 3, [1.0] * 3, [1.0] * 3])

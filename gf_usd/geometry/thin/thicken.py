@@ -11,11 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import Edges, areas, proper, shells, signed_volume
+from gf_usd.core.neighbors import components
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.sampling.particles import LEAST_PARTICLES, count_particles
@@ -145,16 +147,16 @@ def _thick_shell(
 ) -> list[tuple[Floats, Ints, Ints]]:
     """A shell made a [m] thick, in pieces: points, triangles, corners (in `seen.triangles`).
 
-    Empty for a non-orientable shell, and where the offset surfaces enclose too little volume
-    (`POOR`).
+    Empty where the offset surfaces enclose too little volume (`POOR`).
     """
     k = int(seen.label[rows[0]])
     if seen.sheet[k] and seen.rim[k]:
-        if patch.one_sided[rows].any():
-            return []
         # At non-manifold edges, each patch is thickened separately; the results overlap.
         label = patch.label[rows]
-        made = [_offset_both_sides(points, seen, rows[label == p], a) for p in np.unique(label)]
+        parts = [rows[label == p] for p in np.unique(label)]
+        made = [
+            _offset_both_sides(points, seen, one, a, bool(patch.one_sided[one[0]])) for one in parts
+        ]
     else:
         way = float(np.sign(seen.volume[k]))
         grow = 0.5 * way * (a - float(seen.thickness[k]))
@@ -164,26 +166,37 @@ def _thick_shell(
 
 
 def _offset_both_sides(
-    points: Floats, seen: Shells, rows: Ints, a: float
+    points: Floats, seen: Shells, rows: Ints, a: float, one_sided: bool
 ) -> tuple[Floats, Ints, Ints]:
-    """The solid between the two offsets of a sheet by a / 2, closed along its boundary edges."""
+    """The solid between the two offsets of a sheet by a / 2, closed along its boundary edges.
+
+    A one-sided sheet has a single offset: that of its orientation double cover.
+    """
     used, local = np.unique(seen.triangles[rows], return_inverse=True)
     local, n = local.reshape(-1, 3), len(used)
-    offset = 0.5 * a * offsets(points[used], local)
-    slot = 3 * rows[:, None] + np.arange(3)
     edges = Edges.of(local)
+    if one_sided:
+        front, back, vertex = _double_cover(local, edges)
+        X = points[used[vertex]]
+        X = X + 0.5 * a * offsets(X, np.concatenate([front, back[:, ::-1]]))
+    else:
+        front, back = local, n + local
+        offset = 0.5 * a * offsets(points[used], local)
+        X = np.concatenate([points[used] + offset, points[used] - offset])
+    slot = 3 * rows[:, None] + np.arange(3)
     here = np.flatnonzero(edges.uses[edges.id] != 2)
     there = here - here % 3 + (here + 1) % 3
-    at, to = local.reshape(-1)[here], local.reshape(-1)[there]
+    at, to = front.reshape(-1)[here], front.reshape(-1)[there]
+    back_at, back_to = back.reshape(-1)[here], back.reshape(-1)[there]
     at_slot, to_slot = slot.reshape(-1)[here], slot.reshape(-1)[there]
     return (
-        np.concatenate([points[used] + offset, points[used] - offset]),
+        X,
         np.concatenate(
             [
-                local,
-                n + local[:, ::-1],
-                np.stack([to, at, n + at], 1),
-                np.stack([to, n + at, n + to], 1),
+                front,
+                back[:, ::-1],
+                np.stack([to, at, back_at], 1),
+                np.stack([to, back_at, back_to], 1),
             ]
         ),
         np.concatenate(
@@ -195,6 +208,32 @@ def _offset_both_sides(
             ]
         ),
     )
+
+
+def _double_cover(triangles: Ints, edges: Edges) -> tuple[Ints, Ints, Ints]:
+    """Corners (T, 3) of the triangles and of their copies that are to be reversed, and the vertex
+    (V,) of each corner's number.
+
+    Copies of neighbors are connected as in `winding.patches`: across an edge that both traverse in
+    the same direction, a triangle is connected to the other's reversed copy.
+    """
+    count = triangles.size
+    one, two = edges.pairs.T
+    clash = edges.directed[one, 0] == edges.directed[two, 0]
+    next_one, next_two = (k - k % 3 + (k + 1) % 3 for k in (one, two))
+    rows = np.concatenate([one, next_one])
+    columns = np.concatenate([np.where(clash, two, next_two), np.where(clash, next_two, two)])
+    other = np.where(np.tile(clash, 2), count, 0)
+    rows, columns = (
+        np.concatenate([rows, rows + count]),
+        np.concatenate([columns + other, columns + count - other]),
+    )
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
+    number, label = components(graph)
+    vertex = np.empty(number, np.int64)
+    vertex[label] = np.tile(triangles.reshape(-1), 2)
+    front, back = label.reshape(2, -1, 3)
+    return front, back, vertex
 
 
 def _offset_outward(

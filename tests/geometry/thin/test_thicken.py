@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import asset, cube, joined, sphere, surface
+from solids import asset, cube, joined, moebius, sphere, surface
 
 from gf_usd.core.mesh import boundary_edges
 from gf_usd.geometry.repair import repair_asset
@@ -50,6 +50,26 @@ def test_a_bent_sheet_has_the_volume_of_its_area() -> None:
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     # its rim is cut square, and what one side gains in a bend the other side loses
     assert build_solid(made).volume == pytest.approx(area * done.thickness, rel=0.01)
+
+
+@pytest.mark.parametrize("turned", [(), range(0, 80, 3)])
+def test_a_one_sided_strip_has_the_volume_of_its_area(turned) -> None:
+    body = moebius(turned)
+    made, (done,) = thickened(body, spacing=0.1)
+    assert (done.thickened, done.thin_left) == (1, 0)
+    solid = build_solid(made)
+    assert len(boundary_edges(solid.triangles[0])) == 0
+    assert solid.orientation(0) == 1.0
+    a, b, c = np.moveaxis(body.points[body.triangles], 1, 0)
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1)
+    # Its rim is cut square, and what one side gains in a bend the other side loses.
+    assert solid.volume == pytest.approx(0.5 * size.sum() * LAYER * 0.1, rel=0.01)
+    middle, unit = (a + b + c) / 3.0, normal / size[:, None]
+    for way in (-0.045, 0.045):  # of at most 0.0485 m
+        assert solid.inside(middle + way * unit).all()
+    for way in (-0.055, 0.055):
+        assert not solid.inside(middle + way * unit).any()
 
 
 def test_a_plate_grows_to_one_spacing_and_a_thick_one_stays() -> None:
