@@ -18,6 +18,7 @@ f_dc first, then f_rest with degree 1, 2, 3 in order, each coefficient with its 
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -182,6 +183,25 @@ class Asset:
 LATEST = 1e9  # time code: beyond, double precision leaves less than a millionth of one
 FIRST = 1.0  # the time code of the first frame if neither the source nor the user states one
 USD_RATE = 24.0  # USD's default of the time codes per second
+
+
+def prim_name(text: str) -> str:
+    """A prim name in ASCII, since programs with a USD before 24.03 read no other layers.
+
+    Letters lose their accents; other letters and symbols become their code points, 形 u5F62, so
+    that different names stay different.  Spaces and punctuation become "_".
+    """
+    out = "".join(_in_ascii(letter) for letter in unicodedata.normalize("NFC", text))
+    return f"_{out}" if not out or out[0].isdigit() else out
+
+
+def _in_ascii(letter: str) -> str:
+    parts = unicodedata.normalize("NFKD", letter)
+    base = "".join(part for part in parts if not unicodedata.combining(part))
+    if base.isascii() and base.isalnum():
+        return base
+    kind = unicodedata.category(letter)
+    return "_" if letter.isascii() or kind[0] in "PZ" else f"u{ord(letter):04X}"
 
 
 def first_time_code(facts: StageFacts, requested: float | None = None) -> float:

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gf_usd.core.arrays import Ints
+from gf_usd.core.asset import prim_name
 from gf_usd.core.materials import newton
 from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.materials.material import Material
@@ -50,7 +51,7 @@ def write_materials(
     UsdGeom.Scope.Define(stage, parent)
     paths: list[Sdf.Path] = []
     for material in materials:
-        stem = Tf.MakeValidIdentifier(material.name or look)
+        stem = prim_name(material.name or look)
         path, count = parent.AppendChild(stem), 1
         while path in paths:
             count += 1

@@ -21,7 +21,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.units import PRINTED_UNITS, USUAL_UNITS, plausible_unit
 from gf_usd.readers.formats import MESH, PROGRAM, format_of
 from gf_usd.readers.mesh.data import MeshFile
-from gf_usd.readers.notes import source_of, unit_and_axis
+from gf_usd.readers.notes import renamed, source_of, unit_and_axis
 
 if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
@@ -94,6 +94,7 @@ def convert_mesh(
         up_axis=up,
         notes=(
             *unit_and_axis(file.format, unit, up, unit_from, axis_from, width=width),
+            *renamed([path.stem, *(name for node in file.nodes for name in node.names())]),
             *file.notes,
         ),
         sources={"unit_from": unit_from, "axis_from": axis_from},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable
 
-from gf_usd.core.asset import ASSUMED, FILE, OPTION
+from gf_usd.core.asset import ASSUMED, FILE, OPTION, prim_name
 from gf_usd.core.units import number_text
 
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
@@ -116,6 +116,19 @@ def unit_and_axis(
         phrases[origin][which]
         for which, origin in enumerate((unit_from, axis_from))
         if origin != FILE
+    ]
+
+
+def renamed(names: Iterable[str]) -> list[str]:
+    """A note on names that are not ASCII, with the names of their prims; none: no note."""
+    other = [name for name in dict.fromkeys(names) if not name.isascii()]
+    if not other:
+        return []
+    listed = ", ".join(f"{name!r} is {prim_name(name.strip())}" for name in other[:4])
+    more = f" and {len(other) - 4} more" if len(other) > 4 else ""
+    return [
+        f"prims are named in ASCII, as USD before 24.03 requires: {listed}{more}; displayName has"
+        " the name in the file"
     ]
 
 

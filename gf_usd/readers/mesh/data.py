@@ -121,6 +121,14 @@ class FileNode:
         for child in self.children:
             yield from child.meshes()
 
+    def names(self) -> Iterator[str]:
+        """The names of the node and its descendants, and of their meshes."""
+        yield self.name
+        if self.mesh is not None and self.children:
+            yield self.mesh.name
+        for child in self.children:
+            yield from child.names()
+
 
 @dataclass(frozen=True, kw_only=True)
 class MeshFile:

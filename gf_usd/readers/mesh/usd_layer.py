@@ -14,9 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import prim_name
 from gf_usd.readers.mesh.data import FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot
 from gf_usd.readers.mesh.skeletons import bind_to_skeleton, write_skeletons
 
@@ -135,13 +136,14 @@ def _write_mesh(prim: UsdGeom.Mesh, mesh: FileMesh, file: MeshFile, materials: l
         if any(file.materials[n].double_sided for n in numbers):
             prim.CreateDoubleSidedAttr(True)
     for name, indices in mesh.groups:
-        UsdGeom.Subset.CreateGeomSubset(
+        made = UsdGeom.Subset.CreateGeomSubset(
             prim,
             free_name(prim.GetPrim(), _identifier(name)),
             UsdGeom.Tokens.face,
             _ints(indices),
             GROUPS,
         )
+        _name(made.GetPrim(), name)
 
 
 def _write_normals(prim: UsdGeom.Mesh, mesh: FileMesh) -> None:
@@ -188,7 +190,7 @@ def _ints(values: Ints | Floats) -> Vt.IntArray:
 
 
 def _identifier(name: str) -> str:
-    return Tf.MakeValidIdentifier(name.strip() or "unnamed")
+    return prim_name(name.strip() or "unnamed")
 
 
 def _name(prim: Usd.Prim, name: str) -> None:

@@ -10,7 +10,7 @@ from gf_usd.core.asset import Splats, valid_gaussians
 from gf_usd.core.errors import InputError
 from gf_usd.readers.formats import MESH, SPLATS, Format, format_of
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
-from gf_usd.readers.notes import Notes, source_of, unit_and_axis
+from gf_usd.readers.notes import Notes, renamed, source_of, unit_and_axis
 from gf_usd.readers.splats.ply import holds_splats
 from gf_usd.readers.usd.splats import write_splat_layer
 
@@ -67,6 +67,8 @@ def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | 
     for line in unit_and_axis(
         name, unit, axis, unit_from, axis_from, ", or -Y where the splats are upside down"
     ):
+        notes.add(line)
+    for line in renamed([path.stem]):
         notes.add(line)
     splats = read_splat_file(path, notes)
     folder = Folder()

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdVol, Vt
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdVol, Vt
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.asset import Splats, valid_gaussians
+from gf_usd.core.asset import Splats, prim_name, valid_gaussians
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
@@ -139,7 +139,7 @@ def write_splat_layer(
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
     UsdGeom.SetStageUpAxis(stage, up_axis)
-    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name or 'splats')}")
+    root = UsdGeom.Xform.Define(stage, f"/{prim_name(name or 'splats')}")
     Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
     if root.GetPrim().GetName() != name:
         root.GetPrim().SetDisplayName(name)
@@ -159,9 +159,14 @@ def write_splat_layer(
     )  # fmt: skip
     for attribute, kind, value in values:
         prim.CreateAttribute(attribute, kind, False).Set(value)
+    api = UsdGeom.PrimvarsAPI(prim)
     for label, whole in splats.labels.items():
-        name = Tf.MakeValidIdentifier(label)
-        UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, Types.IntArray, UsdGeom.Tokens.vertex).Set(
+        stem = free = prim_name(label)
+        count = 1
+        while api.HasPrimvar(free):
+            count += 1
+            free = f"{stem}_{count}"
+        api.CreatePrimvar(free, Types.IntArray, UsdGeom.Tokens.vertex).Set(
             Vt.IntArray.FromNumpy(np.ascontiguousarray(whole, np.int32))
         )
     degree = prim.CreateAttribute(DEGREE, Types.Int, False, Sdf.VariabilityUniform)

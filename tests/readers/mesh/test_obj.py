@@ -20,7 +20,7 @@ EXACT = 1e-7
 def obj(tmp_path):
     def write(text: str, name: str = "thing.obj"):
         path = tmp_path / name
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
         return path
 
     return write
@@ -174,3 +174,17 @@ def test_broken_files_are_refused_with_their_line(obj, text, message):
     assert str(path) in error.value.message
     assert message in error.value.message
     assert error.value.hint
+
+
+def test_names_in_other_scripts_give_different_prims(obj, tmp_path):
+    """Each byte became "_": /blob_______ of 'blob ü 形', and of 'blob ü 体' too."""
+    path = obj(f"o 形\n{cube_obj()}o 体\n{cube_obj(9)}", name="blob ü 形.obj")
+    asset = written(path, tmp_path / "out")
+    names = ["u5F62", "u4F53"]
+    assert [s.path for s in asset.surfaces] == [f"/blob_u_u5F62/{name}" for name in names]
+    stage = Usd.Stage.Open(str(tmp_path / "out" / "blob ü 形.source.usdc"))
+    shown = [stage.GetPrimAtPath(s.path).GetDisplayName() for s in asset.surfaces]
+    assert shown == ["形", "体"]
+    (note,) = [note for note in convert(path).notes if "ASCII" in note]
+    assert "'blob ü 形' is blob_u_u5F62, '形' is u5F62, '体' is u4F53; displayName" in note
+    assert not [n for n in convert(obj(cube_obj(), name="a b.obj")).notes if "ASCII" in n]

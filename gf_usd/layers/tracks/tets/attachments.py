@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Asset
+from gf_usd.core.asset import Asset, prim_name
 from gf_usd.core.frames import MeshPose, Settings, TetAttachment, TetLattice, sampled
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, f32
@@ -138,7 +138,7 @@ class Attachments:
     def _free(self, cache: Usd.Stage, path: Sdf.Path, pin: str) -> Sdf.Path:
         """A path for the attachment of a pin, after the last part of its name, or its kind."""
         word = pin.rpartition("/")[2] if pin.startswith("/") else pin.partition(":")[0]
-        stem = Tf.MakeValidIdentifier(word)
+        stem = prim_name(word)
         found, count = path.AppendChild(stem), 0
         while cache.GetPrimAtPath(found):
             count += 1
