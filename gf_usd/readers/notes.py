@@ -16,6 +16,7 @@ POSED = (
 )
 
 
+VERB = re.compile(r"(is|has|was) ")  # at the start of a text about one prim
 ALONE = re.compile(r"<(?P<path>/[^<>]*)>(?P<text> (?:is|has|was) .*)", re.DOTALL)  # of one prim
 MANY = 4  # prims with equal notes, from which on they are one note
 
@@ -41,12 +42,13 @@ class Notes:
                 del self._places[text]
 
     def lines(self, without: Collection[str] = ()) -> tuple[str, ...]:
-        """One line per note: ``<PATH>: text`` or ``each of <PATH> and 3 more: text``.
+        """One line per note: ``<PATH>: text``, or ``<PATH> is text`` of texts with a verb first.
 
+        Of several prims: ``each of <PATH> and 3 more is text``.
         without : texts that are omitted.
         """
         return tuple(
-            f"{_some(places)}: {text}" if places else text
+            f"{_some(places)}{' ' if VERB.match(text) else ': '}{text}" if places else text
             for text, places in self._places.items()
             if text not in without
         )

@@ -13,9 +13,9 @@ def test_texts_are_in_the_singular_however_many_prims_they_concern():
             notes.add(f"is {count}", f"/P{number}")
     assert notes.lines() == (
         "the file has no unit",
-        "</P0>: is 1",
-        "each of </P0> and </P1>: is 2",
-        "each of </P0> and 3 more: is 4",
+        "</P0> is 1",
+        "each of </P0> and </P1> is 2",
+        "each of </P0> and 3 more is 4",
     )
 
 

@@ -137,8 +137,9 @@ def _touching(
     count = sum(len(one) for one in found)
     what = "one body" if len(found) == 1 else f"{len(found)} bodies"
     away = f"{length_text(reach)} ({reach / asset.facts.units.length:.3g} stage units)"
+    listed = "; ".join(_listed(one) for one in found[:4])
     return [
-        f"{count} meshes that touch are {what}: {'; '.join(_listed(one) for one in found[:4])}"
+        f"{count} meshes that touch or overlap are {what}: {listed}"
         + (f"; and {len(found) - 4} more" if len(found) > 4 else "")
         + f"; to keep them apart, make them rigid or deformable bodies (UsdPhysics), move them"
         f" more than {away} apart, or, if they only touch, make them models of kind component"

@@ -87,13 +87,17 @@ def test_a_crumb_is_not_merged_with_another_physics_body(plan) -> None:
 
 def test_meshes_that_touch_are_one_body_with_a_note(plan) -> None:
     seen = plan(mesh("One"), mesh("Two", at(1.0)), mesh("Far", at(5.0)))
-    (note,) = (note for note in seen.notes if "meshes that touch" in note)
+    (note,) = (note for note in seen.notes if "meshes that touch or overlap" in note)
     # the page of an inspection has meters, the asset stage units
     assert re.search(r"move them more than [\d.]+ (cm|mm|m) \([\d.]+ stage units\) apart, or", note)
     assert seen.bodies.surfaces == (("/One", "/Two"), ("/Far",))
-    assert noted(seen, "2 meshes that touch are one body: </One>, </Two>; to keep them apart")
+    assert noted(
+        seen, "2 meshes that touch or overlap are one body: </One>, </Two>; to keep them apart"
+    )
     pairs = [mesh(f"M{k}", at(k + k // 2)) for k in range(4)]
-    assert noted(plan(*pairs), "4 meshes that touch are 2 bodies: </M0>, </M1>; </M2>, </M3>; to")
+    assert noted(
+        plan(*pairs), "4 meshes that touch or overlap are 2 bodies: </M0>, </M1>; </M2>, </M3>; to"
+    )
 
 
 def test_what_is_meant_to_be_one_body_has_no_note(plan) -> None:

@@ -76,7 +76,7 @@ def test_a_shape_that_grows_starts_from_its_first_size_and_this_is_said(read, ki
     still = f'def {kind} "S" {{\n double {size} = 2\n}}'
     assert "is animated" not in str(read(still).facts.notes)
     grows = still.replace(" = 2", ".timeSamples = { 1: 2, 9: 4 }")
-    note = "</S>: is animated: the simulation starts from its pose at the first frame"
+    note = "</S> is animated: the simulation starts from its pose at the first frame"
     assert note in read(grows).facts.notes
 
 

@@ -160,7 +160,7 @@ def test_instances_are_read_in_place(read):
     assert paths(asset) == ["/One/Box", "/Two/Box"]
     assert asset.surfaces[0].points[:, 0].mean() == pytest.approx(5.0)
     assert asset.facts.notes == (
-        "each of </One> and </Two>: is an instance: it becomes an ordinary prim in the bake "
+        "each of </One> and </Two> is an instance: it becomes an ordinary prim in the bake "
         "because its content moves",
     )
 
@@ -182,7 +182,7 @@ def test_notes_on_motion_and_instances_are_not_on_obstacles(read):
         inherits = </Proto>) {}
     def Sphere "Ball" {}
     """
-    instance = "</One>: is an instance: it becomes an ordinary prim in the bake because its"
+    instance = "</One> is an instance: it becomes an ordinary prim in the bake because its"
     animated = "is animated: the simulation starts from its pose at the first frame"
     assert read(stage).facts.notes == ()
     assert read(stage, prims=["/Ball"]).facts.notes == ()

@@ -197,7 +197,7 @@ def test_instanced_characters_are_posed(write):
 
 
 ANIMATED = (
-    "</Rig/Other/Bar>: is animated by its skeleton: the simulation starts from its pose at the"
+    "</Rig/Other/Bar> is animated by its skeleton: the simulation starts from its pose at the"
     " first frame; --flesh keeps the animation, and makes the flesh around the bones soft"
 )
 

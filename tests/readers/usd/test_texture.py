@@ -111,7 +111,7 @@ def test_unconnected_coordinates_read_one_place(read, picture):
 def test_a_missing_uv_primvar_is_said(read, picture):
     asset = read(stage(textured(), quads=QUADS.replace("primvars:st", "primvars:uv")))
     assert asset.facts.notes == (
-        "</Q>: has no usable primvar st, which the texture of </Looks/M> reads: "
+        "</Q> has no usable primvar st, which the texture of </Looks/M> reads: "
         "a single point of the texture is used",
     )
     assert not np.any(asset.surfaces[0].triangle_uvs)

@@ -256,7 +256,7 @@ def test_parts_that_are_no_faces(read_physics) -> None:
     found = read_physics(stage, duck(points))
     assert found.bodies[0].subsets == ()
     assert found.notes == (
-        "</Duck/dots>: is not a subset of faces: its physics material is ignored",
+        "</Duck/dots> is not a subset of faces: its physics material is ignored",
     )
     with pytest.raises(InputError) as caught:
         read_physics(stage, duck(subset("beak", "5, 6", bound("/Hard"))))

@@ -78,7 +78,7 @@ def test_the_baked_body_and_its_own_colliders_are_no_obstacles(read_physics) -> 
     found = read_physics(duck, mesh("Floor", apis=[COLLISION]), bodies=("/Duck/Look",))
     assert only(found).path == "/Floor"
     assert found.notes == (
-        "</Duck/Proxy>: is the collider of a baked body: the surface of the body collides instead",
+        "</Duck/Proxy> is the collider of a baked body: the surface of the body collides instead",
     )
     # and where the body is another one, both are in the way
     assert [c.path for c in read_physics(duck).colliders] == ["/Duck/Look", "/Duck/Proxy"]
@@ -108,7 +108,7 @@ def test_a_rigid_body_that_is_not_baked_stays_and_this_is_said(read_physics) -> 
     found = read_physics(mesh("Ball", apis=[COLLISION, "PhysicsRigidBodyAPI"]))
     assert only(found).role == "dynamic"
     assert found.notes == (
-        "</Ball>: is a rigid body, and rigid bodies are not simulated: it moves only if it is "
+        "</Ball> is a rigid body, and rigid bodies are not simulated: it moves only if it is "
         "animated",
     )
     driven = mesh(
@@ -196,7 +196,7 @@ def test_an_approximation_that_is_left_out_is_said(read_physics) -> None:
     )
     found = read_physics(flat)
     assert len(only(found).triangles) == 2
-    assert found.notes[0].startswith("</Sheet>: is flat: its own triangles are used")
+    assert found.notes[0].startswith("</Sheet> is flat: its own triangles are used")
 
 
 def test_approximations_of_omniverse_are_the_own_triangles(read_physics) -> None:

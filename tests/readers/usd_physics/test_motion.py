@@ -93,7 +93,7 @@ def test_points_that_change_in_number_are_held_and_this_is_said(read_physics) ->
     found = read_physics(prim("Mesh", "Blob", alive, apis=[COLLISION]))
     assert only(found).deformed is None
     assert found.notes == (
-        "</Blob>: has 9 points at time code 3 but 8 at rest: it only follows its transform",
+        "</Blob> has 9 points at time code 3 but 8 at rest: it only follows its transform",
     )
 
 

@@ -74,7 +74,7 @@ def test_a_mesh_of_two_nodes_has_the_weights_of_each(tmp_path: Path) -> None:
     assert widths == [np.ptp(CORNERS[:, 0]), 2 * np.ptp(CORNERS[:, 0])]
     # both notes were on Box alone
     assert "Box of node still: 2 morph targets of weight 0: left out" in file.notes
-    (wide,) = [note for note in file.notes if note.startswith("Box of node wide: ")]
+    (wide,) = [note for note in file.notes if note.startswith("Box of node wide is read ")]
     assert wide.endswith("target 0 with 1")
 
 
