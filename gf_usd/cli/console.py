@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from gf_usd.core.errors import counted
-from gf_usd.core.units import bytes_text, code_text
+from gf_usd.core.units import bytes_text, code_text, length_text, volume_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -37,13 +37,13 @@ def show_plan(
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
-    drop = drop_of(prepared.plan, f"{d['drop_m']:.3g} m", "none")
+    drop = drop_of(prepared.plan, length_text(d["drop_m"]), "none")
     too_long = d["estimated_seconds"] > 3600.0 * max_hours
     lines = [
-        f"{d['source']}: {counted(len(d['bodies']), 'mesh', 'meshes')}, {d['volume_m3']:.4g} m^3,"
-        f" radius {d['radius_m']:.4g} m",
+        f"{d['source']}: {counted(len(d['bodies']), 'mesh', 'meshes')},"
+        f" {volume_text(d['volume_m3'])}, radius {length_text(d['radius_m'])}",
         *(f"  {path}" for path in d["bodies"]),
-        f"particles   {d['particles']}, {d['spacing_m']:.3g} m apart",
+        f"particles   {d['particles']}, {length_text(d['spacing_m'])} apart",
         f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {code_text(d['start'])}",
         "substeps    "
         + ", ".join(f"{n} per frame ({look})" for look, n in d["substeps_per_frame"].items()),
@@ -377,6 +377,6 @@ def _measured(bake: VariantResult) -> str:
         f"{bake.variant}: {counted(bake.frames, 'frame')}{rest},"
         f" {counted(h['substeps'], 'substep')}{redone}, {rebound},"
         f" deepest penetration {h['deepest_penetration_spacings']:.2f} spacings"
-        f" ({h['deepest_penetration_m']:.3g} m){met}, volume ratio J {h['min_J']:.2f} to"
+        f" ({length_text(h['deepest_penetration_m'])}){met}, volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"
     )

@@ -109,7 +109,9 @@ def code_text(code: float) -> str:
 
 
 def length_text(meters: float) -> str:
-    """A length to three significant digits, in µm, mm, cm, m or km."""
+    """A length to three significant digits, in µm, mm, cm, m or km; 0 in m."""
+    if meters == 0.0:
+        return "0 m"
     near = (unit for unit in LENGTHS if abs(meters) >= 0.9995 * unit[0])  # rounds to its start
     _, scale, name = next(near, LENGTHS[-1])
     value = scale * meters

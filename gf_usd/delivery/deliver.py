@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core import PACKAGE_SUFFIX
 from gf_usd.core.errors import BakeError, UsageError, counted
 from gf_usd.core.scene import Recording
-from gf_usd.core.units import percent_text
+from gf_usd.core.units import length_text, percent_text
 from gf_usd.delivery.gltf.read import read_error, read_splat_errors
 from gf_usd.delivery.gltf.write import write_glb
 from gf_usd.delivery.motion import BodyMotion
@@ -346,7 +346,8 @@ def _fitter(
             return with_single_joints(last) if nodes else last
         reason = (
             f"{_named(variant, body)}: {counted(last.joints, 'joint leaves', 'joints leave')} an"
-            f" error of {percent_text(last.error)} of the radius, {last.error * body.radius:.2g} m"
+            f" error of {percent_text(last.error)} of the radius,"
+            f" {length_text(last.error * body.radius)}"
         )
         remedy = "more joints with --max-joints"
         if last.joints < most_joints:
@@ -409,7 +410,7 @@ def _within(
         "allow a larger --error"
         if step < error / 4.0
         else f"numbers in single precision have steps of {percent_text(step)} of the radius at the"
-        f" {far:.3g} m that the body is from the origin: move the asset closer to it",
+        f" {length_text(far)} that the body is from the origin: move the asset closer to it",
     )
 
 

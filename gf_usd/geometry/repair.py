@@ -17,7 +17,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import counted
 from gf_usd.core.mesh import Edges, areas, proper, shells, triangulate
-from gf_usd.core.units import percent_text
+from gf_usd.core.units import length_text, percent_text
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import (
     DUPLICATE,
@@ -118,8 +118,8 @@ class Repairs:
             )
         if self.thickened:
             lines.append(
-                f"made {counted(self.thickened, 'thin part')} {self.thickness:.3g} m thick (one "
-                f"spacing) for the simulation"
+                f"made {counted(self.thickened, 'thin part')} {length_text(self.thickness)}"
+                f" thick (one spacing) for the simulation"
             )
         if self.thin_left:
             lines.append(

@@ -30,6 +30,7 @@ from gf_usd.core.asset import Asset, Splats, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import proper, signed_volume, weld
 from gf_usd.core.radiance import srgb_to_linear
+from gf_usd.core.units import length_text, volume_text
 
 FAINT = 0.1  # opacity below which a Gaussian is excluded
 GIANT = 0.25  # of the body's diagonal: standard deviation above which it is excluded
@@ -80,8 +81,12 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
         triangles = triangles[:, ::-1].copy()
     notes.append(
         f"a surface was constructed around {len(kept)} of {len(splats)} Gaussians, on cells of "
-        f"{region.grid.h:.3g} m: volume {abs(volume):.3g} m^3"
-        + (f", gaps up to {2.0 * region.closing:.3g} m were closed" if region.closing else "")
+        f"{length_text(region.grid.h)}: volume {volume_text(abs(volume))}"
+        + (
+            f", gaps up to {length_text(2.0 * region.closing)} were closed"
+            if region.closing
+            else ""
+        )
         + ("; its open bottom was closed with a flat face" if region.capped else "")
         + ("; a missing side was closed with a flat face" if region.flat else "")
     )

@@ -419,7 +419,7 @@ def stated_spacing(
     path, finest = min(requested.items(), key=lambda item: item[1])
     several = max(requested.values()) > (1.0 + SAME) * finest
     note = (
-        f"a bake has one spacing: the {finest:.4g} m of <{path}> is used for all bodies"
+        f"a bake has one spacing: the {length_text(finest)} of <{path}> is used for all bodies"
         if several
         else ""
     )

@@ -34,11 +34,11 @@ def test_json_is_all_there_is_on_stdout(gf_usd, here: Path, block: Path) -> None
 def test_a_dry_run_says_and_writes_nothing_else(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, "--particles", "300", "--drop", "10", "--dry-run")
     assert (done.status, done.err) == (0, "")
-    assert done.out.startswith(f"{block}: 1 mesh, 0.012 m^3, radius 0.142 m\n  /World/Block\n")
+    assert done.out.startswith(f"{block}: 1 mesh, 0.012 m³, radius 14.2 cm\n  /World/Block\n")
     for line in ("particles   ", "frames      ", "substeps    ", "time        about ", "disk  "):
         assert f"\n{line}" in done.out
     # sqrt(2 * 0.1 m / g) = 0.143 s are 6.85 frames of 1/48 s
-    assert "\ndrop        0.1 m, first contact at frame 7\n" in done.out
+    assert "\ndrop        10 cm, first contact at frame 7\n" in done.out
     assert "\nwould write block.rubber.usda\nwould write block.rubber.cache.usdc\n" in done.out
     as_json = gf_usd("bake", block, "--particles", "300", "--drop", "10", "--dry-run", "--json")
     assert (as_json.status, as_json.err) == (0, "")

@@ -46,6 +46,7 @@ def test_bytes_have_the_unit_that_fits(count: float, text: str):
         (0.9999e-3, "1 mm"),
         (1e6, "1000 km"),
         (-0.004, "-4 mm"),
+        (0.0, "0 m"),
     ],
 )
 def test_lengths_have_the_unit_that_fits(meters: float, text: str):

@@ -39,7 +39,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "untouched": (
         summary(*many(3), **FLYING, falls=True, first_contact_frame=3),
         summary(*many(3), **FLYING, falls=True, shift_max_m=0.25),
-        "the body touched nothing in 4 frames: it moved 0.25 m",
+        "the body touched nothing in 4 frames: it moved 25 cm",
     ),
     "still": (
         summary(*many(3), **FLYING, kinetic_max_J=2e-8),
@@ -95,7 +95,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "penetration": (
         summary(Health(penetration=0.099, kinetic=5.0)),
         summary(Health(penetration=0.101, kinetic=5.0)),
-        "sank 1 spacings (0.101 m) into the floor",
+        "sank 1 spacings (10.1 cm) into the floor",
     ),
     "overlap": (
         summary(Health(overlap=0.099)),
@@ -103,7 +103,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
             Health(overlap=0.101, overlap_pair="</A> and the obstacle </B>"),
             Health(overlap=0.05, overlap_pair="</C> and </D>"),
         ),
-        "</A> and the obstacle </B> overlapped by 1 spacings (0.101 m) at frame 1",
+        "</A> and the obstacle </B> overlapped by 1 spacings (10.1 cm) at frame 1",
     ),
     "pierced": (
         summary(
@@ -118,7 +118,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
             ),
         ),
         "an edge or corner of the obstacle </A> is in </B>, and comes out on the other side,"
-        " 0.51 spacings (0.051 m) deep at frame 2",
+        " 0.51 spacings (5.1 cm) deep at frame 2",
     ),
     "let-go": (
         summary(Health(let_go=0)),
@@ -128,13 +128,13 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "inside": (
         summary(Health(inside_share=0.01, inside_depth=0.02)),
         summary(Health(inside_share=0.02, inside_depth=0.03)),
-        "is half a spacing or more inside a body at the end, up to 30 mm deep",
+        "is half a spacing or more inside a body at the end, up to 3 cm deep",
     ),
     "coarse-mesh": (
         summary(Health(outside_share=0.01, outside_depth=0.02, outside_mesh="</Box>")),
         summary(Health(outside_share=0.02, outside_depth=0.03, outside_mesh="</Box>")),
         "faces of </Box> are too long to show how the body bends: in some frame 2 % of the"
-        " particles are a spacing or more outside the mesh, up to 30 mm",
+        " particles are a spacing or more outside the mesh, up to 3 cm",
     ),
     "resting-depth": (
         summary(Health(penetration=0.024)),
@@ -174,7 +174,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "loop": (
         summary(loop_cycles=4, loop_difference_m=0.005, loop_difference_share=0.01),
         summary(loop_cycles=16, loop_difference_m=0.006, loop_difference_share=0.012),
-        "after 16 cycles, the last one differs from the one before by 0.006 m, 1.2 % of the radius",
+        "after 16 cycles, the last one differs from the one before by 6 mm, 1.2 % of the radius",
     ),
 }
 

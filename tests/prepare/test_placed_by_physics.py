@@ -51,7 +51,7 @@ def test_it_falls_from_where_the_stage_has_it(
     told = [note for note in seen.plan.notes if "moved up onto it" in note]
     assert told == (
         [
-            "the asset begins 0.375 m below the floor and is moved up onto it: floor=-0.75 keeps it"
+            "the asset begins 37.5 cm below the floor and is moved up onto it: floor=-0.75 keeps it"
             " where it is, with a floor there"
         ]
         if lift > 0.0

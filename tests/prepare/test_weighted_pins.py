@@ -13,6 +13,7 @@ from planned import planner
 
 import gf_usd
 from gf_usd.core.errors import InputError
+from gf_usd.core.units import length_text
 from gf_usd.prepare.plan import Plan
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -77,8 +78,8 @@ def test_a_floor_that_cuts_through_what_is_held_is_reported_with_one_that_does_n
     assert seen.plan is not None
     depth, spacing = floor + 1.0, seen.plan.particles.spacing
     note = (
-        f"the asset begins {depth:.3g} m ({depth / spacing:.2g} spacings) below the floor, which"
-        " pushes it out at once: lower floor to -1, or leave it out"
+        f"the asset begins {length_text(depth)} ({depth / spacing:.2g} spacings) below the floor,"
+        " which pushes it out at once: lower floor to -1, or leave it out"
     )
     assert (note in seen.plan.notes) == told
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import signed_volume
+from gf_usd.core.units import length_text
 from gf_usd.geometry.sampling.pieces import POINTS, WEIGHTS, cut
 from gf_usd.geometry.solid import INSIDE, Solid, spread_evenly
 from gf_usd.geometry.winding import rows_of
@@ -113,8 +114,9 @@ def find_content(solid: Solid, grid: Grid) -> Content:
     if not len(full) and not some.any():
         wide = float((solid.high - solid.low).max())
         raise InputError(
-            f"<{solid.surfaces[0].path}> is {wide:.3g} m wide, too small to fill with cells of"
-            f" {grid.h:.3g} m, which the size of all bodies and the number of particles give",
+            f"<{solid.surfaces[0].path}> is {length_text(wide)} wide, too small to fill with"
+            f" cells of {length_text(grid.h)}, which the size of all bodies and the number of"
+            " particles give",
             "leave it out, check its scale, or use more --particles",
         )
     return Content(
@@ -253,7 +255,7 @@ def _reached(solid: Solid, index: int, grid: Grid, key: Ints) -> Ints:
 def _refuse_too_many(cells: int, h: float) -> None:
     if cells > MOST_CELLS:
         raise InputError(
-            f"the body extends over more than {MOST_CELLS} cells of {h:.3g} m",
+            f"the body extends over more than {MOST_CELLS} cells of {length_text(h)}",
             "lower --particles or raise --spacing",
         )
 

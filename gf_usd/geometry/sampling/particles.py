@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles
+from gf_usd.core.units import length_text, volume_text
 from gf_usd.geometry.sampling.content import Grid
 from gf_usd.geometry.sampling.filling import Filling, fill_cells
 from gf_usd.geometry.solid import Solid
@@ -111,7 +112,7 @@ def expected_particles(solid: Solid, spacing: float) -> float:
     expected = solid.volume / spacing**3
     if expected > MOST_PARTICLES:
         raise InputError(
-            f"a spacing of {spacing:.3g} m would take {expected:.3g} particles"
+            f"a spacing of {length_text(spacing)} would take {expected:.3g} particles"
             f" (at most {MOST_PARTICLES})",
             "raise --spacing or lower --particles",
         )
@@ -138,7 +139,7 @@ class _Filled:
 
 def _too_few(n: int, a: float, solid: Solid) -> InputError:
     return InputError(
-        f"only {n} particles fit at a spacing of {a:.3g} m into {solid.volume:.3g} m^3"
+        f"only {n} particles fit at a spacing of {length_text(a)} into {volume_text(solid.volume)}"
         f" (at least {LEAST_PARTICLES})",
         "lower --spacing or raise --particles",
     )
@@ -194,8 +195,8 @@ def _of_body(solid: Solid, a: float, turn: Floats) -> tuple[Filling, Floats]:
     reach = np.ceil((high - low) / h - ALIGNED)
     if np.prod(np.maximum(1.0, reach)) > MOST_KEYS:
         raise InputError(
-            f"the body is {(high - low).max() / h:.3g} cells of {h:.3g} m long and fills too little"
-            " of its box",
+            f"the body is {(high - low).max() / h:.3g} cells of {length_text(h)} long and fills"
+            " too little of its box",
             "give it thickness, or lower --particles or raise --spacing",
         )
     count = np.maximum(1, reach.astype(np.int64))

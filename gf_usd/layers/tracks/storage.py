@@ -15,7 +15,7 @@ from pxr import Sdf
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, Settings
-from gf_usd.core.units import Precision, bytes_text, percent_text
+from gf_usd.core.units import Precision, bytes_text, length_text, percent_text
 from gf_usd.layers.tracks.accuracy import (
     BOX,
     LENGTHS,
@@ -261,7 +261,7 @@ class Storage:
         )
         if "positions_m" in self.errors:
             off = self.errors["positions_m"]
-            text += f"; the largest error of points is {off:.3g} m"
+            text += f"; the largest error of points is {length_text(off)}"
             if self.precision is not None and self.precision.relative:
                 text += f", {percent_text(off / self.radius)} of the radius"
         return text

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.units import percent_text
+from gf_usd.core.units import length_text, percent_text
 from gf_usd.pipeline.health.warnings import NOT_PERIODIC
 
 if TYPE_CHECKING:
@@ -112,7 +112,8 @@ class Period:
         """A note on the periodicity."""
         if not self._cycle or self.difference is None:
             return ()
-        each = f"{self.difference:.2g} m, {percent_text(self.relative_difference)} of the radius"
+        share = percent_text(self.relative_difference)
+        each = f"{length_text(self.difference)}, {share} of the radius"
         if self._until and self.relative_difference > PERIODIC:
             return (
                 f"the written cycle is the last of {self.cycles}, the maximum of --loop auto, "

@@ -15,7 +15,7 @@ from typing import Any
 from gf_usd.core.errors import counted
 from gf_usd.core.frames import STRETCH
 from gf_usd.core.materials.laws import LAWS
-from gf_usd.core.units import percent_text, rounded_text
+from gf_usd.core.units import length_text, percent_text, rounded_text
 
 HealthSummary = Mapping[str, Any]
 
@@ -116,11 +116,6 @@ def _gentler(h: HealthSummary) -> str:
     drop.
     """
     return "lower the impact (--drop)" if h["falls"] else "slow down what moves the body"
-
-
-def _length(meters: float) -> str:
-    """In millimeters; in meters where those are thousands."""
-    return f"{1000.0 * meters:.3g} mm" if meters < 1.0 else f"{meters:.3g} m"
 
 
 def _other_law(h: HealthSummary) -> str:
@@ -239,7 +234,7 @@ def _deep(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"the surface sank {rounded_text(h['deepest_penetration_spacings'])} spacings"
-        f" ({h['deepest_penetration_m']:.3g} m) into the floor",
+        f" ({length_text(h['deepest_penetration_m'])}) into the floor",
         f"{_gentler(h)}, or use a stiffer material",
     )
 
@@ -252,7 +247,7 @@ def _overlap(h: HealthSummary) -> MessageAndHint:
     pair = h.get("overlap_pair") or "bodies or obstacles"  # some solvers do not know it
     return (
         f"{pair} overlapped by {rounded_text(h['deepest_overlap_spacings'])} spacings"
-        f" ({h['deepest_overlap_m']:.3g} m) at frame {h['overlap_frame']}",
+        f" ({length_text(h['deepest_overlap_m'])}) at frame {h['overlap_frame']}",
         f"{_gentler(h)}, or use more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
     )
@@ -265,7 +260,7 @@ def _pierced(h: HealthSummary) -> MessageAndHint:
     how = "and comes out on the other side, " if through else ""
     return (
         f"an edge or corner of {h['pierced_pair']}, {how}{rounded_text(depth)} spacings"
-        f" ({h['pierced_max_m']:.3g} m) deep at frame {h['pierced_frame']}",
+        f" ({length_text(h['pierced_max_m'])}) deep at frame {h['pierced_frame']}",
         "round the edges of the obstacle, make the body thicker, or use more --particles;"
         f" {_gentler(h)}",
     )
@@ -292,7 +287,7 @@ def _inside(h: HealthSummary) -> MessageAndHint:
     first = "divide the faces of the coarse mesh (--max-edge-length auto); then " if coarse else ""
     return (
         f"{percent_text(share)} of the surface is half a spacing or more inside a body at the"
-        f" end, up to {_length(h['inside_at_end_m'])} deep",
+        f" end, up to {length_text(h['inside_at_end_m'])} deep",
         f"{first}use more --particles or a stiffer material,"
         f" {_gentler(h)}, and do not use --no-self-contact",
     )
@@ -305,7 +300,7 @@ def _outside(h: HealthSummary) -> MessageAndHint:
     return (
         f"faces of {h['outside_mesh']} are too long to show how the body bends: in some frame"
         f" {percent_text(share)} of the particles are a spacing or more outside the mesh, up to"
-        f" {_length(h['outside_mesh_max_m'])}",
+        f" {length_text(h['outside_mesh_max_m'])}",
         "divide its faces (--max-edge-length auto); the particles and Gaussians show the true"
         " shape",
     )
@@ -339,8 +334,8 @@ def _untouched(h: HealthSummary) -> MessageAndHint:
     if not h["falls"] or met or h["frames"] < 2 or _still(h) is not None:
         return None
     return (
-        f"the body touched nothing in {h['frames']} frames: it moved {h['shift_max_m']:.3g} m and"
-        " is still in the air",
+        f"the body touched nothing in {h['frames']} frames: it moved"
+        f" {length_text(h['shift_max_m'])} and is still in the air",
         "use more --frames, a lower --drop, or check the unit of the asset (--meters-per-unit)",
     )
 
@@ -417,8 +412,8 @@ def _loop(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"after {h['loop_cycles']} cycles, the last one differs from the one before by"
-        f" {h['loop_difference_m']:.2g} m, {percent_text(share)} of the radius: the loop has a"
-        f" visible jump",
+        f" {length_text(h['loop_difference_m'])}, {percent_text(share)} of the radius: the loop"
+        f" has a visible jump",
         "repeat it until it is periodic (--loop), or longer, and damp the flesh (--goal-frequency,"
         " --damping-time)",
     )

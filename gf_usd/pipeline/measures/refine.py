@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.units import percent_text
+from gf_usd.core.units import length_text, percent_text
 from gf_usd.pipeline.cost.budget import duration
 from gf_usd.pipeline.measures.certify import Certificate
 from gf_usd.pipeline.measures.convergence import HIGHEST, LOWEST
@@ -113,7 +113,7 @@ def next_step(
         )
     return Refinement(
         spacing=ratio * edge,
-        reason=f"{text} is {known}: baking again with particles {ratio * edge:.3g} m apart",
+        reason=f"{text} is {known}: baking again with particles {length_text(ratio * edge)} apart",
     )
 
 

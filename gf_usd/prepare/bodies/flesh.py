@@ -14,7 +14,7 @@ from gf_usd.core.asset import Asset, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
 from gf_usd.core.stage import Goals, Pin, Skeleton
-from gf_usd.core.units import percent_text
+from gf_usd.core.units import length_text, percent_text
 from gf_usd.prepare.bodies.characters import character_paths
 from gf_usd.prepare.pins import FREE
 from gf_usd.prepare.settings import Animation
@@ -492,8 +492,8 @@ def _require_closed(asset: Asset, skeleton: Skeleton, first: int, cycle: int) ->
     if ways[-1] > JUMP * ways[:-1].max(initial=0.0) + SAME_POSE * size:
         raise InputError(
             f"{asset.facts.path}: --loop: the animation is not cyclic: the distance from its"
-            f" last frame to its first is {ways[-1]:.3g} m, and at most"
-            f" {ways[:-1].max(initial=0.0):.3g} m between"
+            f" last frame to its first is {length_text(ways[-1])}, and at most"
+            f" {length_text(ways[:-1].max(initial=0.0))} between"
             " others",
             "give a stage whose time range is one cycle, in place, or omit --loop",
         )

@@ -11,7 +11,7 @@ import numpy as np
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
-from gf_usd.core.units import rounded_text
+from gf_usd.core.units import length_text, rounded_text
 from gf_usd.prepare.bodies.flesh import read_animation
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
@@ -76,7 +76,7 @@ def plan_shot(
     if held and own and gap < -BELOW * filled.bodies.radius.max():
         settings = replace(settings, floor=None, floor_normal=None)
         notes += (
-            f"the asset is held where it is, {-gap:.3g} m below height 0: there is no floor;"
+            f"the asset is held where it is, {length_text(-gap)} below height 0: there is no floor;"
             " --floor adds one",
         )
     notes += _deep_notes(settings, gap, filled.particles.spacing, inputs)
@@ -101,8 +101,9 @@ def _deep_notes(settings: Settings, gap: float, spacing: float, inputs: Inputs) 
     to = f" to {(settings.floor + gap) / inputs.unit:.3g}" if settings.floor_normal is None else ""
     given = inputs.request.parsed["floor"] is not None
     return (
-        f"the asset begins {-gap:.3g} m ({rounded_text(-gap / spacing)} spacings) below the floor,"
-        f" which pushes it out at once: lower --floor{to}{', or leave it out' if given else ''}",
+        f"the asset begins {length_text(-gap)} ({rounded_text(-gap / spacing)} spacings) below"
+        f" the floor, which pushes it out at once: lower"
+        f" --floor{to}{', or leave it out' if given else ''}",
     )
 
 
@@ -112,7 +113,7 @@ def _raised_notes(settings: Settings, lowest: float, inputs: Inputs) -> tuple[st
     if not is_placed(inputs.request, inputs.asset.facts) or raised <= 0.0:
         return ()
     return (
-        f"the asset begins {raised:.3g} m below the floor and is moved up onto it: --floor"
+        f"the asset begins {length_text(raised)} below the floor and is moved up onto it: --floor"
         f" {lowest / inputs.unit:.3g} keeps it where it is, with a floor there",
     )
 
@@ -137,8 +138,8 @@ def _moved_notes(
     hints += [floor] if settings.floor_normal is None else []
     side, way = ("above", "down") if low >= 0.0 else ("below", "up")
     return (
-        f"the lowest point of the asset is {abs(low):.4g} m {side} the floor and is moved {way} to"
-        f" {start:.3g} m above it{': ' if hints else ''}{'; '.join(hints)}",
+        f"the lowest point of the asset is {length_text(abs(low))} {side} the floor and is"
+        f" moved {way} to {length_text(start)} above it{': ' if hints else ''}{'; '.join(hints)}",
     )
 
 

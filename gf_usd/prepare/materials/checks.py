@@ -15,6 +15,7 @@ from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.presets import Fixed
 from gf_usd.core.stage import StageSpec
+from gf_usd.core.units import length_text
 from gf_usd.prepare.materials.parts import MaterialPart
 from gf_usd.prepare.materials.table import FLOW, Authored, own_spec
 
@@ -108,7 +109,7 @@ def require_weighable(
         )
         raise InputError(
             f"{path}: {what}, and single precision holds from {smallest:.2g} to"
-            f" {most:.2g}; particles are {particles.spacing:.3g} m apart",
+            f" {most:.2g}; particles are {length_text(particles.spacing)} apart",
             "check the unit (--meters-per-unit) and the transforms of the asset",
         )
 
@@ -142,7 +143,7 @@ def require_standing(
         if ratio < SPREADS:
             continue
         problem = (
-            f"{material.name} cannot carry its own weight: {height:.3g} m of it weigh"
+            f"{material.name} cannot carry its own weight: {length_text(height)} of it weigh"
             f" {weight:.3g} Pa,"
             f" {ratio:.3g} times its Young's modulus of {material.youngs_modulus:.3g} Pa"
         )

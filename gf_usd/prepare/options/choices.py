@@ -19,7 +19,7 @@ from gf_usd.core.frames import (
     clip_length,
     written,
 )
-from gf_usd.core.units import Precision, bytes_text
+from gf_usd.core.units import Precision, bytes_text, length_text
 from gf_usd.prepare.bodies.flow import Flow
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
@@ -127,9 +127,9 @@ def require_stored(precision: Precision | None, particles: Particles, settings: 
     least = precision.meters(float(radii[radii > 0.0].min()))
     if least < rounding:
         raise UsageError(
-            f"--precision {precision.text} is {least:.3g} m for the smallest body, and points have"
-            f" single precision, with a rounding error of {rounding:.2g} m at {farthest:.3g} m"
-            " from the origin",
+            f"--precision {precision.text} is {length_text(least)} for the smallest body, and"
+            f" points have single precision, with a rounding error of {length_text(rounding)} at"
+            f" {length_text(farthest)} from the origin",
             f"give {rounding:.2g}m or more",
         )
 
@@ -150,11 +150,11 @@ def require_resolved(request: Request, settings: Settings, gap: float, spacing: 
     placed = {"--floor": request.floor, "--drop": request.drop}
     placement = " ".join(f"{name} {text}" for name, text in placed.items() if text is not None)
     raise UsageError(
-        f"{placement or 'the stage'}: bodies would be {height:.3g} m from the origin, where"
-        f" points, in single precision, have a rounding error of {rounding:.2g} m; particles are"
-        f" {spacing:.2g} m apart",
-        f"give heights of up to {LOST * spacing / rounding * height:.2g} m, or check the unit of"
-        " the asset (--meters-per-unit)",
+        f"{placement or 'the stage'}: bodies would be {length_text(height)} from the origin, where"
+        f" points, in single precision, have a rounding error of {length_text(rounding)};"
+        f" particles are {length_text(spacing)} apart",
+        f"give heights of up to {length_text(LOST * spacing / rounding * height)}, or check the"
+        " unit of the asset (--meters-per-unit)",
     )
 
 
@@ -173,10 +173,11 @@ def own_space_notes(surfaces: Sequence[Surface], lift: Floats, spacing: float) -
         if moved <= MOVED * authored or rounding <= COARSE * spacing:
             continue
         text = (
-            f"<{one.path}> is moved by {float(np.linalg.norm(lift)):.3g} m to its height above the"
-            f" floor, and its points {'would be' if rounding > LOST * spacing else 'are'}"
-            f" {moved:.3g} m from the origin of its own space, where they, in single precision,"
-            f" have a rounding error of {rounding:.2g} m; particles are {spacing:.2g} m apart"
+            f"<{one.path}> is moved by {length_text(float(np.linalg.norm(lift)))} to its height"
+            f" above the floor, and its points {'would be' if rounding > LOST * spacing else 'are'}"
+            f" {length_text(moved)} from the origin of its own space, where they, in single"
+            f" precision, have a rounding error of {length_text(rounding)}; particles are"
+            f" {length_text(spacing)} apart"
         )
         fix = "place it near the floor in its stage, or put --floor near it"
         if rounding > LOST * spacing:

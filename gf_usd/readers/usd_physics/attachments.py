@@ -36,7 +36,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Region
-from gf_usd.core.units import code_text
+from gf_usd.core.units import code_text, length_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import read_surface
 from gf_usd.readers.usd.select import named_prim
@@ -267,8 +267,8 @@ def _region(
     apart = float(np.linalg.norm(path[0] - points, axis=1).max())
     if apart > APART * float(np.linalg.norm(np.ptp(surface.points, axis=0))):
         notes.add(
-            f"has points up to {apart:.3g} m away from the positions they are attached to: they "
-            f"are held at their own positions and move with them",
+            f"has points up to {length_text(apart)} away from the positions they are attached"
+            f" to: they are held at their own positions and move with them",
             str(prim.GetPath()),
         )
     return Region(

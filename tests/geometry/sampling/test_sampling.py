@@ -155,7 +155,7 @@ def test_uniform_sampling_gives_exactly_as_many_as_asked_for():
 def test_too_few_particles_are_refused_in_words():
     with pytest.raises(InputError) as caught:
         sample_solid(solid(cube()), particles=None, spacing=0.5, seed=0)
-    message = "only 8 particles fit at a spacing of 0.5 m into 1 m^3 (at least 16)"
+    message = "only 8 particles fit at a spacing of 50 cm into 1 m³ (at least 16)"
     assert caught.value.message == message
     assert LEAST_PARTICLES == 16
     assert caught.value.hint == "lower --spacing or raise --particles"

@@ -32,6 +32,7 @@ def test_a_plane_becomes_a_slab_of_one_layer(n: int) -> None:
     made, (done,) = thickened(sheet(n), particles=400)
     assert (done.thickened, done.thin_left) == (1, 0)
     assert done.thickness == pytest.approx(LAYER / 20.0, rel=1e-9)  # a^2 = 1 / 400 m^2
+    assert "made 1 thin part 4.85 cm thick (one spacing) for the simulation" in done.messages()
     solid = build_solid(made)
     assert len(boundary_edges(solid.triangles[0])) == 0
     assert solid.orientation(0) == 1.0

@@ -145,7 +145,7 @@ def test_spacing_and_particles_of_the_stage_hold_unless_asked(plan) -> None:
     # At .1 all cells are full.  At .2 a cube has 27 cells of which 26 are cut, to .42 to .75 of a
     # full one: 4 particles in each for its 1 m^3 / (.2 m)^3 = 125.
     assert seen.particles.spacing == pytest.approx(0.1, rel=0.02)
-    assert noted(seen, "a bake has one spacing: the 0.1 m of </One> is used for all bodies")
+    assert noted(seen, "a bake has one spacing: the 10 cm of </One> is used for all bodies")
     assert plan(layer, particles=None, spacing=0.2).particles.spacing == pytest.approx(
         (1.0 / (26 * 4 + 8)) ** (1.0 / 3.0), rel=1e-6
     )

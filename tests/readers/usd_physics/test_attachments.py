@@ -135,7 +135,7 @@ def test_points_away_from_their_places_move_as_the_places_do(tmp_path: Path) -> 
     plan, _ = prepare(stage(tmp_path, shift=0.1), draw=None, **options)
     (pin,) = plan.pins
     np.testing.assert_allclose(pin.path[0], pin.anchors, atol=1e-6)
-    assert "up to 0.1 m away from the positions they are attached to" in " ".join(plan.notes)
+    assert "up to 10 cm away from the positions they are attached to" in " ".join(plan.notes)
 
 
 @pytest.mark.parametrize(
