@@ -12,7 +12,7 @@ from gf_usd.core.arrays import Ints
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import BodyPhysics, StageSpec
-from gf_usd.core.units import StageUnits
+from gf_usd.core.units import StageUnits, volume_text
 from gf_usd.prepare.materials.parts import MaterialPart
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def implausible_densities(stated: Sequence[StatedDensity], units: StageUnits) ->
         what = f"a density of {_text(first.density)}{_meant(first.density, units)}"
     else:
         what = (
-            f"a mass of {first.mass:.3g} kg in {first.volume:.3g} m^3, which is a density of"
+            f"a mass of {first.mass:.3g} kg in {volume_text(first.volume)}, which is a density of"
             f" {_text(first.density)}"
         )
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""

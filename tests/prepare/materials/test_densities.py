@@ -64,7 +64,7 @@ def test_sound_densities_are_no_warning(plan, stated: str, options: dict[str, ob
 def test_the_density_of_a_mass_counts(plan) -> None:
     made = plan(mesh("Duck", "float physics:mass = 1", apis=[MASS]), layer=CENTIMETERS)
     assert made.heavy.startswith(
-        "</Duck> states a mass of 1 kg in 1e-06 m^3, which is a density of 1,000,000 kg/m^3"
+        "</Duck> states a mass of 1 kg in 1 cm³, which is a density of 1,000,000 kg/m^3"
     )
 
 
