@@ -12,6 +12,7 @@ from small_bakes import BLOCK
 
 import gf_usd
 from gf_usd.core.errors import UsageError
+from gf_usd.core.units import length_text
 
 SHARE = 0.01
 OPTIONS = {"precision": "1%", "adaptive_samples": True, "no_velocities": True}
@@ -60,7 +61,7 @@ def test_an_independent_reader_finds_the_printed_error(bakes) -> None:
     assert error == pytest.approx(worst, rel=0.01)
     about = mine.GetRootLayer().customLayerData["gaussianFlesh"]["looks"]["rubber"]["storage"]
     assert about["errors"]["positions_m"] == error
-    assert any(f"{error:.3g} m" in note for note in bakes["few"].notes)
+    assert any(length_text(error) in note for note in bakes["few"].notes)
 
 
 def test_the_sizes_are_those_of_the_files(bakes) -> None:
