@@ -14,6 +14,8 @@ from gf_usd.core.asset import NO_COLOR, Texture
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.geometry.solid import ROUNDING, Solid
 
+BEYOND = 0.01  # of the distance to a surface, how far behind it another one must have ended
+
 
 @dataclass(frozen=True, kw_only=True)
 class Nearest:
@@ -74,11 +76,11 @@ def _tied(solid: Solid, X: Floats, at: Nearest) -> list[tuple[int, Ints]]:
     Only points in the box of another surface than their own are tested further: elsewhere no other
     surface encloses them.
     """
-    count = len(solid.surfaces)
+    surfaces, count = solid.surfaces, len(solid.surfaces)
     if count < 2:
         return []
-    low = np.array([s.face_points.min(0) for s in solid.surfaces])
-    high = np.array([s.face_points.max(0) for s in solid.surfaces])
+    low = np.array([s.face_points.min(0) for s in surfaces])
+    high = np.array([s.face_points.max(0) for s in surfaces])
     rounding = ROUNDING * float(np.maximum(np.abs(low), np.abs(high)).max())  # [m]
     found = []
     for k in range(count):
@@ -90,13 +92,20 @@ def _tied(solid: Solid, X: Floats, at: Nearest) -> list[tuple[int, Ints]]:
             boxed |= ((low[j] <= X[mine]) & (X[mine] <= high[j])).all(1)
         left = mine[boxed]
         left = left[~solid.bounds[k].inside(X[left])]
+        corners = surfaces[k].points[surfaces[k].triangles[at.triangle[left]]]
+        foot = np.einsum("nk,nkd->nd", at.barycentric[left], corners)
+        way = (foot - X[left]) / np.maximum(at.distance[left], rounding)[:, None]
+        # A surface that goes through the foot does not enclose what is just beyond it.
+        beyond = foot + (2.0 * rounding + BEYOND * at.distance[left])[:, None] * way
         for j in others:
-            rows = left[solid.bounds[j].inside(X[left])]
-            if len(rows):
-                away = _of_any(solid.part(np.array([j])), X[rows]).distance
-                rows = rows[away <= at.distance[rows] + rounding]
-                left = np.setdiff1d(left, rows)
-                found.append((j, rows))
+            mine = solid.bounds[j].inside(X[left]) & ~solid.bounds[j].inside(beyond)
+            if not mine.any():
+                continue
+            rows = left[mine]
+            away = _of_any(solid.part(np.array([j])), X[rows]).distance
+            mine[mine] = away <= at.distance[rows] + rounding
+            found.append((j, left[mine]))
+            left, beyond = left[~mine], beyond[~mine]
     return found
 
 
