@@ -56,17 +56,10 @@ from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
 from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.fill.inputs import repair_asset_for_fill
+from gf_usd.prepare.fill.neighbors import neighbor_notes, with_neighbors, would_fill
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
-from gf_usd.prepare.prepare import (
-    ROOT,
-    neighbor_notes,
-    parse_request,
-    read_stage,
-    reading,
-    with_neighbors,
-    would_fill,
-)
+from gf_usd.prepare.prepare import around, parse_request, read_stage, reading
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import watching
 
@@ -303,9 +296,7 @@ def inspect(
     seen = examine(asset)
     files = outputs(source, [preset.name for preset in found.presets], None)
     alone = bool(prims) and not request.flesh
-    everything = partial(
-        reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
-    )
+    others = around(found, source, limits, request, presets, meters_per_unit, up_axis)
     try:
         plan, solid = fill(
             asset, request, found.presets, law, files, found.file, spec=spec, repair=repair,
@@ -314,7 +305,7 @@ def inspect(
     except InputError as refused:
         refusal = refused
         if alone:
-            refusal = with_neighbors(refused, asset, everything) or refused
+            refusal = with_neighbors(refused, asset, others) or refused
         warnings = [implausible_size(asset)]
         mendable = not repair and not would_fill(asset)
         if mendable and would_fill(repair_asset_for_fill(asset, request, spec)[1]):
@@ -324,7 +315,7 @@ def inspect(
             repairs=repair_asset_for_fill(asset, request, spec)[2] if repair else (),
         )  # fmt: skip
     if alone:
-        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, everything)))
+        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, others)))
     stages.begin(INSPECTING, "(time and memory)")
     with watching(stages.compile):
         prepared = with_shot_length(Prepared(plan=plan))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from gf_usd.prepare.asset_size import implausible_size
 from gf_usd.prepare.bodies.contact import file_obstacles
 from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.fill.inputs import Progress, silent
-from gf_usd.prepare.fill.parts import Parts
+from gf_usd.prepare.fill.neighbors import Around, neighbor_notes, with_neighbors
 from gf_usd.prepare.materials.table import Authored, variant_name
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import Swept, swept
@@ -59,8 +59,6 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
-ROOT = "/"  # the path above all prims
-NAME_THEM = "name those meshes as well (--prim), or a prim above all of them"
 DEFAULT_MATERIAL = "rubber"  # where neither an option nor the stage gives one
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
@@ -119,9 +117,7 @@ def prepare(
     if files.is_package:
         require_packable(found.file, source)
     asset, alone = found.asset, bool(prims) and not request.flesh
-    everything = partial(
-        reading, source, limits, request, presets, (ROOT,), meters_per_unit, up_axis
-    )
+    others = around(found, source, limits, request, presets, meters_per_unit, up_axis)
     try:
         plan, solid = fill(
             asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair,
@@ -130,12 +126,12 @@ def prepare(
     except InputError as refused:
         if not alone:
             raise
-        closed = with_neighbors(refused, asset, everything)
+        closed = with_neighbors(refused, asset, others)
         if closed is None:
             raise
         raise closed from refused
     if alone:
-        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, everything)))
+        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, others)))
     if once_filled:
 
         def refill(spacing: float) -> Plan:
@@ -337,63 +333,25 @@ def reading(
     )  # fmt: skip
 
 
-def with_neighbors(
-    refused: InputError, asset: Asset, everything: Callable[[], Reading]
-) -> InputError | None:
-    """The refusal of an asset with the meshes of its stage that would close its open ones.
-
-    None where there are none that could be filled together with these.
-
-    everything : starts to read all of the stage.
-    """
-    if would_fill(asset):
-        return None
-    text = next(_neighbors(asset, everything), "")
-    return InputError(f"{refused.message}\n{text}", NAME_THEM) if text else None
-
-
-def neighbor_notes(asset: Asset, everything: Callable[[], Reading]) -> tuple[str, ...]:
-    """Notes on the meshes of the stage that would close the large holes of an asset that is filled.
-
-    everything : starts to read all of the stage, which is done where there are such holes.
-    """
-    from gf_usd.geometry.connected.joined import joined_surfaces
-    from gf_usd.geometry.diagnosis import HOLE_LIMIT, diagnose
-
-    own = (s for s in joined_surfaces(asset).asset.surfaces if s.splats is None)
-    if all(hole.share <= HOLE_LIMIT for one in own for hole in diagnose(one).holes):
-        return ()
-    return tuple(f"{text}: {NAME_THEM}" for text in _neighbors(asset, everything))
-
-
-def _neighbors(asset: Asset, everything: Callable[[], Reading]) -> Iterator[str]:
-    """Texts on meshes of an asset that enclose a volume together with others of its stage."""
-    from gf_usd.geometry.connected.joined import joined_surfaces, listed
-
-    mine = {s.path for s in asset.surfaces}
-    try:
-        with everything() as read:
-            found = read.result()
-    except InputError:  # of prims that were not named, which are not what is baked
-        return
-    parts = Parts(found.spec or StageSpec())
-    for group in joined_surfaces(found.asset, parts.apart, parts.alike).groups:
-        named, others = ([p for p in group if (p in mine) == own] for own in (True, False))
-        if named and others:
-            one = "encloses" if len(named) == 1 else "enclose"
-            yield f"{listed(named)} {one} a volume together with {listed(others)}"
-
-
-def would_fill(asset: Asset) -> bool:
-    """Whether the surfaces of an asset enclose a volume."""
-    from gf_usd.geometry.connected.joined import joined_surfaces
-    from gf_usd.geometry.solid import build_solid
-
-    try:
-        build_solid(joined_surfaces(asset).asset)
-    except InputError:
-        return False
-    return True
+def around(
+    found: SourceAsset,
+    source: Path,
+    limits: Limits | None,
+    request: Request,
+    presets: Sequence[Any],
+    meters_per_unit: float | None,
+    up_axis: str | None,
+) -> Around:
+    """What reads the meshes of a stage around those that were read."""
+    usd, again = source.suffix.lower() in USD_SUFFIXES, None
+    if not usd and request.max_edge_length is not None:  # its layer has divided faces
+        whole = replace(request, max_edge_length=None)
+        prims = [s.path for s in found.asset.surfaces]
+        again = partial(reading, source, limits, whole, presets, prims, meters_per_unit, up_axis)
+    return Around(
+        file=source if usd else found.file, usd=usd, again=again, rest=request.start,
+        elastic=_elastic(presets),
+    )  # fmt: skip
 
 
 def parse_request(

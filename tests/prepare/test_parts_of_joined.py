@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from physics_stages import bound, head, prim
 from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
 
@@ -15,9 +16,11 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import weld
 from gf_usd.core.stage import BodyPhysics, StagePhysics, StageSpec
 from gf_usd.pipeline.prepared import prepare
-from gf_usd.prepare import prepare as reader
+from gf_usd.prepare.fill import neighbors
 from gf_usd.prepare.fill.parts import Parts
 from gf_usd.prepare.plan import Plan
+from gf_usd.readers import read_asset
+from gf_usd.readers.usd import asset
 
 SMALL: dict[str, Any] = {"particles": 400, "drop": 0, "frames": 3}
 
@@ -481,12 +484,95 @@ def test_only_a_part_with_a_large_hole_has_its_stage_read_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read = []
-    monkeypatch.setattr(reader, "_neighbors", lambda *_: read.append(1) or iter(()))
+    monkeypatch.setattr(neighbors, "_neighbors", lambda *_: read.append(1) or iter(()))
     ball = split_ball(tmp_path, borders=(0.52, 1.25))  # a hole of 2 % of the ball
     gf_usd.inspect(ball, prims=["/Ball/Middle", "/Ball/High"], **SMALL)
     assert read == []
     gf_usd.inspect(split_ball(tmp_path), prims=["/Ball/Middle", "/Ball/High"], **SMALL)
     assert read == [1]
+
+
+TRIANGLE = (
+    "int[] faceVertexCounts = [3]",
+    "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]",
+)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        prim("Mesh", "Bad", "int[] faceVertexIndices = [0, 1, 7]", *TRIANGLE),
+        prim(
+            "Mesh", "Bad", "int[] faceVertexIndices = [0, 1, 2]", *TRIANGLE,
+            'uniform token gaussianFlesh:material = "nope"', apis=("GaussianFleshBakeAPI",),
+        ),
+        prim(
+            "Mesh", "Bad", "int[] faceVertexIndices = [0, 1, 2]", *TRIANGLE,
+            "float physics:density = -5", apis=("PhysicsMassAPI",),
+        ),
+    ],
+    ids=["index", "material", "density"],
+)  # fmt: skip
+@pytest.mark.parametrize("named", [["/Ball/Low"], ["/Ball/Low", "/Ball/Middle"]])
+def test_an_invalid_prim_elsewhere_hides_no_part_that_closes_the_named(
+    tmp_path: Path, other: str, named: list[str]
+) -> None:
+    """The meshes were no longer named, without a word."""
+    ball = split_ball(tmp_path)
+    ball.write_text(ball.read_text(encoding="utf-8") + other, encoding="utf-8")
+    seen = gf_usd.inspect(ball, prims=named, **SMALL)
+    said = [seen.refusal.message] if seen.refusal else seen.notes
+    assert "a volume together with" in "\n".join(said)
+
+
+def test_an_invalid_density_of_the_part_that_closes_the_named_hides_it_not(tmp_path: Path) -> None:
+    ball = split_ball(tmp_path, low=("float physics:density = -5",))
+    seen = gf_usd.inspect(ball, prims=["/Ball/Middle", "/Ball/High"], **SMALL)
+    assert "enclose a volume together with </Ball/Low>" in "\n".join(seen.notes)
+
+
+def test_only_meshes_at_the_borders_of_the_named_are_triangulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The whole stage was read and joined: 2000 other balls took 25 s."""
+    far = sphere(0.5, (3.0, 1.0, 0.0), subdivisions=1)
+    others = [
+        prim("Xform", f"Far{k}", part("Mesh", far.points + (k, 0, 0), far.triangles))
+        for k in range(3)
+    ]
+    ball = split_ball(tmp_path)
+    ball.write_text(ball.read_text(encoding="utf-8") + "".join(others), encoding="utf-8")
+    read: list[str] = []
+    one = asset.read_faces
+    monkeypatch.setattr(
+        asset, "read_faces", lambda p, *a: (read.append(str(p.GetPath())), one(p, *a))[1]
+    )
+    seen = gf_usd.inspect(ball, prims=["/Ball/Low"], **SMALL)
+    assert seen.refusal is not None
+    assert "together with </Ball/Middle>, </Ball/High>" in seen.refusal.message
+    assert sorted(read) == ["/Ball/High", "/Ball/Low", "/Ball/Middle"]
+
+
+@pytest.mark.parametrize("suffix", ["usda", "glb"])
+def test_meshes_that_close_the_named_are_found_where_edges_are_divided(
+    tmp_path: Path, suffix: str
+) -> None:
+    file = split_ball(tmp_path, borders=(1.25, 2.0))
+    if suffix == "glb":
+        ball = sphere(0.5, (0.0, 1.0, 0.0), subdivisions=3)
+        T = weld(ball.points)[0][ball.triangles]
+        high = ball.points[T].mean(1)[:, 1] > 1.25
+        scene = trimesh.Scene()
+        for name, which in (("Low", ~high), ("High", high)):
+            scene.add_geometry(trimesh.Trimesh(ball.points, T[which]), name, name)
+        file = tmp_path / "ball.glb"
+        scene.export(str(file))
+    every = [s.path for s in read_asset(file).surfaces]
+    (named,) = (path for path in every if "Low" in path)
+    seen = gf_usd.inspect(file, prims=[named], max_edge_length="0.05", **SMALL)
+    said = "\n".join(seen.notes)
+    assert "no edge is longer" in said
+    assert f"<{named}> encloses a volume together with" in said
 
 
 def test_parts_that_are_not_joined_are_no_remedy(tmp_path: Path) -> None:

@@ -77,16 +77,7 @@ def joined_surfaces(
 
     apart : prim paths of meshes that are not joined; alike : of the others, None: all are.
     """
-    pieces = [
-        s
-        for s in asset.surfaces
-        if s.type_name == "Mesh" and s.splats is None and s.own_points is None
-        and s.path not in apart
-    ]  # fmt: skip
-    if len(pieces) < 2:
-        return Joined(asset=asset)
-    found = [(s, boundary_edges(s.representative[s.triangles])) for s in pieces]
-    pieces, edges = [s for s, e in found if len(e)], [e for _, e in found if len(e)]
+    pieces, edges = _open_pieces(asset.surfaces, apart)
     without_volume = {s.path for s in pieces if closed_triangles(s)[2]}
     if len(pieces) < 2 or not without_volume:
         return Joined(asset=asset)
@@ -106,6 +97,33 @@ def joined_surfaces(
     return Joined(
         asset=_with_surfaces(asset, made), groups=tuple(groups), against=frozenset(reverse)
     )
+
+
+def bordering(surfaces: Sequence[Surface], paths: Collection[str]) -> set[str]:
+    """Prim paths of the open meshes that common borders connect to meshes, and those of these."""
+    pieces, edges = _open_pieces(surfaces)
+    found: set[str] = set()
+    if len(pieces) > 1:
+        for members, _ in _adjacent(pieces, edges, None):
+            group = {pieces[k].path for k in members}
+            found |= set() if group.isdisjoint(paths) else group
+    return found
+
+
+def _open_pieces(
+    surfaces: Sequence[Surface], apart: Collection[str] = ()
+) -> tuple[list[Surface], list[Ints]]:
+    """The meshes that may be parts of one, and the (E, 2) directed border edges of each."""
+    pieces = [
+        s
+        for s in surfaces
+        if s.type_name == "Mesh" and s.splats is None and s.own_points is None
+        and s.path not in apart
+    ]  # fmt: skip
+    if len(pieces) < 2:
+        return [], []
+    found = [(s, boundary_edges(s.representative[s.triangles])) for s in pieces]
+    return [s for s, e in found if len(e)], [e for _, e in found if len(e)]
 
 
 def _adjacent(

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
+import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
 from gf_usd.core import USD_SUFFIXES
+from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, bake_original, first_time_code
 from gf_usd.core.errors import InputError, counted
+from gf_usd.core.mesh import boundary_edges
 from gf_usd.readers.notes import ANIMATED, POSED, Notes
-from gf_usd.readers.usd.mesh import Reading, read_surface, with_limit
+from gf_usd.readers.usd.mesh import Reading, read_faces, read_surface, with_limit, world_box
 from gf_usd.readers.usd.select import (
     INVISIBLE,
     OF_BAKE,
@@ -100,6 +104,72 @@ def read_usd(
         )
 
 
+BORDER_MARGIN = 1e-4  # of the diagonal of a border's box, as points of two meshes differ slightly
+
+
+def read_around(
+    file: Path, facts: StageFacts, paths: Sequence[str], *, rest: float | None
+) -> tuple[Surface, ...]:
+    """The meshes at prim paths and those of the stage around them, without their appearance.
+
+    A mesh is around others where its box touches the box of the open border of one of them, or of
+    one that is around them itself.  Other meshes are neither triangulated nor checked, and invalid
+    ones are left out.  In stage order.
+
+    file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
+    """
+    with reading(file):
+        stage, notes = open_stage(file), Notes()
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        context = _context(facts.path, facts, time, notes, bind_pose=False)
+        boxes: dict[str, tuple[Usd.Prim, Floats]] = {}
+        for prim in shapes_under(stage, [Sdf.Path.absoluteRootPath], time):
+            if prim.IsA(UsdGeom.Mesh):
+                with suppress(InputError, SkippedPrim):
+                    boxes[str(prim.GetPath())] = prim, world_box(prim, context)
+        order = {path: k for k, path in enumerate(boxes)}
+        found: list[Surface] = []
+        left = [path for path in paths if path in boxes]
+        while left:
+            borders = []
+            for path in left:
+                prim = boxes.pop(path)[0]
+                with suppress(InputError, SkippedPrim):
+                    found.append(read_faces(prim, context))
+                    edges = boundary_edges(found[-1].representative[found[-1].triangles])
+                    if len(edges):
+                        borders.append(_grown_box(found[-1].points[edges].reshape(-1, 3)))
+            left = [
+                path
+                for path, (_, (low, high)) in boxes.items()
+                if any((low <= b[1]).all() and (high >= b[0]).all() for b in borders)
+            ]
+        return tuple(sorted(found, key=lambda one: order[one.path]))
+
+
+def _grown_box(points: Floats) -> Floats:
+    """(2, 3) [m] the corners of the box around points, with BORDER_MARGIN."""
+    low, high = points.min(0), points.max(0)
+    margin = BORDER_MARGIN * float(np.linalg.norm(high - low))
+    return np.array([low - margin, high + margin])
+
+
+def _context(
+    path: Path, facts: StageFacts, time: Usd.TimeCode, notes: Notes, *, bind_pose: bool
+) -> Reading:
+    """The context of reading prims; path : the file, for messages."""
+    xforms = UsdGeom.XformCache(time)
+    return Reading(
+        path=path,
+        time=time,
+        meters_per_unit=facts.units.length,
+        xforms=xforms,
+        skins=Skins(time, xforms, notes, bind=bind_pose),
+        shadings=ShadingReader(time, notes),
+        notes=notes,
+    )
+
+
 def _surfaces(
     path: Path,
     found: Selection,
@@ -110,16 +180,8 @@ def _surfaces(
     named: Sequence[str],
 ) -> tuple[list[Surface], list[Splats], dict[str, str]]:
     """The surfaces and Gaussians of the selection, and the reasons for skipped prims by path."""
-    xforms = UsdGeom.XformCache(time)
-    context = Reading(
-        path=path,
-        time=time,
-        meters_per_unit=facts.units.length,
-        xforms=xforms,
-        skins=Skins(time, xforms, notes, bind=bind_pose),
-        shadings=ShadingReader(time, notes),
-        notes=notes,
-    )
+    context = _context(path, facts, time, notes, bind_pose=bind_pose)
+    xforms = context.xforms
     surfaces: list[Surface] = []
     splats: list[Splats] = []
     skipped = dict(found.skipped)

@@ -64,6 +64,31 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
 
     Raises InputError for invalid data, and SkippedPrim for a prim without a surface.
     """
+    surface, place, where = _faces(prim, reading)
+    normals = read_normals(
+        prim, place, surface.points, where, surface.face_counts, surface.face_indices,
+        reading.time, reading.notes,
+    )  # fmt: skip
+    shading = colors(prim, where, reading.shadings, reading.time, reading.notes)
+    return replace(
+        surface,
+        normals=normals.values,
+        normals_interpolation=normals.interpolation,
+        normal_points=normals.carriers,
+        triangle_colors=shading.colors,
+        triangle_uvs=shading.uvs,
+        triangle_materials=shading.indices,
+        materials=shading.materials,
+    )
+
+
+def read_faces(prim: Usd.Prim, reading: Reading) -> Surface:
+    """The surface of a prim without normals, colors and materials; errors as `read_surface`."""
+    return _faces(prim, reading)[0]
+
+
+def _faces(prim: Usd.Prim, reading: Reading) -> tuple[Surface, Placement, Corners]:
+    """See `read_faces`; also the placement of the prim, and the corners of its triangles."""
     polygons = _polygons(prim, reading)
     if prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh):
         polygons = replace(polygons, points=_bound(prim, polygons.points, reading))
@@ -88,11 +113,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         corners=corners,
         faces=faces,
     )
-    normals = read_normals(
-        prim, place, points, where, polygons.counts, polygons.indices, reading.time, reading.notes
-    )
-    shading = colors(prim, where, reading.shadings, reading.time, reading.notes)
-    return Surface(
+    surface = Surface(
         path=str(prim.GetPath()),
         type_name=str(prim.GetTypeName()),
         points=points,
@@ -100,19 +121,25 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         face_indices=polygons.indices,
         triangles=np.ascontiguousarray(triangles),
         triangle_corners=np.ascontiguousarray(corners),
-        normals=normals.values,
-        normals_interpolation=normals.interpolation,
-        normal_points=normals.carriers,
-        triangle_colors=shading.colors,
-        triangle_uvs=shading.uvs,
-        triangle_materials=shading.indices,
-        materials=shading.materials,
         skinned=place.skinned,
         own_points=None if carriers is None else authored,
         origin=_origin(prim, reading),
         component=_component(prim),
         hole_faces=int(np.isin(np.arange(len(polygons.counts)), polygons.holes).sum()),
     )
+    return surface, place, where
+
+
+def world_box(prim: Usd.Prim, reading: Reading) -> Floats:
+    """(2, 3) [m] the corners of the box around the points of a Mesh prim; its faces are not read.
+
+    Raises InputError for invalid points, and SkippedPrim for a prim without any.
+    """
+    local = _finite_points(UsdGeom.Mesh(prim), prim, reading)
+    if len(local) == 0:
+        raise SkippedPrim("has no points")
+    points = _placement(prim, reading).points(_bound(prim, local, reading))
+    return np.array([points.min(0), points.max(0)]) * reading.meters_per_unit
 
 
 def _component(prim: Usd.Prim) -> str:
