@@ -70,6 +70,7 @@ class StageFacts:
     animated: bool = False  # a layer of it holds time samples
     says_physics: bool = False  # a UsdPhysics scene or API is authored on the stage
     baked_prim: str | None = None  # a root prim with the variants of a bake
+    baked: bool = False  # the stage is the result of a bake, in one file or with variants
     baked_from: str = ""  # the asset of that bake, as its command names it
     notes: tuple[str, ...] = ()  # assumptions and omissions
 
@@ -80,16 +81,17 @@ class StageFacts:
 
     def require_not_baked(self) -> None:
         """Raise InputError where the stage is the result of a bake."""
-        if self.baked_prim is not None:
+        if self.baked:
             raise baked_already(self.path, self.baked_prim, self.baked_from)
 
 
-def baked_already(path: Path, prim: str, asset: str = "") -> InputError:
-    """The refusal of a stage whose root prim has the variants of a bake of an asset."""
-    return InputError(
-        f"{path}: <{prim}> already has a variant set {BAKES!r}: this file is the result of a bake",
-        bake_original(asset),
-    )
+def baked_already(path: Path, prim: str | None, asset: str = "") -> InputError:
+    """The refusal of the result of a bake of an asset.
+
+    prim : the root prim with the variants of the bake; None: it is one file without them.
+    """
+    variants = "" if prim is None else f"<{prim}> already has a variant set {BAKES!r}: "
+    return InputError(f"{path}: {variants}this file is the result of a bake", bake_original(asset))
 
 
 def bake_original(asset: str) -> str:

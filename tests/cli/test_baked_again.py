@@ -48,6 +48,47 @@ def test_the_cache_of_a_bake_is_refused_with_the_name_of_its_asset(
     assert done.err.endswith("\n\nhint: bake the original asset instead\n")
 
 
+@pytest.mark.parametrize("name", ["block.usdz", "block.flat.usda"])
+def test_one_file_of_a_bake_is_refused_with_the_name_of_its_asset(
+    gf_usd, here: Path, block: Path, name: str
+) -> None:
+    """It has no variant set of a bake, and was baked.  It refers to no layer in another folder."""
+    kind = () if name.endswith("usdz") else ("--flatten",)
+    done = gf_usd("bake", block, *SMALL, *kind, "-o", name)
+    assert done.status == 0, done.err
+    for command in ("bake", "inspect"):
+        done = gf_usd(command, name, *SMALL)
+        assert (done.status, done.out) == (3, "")
+        assert done.err == (
+            f"error: {name}: this file is the result of a bake\n\n"
+            f"hint: bake the original asset, {block.name}, instead\n"
+        )
+
+
+def test_a_bake_whose_meshes_are_hidden_is_refused_as_one(gf_usd, here: Path, block: Path) -> None:
+    """The hint at the bake of what flows was to make its meshes visible."""
+    layer = f"""#usda 1.0
+(
+    customLayerData = {{
+        dictionary gaussianFlesh = {{
+            string command = "gf-usd bake {block.name} -m water"
+        }}
+    }}
+    subLayers = [@../{block.name}@]
+)
+over "World" (variants = {{ string gaussianFlesh = "water" }}
+    prepend variantSets = "gaussianFlesh")
+{{
+    token visibility = "invisible"
+    variantSet "gaussianFlesh" = {{ "water" {{}} }}
+}}
+"""
+    (here / "block.rubber.usda").write_text(layer, encoding="utf-8")
+    for command in ("bake", "inspect"):
+        done = gf_usd(command, "block.rubber.usda", *SMALL)
+        assert (done.status, done.out, done.err) == (3, "", REFUSAL.format(f"../{block.name}"))
+
+
 @pytest.mark.parametrize(
     ("folder", "typed"), [("my assets", "'../my assets/block.usda'"), ("", "block.usda")]
 )

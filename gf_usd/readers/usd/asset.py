@@ -85,6 +85,7 @@ def read_usd(
         found = select(stage, path, prims, time)
         surfaces, splats, skipped = _surfaces(path, found, facts, time, notes, bind_pose, prims)
         if not surfaces and not splats:
+            facts.require_not_baked()  # the bake of what flows hides its meshes
             raise _no_geometry(stage, path, found, skipped, notes, by_name=bool(prims))
         _note_passed_through(stage, found, time, notes)
         filled = {surface.path for surface in surfaces}

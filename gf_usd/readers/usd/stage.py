@@ -184,7 +184,7 @@ def stage_facts(
     )
     for error in composition_errors(stage):
         notes.add(f"does not compose: {error}")
-    default = stage.GetDefaultPrim()
+    default, baked = stage.GetDefaultPrim(), _baked_prim(stage)
     if root.HasDefaultPrim() and not default:
         notes.add(
             f"defaultPrim names '{root.defaultPrim}', which does not exist: all root prims are used"
@@ -212,7 +212,8 @@ def stage_facts(
         default_prim=str(default.GetPath()) if default else None,
         animated=any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()),
         says_physics=any(_is_physics(prim) for prim in _everything(stage)),
-        baked_prim=_baked_prim(stage),
+        baked_prim=baked,
+        baked=baked is not None or bool(_command(root)),
         baked_from=baked_asset(root),
     )
 
@@ -232,12 +233,8 @@ def baked_asset(layer: Sdf.Layer) -> str:
     The command in the root layer has its name.  Where no file of this name is referenced or next to
     the layer, it is the name alone.
     """
-    data = layer.customLayerData.get(BAKES)
-    command = data.get("command") if isinstance(data, dict) else None
-    if not isinstance(command, str):  # another program may have written anything
-        return ""
     try:
-        words = shlex.split(command)
+        words = shlex.split(_command(layer))
     except ValueError:  # quotes without an end
         return ""
     if not words[2:]:
@@ -247,6 +244,13 @@ def baked_asset(layer: Sdf.Layer) -> str:
     places = [*map(Path, layers), Path(layer.realPath).parent / name]
     found = next((one for one in places if one.name == name and one.is_file()), None)
     return shlex.quote(name if found is None else relative(found, Path.cwd()))
+
+
+def _command(layer: Sdf.Layer) -> str:
+    """The command of the bake whose root layer or one file a layer is; "": it is none."""
+    data = layer.customLayerData.get(BAKES)
+    command = data.get("command") if isinstance(data, dict) else None
+    return command if isinstance(command, str) else ""  # other programs may write anything
 
 
 def _time_code(authored: bool, value: float, path: Path, which: str) -> float | None:
