@@ -394,6 +394,7 @@ class Pin:
     rigid: bool = False  # whether it moves as a rigid body by the forces on it, and not as given
     patch: bool = False  # part of a surface: where no node is inside, the nearest ones are held
     body: int | None = None  # the only body that it holds; None: any that is in the region
+    bodies: frozenset[int] = frozenset()  # whose meshes the prim of the region is, or contains
     meshes: frozenset[str] = frozenset()  # prim paths of meshes all of whose points move with it
 
     def holds(self, X: Floats, body: Ints | None) -> NDArray[np.bool_]:

@@ -80,9 +80,12 @@ def make_pins(
         _require_overlap(region, asset, option)
     make = make_rigid if option == "--rigid" else make_pin
     return tuple(
-        replace(make(region, solid, asset.surfaces), body=_body_of(region, solid, bodies))
+        replace(
+            make(region, solid, asset.surfaces),
+            body=_body_of(region, solid, bodies), bodies=_bodies_under(region, solid, bodies),
+        )
         for region in found
-    )
+    )  # fmt: skip
 
 
 def _body_of(region: Region, solid: Solid, bodies: Ints | None) -> int | None:
@@ -94,6 +97,18 @@ def _body_of(region: Region, solid: Solid, bodies: Ints | None) -> int | None:
     if bodies is None or not part:
         return None
     return int(bodies[solid.filled[region.body or region.name]])
+
+
+def _bodies_under(region: Region, solid: Solid, bodies: Ints | None) -> frozenset[int]:
+    """The bodies of the filled meshes at the prim path of a region and below it.
+
+    bodies : (S,) of each surface.
+    """
+    if bodies is None:
+        return frozenset()
+    above = f"{region.name.rstrip('/')}/"
+    filled = solid.filled.items()
+    return frozenset(int(bodies[k]) for path, k in filled if f"{path}/".startswith(above))
 
 
 def attachment_pins(

@@ -15,7 +15,7 @@ import gf_usd
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import weld
 from gf_usd.core.stage import BodyPhysics, StagePhysics, StageSpec
-from gf_usd.pipeline.prepared import prepare
+from gf_usd.pipeline.prepared import prepare, solver_of
 from gf_usd.prepare.fill import neighbors
 from gf_usd.prepare.fill.parts import Parts
 from gf_usd.prepare.plan import Plan
@@ -277,6 +277,25 @@ def test_a_part_holds_its_own_body_only(tmp_path: Path, option: str) -> None:
         plan = gf_usd.inspect(on_top, **{option: (region,)}, **SMALL).plan
         assert plan is not None
         assert plan.pins[0].body == body
+
+
+@pytest.mark.parametrize("region", ["/World/B/Cube", "/World/B"])
+def test_a_mesh_of_a_flowing_body_is_not_pinned(tmp_path: Path, region: str) -> None:
+    """It held what of a solid body was in it, without a word: a part of it was refused."""
+    solid, water = (
+        (f'uniform token gaussianFlesh:material = "{name}"',) for name in ("rubber", "water")
+    )
+    faces = [
+        part(f"F{k}", CUBE_POINTS, CUBE_TRIANGLES[2 * k : 2 * k + 2], *solid) for k in range(6)
+    ]
+    both = two_bodies(tmp_path, (0.1, 0.1, 1.05), faces, water)
+    plan = prepare(both, particles=400, drop="0", frames=3, pins=(region,)).plan
+    with pytest.raises(InputError, match=f"{region} is part of a body that flows, which cannot"):
+        solver_of(plan, plan.variants[0])
+    everything = prepare(both, particles=400, drop="0", frames=3, pins=("/World",)).plan
+    assert everything.pins[0].bodies == {0, 1}
+    with pytest.raises(InputError, match="the pins /World hold all"):
+        solver_of(everything, everything.variants[0])
 
 
 def test_a_rigid_part_leaves_a_touching_mesh_of_its_body_alone(tmp_path: Path) -> None:

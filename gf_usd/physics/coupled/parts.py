@@ -38,10 +38,11 @@ class Part:
         return mine if len(mine) > 1 else mine[0]
 
     def pins(self, pins: Sequence[Pin]) -> tuple[Pin, ...]:
-        """Pins with the numbers of the part's bodies; raises InputError for one of another body."""
+        """Pins with the numbers of the part's bodies; raises InputError for one of others only."""
         number = {int(k): i for i, k in enumerate(self.bodies)}
         for pin in pins:
-            if pin.body is not None and pin.body not in number:
+            of = pin.bodies if pin.body is None else {pin.body}
+            if of and of.isdisjoint(number):
                 raise InputError(
                     f"the pin {pin.name} is part of a body that flows, which cannot be pinned",
                     "leave it out, or give that body a solid --material",
