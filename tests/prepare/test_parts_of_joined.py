@@ -529,11 +529,15 @@ TRIANGLE = (
             "Mesh", "Bad", "int[] faceVertexIndices = [0, 1, 2]", *TRIANGLE,
             "float physics:density = -5", apis=("PhysicsMassAPI",),
         ),
+        prim(
+            "Mesh", "Huge", "int[] faceVertexCounts = [3]", "int[] faceVertexIndices = [0, 1, 2]",
+            "point3f[] points = [(0, 0, 0), (1e30, 0, 0), (0, 1e30, 0)]",
+        ),
     ],
-    ids=["index", "material", "density"],
+    ids=["index", "material", "density", "huge"],
 )  # fmt: skip
 @pytest.mark.parametrize("named", [["/Ball/Low"], ["/Ball/Low", "/Ball/Middle"]])
-def test_an_invalid_prim_elsewhere_hides_no_part_that_closes_the_named(
+def test_an_odd_prim_elsewhere_hides_no_part_that_closes_the_named(
     tmp_path: Path, other: str, named: list[str]
 ) -> None:
     """The meshes were no longer named, without a word."""

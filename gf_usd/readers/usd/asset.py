@@ -9,6 +9,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom
 
 from gf_usd.core import USD_SUFFIXES
@@ -113,9 +114,9 @@ def read_around(
 ) -> tuple[Surface, ...]:
     """The meshes at prim paths and those of the stage around them, without their appearance.
 
-    A mesh is around others where its box touches the box of the open border of one of them, or of
-    one that is around them itself.  Other meshes are neither triangulated nor checked, and invalid
-    ones are left out.  In stage order.
+    A mesh is around others where a point of its open border is in the box of the open border of one
+    of them, or of one that is around them itself.  Meshes whose boxes touch none of these boxes are
+    neither triangulated nor checked, and invalid ones are left out.  In stage order.
 
     file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
     """
@@ -124,28 +125,38 @@ def read_around(
         time = Usd.TimeCode(first_time_code(facts, rest))
         context = _context(facts.path, facts, time, notes, bind_pose=False)
         boxes: dict[str, tuple[Usd.Prim, Floats]] = {}
+        borders: list[Floats] = []
         for prim in shapes_under(stage, [Sdf.Path.absoluteRootPath], time):
             if prim.IsA(UsdGeom.Mesh):
                 with suppress(InputError, SkippedPrim):
                     boxes[str(prim.GetPath())] = prim, world_box(prim, context)
-        order = {path: k for k, path in enumerate(boxes)}
-        found: list[Surface] = []
-        left = [path for path in paths if path in boxes]
+        found: dict[str, tuple[Surface, Floats]] = {}  # and the (n, 3) points of its open border
+        taken: set[str] = set()
+        left = {path for path in paths if path in boxes}
         while left:
-            borders = []
-            for path in left:
-                prim = boxes.pop(path)[0]
+            for path in left - found.keys():
                 with suppress(InputError, SkippedPrim):
-                    found.append(read_faces(prim, context))
-                    edges = boundary_edges(found[-1].representative[found[-1].triangles])
-                    if len(edges):
-                        borders.append(_grown_box(found[-1].points[edges].reshape(-1, 3)))
-            left = [
+                    one = read_faces(boxes[path][0], context)
+                    edges = boundary_edges(one.representative[one.triangles])
+                    found[path] = one, one.points[edges].reshape(-1, 3)
+            # those that were not named have points of their border in another one's
+            mine = left & found.keys()
+            if taken:
+                mine = {p for p in mine if any(_inside(found[p][1], b).any() for b in borders)}
+            taken |= mine
+            borders = [_grown_box(found[p][1]) for p in sorted(mine) if len(found[p][1])]
+            left = {
                 path
                 for path, (_, (low, high)) in boxes.items()
-                if any((low <= b[1]).all() and (high >= b[0]).all() for b in borders)
-            ]
-        return tuple(sorted(found, key=lambda one: order[one.path]))
+                if path not in taken
+                and any((low <= b[1]).all() and (high >= b[0]).all() for b in borders)
+            }
+        return tuple(found[path][0] for path in boxes if path in taken)
+
+
+def _inside(points: Floats, box: Floats) -> NDArray[np.bool_]:
+    """(n,) which points (n, 3) are in a box (2, 3)."""
+    return ((points >= box[0]) & (points <= box[1])).all(1)
 
 
 def _grown_box(points: Floats) -> Floats:
