@@ -55,13 +55,13 @@ class Bounds:
         # Centered, to keep precision far from the origin.
         self._center = points.mean(0)
         self._points, self._triangles = points, triangles
-        self._low, self._high = points.min(0), points.max(0)
+        self.low, self.high = points.min(0), points.max(0)
         self._kept: igl.FastWindingNumberBVH | None = None
 
     def inside(self, X: Floats) -> NDArray[np.bool_]:
         """(n,) True for points (n, 3) [m] with a winding number of more than 1/2 in magnitude."""
         near = np.ones(len(X), bool)
-        for x, low, high in zip(X.T, self._low, self._high):
+        for x, low, high in zip(X.T, self.low, self.high):
             near &= (low <= x) & (x <= high)
         if near.any():
             near[near] = np.abs(self.winding_numbers(X[near])) > INSIDE
@@ -119,15 +119,31 @@ class Solid:
         sides = {inner: index[outer] for inner, outer in self.walls.items()}
         return sides | parts | index
 
-    def inside(self, X: Floats) -> NDArray[np.bool_]:
-        """(n,) True for points (n, 3) [m] inside any of the surfaces."""
-        out = np.zeros(len(X), bool)
-        left = np.arange(len(X))
-        for one in self.bounds:
-            found = one.inside(X)
-            if found.any():
-                out[left[found]] = True
-                left, X = left[~found], X[~found]
+    def inside(self, X: Floats, but: Ints | None = None) -> NDArray[np.bool_]:
+        """(n,) True for points (n, 3) [m] inside any of the surfaces.
+
+        but : (n,) a surface for each point that does not count; None: all count.
+
+        Points are sorted along one axis, so that each surface sees only those between its ends:
+        220,000 points against all boxes of 400 balls took nine times as long (measured).
+        """
+        if len(self.bounds) == 1 and but is None:
+            return self.bounds[0].inside(X)
+        low, high = (np.array(ends) for ends in zip(*((one.low, one.high) for one in self.bounds)))
+        whole = high.max(0) - low.min(0)
+        axis = int(np.argmin((high - low).sum(0) / np.where(whole > 0.0, whole, 1.0)))
+        order = np.argsort(X[:, axis])
+        X = X[order]
+        left = np.ones(len(X), bool)
+        first = np.searchsorted(X[:, axis], low[:, axis], "left")
+        last = np.searchsorted(X[:, axis], high[:, axis], "right")
+        for k in np.flatnonzero(first < last):
+            rows = first[k] + np.flatnonzero(left[first[k] : last[k]])
+            if but is not None:
+                rows = rows[but[order[rows]] != k]
+            left[rows] = ~self.bounds[k].inside(X[rows])
+        out = np.empty(len(X), bool)
+        out[order] = ~left
         return out
 
     def adding_nothing(self) -> set[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import igl
 import numpy as np
@@ -23,6 +24,9 @@ from gf_usd.geometry import winding
 from gf_usd.geometry.solid import Bounds, Solid
 from gf_usd.geometry.surface import Nearest, nearest
 from gf_usd.geometry.thin.thickness import chords, shell_chords, spread
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] three quarters of a cell: a thinner wall may have no cell of its own that is more
@@ -94,8 +98,9 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
     labels = [surface.welded.shell for surface in solid.surfaces]
     parts: list[Part] = []
     settled: set[tuple[int, int]] = set()  # shells whose regions are not checked
+    tree = kd_tree(particles.X)
     for number, label in enumerate(labels):
-        found, hollow = _poor_shells(solid, number, label, particles)
+        found, hollow = _poor_shells(solid, number, label, particles, tree)
         parts += found
         settled |= {(number, part.shell) for part in found}
         settled |= {(number, shell) for shell in hollow}
@@ -157,7 +162,7 @@ def _with_specks(
 
 
 def _poor_shells(
-    solid: Solid, number: int, label: Ints, particles: Particles
+    solid: Solid, number: int, label: Ints, particles: Particles, tree: cKDTree
 ) -> tuple[list[Part], list[int]]:
     """The shells of one surface with few particles, and its cavities."""
     points, triangles = solid.surfaces[number].points, solid.triangles[number]
@@ -168,7 +173,6 @@ def _poor_shells(
     # a single shell is no cavity, and its hierarchy is that of the solid
     one = len(area) == 1
     cavity = [False] if one else winding.orientations(points, triangles, label).target == -1
-    tree = kd_tree(particles.X)
     found = []
     wide = 2.0 * volume >= THIN * particles.spacing * area
     filled = wide & (volume >= SURE * particles.spacing**3)
