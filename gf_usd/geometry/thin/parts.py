@@ -2,7 +2,8 @@
 
 A part without particles inside moves with the nearest ones and does not deform by itself.  Detected
 are whole shells that have too few particles or are too thin for one layer, and regions of other
-shells that are far from any particle or too thin: an antenna, the brim of a hat.
+shells that are far from any particle or too thin: an antenna, the brim of a hat.  A shell wholly
+inside others, such as an eye in a head, is none: it adds nothing to the union that is filled.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ STEPS = 4  # inward sample points
 OFF_EDGE = 0.01  # of the way to the centroid of a triangle
 RAYS = 64  # of a part, for its thickness
 CLEAR_OF_WALL = 0.05  # [walls] offset from its surface for an unambiguous inside test
+CLEAR = 1e-4  # [diagonals of its box] at least, for whether it is inside others: loose faces
 VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
 WHOLE = ("empty", "few", "thin")  # kinds of whole shells
 # [spacings^3] volume from which particles in a shell that is not thin are not counted: there are
@@ -97,13 +99,16 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
     """
     labels = [surface.welded.shell for surface in solid.surfaces]
     parts: list[Part] = []
+    corners: list[Floats] = []  # (6, 3) [m] of each whole shell
     settled: set[tuple[int, int]] = set()  # shells whose regions are not checked
     tree = kd_tree(particles.X)
     for number, label in enumerate(labels):
-        found, hollow = _poor_shells(solid, number, label, particles, tree)
+        found, ends, hollow = _poor_shells(solid, number, label, particles, tree)
         parts += found
+        corners += ends
         settled |= {(number, part.shell) for part in found}
         settled |= {(number, shell) for shell in hollow}
+    parts = _not_enclosed(solid, parts, corners)
     parts += _poor_regions(solid, labels, settled, particles, samples)
     parts = _with_thickness(solid, _with_specks(solid, labels, parts, particles.spacing))
     return tuple(sorted(parts, key=lambda part: -part.size))
@@ -163,8 +168,9 @@ def _with_specks(
 
 def _poor_shells(
     solid: Solid, number: int, label: Ints, particles: Particles, tree: cKDTree
-) -> tuple[list[Part], list[int]]:
-    """The shells of one surface with few particles, and its cavities."""
+) -> tuple[list[Part], list[Floats], list[int]]:
+    """The shells of one surface with few particles, their vertices (6, 3) [m] that are first and
+    last along each axis, and its cavities."""
     points, triangles = solid.surfaces[number].points, solid.triangles[number]
     area = np.bincount(label, areas(points, triangles))
     volume = np.abs(winding.volumes(points, triangles, label))
@@ -173,7 +179,7 @@ def _poor_shells(
     # a single shell is no cavity, and its hierarchy is that of the solid
     one = len(area) == 1
     cavity = [False] if one else winding.orientations(points, triangles, label).target == -1
-    found = []
+    found, ends = [], []
     wide = 2.0 * volume >= THIN * particles.spacing * area
     filled = wide & (volume >= SURE * particles.spacing**3)
     for k, rows in enumerate(winding.rows_of(label)):
@@ -194,6 +200,8 @@ def _poor_shells(
         spacing = min(wall, float(np.cbrt(volume[k] / FEW)))
         rays = spread(points, triangles[rows], RAYS)
         clear = np.full(RAYS, CLEAR_OF_WALL * wall)
+        corners = points[triangles[rows]].reshape(-1, 3)
+        ends.append(corners[np.concatenate([corners.argmin(0), corners.argmax(0)])])
         found.append(
             Part(
                 path=solid.surfaces[number].path,
@@ -209,7 +217,23 @@ def _poor_shells(
                 suggested=_particles_for(solid, spacing),
             )
         )
-    return found, np.flatnonzero(cavity).tolist()
+    return found, ends, np.flatnonzero(cavity).tolist()
+
+
+def _not_enclosed(solid: Solid, parts: list[Part], corners: Sequence[Floats]) -> list[Part]:
+    """The whole shells except those wholly inside others: the union is on both sides of their
+    surface.
+
+    corners : (6, 3) [m] of each, since few of the rays start at the end of a hair.
+    """
+    if not parts:
+        return []
+    X, normal = (np.stack(ends) for ends in zip(*(part.rays for part in parts)))
+    clear = [max(CLEAR_OF_WALL * part.wall, CLEAR * part.size) for part in parts]
+    step = np.array(clear)[:, None, None] * normal
+    tested = np.concatenate([X + step, X - step, np.stack(corners)], axis=1)
+    inside = solid.inside(tested.reshape(-1, 3)).reshape(tested.shape[:2]).all(1)
+    return [parts[k] for k in np.flatnonzero(~inside)]
 
 
 def _poor_regions(

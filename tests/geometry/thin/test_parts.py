@@ -211,3 +211,58 @@ def test_thin_parts_set_the_number_beside_specks() -> None:
     assert [p.shell for p in both if p.speck] == [2]
     assert suggestion(alone) is not None
     assert suggestion(both) == pytest.approx(suggestion(alone), rel=0.1)
+
+
+def turned(body):
+    return surface(body.points, body.triangles[:, ::-1], body.path)
+
+
+HORN = cube(low=(0.5, -0.1, -0.1), edge=(1.5, 0.05, 0.05), path="/Horn")
+EYES = [sphere(0.05, (0.5, y, 0.0), 1, path=f"/Eye{k}") for k, y in enumerate((-0.3, 0.0, 0.3))]
+
+
+@pytest.mark.parametrize("meshes", [1, 4])
+def test_what_is_wholly_inside_another_shell_is_no_part(meshes) -> None:
+    """It adds nothing to the solid.  Eyes in a head suggested 68,000 particles for 600."""
+    head = sphere(path="/Head")
+    body = (shells_of(head, *EYES),) if meshes == 1 else (head, *EYES)
+    assert parts_of(*body, particles=600) == ()
+
+
+def test_loose_faces_inside_a_body_are_no_part() -> None:
+    flat = surface(np.array([[0.0, 0, 0], [0.2, 0.1, 0], [0.1, 0.2, 0.1]]), [[0, 1, 2], [0, 2, 1]])
+    assert parts_of(shells_of(sphere(), flat), particles=600) == ()
+
+
+def test_what_is_wholly_inside_does_not_set_the_number() -> None:
+    alone = parts_of(sphere(path="/Head"), HORN, particles=600)
+    both = parts_of(sphere(path="/Head"), HORN, *EYES, particles=600)
+    assert [(p.path, p.speck) for p in alone] == [("/Horn", False)]
+    assert [(p.path, p.speck) for p in both] == [("/Horn", False)]
+    assert suggestion(alone) is not None
+    assert suggestion(both) == pytest.approx(suggestion(alone), rel=0.02), "of two digits"
+
+
+@pytest.mark.parametrize("meshes", [1, 2])
+def test_a_hair_whose_tip_is_outside_is_a_part(meshes) -> None:
+    hair = cube(low=(0.705, 0.0, 0.0), edge=(0.3, 0.01, 0.01), path="/Hair")
+    body = (shells_of(sphere(), hair),) if meshes == 1 else (sphere(), hair)
+    (found,) = parts_of(*body, particles=2000)
+    assert (found.path, found.shell) == (("/Body", 1) if meshes == 1 else ("/Hair", 0))
+
+
+def test_what_is_in_a_cavity_is_a_part() -> None:
+    crumb = sphere(0.05, subdivisions=1)
+    (found,) = parts_of(shells_of(sphere(), turned(sphere(0.6)), crumb), particles=2000)
+    assert (found.shell, found.speck) == (2, True)
+
+
+def test_the_walls_of_a_hollow_eye_in_a_head_are_no_part() -> None:
+    eye = shells_of(sphere(0.1), turned(sphere(0.0999)), path="/Eye")
+    assert parts_of(sphere(path="/Head"), eye, particles=600) == ()
+
+
+def test_of_two_shells_in_one_place_none_counts_as_inside_the_other() -> None:
+    plates = [cube(low=(2.0, 0.0, 0.0), edge=(0.5, 0.5, 0.001), path=f"/P{k}") for k in range(2)]
+    found = parts_of(sphere(), *plates, particles=600)
+    assert [p.path for p in found] == ["/P0", "/P1"]
