@@ -59,7 +59,7 @@ from gf_usd.prepare.fill.inputs import repair_asset_for_fill
 from gf_usd.prepare.fill.neighbors import neighbor_notes, with_neighbors, would_fill
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
-from gf_usd.prepare.prepare import around, parse_request, read_stage, reading
+from gf_usd.prepare.prepare import around, parse_request, poor_parts_of, read_stage, reading
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import watching
 
@@ -281,8 +281,6 @@ def inspect(
     UsageError : for invalid options.
     InputError : the file cannot be read, is the result of a bake, or contains nothing to bake.
     """
-    from gf_usd.geometry.thin.parts import poor_parts
-
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
     source, stages = Path(path), Stages(watch)
@@ -327,6 +325,6 @@ def inspect(
     )  # fmt: skip
     lost = lost_volume(seen, solid)
     # where defects remove much of the volume, they also cause the thin parts
-    parts = () if lost else poor_parts(solid, plan.particles, plan.samples)
+    parts = () if lost else poor_parts_of(plan, solid)
     warnings = (implausible_size(prepared.plan.asset), prepared.plan.heavy, lost)
     return replace(seen, parts=parts, warnings=tuple(w for w in warnings if w))

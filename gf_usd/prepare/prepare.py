@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
@@ -56,6 +58,7 @@ from gf_usd.system.taichi_runtime import init_taichi, kernel_cache_notes
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
+    from gf_usd.geometry.thin.parts import Part
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
@@ -165,16 +168,35 @@ def prepare(
 def _poorly_filled(plan: Plan, solid: Solid) -> tuple[str, ...]:
     """Notes on parts with too few particles, as `inspect` names them."""
     from gf_usd.geometry.thin.advice import poor_note, specks_note
-    from gf_usd.geometry.thin.parts import poor_parts
 
     # faults of meshes cause thin parts where they remove much of the volume; what flows has no
     # thin parts to bend
     flows = all(unbounded(plan.particles, variant.table).all() for variant in plan.variants)
     if plan.lost or flows:
         return ()
-    parts = poor_parts(solid, plan.particles, plan.samples)
+    parts = poor_parts_of(plan, solid)
     solid.release()
     return tuple(filter(None, (poor_note(parts), specks_note(parts))))
+
+
+def poor_parts_of(plan: Plan, solid: Solid) -> tuple[Part, ...]:
+    """The parts of a plan with too few particles, except those that do not deform: all points of
+    their surface are in regions that are rigid or pinned along all axes."""
+    from gf_usd.geometry.thin.parts import poor_parts
+
+    parts = poor_parts(solid, plan.particles, plan.samples)
+    pins = [pin for pin in plan.pins if all(pin.axes)]
+    if not parts or not pins:
+        return parts
+    counts = [len(part.rays[0]) for part in parts]
+    # a mesh holds what is inside it, a part of a surface what is on it
+    X, above, below = np.concatenate([np.stack([p.rays[0], *p.sides]) for p in parts], axis=1)
+    body = None
+    if plan.bodies:
+        body = np.repeat([plan.bodies.of_surface[solid.filled[p.path]] for p in parts], counts)
+    held = np.any([pin.holds(at, body) for pin in pins for at in (X, above, below)], axis=0)
+    every = np.logical_and.reduceat(held, np.cumsum([0, *counts[:-1]]))
+    return tuple(parts[k] for k in np.flatnonzero(~every))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ import trimesh
 from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
 
 from gf_usd.core.errors import InputError, UsageError
+from gf_usd.geometry.solid import build_solid
 from gf_usd.pipeline.inspect import inspect
 from gf_usd.pipeline.prepared import prepare
+from gf_usd.prepare.prepare import poor_parts_of
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 DUCK = SAMPLES / "duck.usda"
@@ -346,3 +349,29 @@ def test_nothing_is_too_stiff_where_all_flows(stage):
     path = stage(ball(), rod(0.05))
     notes = prepare(path, material="water", **FEW).plan.notes
     assert not any("few particles" in one for one in notes)
+
+
+@pytest.mark.parametrize("option", ["rigid", "pins"])
+def test_what_does_not_deform_is_not_too_stiff(stage, option):
+    path = stage(ball(), rod(0.05))
+    held = FEW | {option: ("/Root/Rod",)}
+    assert not any("few particles" in one for one in prepare(path, **held).plan.notes)
+    assert inspect(path, **held).parts == ()
+
+
+def test_what_a_pin_holds_in_part_or_along_some_axes_may_be_too_stiff(stage):
+    path = stage(ball(), rod(0.05))
+    upper = ("box:-1,-1,1,1,1,3",)
+    assert len(inspect(path, pins=upper, **FEW).parts) == 1
+    plan = prepare(path, pins=("/Root/Rod",), **FEW).plan
+    solid = build_solid(plan.asset)
+    assert poor_parts_of(plan, solid) == ()
+    free = replace(plan, pins=(replace(plan.pins[0], axes=(True, False, True)),))
+    assert len(poor_parts_of(free, solid)) == 1
+
+
+def test_a_thin_part_beside_a_pinned_one_may_be_too_stiff(stage):
+    other = trimesh.creation.cylinder(radius=0.05, height=2.0, sections=12)
+    other.apply_translation([0.1, 0.0, 1.5])
+    path = stage(ball(), rod(0.05), mesh("Free", other.vertices, other.faces))
+    assert [p.path for p in inspect(path, rigid=("/Root/Rod",), **FEW).parts] == ["/Root/Free"]

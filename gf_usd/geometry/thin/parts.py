@@ -43,7 +43,7 @@ STEPS = 4  # inward sample points
 OFF_EDGE = 0.01  # of the way to the centroid of a triangle
 RAYS = 64  # of a part, for its thickness
 CLEAR_OF_WALL = 0.05  # [walls] offset from its surface for an unambiguous inside test
-CLEAR = 1e-4  # [diagonals of its box] at least, for whether it is inside others: loose faces
+CLEAR = 1e-4  # [diagonals of its box] at least, for points on both sides: loose faces
 VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
 WHOLE = ("empty", "few", "thin")  # kinds of whole shells
 # [spacings^3] volume from which particles in a shell that is not thin are not counted: there are
@@ -85,6 +85,13 @@ class Part:
     def loose(self) -> bool:
         """Whether it consists of faces that enclose no volume."""
         return self.wall <= LOOSE * self.size
+
+    @property
+    def sides(self) -> Floats:
+        """(2, n, 3) [m] points on both sides of its surface."""
+        X, normal = self.rays
+        step = max(CLEAR_OF_WALL * self.wall, CLEAR * self.size) * normal
+        return np.stack([X + step, X - step])
 
     @property
     def center(self) -> Floats:
@@ -228,10 +235,8 @@ def _not_enclosed(solid: Solid, parts: list[Part], corners: Sequence[Floats]) ->
     """
     if not parts:
         return []
-    X, normal = (np.stack(ends) for ends in zip(*(part.rays for part in parts)))
-    clear = [max(CLEAR_OF_WALL * part.wall, CLEAR * part.size) for part in parts]
-    step = np.array(clear)[:, None, None] * normal
-    tested = np.concatenate([X + step, X - step, np.stack(corners)], axis=1)
+    sides = np.stack([part.sides for part in parts]).reshape(len(parts), -1, 3)
+    tested = np.concatenate([sides, np.stack(corners)], axis=1)
     inside = solid.inside(tested.reshape(-1, 3)).reshape(tested.shape[:2]).all(1)
     return [parts[k] for k in np.flatnonzero(~inside)]
 

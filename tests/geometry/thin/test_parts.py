@@ -234,6 +234,7 @@ def test_loose_faces_inside_a_body_are_no_part() -> None:
     assert parts_of(shells_of(sphere(), flat), particles=600) == ()
 
 
+@pytest.mark.slow
 def test_what_is_wholly_inside_does_not_set_the_number() -> None:
     alone = parts_of(sphere(path="/Head"), HORN, particles=600)
     both = parts_of(sphere(path="/Head"), HORN, *EYES, particles=600)
@@ -251,6 +252,7 @@ def test_a_hair_whose_tip_is_outside_is_a_part(meshes) -> None:
     assert (found.path, found.shell) == (("/Body", 1) if meshes == 1 else ("/Hair", 0))
 
 
+@pytest.mark.slow
 def test_what_is_in_a_cavity_is_a_part() -> None:
     crumb = sphere(0.05, subdivisions=1)
     (found,) = parts_of(shells_of(sphere(), turned(sphere(0.6)), crumb), particles=2000)
