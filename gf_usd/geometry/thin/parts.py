@@ -143,10 +143,20 @@ def _with_specks(
         and 0.5 * p.wall * p.area < SPECK_VOLUME * solid.volume
         for p in parts
     ]
+    if not any(small):
+        return list(parts)
     rows = {(p.path, p.shell): k for k, p in enumerate(parts) if small[k]}
+    some = [p for p, one in zip(parts, small, strict=True) if one]
+    low, high = np.stack([p.low for p in some]) - APART * spacing, np.stack([p.high for p in some])
+    high += APART * spacing
     ends, owner, rest, points = [], [], [], []
-    first = 0
-    for surface, triangles, label in zip(solid.surfaces, solid.triangles, labels, strict=True):
+    first, far = 0, False
+    for surface, triangles, label, box in zip(
+        solid.surfaces, solid.triangles, labels, solid.bounds, strict=True
+    ):
+        if not ((low <= box.high) & (high >= box.low)).all(1).any():
+            far = True  # from all of them
+            continue
         row = np.array([rows.get((surface.path, k), -1) for k in range(label.max() + 1)])[label]
         corners = triangles[row >= 0]
         ends.append(surface.points[corners].reshape(-1, 3))
@@ -155,18 +165,19 @@ def _with_specks(
         points.append(surface.points)
         first += len(surface.points)
     X, others = np.concatenate(ends), np.concatenate(rest)
-    if not len(X) or not len(others):
+    if not len(others) and not far:
         return list(parts)
-    center = X.mean(0)
-    squared = igl.point_mesh_squared_distance(
-        X - center, np.concatenate(points) - center, others.astype(np.int64)
-    )[0]
-    # one that pierces another has no end near its surface
-    squared = np.where(
-        Bounds(np.concatenate(points), others).inside(X), 0.0, np.asarray(squared).reshape(-1)
-    )
     gap = np.full(len(parts), np.inf)
-    np.minimum.at(gap, np.concatenate(owner), np.sqrt(squared))
+    if len(others):
+        center = X.mean(0)
+        squared = igl.point_mesh_squared_distance(
+            X - center, np.concatenate(points) - center, others.astype(np.int64)
+        )[0]
+        # one that pierces another has no end near its surface
+        squared = np.where(
+            Bounds(np.concatenate(points), others).inside(X), 0.0, np.asarray(squared).reshape(-1)
+        )
+        np.minimum.at(gap, np.concatenate(owner), np.sqrt(squared))
     return [
         replace(part, speck=bool(small[k] and gap[k] > APART * spacing))
         for k, part in enumerate(parts)
@@ -334,8 +345,10 @@ def _off_edges(solid: Solid, X: Floats, at: Nearest) -> Floats:
     ambiguous.
     """
     moved = X.copy()
+    order = np.argsort(at.surface, kind="stable")
+    first = np.searchsorted(at.surface[order], np.arange(len(solid.surfaces) + 1))
     for number, surface in enumerate(solid.surfaces):
-        mine = at.surface == number
+        mine = order[first[number] : first[number + 1]]
         middle = surface.points[surface.triangles[at.triangle[mine]]].mean(axis=1)
         moved[mine] += OFF_EDGE * (middle - X[mine])
     return moved
