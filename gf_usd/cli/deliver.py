@@ -128,8 +128,7 @@ def described(body: DeliveredBody) -> str:
 
 def error_text(cloud: DeliveredSplats) -> str:
     """Text on the error of the Gaussians."""
-    # two digits, also above 100 %, where "2g" alone has an exponent
-    middle, most, largest = (f"{float(f'{100 * share:.2g}'):g} %" for share in cloud.covariance)
+    middle, most, largest = (percent_text(share) for share in cloud.covariance)
     return (
         f"{cloud.count} Gaussians, position error at most {percent_text(cloud.position)} of the "
         f"radius; covariance error {middle} (median), {most} (99 in 100), {largest} (largest)"

@@ -197,6 +197,15 @@ def prim_name(text: str) -> str:
     return f"_{out}" if not out or out[0].isdigit() else out
 
 
+def free_name(name: str, taken: Callable[[str], bool]) -> str:
+    """A name that is not taken: this one, or with the first number from 2 on that is free."""
+    found, count = name, 1
+    while taken(found):
+        count += 1
+        found = f"{name}_{count}"
+    return found
+
+
 def _in_ascii(letter: str) -> str:
     parts = unicodedata.normalize("NFKD", letter)
     base = "".join(part for part in parts if not unicodedata.combining(part))

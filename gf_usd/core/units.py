@@ -131,14 +131,17 @@ def volume_text(cubic_meters: float) -> str:
 
 def number_text(value: float) -> str:
     """A number to three significant digits; from 1000 to 1e9 without an exponent."""
-    text = f"{value:.3g}"
-    return f"{float(text):.0f}" if 1e3 <= abs(float(text)) < 1e9 else text
+    return _rounded(value, 3)
 
 
 def rounded_text(value: float) -> str:
     """A number to two significant digits; from 100 to 1e9 without an exponent."""
-    text = f"{value:.2g}"
-    return f"{float(text):.0f}" if 1e2 <= abs(float(text)) < 1e9 else text
+    return _rounded(value, 2)
+
+
+def _rounded(value: float, digits: int) -> str:
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if 10.0**digits <= abs(float(text)) < 1e9 else text
 
 
 def percent_text(share: float) -> str:

@@ -103,14 +103,14 @@ class Repairs:
         if self.holes_closed:
             lines.append(
                 f"closed {counted(self.holes_closed, 'hole')} with"
-                f" {counted(self.caps, 'triangle')}, the largest {_share(self.largest_closed)} of"
-                " the closed area"
+                f" {counted(self.caps, 'triangle')}, the largest"
+                f" {percent_text(self.largest_closed)} of the closed area"
             )
         if self.holes_left:
             lines.append(
                 f"left {counted(self.holes_left, 'hole')} open, the largest"
-                f" {_share(self.largest_left)} of the closed area (repair closes up to"
-                f" {_share(HOLE_LIMIT)})"
+                f" {percent_text(self.largest_left)} of the closed area (repair closes up to"
+                f" {percent_text(HOLE_LIMIT)})"
             )
         if self.loose_edges:
             lines.append(
@@ -274,7 +274,3 @@ def _with_corners(surface: Surface, corners: Ints) -> Surface:
         triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[corners],
         triangle_materials=None if materials is None else materials[corners[:, 0] // 3],
     )
-
-
-def _share(value: float) -> str:
-    return percent_text(value)

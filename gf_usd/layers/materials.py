@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.asset import prim_name
+from gf_usd.core.asset import free_name, prim_name
 from gf_usd.core.materials import newton
 from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.materials.material import Material
@@ -51,11 +51,8 @@ def write_materials(
     UsdGeom.Scope.Define(stage, parent)
     paths: list[Sdf.Path] = []
     for material in materials:
-        stem = prim_name(material.name or look)
-        path, count = parent.AppendChild(stem), 1
-        while path in paths:
-            count += 1
-            path = parent.AppendChild(f"{stem}_{count}")
+        taken = {path.name for path in paths}
+        path = parent.AppendChild(free_name(prim_name(material.name or look), taken.__contains__))
         _write(stage, path, material, look, units)
         paths.append(path)
     return paths

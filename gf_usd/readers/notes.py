@@ -16,8 +16,8 @@ POSED = (
 )
 
 
-VERB = re.compile(r"(is|has|was) ")  # at the start of a text about one prim
-ALONE = re.compile(r"<(?P<path>/[^<>]*)>(?P<text> (?:is|has|was) .*)", re.DOTALL)  # of one prim
+VERB = re.compile(r"(?:is|has|was) ")  # at the start of a text about one prim
+ALONE = re.compile(rf"<(?P<path>/[^<>]*)>(?P<text> {VERB.pattern}.*)", re.DOTALL)  # of one prim
 MANY = 4  # prims with equal notes, from which on they are one note
 
 

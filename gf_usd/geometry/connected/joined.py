@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
-from gf_usd.core.mesh import areas, boundary_edges, weld
+from gf_usd.core.mesh import areas, weld
 from gf_usd.geometry.connected.merged import corner_values, material_rows, starts
 from gf_usd.geometry.solid import closed_triangles
 
@@ -122,7 +122,7 @@ def _open_pieces(
     ]  # fmt: skip
     if len(pieces) < 2:
         return [], []
-    found = [(s, boundary_edges(s.representative[s.triangles])) for s in pieces]
+    found = [(s, s.welded.boundary) for s in pieces]
     return [s for s, e in found if len(e)], [e for _, e in found if len(e)]
 
 

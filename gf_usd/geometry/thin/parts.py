@@ -169,14 +169,12 @@ def _with_specks(
         return list(parts)
     gap = np.full(len(parts), np.inf)
     if len(others):
-        center = X.mean(0)
+        center, whole = X.mean(0), np.concatenate(points)
         squared = igl.point_mesh_squared_distance(
-            X - center, np.concatenate(points) - center, others.astype(np.int64)
+            X - center, whole - center, others.astype(np.int64)
         )[0]
         # one that pierces another has no end near its surface
-        squared = np.where(
-            Bounds(np.concatenate(points), others).inside(X), 0.0, np.asarray(squared).reshape(-1)
-        )
+        squared = np.where(Bounds(whole, others).inside(X), 0.0, np.asarray(squared).reshape(-1))
         np.minimum.at(gap, np.concatenate(owner), np.sqrt(squared))
     return [
         replace(part, speck=bool(small[k] and gap[k] > APART * spacing))

@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import Edges, areas, proper, shells, signed_volume
+from gf_usd.core.mesh import Edges, areas, signed_volume
 from gf_usd.core.neighbors import components
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import Repairs
@@ -308,11 +308,8 @@ class Shells:
 
 def shells_of(surface: Surface) -> Shells:
     """The shells of a surface of consistent winding."""
-    points = surface.points
-    welded = surface.representative[surface.triangles]
-    source = np.flatnonzero(proper(welded))
-    triangles = np.ascontiguousarray(welded[source], np.int64)
-    label = shells(triangles)
+    points, welded = surface.points, surface.welded
+    source, triangles, label = welded.source, welded.triangles, welded.shell
     count = int(label.max(initial=-1)) + 1
     area = np.bincount(label, areas(points, triangles), count)
     volume = winding.volumes(points, triangles, label) if count else np.zeros(0)

@@ -195,9 +195,9 @@ def fully_prescribed(
     for number in np.unique(body[bare]):
         rows = np.flatnonzero(bare & (body == number))
         which = firm if whole[number] else particles.pin >= 0
-        from_ = np.flatnonzero(which & (particle_body == number))
-        if len(from_):
-            near = from_[kd_tree(particle_X[from_]).query(X[rows])[1]]
+        held_by = np.flatnonzero(which & (particle_body == number))
+        if len(held_by):
+            near = held_by[kd_tree(particle_X[held_by]).query(X[rows])[1]]
             axes[rows[firm[near]]] = particles.axes[near[firm[near]]]
     return PinnedPoints(axes=axes)
 

@@ -17,7 +17,7 @@ import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.asset import prim_name
+from gf_usd.core.asset import free_name, prim_name
 from gf_usd.readers.mesh.data import FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot
 from gf_usd.readers.mesh.skeletons import bind_to_skeleton, write_skeletons
 
@@ -46,7 +46,7 @@ def write_layer(
     if file.materials:
         scope = UsdGeom.Scope.Define(stage, root.GetPath().AppendChild(MATERIALS)).GetPrim()
         for material in file.materials:
-            name = free_name(scope, _identifier(material.name))
+            name = free_child_name(scope, _identifier(material.name))
             made = write_material(
                 stage, scope.GetPath().AppendChild(name), material, pictures.place
             )
@@ -96,7 +96,7 @@ def _write_node(
     materials: list,
     skeletons: list[UsdSkel.Skeleton],
 ) -> None:
-    path = parent.GetPath().AppendChild(free_name(parent, _identifier(node.name)))
+    path = parent.GetPath().AppendChild(free_child_name(parent, _identifier(node.name)))
     alone = node.mesh is not None and not node.children
     made = (UsdGeom.Mesh if alone else UsdGeom.Xform).Define(stage, path)
     _name(made.GetPrim(), node.name)
@@ -105,7 +105,7 @@ def _write_node(
     if node.mesh is not None:
         mesh = made
         if not alone:
-            name = free_name(made.GetPrim(), _identifier(node.mesh.name))
+            name = free_child_name(made.GetPrim(), _identifier(node.mesh.name))
             mesh = UsdGeom.Mesh.Define(stage, path.AppendChild(name))
             _name(mesh.GetPrim(), node.mesh.name)
         _write_mesh(mesh, node.mesh, file, materials)
@@ -138,7 +138,7 @@ def _write_mesh(prim: UsdGeom.Mesh, mesh: FileMesh, file: MeshFile, materials: l
     for name, indices in mesh.groups:
         made = UsdGeom.Subset.CreateGeomSubset(
             prim,
-            free_name(prim.GetPrim(), _identifier(name)),
+            free_child_name(prim.GetPrim(), _identifier(name)),
             UsdGeom.Tokens.face,
             _ints(indices),
             GROUPS,
@@ -298,23 +298,18 @@ def bind(
         api.Bind(materials[faces[0][0]])
         return
     for number, indices in faces:
-        name = free_name(mesh.GetPrim(), materials[number].GetPath().name)
+        name = free_child_name(mesh.GetPrim(), materials[number].GetPath().name)
         subset = api.CreateMaterialBindSubset(name, indices)
         UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[number])
     family = UsdGeom.Tokens.partition if covered == total else UsdGeom.Tokens.nonOverlapping
     UsdGeom.Subset.SetFamilyType(mesh, UsdShade.Tokens.materialBind, family)
 
 
-def free_name(parent: Usd.Prim, name: str) -> str:
+def free_child_name(parent: Usd.Prim, name: str) -> str:
     """`name`, with a number appended where the prim has such a child."""
     return _free(name, {child.GetName() for child in parent.GetAllChildren()})
 
 
 def _free(name: str, taken: set[str]) -> str:
     """A valid and unused prim name made from `name`."""
-    wanted, count = _identifier(name), 1
-    name = wanted
-    while name in taken:
-        count += 1
-        name = f"{wanted}_{count}"
-    return name
+    return free_name(_identifier(name), taken.__contains__)

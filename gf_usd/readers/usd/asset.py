@@ -16,7 +16,6 @@ from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, bake_original, first_time_code
 from gf_usd.core.errors import InputError, counted
-from gf_usd.core.mesh import boundary_edges
 from gf_usd.readers.notes import ANIMATED, POSED, Notes
 from gf_usd.readers.usd.mesh import Reading, read_faces, read_surface, with_limit, world_box
 from gf_usd.readers.usd.select import (
@@ -137,8 +136,7 @@ def read_around(
             for path in left - found.keys():
                 with suppress(InputError, SkippedPrim):
                     one = read_faces(boxes[path][0], context)
-                    edges = boundary_edges(one.representative[one.triangles])
-                    found[path] = one, one.points[edges].reshape(-1, 3)
+                    found[path] = one, one.points[one.welded.boundary].reshape(-1, 3)
             # those that were not named have points of their border in another one's
             mine = left & found.keys()
             if taken:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdVol, Vt
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.asset import Splats, prim_name, valid_gaussians
+from gf_usd.core.asset import Splats, free_name, prim_name, valid_gaussians
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
@@ -161,12 +161,8 @@ def write_splat_layer(
         prim.CreateAttribute(attribute, kind, False).Set(value)
     api = UsdGeom.PrimvarsAPI(prim)
     for label, whole in splats.labels.items():
-        stem = free = prim_name(label)
-        count = 1
-        while api.HasPrimvar(free):
-            count += 1
-            free = f"{stem}_{count}"
-        api.CreatePrimvar(free, Types.IntArray, UsdGeom.Tokens.vertex).Set(
+        name = free_name(prim_name(label), api.HasPrimvar)
+        api.CreatePrimvar(name, Types.IntArray, UsdGeom.Tokens.vertex).Set(
             Vt.IntArray.FromNumpy(np.ascontiguousarray(whole, np.int32))
         )
     degree = prim.CreateAttribute(DEGREE, Types.Int, False, Sdf.VariabilityUniform)
