@@ -1,7 +1,8 @@
 """Bones of a UsdSkel skeleton: line segments in the bind pose, and the motion of their joints.
 
 The segments of a joint run from it to each of its children.  A joint whose skinned points are far
-from all segments, such as the last joint of a limb, has a segment toward their mean.
+from all segments has a segment toward their mean; a leaf joint has one toward the mean of those
+beyond it as seen from its parent.
 
 At a frame, a point X of the bind pose that is bound to joint j is at (row vectors)
 
@@ -325,6 +326,8 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
         middle = mine.mean(0) if len(mine) else at[j]
         longest = max((float(np.linalg.norm(end - at[j])) for end in ends), default=0.0)
         if len(mine) and (not ends or _distance(middle, at[j], ends) > AWAY * longest):
+            if not ends and rig.parents[j] >= 0:
+                middle = _beyond(mine, at[j], at[rig.parents[j]]).mean(0)
             ends.append(at[j] + INTO_FLESH * (middle - at[j]))
             free.append(True)
         anchors = at[j] + corners
@@ -341,6 +344,16 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
             path=path,
         )
     return out
+
+
+def _beyond(points: Floats, joint: Floats, parent: Floats) -> Floats:
+    """Those of points (n, 3) that lie beyond a joint as seen from its parent; all if none does.
+
+    The others lie along the segment of the parent, and would shorten a segment toward the mean or
+    turn it back.
+    """
+    beyond = points[(points - joint) @ (joint - parent) > 0.0]
+    return beyond if len(beyond) else points
 
 
 def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:

@@ -40,6 +40,16 @@ def test_segments_lie_in_the_bind_pose_and_the_last_one_goes_into_the_flesh(tmp_
     assert 1.5 < end[0] < 2.0  # most of the way to the tip
 
 
+def test_flesh_before_the_last_joint_does_not_shorten_its_segment(tmp_path: Path) -> None:
+    """The points of B begin at 1.25, before the joint; their mean is 1.625, also before it."""
+    bind = "( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (1.7, 0, 0, 1) )"
+    _, lower = bones_of(write(tmp_path, arm(bind=bind)), [FIRST])
+    ((start, end),) = lower.segments
+    np.testing.assert_allclose(start, [1.7, 0, 0], atol=EPS)
+    # 1.5 times as far as the mean of the rings at 1.75 and 2.0
+    np.testing.assert_allclose(end, [1.7 + 1.5 * 0.175, 0, 0], atol=EPS)
+
+
 @pytest.mark.parametrize("code", [FIRST, 6.5, LAST])
 def test_a_bone_carries_points_as_the_skeleton_does(tmp_path: Path, code: float) -> None:
     path = write(tmp_path, arm(lift=(0.3, 0.7)))
