@@ -76,7 +76,10 @@ class Cores:
 
     def owns(self, bone: int, X: Floats) -> NDArray[np.bool_]:
         """(n,) whether the core of a bone contains each point (n, 3) [m]."""
-        return self.owner(X) == bone
+        mine = [core.depth(X) > 0.0 for core in self.cores if core.bone == bone]
+        inside = np.any(mine, axis=0) if mine else np.zeros(len(X), bool)
+        inside[inside] = self.owner(X[inside]) == bone
+        return np.asarray(inside)
 
 
 def bone_cores(
@@ -87,30 +90,29 @@ def bone_cores(
     share : radius of a core over the distance from the bone to the surface.
     cell : [m] edge of a cell; `WIDER` cells are added to the radii.
     """
-    skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
-
-    def radii(points: Floats) -> NDArray[np.float64]:
-        to_skin = np.min([skin.closest(points)[0] for skin in skins], axis=0)
-        return np.where(solid.inside(points), share * to_skin, 0.0)
-
+    ways = [
+        (number, start, end, free)
+        for number, bone in enumerate(bones)
+        for (start, end), free in zip(bone.segments, bone.free, strict=True)
+    ]
+    whole = _radii([_along(start, end) for _, start, end, _ in ways], solid, share)
+    inside = [(way, radius) for way, radius in zip(ways, whole, strict=True) if radius.any()]
+    axes = []
+    for (_, start, end, free), radius in inside:
+        typical = float(np.median(radius[radius > 0.0])) + WIDER * cell
+        length = float(np.linalg.norm(end - start))
+        cut = min(CLEAR * typical / length, MOST_CLEAR) if length > 0.0 else 0.0
+        axes.append(_along(start + cut * (end - start), end if free else end - cut * (end - start)))
+    found: dict[int, list[tuple[Floats, Floats]]] = {}
+    for (way, _), points, radius in zip(inside, axes, _radii(axes, solid, share), strict=True):
+        if radius.any():
+            found.setdefault(way[0], []).append((points, radius))
     cores, outside, thin = [], [], []
     for number, bone in enumerate(bones):
-        mine = []
         if not bone.free:  # the flesh of this bone belongs to other bones
             continue
-        for (start, end), free in zip(bone.segments, bone.free, strict=True):
-            whole = radii(_along(start, end))
-            if not whole.any():
-                continue
-            typical = float(np.median(whole[whole > 0.0])) + WIDER * cell
-            length = float(np.linalg.norm(end - start))
-            cut = min(CLEAR * typical / length, MOST_CLEAR) if length > 0.0 else 0.0
-            last = end if free else end - cut * (end - start)
-            points = _along(start + cut * (end - start), last)
-            radius = radii(points)
-            if radius.any():
-                mine.append((points, radius))
-        if not mine:
+        mine = found.get(number)
+        if mine is None:
             outside.append(bone.name)
             continue
         typical = float(np.median(np.concatenate([r[r > 0.0] for _, r in mine])))
@@ -129,6 +131,19 @@ def bone_cores(
             f" bone{'s' * (len(thin) > 1)}; more --particles make the grid finer"
         )
     return Cores(cores=tuple(cores)), tuple(notes)
+
+
+def _radii(axes: Sequence[Floats], solid: Solid, share: float) -> list[Floats]:
+    """(k,) [m] of each axis of points (k, 3) [m]: a share of the distance to the surface; 0 outside
+    the solid.
+
+    All at once: each query of libigl builds a tree of the surface.
+    """
+    points = np.concatenate([np.zeros((0, 3)), *axes])
+    skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
+    to_skin = np.min([skin.closest(points)[0] for skin in skins], axis=0)
+    radii = np.where(solid.inside(points), share * to_skin, 0.0)
+    return np.split(radii, np.cumsum([len(axis) for axis in axes])[:-1]) if axes else []
 
 
 def bone_pins(bones: Sequence[Bone], cores: Cores) -> tuple[Pin, ...]:
