@@ -60,6 +60,7 @@ from gf_usd.prepare.fill.neighbors import neighbor_notes, with_neighbors, would_
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.prepare import around, parse_request, poor_parts_of, read_stage, reading
+from gf_usd.readers.usd.stage import layers_kept
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import watching
 
@@ -257,6 +258,7 @@ def _plain(values: Floats) -> list[float]:
     return [float(v) for v in values]
 
 
+@layers_kept()
 def inspect(
     path: str | Path,
     *,

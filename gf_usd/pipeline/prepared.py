@@ -160,6 +160,7 @@ def prepare(
     watch : called with the current stage.
     """
     from gf_usd.layers.usd_warnings import gathered
+    from gf_usd.readers.usd.stage import layers_kept
 
     stages = Stages(watch)
     if resume and options.get("certify"):
@@ -170,7 +171,7 @@ def prepare(
     stages.begin(READING, Path(path).name)
     first_seconds()
     refills: list[Refill] = []
-    with gathered() as warned, watching(stages.compile):
+    with gathered() as warned, layers_kept(), watching(stages.compile):
         plan, converted = prepare_plan(
             path, overwrite=overwrite, resume=resume, draw=draw,
             progress=partial(stages.begin, FILLING), once_filled=refills.append, **options,

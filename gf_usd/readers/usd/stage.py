@@ -7,6 +7,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": 
 NO_TEXT = "it holds bytes that are not UTF-8"
 RATES = ("timeCodesPerSecond", "framesPerSecond")
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
+
+# Stages that stay open, by the identifier of their root layer; None: none does.
+_KEPT: ContextVar[dict[str, Usd.Stage] | None] = ContextVar("_KEPT", default=None)
 
 
 def is_bake_particles(prim: Usd.Prim) -> bool:
@@ -73,6 +77,20 @@ def _first_line(text: str) -> str:
     return (text.strip().splitlines() or ["USD gives no reason"])[0].strip()
 
 
+@contextmanager
+def layers_kept() -> Iterator[None]:
+    """Context in which the layers of stages that `open_stage` opens stay open.
+
+    USD then parses each file once, and not each time that a stage is opened after the one before it
+    was closed. Files must not be written again meanwhile, as their layers would be outdated.
+    """
+    token = _KEPT.set({} if (outer := _KEPT.get()) is None else outer)
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+
+
 def open_stage(path: Path) -> Usd.Stage:
     """The composed stage with all payloads loaded.
 
@@ -103,6 +121,8 @@ def open_stage(path: Path) -> Usd.Stage:
     stage = Usd.Stage.Open(root, Usd.Stage.LoadAll)
     for layer in stage.GetUsedLayers():
         _require_rates(path, layer)
+    if (kept := _KEPT.get()) is not None:
+        kept.setdefault(root.identifier, stage)
     return stage
 
 

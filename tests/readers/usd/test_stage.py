@@ -1,12 +1,15 @@
 """Opening USD: facts of the stage, and files that are not what their name says."""
 
+import gc
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers import read_asset
-from gf_usd.readers.usd.stage import open_stage
+from gf_usd.readers.usd.stage import layers_kept, open_stage, reading
 
 BALL = 'def Sphere "Ball" {}'
 
@@ -252,3 +255,15 @@ def test_a_composition_error_may_quote_bytes_that_are_no_text(write, monkeypatch
 def test_the_asset_of_a_bake_is_that_of_its_command(read, metadata: str, asset: str) -> None:
     text = f"#usda 1.0\n(\ncustomLayerData = {{\n{metadata}\n}}\n)\n{BALL}"
     assert read(text).facts.baked_from == asset
+
+
+def test_layers_are_parsed_once_where_they_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.usda"
+    path.write_text("#usda 1.0\n")
+    with layers_kept(), layers_kept():
+        open_stage(path)
+        path.write_text("#usda 1.0\ndef (")  # it is not parsed again
+        open_stage(path)
+    gc.collect()
+    with pytest.raises(InputError, match="is damaged"), reading(path):
+        open_stage(path)
