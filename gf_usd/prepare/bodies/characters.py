@@ -15,38 +15,74 @@ import numpy as np
 
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.prepare.bodies.grounds import grounds
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
     from gf_usd.prepare.bodies.plan import BodyPlan
 
-PROP = "no skeleton poses it, and it touches no mesh that one poses, so that nothing would hold it"
+# Why a mesh is not part of a character, after what does not move it.
+PROP = "it touches no mesh that the animation moves, so that nothing would hold it"
+SHEET = "it encloses no volume and is not near a mesh that the animation moves"
+GROUND = "it is flat and lies under everything else, as a ground does"
 
 
 def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Asset:
-    """The asset, with filled meshes that no bones hold among the prims that are skipped.
+    """The asset, with meshes that the animation does not hold among the prims that are skipped.
 
-    They would fall: with `--flesh` there is no floor by default.  In the source no skeleton moves
-    them either.
+    They are neither posed by a skeleton, or animated where there is none, nor connected to meshes
+    that are.  Filled ones would fall: with `--flesh` there is no floor by default.  Sheets would
+    follow the nearest flesh, however far away, and the ground the feet that stand on it.
 
     spacing : [m] approximate spacing of the particles.
     """
     from gf_usd.geometry.connected.bodies import find_bodies
-    from gf_usd.readers.usd.bones import skeletons
+    from gf_usd.readers.usd.bones import lone_skeleton, skeletons
+    from gf_usd.readers.usd_bake.caches import animated_meshes, has_animated_points
 
-    posed = set(skeletons(file, [s.path for s in asset.surfaces], asset.facts))
-    if not posed or all(s.path in posed or s.splats is not None for s in solid.surfaces):
+    paths, unmoved = [s.path for s in asset.surfaces], "no skeleton poses it"
+    moved = set(skeletons(file, paths, asset.facts))
+    if not moved:
+        if not has_animated_points(file, paths, asset.facts) and lone_skeleton(file):
+            return asset  # all meshes follow its nearest bones
+        moved, unmoved = animated_meshes(file, paths, asset.facts), "it is not animated"
+    loose = {s.path for s in asset.surfaces if s.path not in moved and s.splats is None}
+    if not moved or not loose:
         return asset
-    of = find_bodies(solid, spacing)
-    held = {int(k) for k, s in zip(of, solid.surfaces) if s.path in posed or s.splats is not None}
-    props = {s.path for k, s in zip(of, solid.surfaces) if int(k) not in held}
-    if not held or not props:
+    ground = {s.path for s, _ in grounds(asset.surfaces, asset.facts.up) if s.path in loose}
+    # meshes that stand on the ground are not one body with others that do
+    kinds = np.array([s.path in ground for s in solid.surfaces], np.int64)
+    of = find_bodies(solid, spacing, kinds=kinds)
+    flesh = {int(k) for k, s in zip(of, solid.surfaces) if s.path not in loose}
+    held = {s.path: row for row, s in enumerate(solid.surfaces) if int(of[row]) in flesh}
+    if not held:
         return asset
-    return replace(
-        asset,
-        surfaces=tuple(s for s in asset.surfaces if s.path not in props),
-        skipped=(*asset.skipped, *((s.path, PROP) for s in asset.surfaces if s.path in props)),
-    )
+    reasons = {s.path: PROP for s in solid.surfaces if s.path not in held}
+    sheets = {path for path, _ in solid.embedded if path in loose and path not in solid.walls}
+    reasons |= {
+        s.path: SHEET
+        for s in asset.surfaces
+        if s.path in sheets and not _near(s, solid, list(held.values()), spacing)
+    }
+    reasons |= dict.fromkeys(ground, GROUND)
+    out = [
+        (s.path, f"{unmoved}, and {reasons[s.path]}") for s in asset.surfaces if s.path in reasons
+    ]
+    if not out:
+        return asset
+    kept = tuple(s for s in asset.surfaces if s.path not in reasons)
+    return replace(asset, surfaces=kept, skipped=(*asset.skipped, *out))
+
+
+def _near(surface: Surface, solid: Solid, held: Sequence[int], reach: float) -> bool:
+    """Whether a surface has points in a solid, or within a reach [m] of its surfaces `held`."""
+    from gf_usd.geometry.regions import Shape
+
+    X = surface.face_points
+    if solid.inside(X).any():
+        return True
+    skins = (Shape(solid.surfaces[k].points, solid.triangles[k]) for k in held)
+    return any(float(skin.closest(X)[0].min()) <= reach for skin in skins)
 
 
 def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, ...]]:

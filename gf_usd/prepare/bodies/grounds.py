@@ -201,10 +201,24 @@ def ground_notes(
 
     embedded : paths of the meshes that are not filled; up : (3,) unit; unit : [m] of the stage.
     """
+    notes = []
+    for surface, top in grounds(surfaces, up):
+        does = "moves with the nearest body" if surface.path in embedded else "is soft and falls"
+        notes.append(
+            f"<{surface.path}> is flat and lies under everything else, as a ground does, but it"
+            f" {does}: apply PhysicsCollisionAPI to it to make it an obstacle, or bake the"
+            f" others alone (--prim) on a floor at its height (--floor {top / unit:.3g})"
+        )
+    return tuple(notes)
+
+
+def grounds(surfaces: Sequence[Surface], up: Floats) -> list[tuple[Surface, float]]:
+    """The surfaces that are flat, lie under all others and reach beyond them, and their tops [m]
+    along up (3,)."""
     boxes = [(s.face_points.min(0), s.face_points.max(0)) for s in surfaces]
     axis = int(np.abs(up).argmax())
     across = [k for k in range(3) if k != axis]
-    notes = []
+    found = []
     for k, surface in enumerate(surfaces):
         others = [box for j, box in enumerate(boxes) if j != k]
         if not others:
@@ -218,12 +232,5 @@ def ground_notes(
         flat = top - bottom <= FLAT * (high - low)[across].min()
         under = top <= lowest + SUNK * (highest - lowest)
         if flat and under and _beyond(boxes[k], (lows.min(0), highs.max(0)), up):
-            does = (
-                "moves with the nearest body" if surface.path in embedded else "is soft and falls"
-            )
-            notes.append(
-                f"<{surface.path}> is flat and lies under everything else, as a ground does, but it"
-                f" {does}: apply PhysicsCollisionAPI to it to make it an obstacle, or bake the"
-                f" others alone (--prim) on a floor at its height (--floor {top / unit:.3g})"
-            )
-    return tuple(notes)
+            found.append((surface, float(top)))
+    return found

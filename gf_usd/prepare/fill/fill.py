@@ -128,10 +128,11 @@ def fill(
             asset = alone
             meshes = build(asset)
     scenery: list[Surface] = []
-    if in_scene:
+    if file is not None:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
         kept = {s.path for s in asset.surfaces}
-        scenery = [s for s in meshes.asset.surfaces if s.path not in kept]
+        if in_scene:  # else there is no floor by default
+            scenery = [s for s in meshes.asset.surfaces if s.path not in kept]
         meshes = replace(meshes, asset=asset, solid=solid)
     asset, solid = meshes.asset, meshes.solid
     gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()

@@ -18,7 +18,7 @@ MOST_NAMED = 3  # prims that each have a note of their own for the same reason
 
 def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """The notes on prims that are not baked, each with a reason of the reader."""
-    from gf_usd.prepare.bodies.characters import PROP
+    from gf_usd.prepare.bodies.characters import GROUND, PROP, SHEET
     from gf_usd.prepare.bodies.grounds import ROOM, SCENERY, WALL
     from gf_usd.readers.usd.select import KINDS, PROXY, REPEATED
 
@@ -27,7 +27,8 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
         KINDS: f"; it {stays}: attach it to a baked mesh in another program, or convert it to one",
         REPEATED: f"; it {stays}: attach its instances in another program, or make them prims",
         **dict.fromkeys(
-            (SCENERY, WALL), f"; it {stays}: apply PhysicsCollisionAPI to make it an obstacle"
+            (SCENERY, WALL, SHEET, GROUND),
+            f"; it {stays}: apply PhysicsCollisionAPI to make it an obstacle",
         ),
         ROOM: f"; it {stays}. Bodies collide with the floor of the bake, not with it: apply"
         " PhysicsCollisionAPI to make it an obstacle, or turn its faces outward to make it soft",

@@ -33,6 +33,27 @@ def has_animated_points(file: Path, paths: Sequence[str], facts: StageFacts) -> 
         return any(one and one.GetPointsAttr().GetNumTimeSamples() > 1 for one in every)
 
 
+def animated_meshes(file: Path, paths: Sequence[str], facts: StageFacts) -> set[str]:
+    """Those of some meshes whose points or transforms, or those of prims above, have time samples.
+
+    A mesh under an animated transform is one of them.
+    """
+    found = set()
+    with reading(file):
+        stage = open_stage(file)
+        for path in paths:
+            prim = named_prim(stage, facts.path, path)
+            points = UsdGeom.PointBased(prim)
+            if points and points.GetPointsAttr().GetNumTimeSamples() > 1:
+                found.add(path)
+            while path not in found and prim and not prim.IsPseudoRoot():
+                placed = UsdGeom.Xformable(prim)
+                if placed and len(placed.GetTimeSamples()) > 1:
+                    found.add(path)
+                prim = prim.GetParent()
+    return found
+
+
 def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:
     """First and last time code of the animation of some meshes without skeletons.
 

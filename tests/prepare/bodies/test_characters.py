@@ -1,0 +1,116 @@
+"""Meshes that a character's animation does not hold: the ground, props and sheets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm import arm, write
+
+from gf_usd.core.arrays import Floats
+from gf_usd.geometry.solid import build_solid
+from gf_usd.prepare.bodies.characters import GROUND, PROP, SHEET, without_props
+from gf_usd.readers import read_asset
+
+QUAD = np.array([(-1.0, 0.0, -1.0), (-1.0, 0.0, 1.0), (1.0, 0.0, 1.0), (1.0, 0.0, -1.0)])
+SPACING = 0.1  # [m]
+
+
+def quad(name: str, scale: float, place: tuple[float, float, float]) -> str:
+    points = ", ".join(str(tuple(p)) for p in (QUAD * scale + place).tolist())
+    return f"""
+    def Mesh "{name}"
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points = [{points}]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+    }}
+"""
+
+
+def box(
+    name: str,
+    size: tuple[float, float, float],
+    place: tuple[float, float, float],
+    *,
+    animated: bool = False,
+) -> str:
+    corners = np.array(size) * (np.array(list(np.ndindex(2, 2, 2))) - 0.5) + place
+    faces = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+
+    def text(points: Floats) -> str:
+        return ", ".join(str(tuple(p)) for p in points.tolist())
+
+    moved = f"point3f[] points.timeSamples = {{ 1: [{text(corners)}], 9: [{text(corners + 0.1)}] }}"
+    return f"""
+    def Mesh "{name}"
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points = [{text(corners)}]
+        {moved if animated else ""}
+        int[] faceVertexCounts = {[4] * 6}
+        int[] faceVertexIndices = {faces}
+    }}
+"""
+
+
+def with_arm(folder: Path, *meshes: str) -> Path:
+    return write(folder, arm().rstrip().removesuffix("}") + "".join(meshes) + "}")
+
+
+def left_out(path: Path) -> dict[str, str]:
+    """The reason for each mesh that is left out, by its name."""
+    asset = read_asset(path, bind_pose=True)
+    kept = without_props(asset, build_solid(asset), path, SPACING)
+    new = kept.skipped[len(asset.skipped) :]
+    assert {s.path for s in asset.surfaces} - {s.path for s in kept.surfaces} == {p for p, _ in new}
+    return {path.rsplit("/", 1)[1]: reason for path, reason in new}
+
+
+@pytest.mark.parametrize("height", [-0.5, -0.2], ids=["below", "at the skin"])
+def test_the_ground_under_a_character_does_not_follow_it(tmp_path: Path, height: float) -> None:
+    ground = quad("Ground", 5.0, (1.0, height, 0.0))
+    found = left_out(with_arm(tmp_path, ground))
+    assert found == {"Ground": f"no skeleton poses it, and {GROUND}"}
+
+
+def test_a_sheet_follows_flesh_that_it_touches_and_no_other(tmp_path: Path) -> None:
+    near = quad("Cuff", 0.1, (1.5, 0.2 + 0.5 * SPACING, 0.0))
+    far = quad("Kite", 0.1, (1.5, 0.2 + 2.0 * SPACING, 0.0))
+    inside = quad("Card", 0.1, (1.5, 0.0, 0.0))
+    found = left_out(with_arm(tmp_path, near, far, inside))
+    assert found == {"Kite": f"no skeleton poses it, and {SHEET}"}
+
+
+def test_two_props_on_a_slab_are_not_held_by_the_character_that_stands_on_it(
+    tmp_path: Path,
+) -> None:
+    """The crate touches the slab, and the slab the character."""
+    slab = box("Slab", (8.0, 0.1, 8.0), (1.0, -0.25, 0.0))
+    crate = box("Crate", (0.4, 0.4, 0.4), (1.0, 0.0, 2.0))
+    found = left_out(with_arm(tmp_path, slab, crate))
+    assert found == {
+        "Slab": f"no skeleton poses it, and {GROUND}",
+        "Crate": f"no skeleton poses it, and {PROP}",
+    }
+
+
+def test_beside_animated_points_meshes_that_are_not_animated_stay(tmp_path: Path) -> None:
+    path = tmp_path / "cache.usda"
+    meshes = (
+        box("Body", (1.0, 1.0, 1.0), (0.0, 0.5, 0.0), animated=True),
+        box("Hat", (0.4, 0.4, 0.4), (0.0, 1.2, 0.0)),
+        box("Crate", (1.0, 1.0, 1.0), (3.0, 0.5, 0.0)),
+        quad("Ground", 9.0, (0.0, 0.0, 0.0)),
+    )
+    path.write_text(
+        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y"\n defaultPrim = "A" )\n'
+        f'def Xform "A"\n{{{"".join(meshes)}}}\n',
+        encoding="utf-8",
+    )
+    assert left_out(path) == {
+        "Crate": f"it is not animated, and {PROP}",
+        "Ground": f"it is not animated, and {GROUND}",
+    }
