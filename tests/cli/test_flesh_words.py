@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from arm import arm, cached, captured, write
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdSkel
 from small_bakes import Done
 
 from gf_usd.core.errors import InputError
@@ -105,6 +105,17 @@ def test_the_floor_that_is_proposed_is_under_animated_points(tmp_path: Path) -> 
     assert float(height) == pytest.approx(last, rel=0.01)
     assert float(height) <= last
     assert where == "under its poses in these frames,"
+
+
+@pytest.mark.slow
+def test_no_floor_is_proposed_where_there_are_obstacles(tmp_path: Path) -> None:
+    path = write(tmp_path, arm())
+    stage = Usd.Stage.Open(str(path))
+    ground = UsdGeom.Cube.Define(stage, "/Arm/Ground")
+    UsdGeom.XformCommonAPI(ground).SetTranslate(Gf.Vec3d(0.0, -3.0, 0.0))
+    UsdPhysics.CollisionAPI.Apply(ground.GetPrim())
+    stage.Save()
+    assert not any(note.startswith("there is no floor") for note in plan_of(path).notes)
 
 
 @pytest.mark.slow

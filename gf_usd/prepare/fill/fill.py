@@ -138,7 +138,7 @@ def fill(
     gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()
     flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)
     request, flow_notes = with_flow(request, flow)
-    floating = request.floats
+    floating = request.floats and not spec.physics.obstacles
     request, stage_notes = with_stage(request, spec, asset)
     inputs = Inputs(
         meshes=meshes, request=request, spec=spec, presets=presets, law=law, file=file, flow=flow,
