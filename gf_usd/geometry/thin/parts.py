@@ -216,24 +216,37 @@ def _poor_shells(
         spacing = min(wall, float(np.cbrt(volume[k] / FEW)))
         rays = spread(points, triangles[rows], RAYS)
         clear = np.full(RAYS, CLEAR_OF_WALL * wall)
+        part = Part(
+            path=solid.surfaces[number].path,
+            shell=k,
+            kind=kind,
+            low=low[k],
+            high=high[k],
+            area=float(area[k]),
+            particles=count,
+            wall=wall,
+            rays=rays,
+            within=shell_chords(points, triangles[rows], *rays, clear),
+            suggested=_particles_for(solid, spacing),
+        )
+        if _is_patch(solid, part):
+            continue
         corners = points[triangles[rows]].reshape(-1, 3)
         ends.append(corners[np.concatenate([corners.argmin(0), corners.argmax(0)])])
-        found.append(
-            Part(
-                path=solid.surfaces[number].path,
-                shell=k,
-                kind=kind,
-                low=low[k],
-                high=high[k],
-                area=float(area[k]),
-                particles=count,
-                wall=wall,
-                rays=rays,
-                within=shell_chords(points, triangles[rows], *rays, clear),
-                suggested=_particles_for(solid, spacing),
-            )
-        )
+        found.append(part)
     return found, ends, np.flatnonzero(cavity).tolist()
+
+
+def _is_patch(solid: Solid, part: Part) -> bool:
+    """Whether a shell bounds nothing by itself, but is part of the boundary of the union, as a
+    piece of skin with a material of its own.
+
+    It is as thick as the body there, and belongs to the regions.
+    """
+    if np.isfinite(part.within).any():
+        return False
+    outer, inner = (solid.inside(X) for X in part.sides)
+    return 2 * np.count_nonzero(outer != inner) > len(outer)
 
 
 def _not_enclosed(solid: Solid, parts: list[Part], corners: Sequence[Floats]) -> list[Part]:

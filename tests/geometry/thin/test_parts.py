@@ -46,6 +46,17 @@ def test_the_edges_of_a_divided_box_are_not_thin(tmp_path, particles):
     assert parts_of(box, particles=particles) == ()
 
 
+def test_a_patch_of_the_skin_that_is_a_shell_of_its_own_is_no_part():
+    """A tenth of a ball's surface has its own vertices, 1e-4 off those of the rest."""
+    ball = sphere()
+    middle = ball.points[ball.triangles].mean(1)
+    cap = middle @ np.array([0.6, 0.0, 0.8]) > 0.92 * np.linalg.norm(middle, axis=1).min()
+    assert 0.01 < cap.mean() < 0.1
+    patch = surface(ball.points * (1.0 + 1e-4), ball.triangles[cap])
+    body = shells_of(surface(ball.points, ball.triangles[~cap]), patch)
+    assert parts_of(body, particles=2000) == ()
+
+
 @pytest.mark.slow
 def test_shells_thinner_than_a_spacing_are_named():
     plate = cube(low=(3.0, 0.0, 0.04), edge=(0.5, 0.5, 0.001))
