@@ -183,6 +183,11 @@ def test_every_rule_has_its_case() -> None:
     assert set(CASES) == set(RULES)
 
 
+def test_a_frame_has_the_time_code_that_players_show() -> None:
+    (warning,) = health_warnings(CASES["inside-out"][1], time_code=lambda frame: 1001.0 + frame)
+    assert "up to 3 at once, from frame 1 (time code 1002) on, down to" in warning.message
+
+
 @pytest.mark.parametrize("about", CASES)
 def test_both_sides_of_a_limit(about: str) -> None:
     sound, unsound, message = CASES[about]

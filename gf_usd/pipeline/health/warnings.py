@@ -15,7 +15,7 @@ from typing import Any
 from gf_usd.core.errors import counted
 from gf_usd.core.frames import STRETCH
 from gf_usd.core.materials.laws import LAWS
-from gf_usd.core.units import length_text, percent_text, rounded_text
+from gf_usd.core.units import code_text, length_text, percent_text, rounded_text
 
 HealthSummary = Mapping[str, Any]
 
@@ -55,7 +55,7 @@ ALTERED = 0.01  # of the particle-frames: the material no longer behaves as spec
 
 # A law without a term in ln J lets particles through J = 0 at a finite stress.
 SAFER = {"corotated": "neoHookean", "vonMisesCorotated": "vonMisesNeoHookean"}
-LAWS_OF = "laws"  # in a summary, for the rules
+LAWS_OF, TIME_OF = "laws", "time_code"  # in a summary, for the rules
 
 WARNING, ERROR = "warning", "error"
 ERRORS = ("planes",)  # of RULES
@@ -78,13 +78,18 @@ class HealthWarning:
         return asdict(self)
 
 
-def health_warnings(health: HealthSummary, laws: Collection[str] = ()) -> tuple[HealthWarning, ...]:
+def health_warnings(
+    health: HealthSummary,
+    laws: Collection[str] = (),
+    time_code: Callable[[float], float] | None = None,
+) -> tuple[HealthWarning, ...]:
     """The warnings about a summary of `HealthLog`, in the order of RULES.
 
     laws : tokens of those that the materials have, for hints that name another.
+    time_code : of each frame of the summary, that of the stage; None: not stated.
     """
     found = []
-    known = {**health, LAWS_OF: laws}
+    known = {**health, LAWS_OF: laws, TIME_OF: time_code}
     for about, rule in RULES.items():
         if (text := rule(known)) is not None:
             level = ERROR if about in ERRORS else WARNING
@@ -118,6 +123,12 @@ def _gentler(h: HealthSummary) -> str:
     return "lower the impact (--drop)" if h["falls"] else "slow down what moves the body"
 
 
+def _frame(h: HealthSummary, key: str) -> str:
+    """Text: the frame of a summary, with its time code, which is what players show."""
+    index, time_code = h[key], h[TIME_OF]
+    return f"frame {index}" + (f" (time code {code_text(time_code(index))})" if time_code else "")
+
+
 def _other_law(h: HealthSummary) -> str:
     """The option of a law that withstands more compression than those of the body; "": none."""
     better = [SAFER[law] for law in h[LAWS_OF] if law in SAFER]
@@ -143,8 +154,8 @@ def _inverted(h: HealthSummary) -> MessageAndHint:
     law = f"{_other_law(h)}, " if _other_law(h) else ""
     end = f"{left} still are at the end" if left else "none is at the end"
     return (
-        f"particles turned inside out: up to {h['inverted_max']} at once, from frame"
-        f" {h['first_inverted_frame']} on, down to J = {h['min_J']:.2g}; {end}",
+        f"particles turned inside out: up to {h['inverted_max']} at once, from"
+        f" {_frame(h, 'first_inverted_frame')} on, down to J = {h['min_J']:.2g}; {end}",
         f"{_gentler(h)}, use {law}a stiffer material or more --particles",
     )
 
@@ -154,9 +165,9 @@ def _expanded(h: HealthSummary) -> MessageAndHint:
     if volume is None or volume <= EXPANDED or any(LAWS[law].unbounded for law in h[LAWS_OF]):
         return None
     return (
-        f"<{h['expanded_body']}> expanded to {volume:.3g} times its volume in frame"
-        f" {h['expanded_frame']}, single particles to {h['max_J']:.2g} times theirs; solids do not"
-        " expand like this",
+        f"<{h['expanded_body']}> expanded to {volume:.3g} times its volume in"
+        f" {_frame(h, 'expanded_frame')}, single particles to {h['max_J']:.2g} times theirs;"
+        " solids do not expand like this",
         f"{_gentler(h)}, use a stiffer material, or pin a larger region of what is pinned",
     )
 
@@ -167,7 +178,7 @@ def _stretched(h: HealthSummary) -> MessageAndHint:
         return None
     return (
         f"{percent_text(share)} of the volume of <{h['stretched_body']}> was stretched more than"
-        f" {STRETCH:g}-fold in frame {h['stretched_frame']}, single particles"
+        f" {STRETCH:g}-fold in {_frame(h, 'stretched_frame')}, single particles"
         f" {h['max_stretch']:.3g}-fold; it is too soft for its own weight or its motion",
         f"use a stiffer material (a preset in pascals for thin parts), {_gentler(h)}, or pin a"
         " larger region of what is pinned",
@@ -247,7 +258,7 @@ def _overlap(h: HealthSummary) -> MessageAndHint:
     pair = h.get("overlap_pair") or "bodies or obstacles"  # some solvers do not know it
     return (
         f"{pair} overlapped by {rounded_text(h['deepest_overlap_spacings'])} spacings"
-        f" ({length_text(h['deepest_overlap_m'])}) at frame {h['overlap_frame']}",
+        f" ({length_text(h['deepest_overlap_m'])}) at {_frame(h, 'overlap_frame')}",
         f"{_gentler(h)}, or use more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
     )
@@ -260,7 +271,7 @@ def _pierced(h: HealthSummary) -> MessageAndHint:
     how = "and comes out on the other side, " if through else ""
     return (
         f"an edge or corner of {h['pierced_pair']}, {how}{rounded_text(depth)} spacings"
-        f" ({length_text(h['pierced_max_m'])}) deep at frame {h['pierced_frame']}",
+        f" ({length_text(h['pierced_max_m'])}) deep at {_frame(h, 'pierced_frame')}",
         "round the edges of the obstacle, make the body thicker, or use more --particles;"
         f" {_gentler(h)}",
     )
@@ -356,8 +367,8 @@ def _fallen(h: HealthSummary) -> MessageAndHint:
     if not count:
         return None
     return (
-        f"{count} of {h['fallen_of']} bodies fell past every obstacle, the first by frame"
-        f" {h['first_fallen_frame']}, and nothing is below them",
+        f"{count} of {h['fallen_of']} bodies fell past every obstacle, the first by"
+        f" {_frame(h, 'first_fallen_frame')}, and nothing is below them",
         "add a floor (--floor HEIGHT), make the obstacles larger, or move the bodies over them",
     )
 
@@ -369,7 +380,7 @@ def _lost(h: HealthSummary) -> MessageAndHint:
     are = f"{percent_text(h['lost_share'])} of all, {'is' if count == 1 else 'are'} below"
     return (
         f"{counted(count, 'flowing particle')}, {are} the floor or every obstacle in the last"
-        f" frame, the first from frame {h['first_lost_frame']} on",
+        f" frame, the first from {_frame(h, 'first_lost_frame')} on",
         "add a floor (--floor HEIGHT), make obstacles larger or thicker, or use more --particles",
     )
 

@@ -294,7 +294,9 @@ def _outcome(run: VariantRun, done: Simulated) -> Outcome:
         per_frame=run.log.per_frame(),
         warnings=(
             *plan_warnings(plan.odd, plan.heavy, plan.stated_heavy),
-            *health_warnings(health, [m.law for m in variant.table]),
+            *health_warnings(
+                health, [m.law for m in variant.table], sampled(plan.settings).time_code
+            ),
         ),
         certificate=certificate,
         storage=None if done.cache.storage is None else done.cache.storage.as_json(),

@@ -16,6 +16,7 @@ from gf_usd.core.frames import Settings, SurfaceSamples
 from gf_usd.core.stage import Goals, Pin, Skeleton
 from gf_usd.core.units import length_text, percent_text
 from gf_usd.prepare.bodies.characters import character_paths
+from gf_usd.prepare.bodies.jumps import jump_notes
 from gf_usd.prepare.pins import FREE
 from gf_usd.prepare.settings import Animation
 
@@ -217,6 +218,7 @@ def _of_character(
     skeleton = _at_frames(skeleton, frame_rows.tolist())
     if cycle and repeats:
         _require_closed(asset, skeleton, lead, cycle)
+    jumps = () if cycle else jump_notes(skeleton, times, lead)
     if cores is None:
         cores, notes = bone_cores(skeleton.bones, solid, radius, cell)
     if animation.nearest:
@@ -232,7 +234,7 @@ def _of_character(
     painted, frequency, goal_notes = _goal_weights(
         asset, solid, skeleton, cores, animation, file, frequency, cell
     )
-    notes = (*notes, *pin_notes, *goal_notes)
+    notes = (*jumps, *notes, *pin_notes, *goal_notes)
     if frequency is None and limits is None:
         return Flesh(pins=pins, notes=notes, rigid=tuple(kept), poses=poses)
     goals, key_notes = _springs(
