@@ -15,7 +15,7 @@ from gf_usd.core.errors import counted
 from gf_usd.core.units import bytes_text, code_text, length_text, volume_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from gf_usd.pipeline.cost.forecast import Activity
     from gf_usd.pipeline.prepared import Prepared
@@ -334,8 +334,6 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
 
     spent : the seconds of its stages, as text.
     """
-    from gf_usd.prepare.bodies.coarse import is_noted
-
     clips = [clip for bake in result.bakes for clip in bake.clips]
     files = [path for path in result.outputs if path.exists() and path not in clips]
     lines = [f"{path}  {bytes_text(path.stat().st_size)}" for path in files]
@@ -351,16 +349,22 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
         lines += [
             f"warning: {bake.variant}: {c.message} [{c.about}]\n  hint: {c.hint}"
             for c in bake.warnings
-            # which may have been a note before the bake
-            if not (
-                c.about == COARSE and is_noted(bake.health.get("outside_mesh") or "", plan.coarse)
-            )
+            if not (c.about == COARSE and _is_noted(bake.health["outside_meshes"], plan))
         ]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"
         for f in result.findings
     ]
     typer.echo("\n".join(lines))
+
+
+def _is_noted(meshes: Sequence[str] | None, plan: Plan) -> bool:
+    """Whether the plan has a note on all meshes of a warning on coarse ones, which then repeats it.
+
+    The warning counts cages as well, which have a note of another kind, and is not of meshes that
+    begin to flow.
+    """
+    return bool(meshes) and set(plan.coarse).issuperset(meshes)
 
 
 def _measured(bake: VariantResult) -> str:

@@ -64,7 +64,7 @@ class Plan:
     notes: tuple[str, ...]
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     repairs: tuple[Repairs, ...] = ()  # of --repair, one for each mesh that it may change
-    coarse: str = ""  # which of its meshes have faces too long to bend, if any; one of the notes
+    coarse: tuple[str, ...] = ()  # prim paths of meshes that a note says are too coarse to bend
     lost: str = ""  # how little of its volume faults of its meshes let be filled; one of the notes
     heavy: str = ""  # which of its densities no solid has, if any
     stated_heavy: str = ""  # what of the stage gives it that density, as "the mass of </Ball>"

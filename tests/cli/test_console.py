@@ -139,20 +139,29 @@ def test_a_frame_that_takes_minutes_is_not_silent(done: int) -> None:
     assert len(printed) >= 4
 
 
-@pytest.mark.parametrize(("noted", "said"), [("/Box", 0), ("/Other", 1)])
+@pytest.mark.parametrize(
+    ("noted", "measured", "said"),
+    [
+        (("/Box",), ["/Box"], 0),
+        (("/Box", "/Flows"), ["/Box"], 0),
+        (("/Flows", "/Box"), ["/Box"], 0),
+        (("/Other",), ["/Box"], 1),
+        (("/BoxInside",), ["/Box"], 1),
+        (("/Box",), ["/Cage", "/Box"], 1),
+        ((), ["/Box"], 1),
+    ],
+)
 def test_a_coarse_mesh_that_no_note_names_is_warned_of(
-    capsys: pytest.CaptureFixture[str], noted: str, said: int
+    capsys: pytest.CaptureFixture[str], noted: tuple[str, ...], measured: list[str], said: int
 ) -> None:
     """One note on any mesh took back the warnings on all others."""
     warning = HealthWarning(about="coarse-mesh", message="faces of </Box> are", hint="divide them")
-    health = dict.fromkeys(HEALTH, 0.0) | {"outside_mesh": "</Box> (edges up to 9 spacings of 1 m)"}
+    health = dict.fromkeys(HEALTH, 0.0) | {"outside_meshes": measured}
     one = SimpleNamespace(
         variant="rubber", clips=(), frames=2, at_rest=None, health=health, certificate=None,
         warnings=(warning,),
     )  # fmt: skip
     result = SimpleNamespace(bakes=(one,), outputs=(), particles=8, notes=(), findings=())
-    plan = SimpleNamespace(
-        notes=(), coarse=f"faces of <{noted}> (edges up to 9 spacings) stay flat"
-    )
+    plan = SimpleNamespace(notes=(), coarse=noted)
     summarize(cast(BakeResult, result), cast(Plan, plan), "1 s")
     assert capsys.readouterr().out.count("[coarse-mesh]") == said

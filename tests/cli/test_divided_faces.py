@@ -52,6 +52,7 @@ def test_a_coarse_mesh_is_warned_of_and_a_divided_one_is_not(cube: Path) -> None
     assert "</World/Cube>" in warning.message
     assert "max_edge_length='auto'" in warning.hint
     assert coarse.health["outside_mesh_max_share"] > 0.01
+    assert coarse.health["outside_meshes"] == ["/World/Cube"]
     before = cube.read_bytes()
     fine = bake(cube, **OPTIONS, max_edge_length=0.5, output="fine.usda")
     assert cube.read_bytes() == before

@@ -28,7 +28,7 @@ HEALTH = {
     "deepest_overlap_m", "deepest_overlap_spacings", "overlap_pair", "overlap_frame",
     "released_max", "let_go_max",
     "inside_at_end_share", "inside_at_end_m", "inside_max_share", "inside_max_m",
-    "outside_mesh_max_share", "outside_mesh_max_m", "outside_mesh",
+    "outside_mesh_max_share", "outside_mesh_max_m", "outside_mesh", "outside_meshes",
     "expanded_volume", "expanded_body", "expanded_frame",
     "stretched_share", "stretched_body", "stretched_frame",
     "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",

@@ -83,11 +83,12 @@ class FrameBuilder:
             if one.splats is None and len(one.triangles) and one.path not in waiting
         ]
         self._inside, self._outside, self._coarse = None, None, ""
+        self.coarse: tuple[str, ...] = ()  # prim paths of meshes with long faces
         if meshes:
             spacing = solver.particles.spacing
             self._inside = InsideMeasure(meshes, spacing, settings.frames, open_end=open_end)
             if found := coarse_meshes(meshes, spacing):
-                self._coarse = mesh_names(found, spacing)
+                self.coarse, self._coarse = tuple(found), mesh_names(found, spacing)
                 self._outside = OutsideMeasure(meshes, solver.particles.X, spacing)
         self._poses: Mapping[str, Pose] = {}  # pose of the last sample
         self._x = solver.particles.X  # [m] then

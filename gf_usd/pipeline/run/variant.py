@@ -279,7 +279,11 @@ def _outcome(run: VariantRun, done: Simulated) -> Outcome:
     from gf_usd.layers.variants import BakedVariant
 
     plan, variant, rest, frames = run.plan, run.variant, run.rest, run.log.frames
-    health = {**run.log.summary(), **run.period.health}
+    health = {
+        **run.log.summary(),
+        "outside_meshes": list(run.builder.coarse) or None,
+        **run.period.health,
+    }
     certificate = None
     if run.observer is not None and done.error is None:
         certificate = run.coarse.certificate(plan, run.observer.observed())

@@ -16,7 +16,6 @@ from gf_usd.core.units import length_text, rounded_text
 
 FAR = 1.0  # [spacings] from the limit surface
 LONG = 4.0  # [spacings] edge length: shorter edges resolve any bend of the grid (cell size 2)
-EDGES = " (edges up to "  # what follows the names of meshes
 SHARE = 0.01  # least share of a mesh's area in faces with a long edge
 
 
@@ -40,32 +39,26 @@ def cage_notes(surfaces: Sequence[Surface], spacing: float, *, refined: bool) ->
     return tuple(notes)
 
 
-def coarse_note(surfaces: Sequence[Surface], spacing: float, *, refined: bool) -> str:
-    """A note on meshes with faces too long to bend with their body, "" where there are none.
+def coarse_note(
+    surfaces: Sequence[Surface], spacing: float, *, refined: bool
+) -> tuple[str, tuple[str, ...]]:
+    """A note on meshes with faces too long to bend with their body, and the paths of these meshes.
 
-    Cages that have a note are left out.  spacing : [m] of the particles; refined : faces were
-    divided, except for those that cannot be.
+    ("", ()) where there are none.  Cages that have a note are left out.
+
+    spacing : [m] of the particles; refined : faces were divided, except for those that cannot be.
     """
     cages = {s.path for s in surfaces if s.limit is not None and s.limit.shift > FAR * spacing}
     own = [s for s in surfaces if s.splats is None and len(s.triangles) and s.path not in cages]
     found = coarse_meshes(own, spacing)
     if not found:
-        return ""
+        return "", ()
     what = "" if refined else "; --max-edge-length auto divides them"
-    return (
+    note = (
         f"faces of {mesh_names(found, spacing)} stay flat however the body bends, and only the"
         f" particles and Gaussians show its shape{what}"
     )
-
-
-def is_noted(measured: str, note: str) -> bool:
-    """Whether a note names the meshes of a warning after the bake.
-
-    measured : of `mesh_names`; note : of `coarse_note`.  The warning counts cages as well, which
-    have a note of another kind, and is not of meshes that begin to flow.
-    """
-    meshes, _, _ = measured.partition(EDGES)
-    return bool(meshes) and meshes in note
+    return note, tuple(found)
 
 
 def coarse_meshes(surfaces: Sequence[Surface], spacing: float) -> dict[str, float]:
@@ -88,4 +81,4 @@ def mesh_names(meshes: Mapping[str, float], spacing: float) -> str:
     path, edge = next(iter(meshes.items()))
     more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
     long = f"{rounded_text(edge / spacing)} spacings of {length_text(spacing)}"
-    return f"<{path}>{more}{EDGES}{long})"
+    return f"<{path}>{more} (edges up to {long})"

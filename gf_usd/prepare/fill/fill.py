@@ -169,7 +169,7 @@ def fill(
     spacing, refined = filled.particles.spacing, request.max_edge_length is not None
     cages = cage_notes(drawn, spacing, refined=refined)
     heavy, stated_heavy = implausible_densities(materials.stated, asset.facts.units)
-    coarse = coarse_note(drawn, spacing, refined=refined)
+    coarse, coarse_meshes = coarse_note(drawn, spacing, refined=refined)
     notes = (
         *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
         *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
@@ -209,7 +209,7 @@ def fill(
         tets=tets,
         velocity=_start_velocities(inputs, filled, limbs, settings),
         advice=advice,
-        coarse=coarse,
+        coarse=coarse_meshes,
         lost=meshes.lost,
         heavy=heavy,
         stated_heavy=stated_heavy,

@@ -151,6 +151,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row("outside_mesh_max_m", "Largest distance outside the mesh", "m", "of a particle"),
     Row("outside_mesh", "Mesh with the longest faces", "", "relative to the particle spacing"),
+    Row("outside_meshes", "Meshes with long faces", "", "of more than four particle spacings"),
     Row(
         "penetration_at_end_spacings",
         "Depth in the floor at the end",

@@ -15,7 +15,6 @@ from gf_usd.prepare.bodies.coarse import (
     cage_notes,
     coarse_meshes,
     coarse_note,
-    is_noted,
     mesh_names,
 )
 
@@ -102,31 +101,16 @@ def test_long_faces_are_noted_before_the_bake(cube: Path):
     UsdGeom.Mesh(polygons.GetPrimAtPath("/Cube")).GetSubdivisionSchemeAttr().Set("none")
     polygons.Save()
     plan = prepare(cube, particles=1000).plan
-    assert plan.coarse in plan.notes
-    assert plan.coarse.startswith("faces of </Cube> (edges up to 14 spacings of 20 cm) stay flat")
-    assert "--max-edge-length auto" in plan.coarse
-    assert prepare(cube, particles=1000, max_edge_length="auto").plan.coarse == ""
-    assert prepare(cube, particles=1000, material="honey").plan.coarse == "", "no mesh is shown"
+    (note,) = (note for note in plan.notes if "stay flat" in note)
+    assert note.startswith("faces of </Cube> (edges up to 14 spacings of 20 cm) stay flat")
+    assert "--max-edge-length auto" in note
+    assert plan.coarse == ("/Cube",)
+    assert prepare(cube, particles=1000, max_edge_length="auto").plan.coarse == ()
+    assert prepare(cube, particles=1000, material="honey").plan.coarse == (), "no mesh is shown"
 
 
 def test_a_cage_has_one_note(cube: Path):
     plan = prepare(cube, particles=1000).plan
-    assert plan.coarse == ""
-    assert coarse_note(plan.asset.surfaces, 2.0, refined=False) == "", "its edges are short"
-
-
-@pytest.mark.parametrize(
-    ("measured", "before", "noted"),
-    [
-        ({"/Box": 0.9}, {"/Box": 0.9}, True),
-        ({"/Box": 0.9}, {"/Box": 0.9, "/Flows": 0.8}, True),
-        ({"/Box": 0.9}, {"/Other": 0.9}, False),
-        ({"/Cage": 0.95, "/Box": 0.9}, {"/Box": 0.9}, False),
-        ({"/Box": 0.9}, {}, False),
-    ],
-)
-def test_a_warning_is_noted_where_its_meshes_are(
-    measured: dict[str, float], before: dict[str, float], noted: bool
-) -> None:
-    note = f"faces of {mesh_names(before, 0.1)} stay flat" if before else ""
-    assert is_noted(mesh_names(measured, 0.1), note) == noted
+    assert plan.coarse == ()
+    none = coarse_note(plan.asset.surfaces, 2.0, refined=False)
+    assert none == ("", ()), "its edges are short"
