@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import BAKES, Asset, StageFacts, baked_already
+from gf_usd.core.asset import BAKES, Asset, StageFacts, baked_already, free_name
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.core.frames import Choices, Settings
 from gf_usd.system.atomic_files import partial_path, same_place
@@ -249,11 +249,10 @@ def to_metadata(value: Any) -> Any:
 
 
 def _free(source: Usd.Stage, path: Sdf.Path) -> Sdf.Path:
-    wanted, count = path, 0
-    while source.GetPrimAtPath(path):
-        count += 1
-        path = wanted.ReplaceName(f"{wanted.name}{count}")
-    return path
+    parent = path.GetParentPath()
+    return parent.AppendChild(
+        free_name(path.name, lambda name: bool(source.GetPrimAtPath(parent.AppendChild(name))))
+    )
 
 
 def _unsaved(layer: Sdf.Layer) -> BakeError:

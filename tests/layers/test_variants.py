@@ -80,7 +80,7 @@ def test_names_that_the_asset_uses_are_left_to_it(tmp_path: Path) -> None:
     prim = stage.GetPrimAtPath("/root")
     assert prim.GetVariantSet("display").GetVariantSelection() == "big"
     assert sorted(prim.GetVariantSet("display").GetVariantNames()) == ["big", "small"]
-    assert stage.GetPrimAtPath("/root/GaussianFlesh1/Gaussians")
+    assert stage.GetPrimAtPath("/root/GaussianFlesh_2/Gaussians")
     assert not stage.GetPrimAtPath("/root/GaussianFlesh").GetChildren()
 
 

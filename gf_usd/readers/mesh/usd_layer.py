@@ -79,11 +79,9 @@ class _Pictures:
 
     def _free(self, name: str) -> str:
         stem, dot, suffix = name.rpartition(".")
-        wanted, count = name, 1
         # File names are case-insensitive on Windows and macOS.
-        while wanted.lower() in self._names:
-            count += 1
-            wanted = f"{stem}_{count}{dot}{suffix}"
+        stem = free_name(stem, lambda stem: f"{stem}{dot}{suffix}".lower() in self._names)
+        wanted = f"{stem}{dot}{suffix}"
         self._names.add(wanted.lower())
         return wanted
 

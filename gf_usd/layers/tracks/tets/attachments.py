@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Asset, prim_name
+from gf_usd.core.asset import Asset, free_name, prim_name
 from gf_usd.core.frames import MeshPose, Settings, TetAttachment, TetLattice, sampled
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, f32
@@ -78,7 +78,8 @@ class Attachments:
         self._lift = lift = np.asarray(settings.lift, float)
         for one in attachments:
             lattice, mesh = tets[one.body]
-            prim = cache.DefinePrim(self._free(cache, path, one.pin), ATTACHMENTS[0])
+            name = free_name(_name_of(one.pin), self.prim.GetAllChildrenNames().__contains__)
+            prim = cache.DefinePrim(path.AppendChild(name), ATTACHMENTS[0])
             carrier = self._reference_prim(_named(source, one), root, one, clock)
             still = lattice.X[one.points] + lift
             prim.CreateRelationship("physics:src0", False).SetTargets([mesh])
@@ -135,15 +136,10 @@ class Attachments:
                 return None
         return named.GetPath(), space
 
-    def _free(self, cache: Usd.Stage, path: Sdf.Path, pin: str) -> Sdf.Path:
-        """A path for the attachment of a pin, after the last part of its name, or its kind."""
-        word = pin.rpartition("/")[2] if pin.startswith("/") else pin.partition(":")[0]
-        stem = prim_name(word)
-        found, count = path.AppendChild(stem), 0
-        while cache.GetPrimAtPath(found):
-            count += 1
-            found = path.AppendChild(f"{stem}_{count}")
-        return found
+
+def _name_of(pin: str) -> str:
+    """The prim name of the attachment of a pin: the last part of the pin's name, or its kind."""
+    return prim_name(pin.rpartition("/")[2] if pin.startswith("/") else pin.partition(":")[0])
 
 
 def _vectors(values: Floats) -> Vt.Vec3fArray:

@@ -22,6 +22,7 @@ from gf_usd.prepare.prepare import prepare
 
 FACES = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
 BOX = "box:0,-10,90,33,40,140"
+OTHER_BOX = "box:70,10,90,110,70,140"
 FRAMES = 5
 ROUNDING = 4 * np.finfo(np.float32).eps  # of the largest coordinate: places are single precision
 
@@ -129,6 +130,14 @@ def written(plan: Plan, folder: Path) -> Path:
     only.subLayerPaths[:] = ["./held.usda", "./arm.usda"]
     stacked.Save()
     return folder / "setup.usda"
+
+
+def test_attachments_of_the_same_name_are_numbered_from_2(tmp_path: Path) -> None:
+    """As other prims; they were numbered from 1."""
+    plan = plan_of(stage(tmp_path), pins=[BOX, OTHER_BOX])
+    scene = Usd.Stage.Open(str(written(plan, tmp_path)))
+    prims = scene.GetPrimAtPath("/World/GaussianFlesh/Attachments").GetChildren()
+    assert [prim.GetName() for prim in prims] == ["box", "box_2"]
 
 
 @pytest.mark.parametrize(
@@ -277,4 +286,4 @@ def test_a_bake_with_attachments_is_the_bake_with_the_pin(
     a, b = positions(first), positions(again)
     assert np.abs(a - a[0]).max() > 5.0  # it hangs from the pin
     np.testing.assert_allclose(a, b, rtol=0.0, atol=far)
-    assert not Usd.Stage.Open(str(again)).GetPrimAtPath("/World/GaussianFlesh1/Attachments")
+    assert not Usd.Stage.Open(str(again)).GetPrimAtPath("/World/GaussianFlesh_2/Attachments")
