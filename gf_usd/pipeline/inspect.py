@@ -54,12 +54,18 @@ from gf_usd.pipeline.cost.budget import Cost
 from gf_usd.pipeline.cost.forecast import FILLING, INSPECTING, READING, Stages, Watch
 from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
-from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.fill.inputs import repair_asset_for_fill
-from gf_usd.prepare.fill.neighbors import neighbor_notes, with_neighbors, would_fill
+from gf_usd.prepare.fill.neighbors import would_fill
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
-from gf_usd.prepare.prepare import around, parse_request, poor_parts_of, read_stage, reading
+from gf_usd.prepare.prepare import (
+    around,
+    fill_found,
+    parse_request,
+    poor_parts_of,
+    read_stage,
+    reading,
+)
 from gf_usd.readers.usd.stage import layers_kept
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import watching
@@ -295,17 +301,13 @@ def inspect(
     stages.begin(INSPECTING, "(meshes)")
     seen = examine(asset)
     files = outputs(source, [preset.name for preset in found.presets], None)
-    alone = bool(prims) and not request.flesh
-    others = around(found, source, limits, request, presets, meters_per_unit, up_axis)
+    others = around(found, source, limits, request, presets, prims, meters_per_unit, up_axis)
     try:
-        plan, solid = fill(
-            asset, request, found.presets, law, files, found.file, spec=spec, repair=repair,
-            known=seen.diagnoses, progress=partial(stages.begin, FILLING),
+        plan, solid = fill_found(
+            found, request, law, files, others, repair=repair, known=seen.diagnoses,
+            progress=partial(stages.begin, FILLING),
         )  # fmt: skip
-    except InputError as refused:
-        refusal = refused
-        if alone:
-            refusal = with_neighbors(refused, asset, others) or refused
+    except InputError as refusal:
         warnings = [implausible_size(asset)]
         mendable = not repair and not would_fill(asset)
         if mendable and would_fill(repair_asset_for_fill(asset, request, spec)[1]):
@@ -314,8 +316,6 @@ def inspect(
             seen, refusal=refusal, warnings=tuple(w for w in warnings if w),
             repairs=repair_asset_for_fill(asset, request, spec)[2] if repair else (),
         )  # fmt: skip
-    if alone:
-        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, others)))
     stages.begin(INSPECTING, "(time and memory)")
     with watching(stages.compile):
         prepared = with_shot_length(Prepared(plan=plan))

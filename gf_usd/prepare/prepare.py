@@ -57,6 +57,7 @@ from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import init_taichi, kernel_cache_notes
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.diagnosis import Diagnosis
     from gf_usd.geometry.solid import Solid
     from gf_usd.geometry.thin.parts import Part
     from gf_usd.readers.mesh.to_usd import MeshSource
@@ -119,22 +120,9 @@ def prepare(
         require_no_input_of_bake(files, _files_read(source, material, request))
     if files.is_package:
         require_packable(found.file, source)
-    asset, alone = found.asset, bool(prims) and not request.flesh
-    others = around(found, source, limits, request, presets, meters_per_unit, up_axis)
-    try:
-        plan, solid = fill(
-            asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair,
-            progress=progress,
-        )  # fmt: skip
-    except InputError as refused:
-        if not alone:
-            raise
-        closed = with_neighbors(refused, asset, others)
-        if closed is None:
-            raise
-        raise closed from refused
-    if alone:
-        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(asset, others)))
+    asset = found.asset
+    others = around(found, source, limits, request, presets, prims, meters_per_unit, up_axis)
+    plan, solid = fill_found(found, request, law, files, others, repair=repair, progress=progress)
     if once_filled:
 
         def refill(spacing: float) -> Plan:
@@ -361,19 +349,55 @@ def around(
     limits: Limits | None,
     request: Request,
     presets: Sequence[Any],
+    prims: Sequence[str],
     meters_per_unit: float | None,
     up_axis: str | None,
-) -> Around:
-    """What reads the meshes of a stage around those that were read."""
+) -> Around | None:
+    """What reads the meshes of a stage around those that were named; None: none were."""
+    if not prims or request.flesh:
+        return None
     usd, again = source.suffix.lower() in USD_SUFFIXES, None
     if not usd and request.max_edge_length is not None:  # its layer has divided faces
         whole = replace(request, max_edge_length=None)
-        prims = [s.path for s in found.asset.surfaces]
-        again = partial(reading, source, limits, whole, presets, prims, meters_per_unit, up_axis)
+        paths = [s.path for s in found.asset.surfaces]
+        again = partial(reading, source, limits, whole, presets, paths, meters_per_unit, up_axis)
     return Around(
         file=source if usd else found.file, usd=usd, again=again, rest=request.start,
         elastic=_elastic(presets),
     )  # fmt: skip
+
+
+def fill_found(
+    found: SourceAsset,
+    request: Request,
+    law: str | None,
+    files: Outputs,
+    others: Around | None,
+    *,
+    repair: bool,
+    known: Sequence[Diagnosis] = (),
+    progress: Progress = silent,
+) -> tuple[Plan, Solid]:
+    """A plan for an asset and its solid, see `fill`.
+
+    others : reads the meshes around those that were named.  The refusal and the notes of the plan
+        name those that would close them.
+
+    Raises InputError where the asset is refused.
+    """
+    try:
+        plan, solid = fill(
+            found.asset, request, found.presets, law, files, found.file, spec=found.spec,
+            repair=repair, known=known, progress=progress,
+        )  # fmt: skip
+    except InputError as refused:
+        closed = with_neighbors(refused, found.asset, others) if others else None
+        if closed is None:
+            raise
+        raise closed from refused
+    if others:
+        plan = replace(plan, notes=(*plan.notes, *neighbor_notes(found.asset, others)))
+    return plan, solid
 
 
 def parse_request(
