@@ -52,7 +52,7 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
         ({"surface": True, "certify": True}, "certify=True does not support materials"),
         ({"solver": "tl"}, "cannot be combined with dry-sand"),
         ({"material": ["rubber", "dry-sand"]}, "some of these materials flow without limit"),
-        ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not support --pin|pins"),
+        ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "a body that flows, which cannot be pinned"),
     ],
 )
 def test_options_that_sand_does_not_support_are_refused(more: dict[str, Any], message: str) -> None:

@@ -14,6 +14,7 @@ from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.bodies import FilledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.fill.shot import Shot
+from gf_usd.prepare.materials.flowing import require_solid_pins
 from gf_usd.prepare.pins import attachment_pins, make_pins, soft_attachment_goals
 
 
@@ -29,7 +30,22 @@ class Constraints:
 
 
 def constrain(inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[Pin]) -> Constraints:
-    """pins : in addition to those of the options and of the stage."""
+    """pins : in addition to those of the options and of the stage.
+
+    Raises InputError and UsageError for pins of bodies that flow or can be converted.
+    """
+    found = _find_constraints(inputs, filled, shot, pins)
+    flow = inputs.flow
+    require_solid_pins(
+        inputs.asset.facts.path, found.pins, filled.particles, filled.bodies.flows(flow.first),
+        converts=inputs.mixed and flow.later,
+    )  # fmt: skip
+    return found
+
+
+def _find_constraints(
+    inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[Pin]
+) -> Constraints:
     request, asset, solid, file = inputs.request, inputs.asset, inputs.solid, inputs.file
     settings, every = shot.settings, sampled(shot.settings)
     if file is None:

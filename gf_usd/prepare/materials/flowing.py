@@ -16,7 +16,7 @@ from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.materials.presets import find_preset
-from gf_usd.core.stage import Skin, StageSpec
+from gf_usd.core.stage import Pin, Skin, StageSpec
 from gf_usd.prepare.materials.parts import material_parts
 from gf_usd.prepare.materials.regions import MaterialBox, Region, inside_some
 from gf_usd.prepare.materials.table import Authored, authored
@@ -177,4 +177,28 @@ def require_outside(path: Path, particles: Particles, flows: Ints, skins: Sequen
             raise InputError(
                 f"{path}: {inside} of the {len(X)} flowing particles start inside a solid body",
                 "cut the solid out of the flowing mesh, or move one of the two",
+            )
+
+
+def require_solid_pins(
+    path: Path, pins: Sequence[Pin], particles: Particles, flows: Ints, *, converts: bool
+) -> None:
+    """Raise InputError for a pin that holds nothing but flowing bodies, and UsageError for any pin
+    where all bodies flow or some can be converted, so that pins are not supported at all.
+
+    path : of the asset, for messages; flows : (B,) which bodies flow; converts : some can be
+    converted.
+    """
+    if pins and converts:
+        raise UsageError(
+            "a bake with --conversion does not support pins", "leave out one of the two"
+        )
+    for pin in pins if flows.any() else ():
+        held = pin.bodies if pin.body is None else {pin.body}
+        held = held or np.unique(particles.body_of[pin.holds(particles.X, None)])
+        if len(held) and all(flows[k] for k in held):
+            fault = UsageError if flows.all() else InputError
+            raise fault(
+                f"{path}: the pin {pin.name} is part of a body that flows, which cannot be pinned",
+                "leave it out, or give that body a solid --material",
             )
