@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.asset import ASSUMED, Asset
@@ -157,10 +158,8 @@ def _poorly_filled(plan: Plan, solid: Solid) -> tuple[str, ...]:
     """Notes on parts with too few particles, as `inspect` names them."""
     from gf_usd.geometry.thin.advice import poor_note, specks_note
 
-    # faults of meshes cause thin parts where they remove much of the volume; what flows has no
-    # thin parts to bend
-    flows = all(unbounded(plan.particles, variant.table).all() for variant in plan.variants)
-    if plan.lost or flows:
+    # faults of meshes cause thin parts where they remove much of the volume
+    if plan.lost:
         return ()
     parts = poor_parts_of(plan, solid)
     solid.release()
@@ -168,11 +167,18 @@ def _poorly_filled(plan: Plan, solid: Solid) -> tuple[str, ...]:
 
 
 def poor_parts_of(plan: Plan, solid: Solid) -> tuple[Part, ...]:
-    """The parts of a plan with too few particles, except those that do not deform: all points of
-    their surface are in regions that are rigid or pinned along all axes."""
+    """The parts of a plan with too few particles, except those that are never too stiff.
+
+    These flow without limit, or do not deform: all points of their surface are in regions that are
+    rigid or pinned along all axes.
+    """
     from gf_usd.geometry.thin.parts import poor_parts
 
-    parts = poor_parts(solid, plan.particles, plan.samples)
+    flows = _flowing_surfaces(plan, solid)
+    if flows.all():
+        return ()
+    found = poor_parts(solid, plan.particles, plan.samples)
+    parts = tuple(part for part in found if not flows[solid.filled[part.path]])
     pins = [pin for pin in plan.pins if all(pin.axes)]
     if not parts or not pins:
         return parts
@@ -185,6 +191,19 @@ def poor_parts_of(plan: Plan, solid: Solid) -> tuple[Part, ...]:
     held = np.any([pin.holds(at, body) for pin in pins for at in (X, above, below)], axis=0)
     every = np.logical_and.reduceat(held, np.cumsum([0, *counts[:-1]]))
     return tuple(parts[k] for k in np.flatnonzero(~every))
+
+
+def _flowing_surfaces(plan: Plan, solid: Solid) -> NDArray[np.bool_]:
+    """(S,) filled surfaces all of whose particles, or all of their body where they have none, flow
+    without limit in every variant.
+    """
+    particles = plan.particles
+    stays = ~np.all([unbounded(particles, one.table) for one in plan.variants], axis=0)
+    count = len(solid.surfaces)
+    inside, solids = (np.bincount(particles.surface, w, count) for w in (None, stays))
+    of = plan.bodies.of_surface if plan.bodies else np.zeros(count, int)
+    body = np.bincount(particles.body_of, stays, minlength=of.max() + 1)[of]
+    return np.where(inside > 0, solids, body) == 0
 
 
 @dataclass(frozen=True, kw_only=True)

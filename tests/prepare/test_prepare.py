@@ -349,6 +349,16 @@ def test_nothing_is_too_stiff_where_all_flows(stage):
     path = stage(ball(), rod(0.05))
     notes = prepare(path, material="water", **FEW).plan.notes
     assert not any("few particles" in one for one in notes)
+    assert inspect(path, material="water", **FEW).parts == (), "it listed what a bake does not"
+
+
+def test_only_what_is_solid_is_too_stiff_next_to_what_flows(stage):
+    thin = trimesh.creation.cylinder(radius=0.15, height=2.0, sections=12)
+    thin.apply_translation([5.0, 0.0, 1.5])
+    path = stage(ball(), rod(0.05), mesh("Wet", thin.vertices, thin.faces))
+    held = FEW | {"material_boxes": ("honey:4,-1,0,6,1,3",)}
+    assert {p.path for p in inspect(path, **FEW).parts} == {"/Root/Rod", "/Root/Wet"}
+    assert {p.path for p in inspect(path, **held).parts} == {"/Root/Rod"}
 
 
 @pytest.mark.parametrize("option", ["rigid", "pins"])
