@@ -14,8 +14,6 @@ from gf_usd.core.asset import NO_COLOR, Texture
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.geometry.solid import ROUNDING, Solid
 
-BEYOND = 0.01  # of the distance to a surface, how far behind it another one must have ended
-
 
 @dataclass(frozen=True, kw_only=True)
 class Nearest:
@@ -29,22 +27,7 @@ class Nearest:
 
 
 def nearest(solid: Solid, X: Floats) -> Nearest:
-    """Nearest points of the solid's surfaces for points X (n, 3) [m].
-
-    Of surfaces that are equally near up to rounding, as where faces of two meshes coincide, that of
-    the one that encloses the point.
-    """
-    at = _of_any(solid, X)
-    for k, rows in _tied(solid, X, at):
-        own = _of_any(solid.part(np.array([k])), X[rows])
-        at.surface[rows] = k
-        at.triangle[rows], at.barycentric[rows] = own.triangle, own.barycentric
-        at.normal[rows], at.distance[rows] = own.normal, own.distance
-    return at
-
-
-def _of_any(solid: Solid, X: Floats) -> Nearest:
-    """Nearest points, of any of the surfaces that are equally near."""
+    """Nearest points of the solid's surfaces for points X (n, 3) [m]."""
     counts = [len(s.points) for s in solid.surfaces]
     first = np.cumsum([0, *counts])
     points = np.concatenate([s.points for s in solid.surfaces])
@@ -70,43 +53,44 @@ def _of_any(solid: Solid, X: Floats) -> Nearest:
     )
 
 
-def _tied(solid: Solid, X: Floats, at: Nearest) -> list[tuple[int, Ints]]:
-    """Surfaces, and rows of X that each encloses and that have an equally near one that does not.
+def nearest_own(solid: Solid, X: Floats) -> Nearest:
+    """Nearest points of the surfaces that points X (n, 3) [m] belong to.
 
-    Only points in the box of another surface than their own are tested further: elsewhere no other
-    surface encloses them.
+    A point belongs to the nearest of the surfaces that enclose it, or of all where none does.  Only
+    points in the box of another surface than the nearest one can be enclosed by another.
     """
+    at = nearest(solid, X)
     surfaces, count = solid.surfaces, len(solid.surfaces)
     if count < 2:
-        return []
+        return at
     low = np.array([s.face_points.min(0) for s in surfaces])
     high = np.array([s.face_points.max(0) for s in surfaces])
     rounding = ROUNDING * float(np.maximum(np.abs(low), np.abs(high)).max())  # [m]
-    found = []
+    first = at.surface.copy()
     for k in range(count):
         meet = ((low <= high[k] + rounding) & (high >= low[k] - rounding)).all(1)
         others = [int(j) for j in np.flatnonzero(meet) if j != k]
-        mine = np.flatnonzero(at.surface == k) if others else np.zeros(0, np.int64)
-        boxed = np.zeros(len(mine), bool)
+        mine = np.flatnonzero(first == k) if others else np.zeros(0, np.int64)
+        boxed = {j: ((low[j] <= X[mine]) & (X[mine] <= high[j])).all(1) for j in others}
+        some = np.any([*boxed.values(), np.zeros(len(mine), bool)], axis=0)
+        strays = np.zeros(len(mine), bool)
+        strays[some] = ~solid.bounds[k].inside(X[mine[some]])
+        away = np.full(len(mine), np.inf)
         for j in others:
-            boxed |= ((low[j] <= X[mine]) & (X[mine] <= high[j])).all(1)
-        left = mine[boxed]
-        left = left[~solid.bounds[k].inside(X[left])]
-        corners = surfaces[k].points[surfaces[k].triangles[at.triangle[left]]]
-        foot = np.einsum("nk,nkd->nd", at.barycentric[left], corners)
-        way = (foot - X[left]) / np.maximum(at.distance[left], rounding)[:, None]
-        # A surface that goes through the foot does not enclose what is just beyond it.
-        beyond = foot + (2.0 * rounding + BEYOND * at.distance[left])[:, None] * way
-        for j in others:
-            mine = solid.bounds[j].inside(X[left]) & ~solid.bounds[j].inside(beyond)
-            if not mine.any():
-                continue
-            rows = left[mine]
-            away = _of_any(solid.part(np.array([j])), X[rows]).distance
-            mine[mine] = away <= at.distance[rows] + rounding
-            found.append((j, left[mine]))
-            left, beyond = left[~mine], beyond[~mine]
-    return found
+            rows = np.flatnonzero(strays & boxed[j])
+            rows = rows[solid.bounds[j].inside(X[mine[rows]])]
+            if len(rows):
+                own = nearest(solid.part(np.array([j])), X[mine[rows]])
+                closer = own.distance < away[rows]
+                away[rows[closer]] = own.distance[closer]
+                _replace(at, mine[rows[closer]], j, own, closer)
+    return at
+
+
+def _replace(at: Nearest, rows: Ints, surface: int, own: Nearest, which: NDArray[np.bool_]) -> None:
+    at.surface[rows] = surface
+    at.triangle[rows], at.barycentric[rows] = own.triangle[which], own.barycentric[which]
+    at.normal[rows], at.distance[rows] = own.normal[which], own.distance[which]
 
 
 def barycentric(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:

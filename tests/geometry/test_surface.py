@@ -9,7 +9,7 @@ from solids import CUBE_TRIANGLES, cube, solid, sphere, surface
 
 from gf_usd.core.asset import NO_COLOR, SurfaceMaterial, Texture
 from gf_usd.core.radiance import srgb_to_linear
-from gf_usd.geometry.surface import barycentric, colors, nearest, sample
+from gf_usd.geometry.surface import barycentric, colors, nearest, nearest_own, sample
 from gf_usd.readers.pictures.prims import to_render_mesh
 
 RED, GREEN, BLUE = (0.8, 0.1, 0.1), (0.1, 0.7, 0.2), (0.0, 0.2, 0.9)
@@ -54,7 +54,7 @@ def test_of_surfaces_that_coincide_a_point_gets_the_one_around_it(turned, overla
     body = solid(above, below) if turned else solid(below, above)
     grid = 0.35 + 0.1 * np.indices((4, 4)).reshape(2, -1).T
     X = np.array([[x, y, 0.5 + z] for z in (-0.04, 0.04) for x, y in grid])
-    at, high = nearest(body, X), X[:, 2] > 0.5
+    at, high = nearest_own(body, X), X[:, 2] > 0.5
     assert (at.surface == (high ^ turned)).all()
     np.testing.assert_allclose(at.normal[:, 2], np.where(high, -1.0, 1.0), atol=1e-12)
     np.testing.assert_allclose(at.distance, 0.04, atol=1e-7)
@@ -66,10 +66,28 @@ def test_of_surfaces_that_coincide_a_point_gets_the_one_around_it(turned, overla
     np.testing.assert_allclose(found, np.c_[X[:, :2], np.full(len(X), 0.5)], atol=1e-7)
 
 
-def test_a_point_in_one_solid_near_another_inside_of_it_keeps_the_nearest():
+def test_a_point_belongs_to_the_innermost_surface_around_it():
+    """It belonged to the nearest one: a bead of metal made much of the rubber around it metal."""
     body = solid(cube(), cube((0.4, 0.4, 0.4), 0.2))
-    X = np.array([[0.5, 0.5, 0.35], [0.5, 0.5, 0.1], [0.5, 0.5, 0.5]])
-    assert nearest(body, X).surface.tolist() == [1, 0, 1]
+    X = np.array([[0.5, 0.5, 0.35], [0.5, 0.5, 0.1], [0.5, 0.5, 0.5], [0.45, 0.5, 0.45]])
+    own = nearest_own(body, X)
+    assert own.surface.tolist() == [0, 0, 1, 1]
+    np.testing.assert_allclose(own.distance, [0.35, 0.1, 0.1, 0.05], atol=1e-12)
+    assert nearest(body, X).surface.tolist() == [1, 0, 1, 1]
+
+
+def test_a_point_in_two_surfaces_that_overlap_belongs_to_the_nearer():
+    body = solid(cube(), cube((0.6, 0.0, 0.0)))
+    X = np.array([[0.7, 0.5, 0.5], [0.9, 0.5, 0.5], [0.58, 0.5, 0.5], [1.02, 0.5, 0.5]])
+    assert nearest_own(body, X).surface.tolist() == [1, 0, 0, 1]
+
+
+def test_a_point_in_no_surface_belongs_to_the_nearest():
+    body = solid(cube(), cube((2.0, 0.0, 0.0)))
+    assert nearest_own(body, np.array([[1.2, 0.5, 0.5], [1.8, 0.5, 0.5]])).surface.tolist() == [
+        0,
+        1,
+    ]
 
 
 def test_rows_are_those_of_the_authored_triangles():

@@ -22,7 +22,7 @@ from gf_usd.core.units import length_text, volume_text
 from gf_usd.geometry.sampling.content import Grid
 from gf_usd.geometry.sampling.filling import Filling, fill_cells
 from gf_usd.geometry.solid import Solid
-from gf_usd.geometry.surface import colors, nearest
+from gf_usd.geometry.surface import colors, nearest_own
 
 SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbors
 SIGMA_R = 0.25  # along the normal
@@ -148,8 +148,8 @@ def _too_few(n: int, a: float, solid: Solid) -> InputError:
 def _look(
     solid: Solid, X: Floats, body: Ints | None, bodies: Ints | None
 ) -> tuple[Ints, Floats, Floats, Floats]:
-    """Nearest surface (n,) of the particle's own body, its normal and color (n, 3), and the
-    distance (n,) [m]."""
+    """Surface (n,) of its body that each particle belongs to, its normal and color (n, 3) at the
+    nearest point, and the distance (n,) [m] from there."""
     surface = np.zeros(len(X), np.int64)
     normal, color, away = np.empty((len(X), 3)), np.empty((len(X), 3)), np.empty(len(X))
     body = np.zeros(len(X), np.int64) if body is None else body
@@ -157,7 +157,7 @@ def _look(
     for k in range(int(of.max()) + 1):
         mine, members = np.flatnonzero(body == k), np.flatnonzero(of == k)
         part = solid.part(members)
-        at = nearest(part, X[mine])
+        at = nearest_own(part, X[mine])
         surface[mine], normal[mine] = members[at.surface], at.normal
         color[mine], away[mine] = colors(part, at), at.distance
     return surface, normal, color, away

@@ -129,6 +129,14 @@ def suggestion(parts: tuple[Part, ...]) -> int | None:
     return max((p.suggested for p in parts if p.suggested and not p.speck), default=None)
 
 
+def filling_spacing(volume: float, area: float) -> float:
+    """[m] spacing of particles that fills a shell of this volume [m^3] and area [m^2]: `FEW` of
+    them, and one across a plate.
+    """
+    wall = 2.0 * volume / area if area > 0.0 else 0.0
+    return min(wall, float(np.cbrt(volume / FEW)))
+
+
 def _with_specks(
     solid: Solid, labels: Sequence[Ints], parts: Sequence[Part], spacing: float
 ) -> list[Part]:
@@ -213,7 +221,7 @@ def _poor_shells(
         kind = kind or ("thin" if wall < THIN * particles.spacing else "")
         if not kind:
             continue
-        spacing = min(wall, float(np.cbrt(volume[k] / FEW)))
+        spacing = filling_spacing(float(volume[k]), float(area[k]))
         rays = spread(points, triangles[rows], RAYS)
         clear = np.full(RAYS, CLEAR_OF_WALL * wall)
         part = Part(

@@ -14,7 +14,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.materials.blending import with_own_values
-from gf_usd.prepare.materials.checks import flow_notes, require_parameters
+from gf_usd.prepare.materials.checks import flow_notes, require_parameters, unused_notes
 from gf_usd.prepare.materials.densities import StatedDensity, stated_densities
 from gf_usd.prepare.materials.mass_scaling import mass_scaled
 from gf_usd.prepare.materials.parts import in_regions, material_parts, part_of_particles
@@ -69,7 +69,7 @@ def assign_materials(
     slot = part_of_particles(solid, particles, parts)
     of, regional = owners(regions, solid.surfaces, particles, unit)
     slot = in_regions(slot, particles, parts, of)
-    tables, index, flow, densities = [], particles.material, [], ()
+    tables, index, flow, densities, unused = [], particles.material, [], (), ()
     for preset in presets:
         made, index = table(preset, parts, slot, particles, solid, bodies, spec, finish)
         made = tuple(replace(m, law=law or m.law, **stated) for m in made)
@@ -79,6 +79,7 @@ def assign_materials(
         flow += flow_notes(preset, law, parts, of_part, solid, spec)
         if isinstance(preset, Authored):
             densities = stated_densities(of_part, slot, particles, parts, solid, spec)
+            unused = unused_notes(parts, particles, solid, spec, finish, unit)
     particles, own = with_own_values(
         replace(particles, material=index),
         tables[0], slot, parts, solid, bodies, spec, blend_width,
@@ -89,6 +90,6 @@ def assign_materials(
         particles=particles,
         tables=tuple(tables),
         main=tuple(replace(t[most], name=p.name) for p, t in zip(presets, tables)),
-        notes=(*regional, *own, *dict.fromkeys(flow), *scaled),
+        notes=(*regional, *own, *dict.fromkeys(flow), *scaled, *unused),
         stated=densities,
     )

@@ -118,14 +118,13 @@ def _faces_of(
 def painted(
     particles: Particles, values: dict[str, Floats], solid: Solid, spec: StageSpec
 ) -> dict[str, Floats]:
-    """The values, replaced by painted values of the nearest surface point.
+    """The values, replaced by those painted on the particle's mesh, at its nearest point.
 
     Painted moduli do not change the density, and the reverse.  If only one of Young's modulus and
     Poisson's ratio is painted, the other is kept.
     """
     from gf_usd.geometry.surface import nearest
 
-    at = nearest(solid, particles.X)
     full = with_derived(values)
     young, nu, density = (
         full[name].copy() for name in ("youngs_modulus", "poissons_ratio", "density")
@@ -133,16 +132,19 @@ def painted(
     own = {p.name: values[p.name].copy() for p in law_parameters() if p.name in values}
     touched = np.zeros(len(particles), bool)
     for k, surface in enumerate(solid.surfaces):
-        mine = np.flatnonzero(at.surface == k)
         paints = spec.painted.get(surface.path, {})
-        corners = surface.triangle_corners[at.triangle[mine]]
+        mine = np.flatnonzero(np.asarray(particles.surface) == k)
+        if not paints or not len(mine):
+            continue
+        at = nearest(solid.part(np.array([k])), particles.X[mine])
+        corners = surface.triangle_corners[at.triangle]
         for name, column in (("youngs_modulus", young), ("poissons_ratio", nu)):
             if name in paints:
-                column[mine] = (paints[name][corners] * at.barycentric[mine]).sum(1)
+                column[mine] = (paints[name][corners] * at.barycentric).sum(1)
                 touched[mine] = True
         for name, column in {"density": density, **own}.items():
             if name in paints:
-                column[mine] = (paints[name][corners] * at.barycentric[mine]).sum(1)
+                column[mine] = (paints[name][corners] * at.barycentric).sum(1)
     mu, lam = lame(young, nu)
     return {
         **values,

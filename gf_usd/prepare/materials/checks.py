@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +14,12 @@ from gf_usd.core.frames import Particles
 from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.presets import Fixed
+from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import StageSpec
-from gf_usd.core.units import length_text
+from gf_usd.core.units import length_text, rounded_text
 from gf_usd.prepare.materials.parts import MaterialPart
-from gf_usd.prepare.materials.table import FLOW, Authored, own_spec
+from gf_usd.prepare.materials.table import FLOW, Authored, alike, authored, own_spec
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -71,11 +73,9 @@ def require_parameters(
         for p in LAWS[material.law].parameters:
             if not p.required or p.name in material.parameters:
                 continue
-            from gf_usd.geometry.surface import nearest
-
             bare = [p.name not in spec.painted.get(s.path, {}) for s in solid.surfaces]
             mine = np.flatnonzero(slot == k)
-            found = mine[np.array(bare)[nearest(solid, particles.X).surface[mine]]]
+            found = mine[np.array(bare)[np.asarray(particles.surface)[mine]]]
             if len(found):
                 surface = solid.surfaces[int(particles.surface[found[0]])]
                 raise InputError(
@@ -88,6 +88,62 @@ def require_parameters(
 
 
 SINGLE = np.finfo(np.float32)
+
+
+def unused_notes(
+    parts: Sequence[MaterialPart],
+    particles: Particles,
+    solid: Solid,
+    spec: StageSpec,
+    finish: Callable[[Any, float], Material],
+    unit: float,
+) -> tuple[str, ...]:
+    """A note on meshes inside others whose material differs from that around them and that have no
+    particle, so that it is not used.
+
+    Meshes that are not inside others are poorly filled parts, which have notes of their own.
+
+    finish : as in `table`; unit : [m] of the stage.
+    """
+    empty = np.flatnonzero(np.bincount(particles.surface, minlength=len(solid.surfaces)) == 0)
+    if not len(empty):
+        return ()
+
+    def material(surface: int) -> Material:  # whether two differ does not depend on the size
+        return authored(solid.surfaces[surface].path, parts[surface], 1.0, spec, finish)
+
+    center = np.array([solid.surfaces[k].face_points.mean(axis=0) for k in empty])
+    around = np.asarray(particles.surface)[kd_tree(particles.X).query(center)[1]]
+    enclosed = solid.enclosed()
+    lost = [
+        k
+        for k, other in zip(empty.tolist(), around.tolist())
+        if solid.surfaces[k].path in enclosed and not alike(material(k), material(other))
+    ]
+    return (_unused_note(lost, particles.spacing, solid, unit),) if lost else ()
+
+
+def _unused_note(lost: Sequence[int], spacing: float, solid: Solid, unit: float) -> str:
+    from gf_usd.geometry.connected.joined import listed
+    from gf_usd.geometry.thin.parts import SENSIBLE, filling_spacing
+
+    surfaces = [(solid.surfaces[k].points, solid.triangles[k]) for k in lost]
+    needed = min(
+        filling_spacing(abs(signed_volume(*one)), float(areas(*one).sum())) for one in surfaces
+    )
+    one = len(lost) == 1
+    paths = listed([solid.surfaces[k].path for k in lost])
+    digits = 10.0 ** (np.floor(np.log10(needed / unit)) - 1.0)
+    finer = np.floor(needed / unit / digits * (1.0 + 1e-9)) * digits
+    count = solid.volume / (finer * unit) ** 3
+    way = f"--spacing {rounded_text(finer)} ({rounded_text(count)} particles)"
+    way = f"{way} fills {'it' if one else 'all of them'}"
+    if count > SENSIBLE:
+        way = f"make {'it' if one else 'them'} larger, since only {way}"
+    return (
+        f"{paths} {'has' if one else 'have'} no particle, so that the material of the mesh around"
+        f" is used there: too small for the spacing of {length_text(spacing)}; {way}"
+    )
 
 
 def require_weighable(

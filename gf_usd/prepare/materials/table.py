@@ -95,7 +95,7 @@ def table(
     for k, one in enumerate(made):
         if not used[k]:
             continue
-        near = [j for j, other in enumerate(kept) if _alike(one, other)]
+        near = [j for j, other in enumerate(kept) if alike(one, other)]
         index[k] = near[0] if near else len(kept)
         if not near:
             kept.append(one)
@@ -164,7 +164,8 @@ def _with_masses(
     return made
 
 
-def _alike(one: Material, other: Material) -> bool:
+def alike(one: Material, other: Material) -> bool:
+    """Whether two materials have one name, one law, and the same values up to SAME."""
     if (one.name, one.law) != (other.name, other.law):
         return False
     a, b = (
