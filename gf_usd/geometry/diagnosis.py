@@ -176,7 +176,7 @@ def _shells(points: Floats, welded: Welded) -> tuple[tuple[Shell, ...], int]:
             low=low[k],
             high=high[k],
             area=float(area[k]),
-            volume=float(volume[k]),
+            volume=0.0 if one_sided[k] else float(volume[k]),  # it has no inside
             winding=kind(k),
             against=int(against[k]),
             inner=bool(orientation.inner[k]),

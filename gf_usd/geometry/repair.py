@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
@@ -53,7 +54,8 @@ class Repairs:
     largest_closed: float = 0.0  # share of the closed area
     holes_left: int = 0  # holes above the limit
     largest_left: float = 0.0  # share of the closed area
-    loose_edges: int = 0  # boundary edges in no closed loop, left open
+    loose_edges: int = 0  # other boundary edges in no closed loop, left open
+    one_sided_edges: int = 0  # boundary edges of one-sided strips, as a Moebius strip, left open
     thickened: int = 0  # thin parts that were made one spacing thick
     thickness: float = 0.0  # [m] of the thickened parts
     thin_left: int = 0  # sheets left unchanged: too small
@@ -115,6 +117,11 @@ class Repairs:
         if self.loose_edges:
             lines.append(
                 f"left {counted(self.loose_edges, 'boundary edge')} that form no closed loop"
+            )
+        if self.one_sided_edges:
+            lines.append(
+                f"left {counted(self.one_sided_edges, 'boundary edge')} of one-sided strips, which"
+                " have no inside to close"
             )
         if self.thickened:
             lines.append(
@@ -206,7 +213,7 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     corners = corners[kept]
     label = np.unique(patch.label[kept], return_inverse=True)[1]
     shared = overlapping(points, vertex[corners], label)
-    caps, closing = _close(points, vertex, corners)
+    caps, closing = _close(points, vertex, corners, patch.one_sided[kept])
     corners = np.concatenate([corners, caps])
 
     done = Repairs(
@@ -227,12 +234,23 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     return (_with_corners(surface, corners) if done.changed else surface), done
 
 
-def _close(points: Floats, vertex: Ints, corners: Ints) -> tuple[Ints, dict[str, Any]]:
-    """(C, 3) corners of the triangles that close the small holes, and fields of `Repairs`."""
+def _close(
+    points: Floats, vertex: Ints, corners: Ints, one_sided: NDArray[np.bool_]
+) -> tuple[Ints, dict[str, Any]]:
+    """(C, 3) corners of the triangles that close the small holes, and fields of `Repairs`.
+
+    one_sided : (T,) triangles of non-orientable patches: their boundary is no hole.
+    """
     triangles = vertex[corners]
     label = shells(triangles)
     area = np.bincount(label, areas(points, triangles))
-    loops, loose = boundary_loops(Edges.of(triangles))
+    edges = Edges.of(triangles)
+    loops, loose = boundary_loops(edges)
+    strips = int(one_sided[edges.boundary // 3].sum())
+    if strips:
+        inside = [loop for loop in loops if one_sided[loop[0] // 3]]
+        loops = [loop for loop in loops if not one_sided[loop[0] // 3]]
+        loose -= strips - int(np.isin(edges.boundary, np.concatenate([*inside, []])).sum())
     fans = [fan_area(points[triangles.reshape(-1)[loop]]) for loop in loops]
     homes = [int(label[loop[0] // 3]) for loop in loops]
     closed = area + np.bincount(homes, fans, minlength=len(area)) if loops else area
@@ -254,6 +272,7 @@ def _close(points: Floats, vertex: Ints, corners: Ints) -> tuple[Ints, dict[str,
         "holes_left": len(large) - 1,
         "largest_left": float(max(large)),
         "loose_edges": loose,
+        "one_sided_edges": strips,
     }
 
 

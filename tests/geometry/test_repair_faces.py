@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from solids import (
@@ -15,6 +17,7 @@ from solids import (
     surface,
     turned,
     volume,
+    without,
 )
 
 from gf_usd.core.errors import InputError
@@ -146,6 +149,26 @@ def test_a_loose_sliver_is_dropped():
     mended, done = repair_surface(body)
     assert done.slivers == 1
     np.testing.assert_array_equal(mended.triangles, whole.triangles)
+
+
+@pytest.mark.parametrize("turned", [(), range(0, 80, 3)])
+def test_a_one_sided_strip_has_no_volume_and_no_hole(turned):
+    """It had a volume, and boundary edges that "form no closed loop", though they are its rim."""
+    body = moebius(turned)
+    seen = diagnose(body)
+    assert (seen.volume, seen.shells[0].volume, seen.boundary_edges) == (0.0, 0.0, 80)
+    _, done = repair_surface(body)
+    assert (done.one_sided_edges, done.loose_edges, done.holes_closed) == (80, 0, 0)
+    assert done.messages() == (
+        "left 80 boundary edges of one-sided strips, which have no inside to close",
+    )
+
+
+def test_the_holes_next_to_a_one_sided_strip_are_closed():
+    ball, strip = without(sphere(subdivisions=3), [5]), moebius()
+    moved = replace(strip, points=np.asarray(strip.points) + 9.0)
+    _, done = repair_surface(joined(ball, moved))
+    assert (done.one_sided_edges, done.loose_edges, done.holes_closed) == (80, 0, 1)
 
 
 def test_a_one_sided_surface_is_no_solid_until_it_is_thick():
