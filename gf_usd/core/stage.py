@@ -47,6 +47,7 @@ class PhysicsMaterialSpec:
     law: str | None = None
     damping_time: float | None = None  # Kelvin-Voigt tau [s]
     parameters: Mapping[str, float] = field(default_factory=dict)  # of laws, by name, in SI
+    density_attribute: str = field(default="", compare=False)  # that states the density
 
     @property
     def elastic(self) -> bool:
@@ -171,8 +172,9 @@ class BodyPhysics:
     collides: bool = True  # False: its own collision is switched off
     mass: float | None = None  # [kg] of all baked surfaces with the same mass_of together
     mass_of: str = ""  # the prim that states the mass
+    mass_attribute: str = field(default="", compare=False)  # of that prim
     density: float | None = None  # [kg/m^3] of PhysicsMassAPI: goes before the material's
-    density_of: str = ""  # the prim that states that density
+    density_of: str = ""  # the prim that states that density, by physics:density
     velocity: Triple | None = None  # [m/s] of the center of mass
     angular_velocity: Triple | None = None  # [rad/s]
     center: Triple | None = None  # [m] of mass, as authored; None: that of the volume

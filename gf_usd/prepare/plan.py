@@ -67,7 +67,7 @@ class Plan:
     coarse: tuple[str, ...] = ()  # prim paths of meshes that a note says are too coarse to bend
     lost: str = ""  # how little of its volume faults of its meshes let be filled; one of the notes
     heavy: str = ""  # which of its densities no solid has, if any
-    stated_heavy: str = ""  # what of the stage gives it that density, as "the mass of </Ball>"
+    stated_heavy: str = ""  # what gives it that density, as "physics:mass of </Ball>"
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
     cycle: int = 0  # frames of a period that is repeated before it is written; 0: none is

@@ -28,6 +28,7 @@ class StatedDensity:
     """A density that parts of bodies have because a prim of the stage states it, or a mass."""
 
     prim: str  # that states it
+    attribute: str  # of that prim
     density: float  # [kg/m^3]
     mass: float | None = None  # [kg] that it states; None: a density
     volume: float = 0.0  # [m^3] that has the mass
@@ -51,6 +52,7 @@ def stated_densities(
     volume = np.bincount(slot, particles.V0, minlength=len(parts))
     groups: dict[str, list[int]] = {}
     mass: dict[str, float] = {}
+    attribute: dict[str, str] = {}
     for k, material in made.items():
         path = solid.surfaces[parts[k].surface].path
         body = spec.bodies.get(path)
@@ -59,27 +61,35 @@ def stated_densities(
         if body.mass is not None:  # goes before all densities
             groups.setdefault(body.mass_of, []).append(k)
             mass[body.mass_of] = body.mass
+            attribute[body.mass_of] = body.mass_attribute
         elif parts[k].region is None and "density" not in spec.painted.get(path, {}):
-            density, prim = _stated(parts[k], body)
+            density, prim, name = _stated(parts[k], body)
             if density is not None and np.isclose(material.density, density, rtol=USED, atol=0.0):
-                found.append(StatedDensity(prim=prim, density=density))
+                found.append(StatedDensity(prim=prim, attribute=name, density=density))
     for prim, members in groups.items():
         now = float(sum(made[k].density * volume[k] for k in members))
         filled = float(volume[members].sum())
         if np.isclose(now, mass[prim], rtol=USED, atol=0.0):
             found.append(
-                StatedDensity(prim=prim, density=now / filled, mass=mass[prim], volume=filled)
+                StatedDensity(
+                    prim=prim,
+                    attribute=attribute[prim],
+                    density=now / filled,
+                    mass=mass[prim],
+                    volume=filled,
+                )  # fmt: skip
             )
     return tuple(found)
 
 
-def _stated(part: MaterialPart, body: BodyPhysics) -> tuple[float | None, str]:
-    """The density [kg/m^3] that the stage states for a part, and the prim that does."""
+def _stated(part: MaterialPart, body: BodyPhysics) -> tuple[float | None, str, str]:
+    """The density [kg/m^3] that the stage states for a part, the prim and its attribute."""
     if body.density is not None:
-        return body.density, body.density_of
+        return body.density, body.density_of, "physics:density"
+    spec = body.spec
     if part.subset is not None and part.subset.spec.density is not None:
-        return part.subset.spec.density, part.subset.spec.path
-    return body.spec.density, body.spec.path
+        spec = part.subset.spec
+    return spec.density, spec.path, spec.density_attribute
 
 
 def implausible_densities(stated: Sequence[StatedDensity], units: StageUnits) -> tuple[str, str]:
@@ -98,10 +108,9 @@ def implausible_densities(stated: Sequence[StatedDensity], units: StageUnits) ->
             f" {_text(first.density)}"
         )
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-    wrong = "density" if first.mass is None else "mass"
     return (
         f"<{path}>{more} states {what}; no solid has more than {_text(DENSEST)}",
-        f"the {wrong} of <{path}>",
+        f"{first.attribute} of <{path}>",
     )
 
 

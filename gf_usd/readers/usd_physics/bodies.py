@@ -72,7 +72,7 @@ def read_body(
     """
     facts, here = readings.facts, readings.at(time)
     owner = body_of(prim, time)
-    mass, mass_of = _mass(prim, owner, here, facts.units, notes)
+    mass, mass_of, mass_attribute = _mass(prim, owner, here, facts.units, notes)
     density, density_of = _density(prim, owner, here, facts.units)
     what = role(prim, time)
     velocity, spin = _rigid_velocity(owner, what, here)
@@ -85,6 +85,7 @@ def read_body(
         or switch(prim, "physics:collisionEnabled", time, otherwise=True),
         mass=mass,
         mass_of=mass_of,
+        mass_attribute=mass_attribute,
         density=density,
         density_of=density_of,
         velocity=velocity,
@@ -121,20 +122,22 @@ def _mass_counts(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 
 def _mass(
     prim: Usd.Prim, owner: Usd.Prim | None, here: Reading, units: StageUnits, notes: Notes
-) -> tuple[float | None, str]:
-    """Mass [kg] and the path of its prim; an ancestor takes precedence over its descendants."""
+) -> tuple[float | None, str, str]:
+    """Mass [kg], the path of its prim and the attribute that states it; an ancestor takes
+    precedence over its descendants.
+    """
     for one in _chain(prim, owner, here.time):
         for name in MASSES:
             value = number(here.path, one, name, here.time)
             require_constant(here.path, one.GetAttribute(name))
             if value:
-                return value * units.mass, str(one.GetPath())
+                return value * units.mass, str(one.GetPath()), name
     above = prim.GetParent() if owner is None else None
     while above and not above.IsPseudoRoot():
         if MASS in apis(above) and number(here.path, above, MASSES[0], here.time):
             notes.add("states a mass but is not a body: ignored", str(above.GetPath()))
         above = above.GetParent()
-    return None, ""
+    return None, "", ""
 
 
 def _density(

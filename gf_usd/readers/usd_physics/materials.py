@@ -53,15 +53,16 @@ def read_material_spec(
     if young is not None:
         young = _within(where, "Young's modulus [Pa]", young * units.pressure, 0.0, 1e13)
         nu = _poissons_ratio(authored, where, assume)
-    density = _number(authored, "density", where, unstated=lenient)
+    density, attribute = _authored_number(authored, "density", where, unstated=lenient)
     if density is not None:
-        density = _density(where, density, units)
+        density = _density(where, attribute, density, units)
     law = authored(OURS + "law")
     if law is not None and law not in LAWS:
         raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAWS)}")
     return PhysicsMaterialSpec(
         path=path,
         density=density,
+        density_attribute=attribute,
         youngs_modulus=young,
         poissons_ratio=nu,
         static_friction=_up_to(authored, "staticFriction", where, "static friction", 100.0),
@@ -74,10 +75,10 @@ def read_material_spec(
     )
 
 
-def _density(where: str, authored: float, units: StageUnits) -> float:
-    """[kg/m^3] of a density in stage units."""
+def _density(where: str, name: str, authored: float, units: StageUnits) -> float:
+    """[kg/m^3] of a density in stage units; name : of its attribute."""
     try:
-        return _within(where, "density [kg/m^3]", authored * units.density, 0.0, 1e6)
+        return _within(where, f"{name} [kg/m^3]", authored * units.density, 0.0, 1e6)
     except InputError as error:
         if units.density == 1.0 or not USUAL_DENSITIES[0] <= authored <= USUAL_DENSITIES[1]:
             raise
@@ -218,12 +219,20 @@ def _damping_time(
 
 
 def _number(authored: Authored, name: str, where: str, *, unstated: bool = False) -> float | None:
-    """The value of the first prefix with one; unstated: 0 and -inf count as not authored."""
+    return _authored_number(authored, name, where, unstated=unstated)[0]
+
+
+def _authored_number(
+    authored: Authored, name: str, where: str, *, unstated: bool = False
+) -> tuple[float | None, str]:
+    """The value of the first prefix with one, and the attribute that has it; unstated: 0 and -inf
+    count as not authored.
+    """
     for prefix in PREFIXES:
         value = _float(authored(prefix + name), prefix + name, where)
         if value is not None and not (unstated and value in (0.0, float("-inf"))):
-            return value
-    return None
+            return value, prefix + name
+    return None, ""
 
 
 def _float(value: Any, name: str, where: str) -> float | None:

@@ -118,13 +118,17 @@ def test_a_material_of_a_subset_counts(plan) -> None:
 
 @pytest.mark.parametrize(
     ("line", "by", "lines"),
-    [("float physics:density = 1000", "density", LARGE), ("float physics:mass = 1", "mass", ())],
+    [
+        ("float physics:density = 1000", "density", LARGE),
+        ("float physics:mass = 1", "mass", ()),
+        ("float omniphysics:mass = 1", "mass", ()),
+    ],
 )
 def test_the_warning_names_what_is_stated(plan, line: str, by: str, lines: tuple[str, ...]) -> None:
     made = plan(mesh("Duck", line, *lines, apis=[MASS]), layer=CENTIMETERS)
     (warning,) = plan_warnings("", made.heavy, made.stated_heavy)
     assert f"states a {by} of" in warning.message
-    assert warning.hint.startswith(f"correct the {by} of </Duck> in the file, or")
+    assert warning.hint.startswith(f"correct {line.split()[1]} of </Duck> in the file, or")
 
 
 def test_painted_densities_go_before_that_of_the_prim(plan) -> None:

@@ -205,7 +205,7 @@ def test_a_binding_that_composition_brings(read_physics, tmp_path: Path) -> None
     [
         ("float physics:youngsModulus = -2", "Young's modulus [Pa] is -2", "between 0 and 1e+13"),
         ("float physics:youngsModulus = nan", "Young's modulus [Pa] is nan", "between 0"),
-        ("float physics:density = -1", "density [kg/m^3] is -1", "between 0 and 1e+06"),
+        ("float physics:density = -1", "physics:density [kg/m^3] is -1", "between 0 and 1e+06"),
         ("float physics:dynamicFriction = -1", "friction is -1", "from 0 to 100"),
         ("float physics:restitution = 2", "restitution is 2", "from 0 to 1"),
         ("float newton:mpm:poissonsRatio = 0.6", "Poisson's ratio is 0.6", "between -1 and 0.5"),
@@ -269,7 +269,7 @@ def test_a_density_in_kg_per_cubic_meter_on_a_stage_in_centimeters_is_explained(
     with pytest.raises(InputError) as caught:
         read_material_spec(authored, "/M", StageUnits(meters_per_unit=0.01), where="a.usda: </M>")
     assert caught.value.message == (
-        "a.usda: </M>: density [kg/m^3] is 1e+09: it is authored as 1000 mass units per cubic stage"
+        "a.usda: </M>: physics:density [kg/m^3] is 1e+09: it is authored as 1000 mass units per cubic stage"
         " unit, of 1 kg and (0.01 m)^3"
     )
     assert caught.value.hint.endswith("; 1000 kg/m^3 is 0.001 in this stage")
