@@ -13,6 +13,7 @@ import typer
 
 from gf_usd.cli.quiet import QuietExceptJson
 from gf_usd.core.errors import counted
+from gf_usd.core.units import length_unit
 
 if TYPE_CHECKING:
     from gf_usd.fitting.result import Estimate, FitResult, Reproduced
@@ -217,13 +218,21 @@ def _value(one: Estimate) -> list[str]:
 
 def _targets(result: FitResult) -> list[list[str]]:
     return [
-        [one.name, one.unit, f"{one.target:.4g}", f"{one.fitted:.4g}", f"{one.start:.4g}"]
+        [one.name, *_in_one_unit(one.unit, (one.target, one.fitted, one.start), 4)]
         for one in result.targets
     ]
 
 
 def _sensitivity(one: Reproduced, names: Sequence[str]) -> list[str]:
-    return [one.name, one.unit, *(f"{one.sensitivity[name]:.3g}" for name in names)]
+    return [one.name, *_in_one_unit(one.unit, [one.sensitivity[name] for name in names], 3)]
+
+
+def _in_one_unit(unit: str, values: Sequence[float], digits: int) -> list[str]:
+    """The unit and the values in it; lengths are in the one that fits the largest."""
+    scale = 1.0
+    if unit == "m":
+        scale, unit = length_unit(max(map(abs, values), default=0.0))
+    return [unit, *(f"{scale * value:.{digits}g}" for value in values)]
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:

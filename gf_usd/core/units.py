@@ -108,12 +108,18 @@ def code_text(code: float) -> str:
     return f"{round(code, 5) + 0.0:.15g}"  # without the sign of -0
 
 
-def length_text(meters: float) -> str:
-    """A length to three significant digits, in µm, mm, cm, m or km; 0 in m."""
+def length_unit(meters: float) -> tuple[float, str]:
+    """How many of the unit that fits a length are a meter, and its name; m for 0."""
     if meters == 0.0:
-        return "0 m"
+        return 1.0, "m"
     near = (unit for unit in LENGTHS if abs(meters) >= 0.9995 * unit[0])  # rounds to its start
     _, scale, name = next(near, LENGTHS[-1])
+    return scale, name
+
+
+def length_text(meters: float) -> str:
+    """A length to three significant digits, in µm, mm, cm, m or km; 0 in m."""
+    scale, name = length_unit(meters)
     value = scale * meters
     return f"{value:.3g} {name}" if abs(value) < 999.5 else f"{value:.0f} {name}"
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError, did_you_mean
-from gf_usd.core.units import code_text
+from gf_usd.core.units import code_text, length_text
 from gf_usd.fitting.observation import Observation, Scene, TrackedPoints, vertices_as_points
 from gf_usd.fitting.targets import SIGMA, TargetSpec
 from gf_usd.pipeline.measures.figures import figures
@@ -285,8 +285,8 @@ def _nearest_vertex(spec: TargetSpec, scene: Scene) -> TrackedPoints:
             )
     if nearest is None or distance > scene.radius:
         raise UsageError(
-            f"--target {spec.text!r}: the nearest vertex is {distance:.3g} m away, but the body "
-            f"has a radius of {scene.radius:.3g} m",
+            f"--target {spec.text!r}: the nearest vertex is {length_text(distance)} away, but the"
+            f" body has a radius of {length_text(scene.radius)}",
             "give a point on the mesh of the asset, in units of the asset",
         )
     return nearest

@@ -11,7 +11,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError, counted
 from gf_usd.core.scene import Recording
-from gf_usd.core.units import code_text
+from gf_usd.core.units import code_text, length_text
 from gf_usd.fitting.observation import Scene, TrackedPoints, vertices_as_points
 from gf_usd.fitting.targets import Motion, TargetSpec, points_sigma
 from gf_usd.geometry.surface import barycentric
@@ -160,8 +160,8 @@ def attach_tracks(spec: TargetSpec, tracks: Tracks, scene: Scene) -> tuple[Motio
         nearest = distance[visible].min(initial=np.inf)
         raise InputError(
             f"{spec.file}: none of {len(on_surface)} tracks is on the asset at its first frame; "
-            f"{int(visible.sum())} are visible then, the nearest is {nearest:.3g} m away, and the "
-            f"body has a radius of {scene.radius:.3g} m",
+            f"{int(visible.sum())} are visible then, the nearest is {length_text(nearest)} away,"
+            f" and the body has a radius of {length_text(scene.radius)}",
             "check the units and the position of the tracks, and --start and --drop of the body",
         )
     notes = []

@@ -21,7 +21,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.errors import counted
 from gf_usd.core.mesh import WELD_FRACTION, Edges, Welded, areas, first_equal, numbered
 from gf_usd.core.neighbors import components
-from gf_usd.core.units import percent_text
+from gf_usd.core.units import percent_text, volume_text
 from gf_usd.geometry import winding
 from gf_usd.geometry.winding import boundary_loops, fan_area
 
@@ -253,7 +253,8 @@ def lost_volume_warning(
     if volume >= FILLED_SHARE * whole:
         return ""
     return (
-        f"only {volume:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"
+        f"only {volume_text(volume)} of the {volume_text(whole)} enclosed by the meshes are filled:"
+        " try --repair"
     )
 
 

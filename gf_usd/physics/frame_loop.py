@@ -21,6 +21,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.errors import SolverError, counted
 from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
+from gf_usd.core.units import length_text
 from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.contact.planes.intervals import Lateness
 from gf_usd.physics.taichi_arrays import Saved
@@ -301,8 +302,8 @@ class Guard:
             far = self._distances(particles.x)
             if far.max() > ESCAPE * self._reach:
                 return int(far.argmax()), (
-                    f"a particle is {far.max():.4g} m away from the others, but the body is "
-                    f"{self._reach:.3g} m long at rest"
+                    f"a particle is {length_text(far.max())} away from the others, but the body is "
+                    f"{length_text(self._reach)} long at rest"
                 )
         return self._judge_inversion(last, now, particles)
 

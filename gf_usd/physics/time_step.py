@@ -33,6 +33,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles
+from gf_usd.core.units import length_text
 
 if TYPE_CHECKING:
     from gf_usd.physics.laws.registry import ParticleLaws
@@ -179,7 +180,7 @@ def stable_step(
     if not 0.0 < step.dt < np.inf:
         raise InputError(
             f"there is no stable time step: waves travel at {wave_speed:.3g} m/s through cells "
-            f"of {h:.3g} m, and contact springs oscillate at {step.contact:.3g} rad/s",
+            f"of {length_text(h)}, and contact springs oscillate at {step.contact:.3g} rad/s",
             "check the unit (--meters-per-unit), the material, --drop and --gravity",
         )
     return step

@@ -23,7 +23,7 @@ from gf_usd.core.stage import (
     StageSpec,
     Triple,
 )
-from gf_usd.core.units import StageUnits
+from gf_usd.core.units import StageUnits, length_text
 from gf_usd.pipeline.prepared import solver_of
 from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.materials.table import Authored
@@ -86,8 +86,8 @@ def plan_scene(spec: SceneSpec) -> Plan:
     extent = float(np.ptp(np.concatenate([s.face_points for s in spec.surfaces]), axis=0).max())
     if spec.floor is not None and lowest < spec.floor - BELOW * extent:
         raise UsageError(
-            f"a body starts {spec.floor - lowest:.4g} m below the floor, which is at"
-            f" {spec.floor:g} m",
+            f"a body starts {length_text(spec.floor - lowest)} below the floor, which is at"
+            f" {length_text(spec.floor)}",
             "move the body up, or lower the floor",
         )
     settings = tuple(replace(one, floor=spec.floor) for one in plan.each)

@@ -10,7 +10,8 @@ import pytest
 
 import gf_usd
 from gf_usd.core.errors import InputError, SolverError, UsageError
-from gf_usd.pipeline.measures.certify import FEWEST, certify, coarser_runs
+from gf_usd.pipeline.measures.certify import FEWEST, certify, coarser_runs, interval_text
+from gf_usd.pipeline.measures.convergence import Interval
 from gf_usd.pipeline.measures.figures import Recorder
 from gf_usd.pipeline.measures.observe import Observed
 
@@ -26,6 +27,25 @@ def write_box(folder: Path) -> Path:
     faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
     file.write_text(corners + "".join("f {} {} {} {}\n".format(*face) for face in faces))
     return file
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        ([0.4321], 0.012, "43.2 +- 1.2 cm"),
+        ([2.345e-4], 1.2e-6, "234.5 +- 1.2 µm"),
+        ([0.0], 3.4e-3, "0.0 +- 3.4 mm"),
+        ([12.0, -3.0, 0.0], 0.5, "12.00, -3.00, 0.00 +- 0.50 m"),
+    ],
+)
+def test_lengths_have_the_unit_that_fits(value: list[float], half: float, text: str) -> None:
+    """They were in meters: those of a body of a few millimeters had two digits or none."""
+    one = Interval(fine=np.array(value), value=np.array(value), half=half)
+    assert interval_text("rebound", one) == text
+    unknown = Interval(fine=np.array([0.00213]), value=np.array([0.0]), half=0.0, reason="so")
+    assert interval_text("rebound", unknown) == "2.13 mm, not certified: so"
+    ratio = Interval(fine=np.array([0.002]), value=np.array([0.002]), half=0.001)
+    assert interval_text("squash", ratio) == "0.0020 +- 0.0010"
 
 
 def observed(h: float, *, astray: float = 0.0, inverted_from: int = FRAMES, count: int = 4096):

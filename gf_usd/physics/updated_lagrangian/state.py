@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.units import length_text
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.contact.floor import move_springs, spring_energy
 from gf_usd.physics.frame_loop import first_not_finite
@@ -89,7 +90,8 @@ class State(DeviceState):
         far = np.linalg.norm(x - np.median(x, axis=0), axis=1)
         return int(far.argmax()), (
             f"the particles occupy more than {self._most_nodes:.3g} nodes of the grid, or are"
-            f" more than a million cells apart: one is {far.max():.4g} m away from the others"
+            f" more than a million cells apart: one is {length_text(far.max())} away from the"
+            " others"
         )
 
     @property

@@ -26,6 +26,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
+from gf_usd.core.units import length_text
 
 PARTS = 64  # of the nodes, whose impulses as many threads of a GPU sum
 NOWHERE = 1 << 28  # index of an absent plane
@@ -71,12 +72,13 @@ def planes(walls: Sequence[Wall], X: Floats, origin: Floats, h: float) -> Planes
         index = 2.0 * (wall.at - origin[wall.axis]) / h
         side = first if wall.above else last
         name = "xyz"[wall.axis]
+        way = 0.5 * h * float(index - np.round(index))  # [m] from the nearest half cell
         if abs(index - np.round(index)) > NEAR:
             raise UsageError(
-                f"the wall at {name} = {wall.at:.6g} m does not fit the grid with cells of "
-                f"{h:.6g} m"
-                f" from {origin[wall.axis]:.6g} m",
-                "place it an integer number of half cells from there",
+                f"the wall at {name} = {wall.at:.6g} m does not fit the grid with cells of"
+                f" {length_text(h)}: the nearest half cell is {length_text(abs(way))} away",
+                f"place it at {name} = {wall.at - way:.9g} m, or an integer number of half cells"
+                " from there",
             )
         if abs(side[wall.axis]) != NOWHERE:
             raise UsageError(

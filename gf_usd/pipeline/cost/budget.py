@@ -25,7 +25,7 @@ from gf_usd.core.frames import MIXED, Settings, written
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
-from gf_usd.core.units import bytes_text
+from gf_usd.core.units import bytes_text, length_text
 from gf_usd.pipeline.cost.limbs import Limbs
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.resources import cores, free_disk, free_memory, free_swap
@@ -355,7 +355,7 @@ def require_affordable(
         f"{path}: the bake would take about {duration(cost['estimated_seconds'])}:"
         f" {particles} particles of {row['name']} ({which}Young's modulus"
         f" {stiffest.youngs_modulus:.3g} Pa, damping time {stiffest.damping_time:.3g} s), dropped"
-        f" {drop:.3g} m, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
+        f" {length_text(drop)}, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
         f" {counted(settings.frames, 'frame')}",
         "use a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
         + "".join(f" {line};" for line in shortcuts())

@@ -13,6 +13,7 @@ from typing import Any
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, SolverError
+from gf_usd.core.units import length_text, length_unit, volume_text
 from gf_usd.pipeline.measures.convergence import Band, Interval, band, capped, estimate, unknown
 from gf_usd.pipeline.measures.figures import FIGURES, figures, highest_rebound, reached
 from gf_usd.pipeline.measures.observe import Observed
@@ -77,8 +78,8 @@ class Certificate:
     def _path(self, center: Band) -> str:
         count = len(center.half)
         if center.until == count:
-            most = float(center.half.max())
-            return f"path of the center of mass +- at most {most:.2g} m, in all {count} frames"
+            most = length_text(float(center.half.max()))
+            return f"path of the center of mass +- at most {most}, in all {count} frames"
         return (
             f"path of the center of mass known to frame {center.until - 1} of {count - 1};"
             f" {unknown_from(center, self.contacts)}"
@@ -86,16 +87,22 @@ class Certificate:
 
 
 def interval_text(name: str, interval: Interval) -> str:
-    """``0.43 +- 0.01 (order 1.6)``, or why there is no interval."""
-    unit = f" {FIGURES[name].unit}" if FIGURES[name].unit else ""
+    """``0.43 +- 0.01 (order 1.6)``, or why there is no interval; lengths in the unit that fits."""
+    scale, unit = 1.0, FIGURES[name].unit
+    if unit == "m":
+        known = [*interval.value, interval.half] if interval.known else interval.fine
+        scale, unit = length_unit(max(map(abs, known)))
+    unit = f" {unit}" if unit else ""
     if not interval.known:
-        shown = ", ".join(f"{x:.3g}" for x in interval.fine)
+        shown = ", ".join(f"{scale * x:.3g}" for x in interval.fine)
         return f"{shown}{unit}, not certified: {interval.reason}"
-    digits = max(0, min(MOST_DIGITS, 1 - _exponent(interval.half)))
+    half = scale * interval.half
+    digits = max(0, min(MOST_DIGITS, 1 - _exponent(half)))
     shown = ", ".join(
-        f"{x:.{digits}f}".replace(f"-{0:.{digits}f}", f"{0:.{digits}f}") for x in interval.value
+        f"{scale * x:.{digits}f}".replace(f"-{0:.{digits}f}", f"{0:.{digits}f}")
+        for x in interval.value
     )
-    half = max(interval.half, 0.1**digits)
+    half = max(half, 0.1**digits)
     order = "" if interval.order is None else f" (order {interval.order:.1f})"
     return f"{shown} +- {half:.{digits}f}{unit}{order}"
 
@@ -136,9 +143,9 @@ def coarser_runs(
             )
         if abs(filled - volume) > VOLUME * volume:
             return (), (
-                f"{what} has a different body, of {filled:.4g} m^3 instead of {volume:.4g}: each"
-                " resolution closes a hole in its own way, and --repair makes sheets as thick as"
-                " the spacing"
+                f"{what} has a different body, of {volume_text(filled)} instead of"
+                f" {volume_text(volume)}: each resolution closes a hole in its own way, and"
+                " --repair makes sheets as thick as the spacing"
             )
         found.append(made)
     return tuple(found), ""

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats
+from gf_usd.core.units import length_text
 
 LOWEST, HIGHEST = 1.0, 2.0  # accepted range of the order
 SAFETY = 1.0  # half width over the distance from f1 to the limit
@@ -147,11 +148,11 @@ def band(curves: Sequence[Floats], scale: float) -> Band:
     reason = ""
     if until < count and diverged[until]:
         reason = (
-            f"the run at half of the resolution differs by {d1[until]:.3g} m, which is no less "
-            f"than the {d2[until]:.3g} m of the run at a quarter"
+            f"the run at half of the resolution differs by {length_text(d1[until])}, which is no"
+            f" less than the {length_text(d2[until])} of the run at a quarter"
         )
     elif until < count:
-        reason = f"it is uncertain by {width[until]:.3g} m"
+        reason = f"it is uncertain by {length_text(width[until])}"
     width = np.maximum(width, TINY * scale)
     width[until:] = np.nan
     return Band(half=width, until=until, reason=reason, parts=bool(diverged.any()))

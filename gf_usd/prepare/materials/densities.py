@@ -77,7 +77,7 @@ def stated_densities(
                     density=now / filled,
                     mass=mass[prim],
                     volume=filled,
-                )  # fmt: skip
+                )
             )
     return tuple(found)
 

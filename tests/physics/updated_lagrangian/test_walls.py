@@ -97,7 +97,8 @@ def test_planes_are_counted_in_half_cells_and_move_with_the_grid() -> None:
 @pytest.mark.parametrize(
     ("walls", "message"),
     [
-        ([Wall(axis=1, at=0.03)], "wall at y = 0.03 m does not fit the grid"),
+        ([Wall(axis=1, at=0.03)], "wall at y = 0.03 m does not fit the grid with cells of"),
+        ([Wall(axis=1, at=0.03)], "the nearest half cell is 2 cm away"),
         ([Wall(axis=1, at=0.6)], "2 of 2 particles are behind the wall at y = 0.6 m"),
         ([Wall(axis=2, at=0.4, above=False)], "behind the wall at z"),
         ([Wall(axis=0, at=0.0), Wall(axis=0, at=0.1)], "two walls below along x"),

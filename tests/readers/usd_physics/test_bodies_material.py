@@ -269,7 +269,7 @@ def test_a_density_in_kg_per_cubic_meter_on_a_stage_in_centimeters_is_explained(
     with pytest.raises(InputError) as caught:
         read_material_spec(authored, "/M", StageUnits(meters_per_unit=0.01), where="a.usda: </M>")
     assert caught.value.message == (
-        "a.usda: </M>: physics:density [kg/m^3] is 1e+09: it is authored as 1000 mass units per cubic stage"
-        " unit, of 1 kg and (0.01 m)^3"
+        "a.usda: </M>: physics:density [kg/m^3] is 1e+09: it is authored as 1000 mass units per"
+        " cubic stage unit, of 1 kg and (0.01 m)^3"
     )
     assert caught.value.hint.endswith("; 1000 kg/m^3 is 0.001 in this stage")
