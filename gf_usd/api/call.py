@@ -46,7 +46,7 @@ def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]
         @wraps(function)
         def call(*args: Any, **options: Any) -> R:
             path = options.pop("path", None) if not args else args[0]
-            with in_words(replace(BAKE, kept=_file_names(path, options.get("output")))):
+            with naming(replace(BAKE, kept=_file_names(path, options.get("output")))):
                 require_working_folder()
                 if args[1:]:
                     raise UsageError(
@@ -137,7 +137,7 @@ CLAUSES = re.compile(r"(; |, or |, )")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Words:
+class Keywords:
     """How a function of Python calls the options of the command line."""
 
     known: Mapping[str, str]  # keywords, by the options with their dashes
@@ -182,32 +182,32 @@ class Words:
 
 
 @contextmanager
-def in_words(words: Words) -> Iterator[Words]:
+def naming(names: Keywords) -> Iterator[Keywords]:
     """Have errors name the keywords of a function."""
     try:
-        yield words
+        yield names
     except GfUsdError as error:
-        in_python(error, words)
+        in_python(error, names)
         raise
 
 
-def keywords(*own: str, **renamed: str) -> AbstractContextManager[Words]:
+def keywords(*own: str, **renamed: str) -> AbstractContextManager[Keywords]:
     """Have errors name the keywords of Python: ``--max-hours`` is max_hours.
 
-    Yields the words, for the notes of a result.
+    Yields them, for the notes of a result.
 
     own : keywords of the function that are called as on the command line; renamed : others, by
     their names there.  All other options are those of a bake.
     """
     mine = {**{name: name for name in own}, **renamed}
-    more = {f"--{name.replace('_', '-')}": word for name, word in mine.items()}
-    return in_words(Words(known={**BAKE.known, **more}))
+    more = {f"--{name.replace('_', '-')}": keyword for name, keyword in mine.items()}
+    return naming(Keywords(known={**BAKE.known, **more}))
 
 
-def in_python(error: GfUsdError, words: Words) -> None:
+def in_python(error: GfUsdError, names: Keywords) -> None:
     """Have an error name keywords."""
-    error.message = words.text(error.message)
-    error.hint = words.hint(error.hint)
+    error.message = names.text(error.message)
+    error.hint = names.hint(error.hint)
     error.args = (error.message,)
 
 
@@ -224,10 +224,13 @@ def _spellings(names: Iterable[str] = OPTIONS) -> dict[str, str]:
     return found
 
 
-BAKE = Words(known={**_spellings(), "-o": "output"})
+BAKE = Keywords(known={**_spellings(), "-o": "output"})
 
 
-def words_of(*names: str, **renamed: str) -> Words:
+def keywords_of(*names: str, **renamed: str) -> Keywords:
     """Of a function that has some options of a bake; renamed : others, which it calls otherwise."""
-    known = {**_spellings(names), **{OPTIONS[name].flag: word for name, word in renamed.items()}}
-    return Words(known=known, absent=frozenset(BAKE.known) - frozenset(known))
+    known = {
+        **_spellings(names),
+        **{OPTIONS[name].flag: keyword for name, keyword in renamed.items()},
+    }
+    return Keywords(known=known, absent=frozenset(BAKE.known) - frozenset(known))

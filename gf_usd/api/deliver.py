@@ -68,7 +68,7 @@ def deliver(
     """
     with keywords(
         "error", "max_joints", "max_shapes", "splats", "bind_splats", "variant", **{"as": "kind"}
-    ) as words:
+    ) as names:
         arguments: dict[str, Any] = {
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
@@ -81,7 +81,7 @@ def deliver(
             "bind_splats": values.choice("bind_splats", bind_splats, BINDINGS),
         }
         done, _ = run_here_or_separately("gf_usd.delivery.deliver:deliver", arguments)
-        return words.in_notes(done)
+        return names.in_notes(done)
 
 
 def retime(
@@ -123,7 +123,7 @@ def retime(
         one of its variants is animated in the root layer itself.
     BakeError : a file cannot be written.
     """
-    with keywords("speed", "keys") as words:
+    with keywords("speed", "keys") as names:
         arguments: dict[str, Any] = {
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
@@ -131,7 +131,7 @@ def retime(
             "keys": None if keys is None else _pairs(keys),
         }
         done, _ = run_here_or_separately("gf_usd.delivery.retime:retime", arguments)
-        return words.in_notes(done)
+        return names.in_notes(done)
 
 
 PAIRS = "pairs (time code of the result, time code of the bake)"

@@ -101,7 +101,7 @@ def fit(
 
     with keywords(
         "bounds", "unknowns", "evaluations", "overwrite", "jobs", "max_minutes", target="targets"
-    ) as words:
+    ) as names:
         if isinstance(targets, Mapping):
             texts = [
                 f"{name}={value if isinstance(value, str) else f'{values.real(name, value):g}'}"
@@ -131,7 +131,7 @@ def fit(
         )
         arguments, progress = {"request": wanted}, values.progress_callback("progress", progress)
         done, _ = run_here_or_separately("gf_usd.fitting.fit:fit_counted", arguments, progress)
-        return words.in_notes(done)
+        return names.in_notes(done)
 
 
 def _names(unknowns: object) -> list[str]:

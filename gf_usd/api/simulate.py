@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gf_usd.api.call import in_words, named, words_of
+from gf_usd.api.call import keywords_of, named, naming
 from gf_usd.api.host.guest import guest, require_this_process
 from gf_usd.api.read import Table
 from gf_usd.api.scene import Scene, at_frames
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 # What `Simulation.save` adds to the state of the solver.
 STATE = {"index", "health", "disturbed", "forces", "added_acceleration", "rest"}
 # A scene has no options but these: bodies have a material and a velocity, and pins are its own.
-WORDS = words_of(
+KEYWORDS = keywords_of(
     "particles", "spacing", "frames", "fps", "drag", "self_contact", "filter_rate", "conversions",
     "stress", "device", "threads", "gravity", "floor", "material", "velocity", "spin", "friction",
     no_shortcuts="shortcuts=False", pins="scene.pin()", colliders="scene.add_obstacle()",
@@ -89,7 +89,7 @@ class Simulation(Iterator[SimulationFrame]):
         self.bodies: tuple[str, ...] = scene.bodies
         # assumptions, as text
         self.notes: tuple[str, ...] = tuple(
-            WORDS.hint(note) for note in (*scene._notes, *self._plan.notes)
+            KEYWORDS.hint(note) for note in (*scene._notes, *self._plan.notes)
         )
 
     def __repr__(self) -> str:
@@ -141,7 +141,7 @@ class Simulation(Iterator[SimulationFrame]):
         if self._solver is None or self._index + 1 >= self._frames:
             raise StopIteration
         solver = self._running()
-        with in_words(WORDS), guest():
+        with naming(KEYWORDS), guest():
             if self._last is None:
                 frame = solver.read(0)
             else:
@@ -453,5 +453,5 @@ def simulate(
     if count < 1 or not options["fps"] > 0.0:
         raise UsageError(f"frames is {count} and fps is {options['fps']:g}", "give numbers above 0")
     require_this_process("simulate")
-    with in_words(WORDS), guest():
+    with naming(KEYWORDS), guest():
         return Simulation(scene, count, options)

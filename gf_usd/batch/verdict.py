@@ -62,7 +62,7 @@ def attempt_outcome(
     elif state == "sliced":
         message, hint = "a slice is done", CONTINUE
         if (slice := events.get("sliced")) is not None:
-            message = "{look}: {done} of {frames} frames are done".format_map(slice)
+            message = "{variant}: {done} of {frames} frames are done".format_map(slice)
     elif ended.status == 0:
         state, message, hint = "crashed", "the bake ended without a result", ""
     elif ended.status < 0 or ended.status in INTERRUPTED:
@@ -71,7 +71,7 @@ def attempt_outcome(
             hint = f"{KILLED}: run fewer jobs at once (--jobs)"
     elif not message:
         # Python's message of an unexpected exception
-        state, message = "crashed", (ended.err.strip().splitlines() or ["no words"])[-1]
+        state, message = "crashed", (ended.err.strip().splitlines() or ["no output"])[-1]
     return Attempt(
         outcome=replace(
             outcome, state=state, message=message[:MESSAGE_LENGTH], hint=hint, log=ended.err[-LOG:]

@@ -46,7 +46,7 @@ def show_plan(
         f"particles   {d['particles']}, {length_text(d['spacing_m'])} apart",
         f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {code_text(d['start'])}",
         "substeps    "
-        + ", ".join(f"{n} per frame ({look})" for look, n in d["substeps_per_frame"].items()),
+        + ", ".join(f"{n} per frame ({variant})" for variant, n in d["substeps_per_frame"].items()),
         f"drop        {drop}, {landing_of(prepared.plan, d)}",
         f"time        {time_of(d)}"
         + (f": refused because it is more than --max-hours {max_hours:g}" if too_long else ""),
@@ -89,7 +89,7 @@ def announce(prepared: Prepared) -> None:
     plan, cost = prepared.plan, prepared.cost
     substeps = cost["substeps_per_frame"]
     each = ", ".join(
-        f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
+        f"{n} ({variant})" if len(substeps) > 1 else f"{n}" for variant, n in substeps.items()
     )
     for note in (*plan.notes, *prepared.shortcuts):
         typer.echo(_note_line(plan, note), err=True)

@@ -41,7 +41,7 @@ NO_COLOR = (0.5, 0.5, 0.5)
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceMaterial:
-    """The diffuse look of a bound material."""
+    """The diffuse shading of a bound material."""
 
     path: str
     color: tuple[float, float, float]  # constant diffuse, linear

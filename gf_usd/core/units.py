@@ -165,7 +165,7 @@ def check_unit(meters_per_unit: float | None) -> None:
 
 
 def number(option: str, text: str, what: str) -> float:
-    """A finite number out of words; what : it should have been, for the hint."""
+    """A finite number from text; what : it should have been, for the hint."""
     try:
         value = float(text)
     except ValueError:

@@ -39,7 +39,7 @@ MOVING = ("points", "normals", "velocities", "accelerations", "extent")
 def write_usd(
     bake: Path, target: Path, variants: Sequence[BakedVariant], error: float = 0.0
 ) -> tuple[str, ...]:
-    """Write `target` under its partial name; returns notes in words.
+    """Write `target` under its partial name; returns notes as text.
 
     error : of positions of Gaussians, in radii.
     bake : root layer or flattened file.  target : .usdz becomes a package with all that the file

@@ -33,7 +33,7 @@ class Figure:
     # f(observation, index of its point, playback time [s] or None) -> value
     of: Callable[[Observation, int, float | None], float]
     position: bool = False  # requires a point
-    moment: bool = False  # accepts a time code; default: the last frame
+    at_time: bool = False  # accepts a time code; default: the last frame
 
 
 def _measured_figure(name: str) -> Callable[[Observation, int, float | None], float]:
@@ -160,10 +160,10 @@ FIGURES: Mapping[str, Figure] = {
     "peak_strain": Figure(
         text="largest strain of a particle", unit="", of=_measured_figure("peak_strain")
     ),
-    "height": Figure(text="height at a time code", unit="m", of=_height, moment=True),
+    "height": Figure(text="height at a time code", unit="m", of=_height, at_time=True),
     "sag": Figure(
         text="downward displacement of the lowest point at a time code",
-        unit="m", of=_sag, moment=True,
+        unit="m", of=_sag, at_time=True,
     ),
     "settled_height": Figure(text="height at rest", unit="m", of=_settled_height),
     "settled_sag": Figure(
@@ -177,11 +177,11 @@ FIGURES: Mapping[str, Figure] = {
     "deflection": Figure(
         text="downward displacement of a point, at rest or at a time code",
         unit="m", of=_deflection,
-        position=True, moment=True,
+        position=True, at_time=True,
     ),
     "frequency": Figure(
         text="frequency at which a point vibrates, after a time code", unit="Hz", of=_frequency,
-        position=True, moment=True,
+        position=True, at_time=True,
     ),
 }  # fmt: skip
 
@@ -233,7 +233,7 @@ def check_number(spec: TargetSpec) -> None:
             f"--target {spec.text!r}: {spec.figure} {verb} a point",
             f"{hint} :at=X,Y,Z, a point on the mesh at rest [stage units]",
         )
-    if spec.time_code is not None and not figure.moment:
+    if spec.time_code is not None and not figure.at_time:
         raise UsageError(
             f"--target {spec.text!r}: {spec.figure} does not take a time code",
             f"leave out @{code_text(spec.time_code)}",

@@ -187,7 +187,7 @@ def simulations(processes: int, folder: Path | None) -> Iterator[Simulations]:
                 "give another: --evaluations FOLDER, or --evaluations none",
             ) from error
         for index in range(processes):
-            workers.append(Worker(scratch.path / f"words{index}"))
+            workers.append(Worker(scratch.path / f"task{index}"))
         yield Simulations(workers, scratch.path, cache_folder)
     finally:
         for worker in workers:

@@ -93,7 +93,7 @@ class CacheWriter:
     path : final name, for example ``duck.rubber.cache.usdc``.
     asset : what was baked.
     particles : its particles.
-    info : look, materials and settings of the bake.
+    info : variant, materials and settings of the bake.
     source : the USD file to lie over; default the asset's own.
     choices : which shapes are written, and whether in clips; default all in one file.
     tets : tetrahedra that are written; none: no TetMesh.

@@ -52,7 +52,7 @@ def write_flat(
 
     Returns
     -------
-    Notes in words: files that could not be found.
+    Notes as text: files that could not be found.
 
     Raises
     ------
@@ -315,7 +315,7 @@ def write_placed(
 
     Returns
     -------
-    Notes in words: files that could not be found.
+    Notes as text: files that could not be found.
 
     Raises
     ------

@@ -37,7 +37,7 @@ def write_materials(
     stage: Usd.Stage,
     parent: Sdf.Path,
     materials: Sequence[Material],
-    look: str,
+    variant: str,
     units: StageUnits,
 ) -> list[Sdf.Path]:
     """Define one Material prim for each material under the Scope ``parent``.
@@ -52,8 +52,10 @@ def write_materials(
     paths: list[Sdf.Path] = []
     for material in materials:
         taken = {path.name for path in paths}
-        path = parent.AppendChild(free_name(prim_name(material.name or look), taken.__contains__))
-        _write(stage, path, material, look, units)
+        path = parent.AppendChild(
+            free_name(prim_name(material.name or variant), taken.__contains__)
+        )
+        _write(stage, path, material, variant, units)
         paths.append(path)
     return paths
 
@@ -124,7 +126,7 @@ def bind_points(
 
 
 def _write(
-    stage: Usd.Stage, path: Sdf.Path, material: Material, look: str, units: StageUnits
+    stage: Usd.Stage, path: Sdf.Path, material: Material, variant: str, units: StageUnits
 ) -> None:
     prim = UsdShade.Material.Define(stage, path).GetPrim()
     # the API of gf-usd applies it too, but only where its schema is registered
@@ -141,7 +143,7 @@ def _write(
     for name, kind, value in (
         ("gaussianFlesh:law", Types.Token, material.law),
         ("gaussianFlesh:dampingTime", Types.Float, material.damping_time),
-        ("gaussianFlesh:look", Types.Token, look),
+        ("gaussianFlesh:look", Types.Token, variant),
         *own,
     ):
         prim.CreateAttribute(name, kind, False, Sdf.VariabilityUniform).Set(value)

@@ -97,10 +97,10 @@ def find_home(source: Usd.Stage, asset: Asset, choices: Choices | None = None) -
     """
     roots = list(source.GetPseudoRoot().GetAllChildren())
     held = {Sdf.Path(surface.path).GetPrefixes()[0] for surface in asset.surfaces}
-    standing = [p for p in roots if p.IsDefined() and not p.IsAbstract()]
+    defined = [p for p in roots if p.IsDefined() and not p.IsAbstract()]
     chosen = source.GetDefaultPrim()
     if not chosen or not chosen.GetPath().IsRootPrimPath():
-        chosen = next((p for p in standing if p.GetPath() in held), next(iter(standing), None))
+        chosen = next((p for p in defined if p.GetPath() in held), next(iter(defined), None))
     if chosen is None:
         raise InputError(f"{asset.facts.path} has no defined root prim", "check it with usdcat")
     empty = choices is not None and not choices.particles

@@ -479,6 +479,6 @@ def _find(name: str | Material, request: Request) -> Any:
         notes: list[str] = []
         given = read_material(Path(name), notes.append)
         return Fixed(given, tuple(notes))
-    look = find_preset(name.strip())
+    preset = find_preset(name.strip())
     # The paper has every solid corotated.
-    return replace(look, law="corotated") if request.preset == "paper" else look
+    return replace(preset, law="corotated") if request.preset == "paper" else preset

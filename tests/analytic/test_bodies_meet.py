@@ -80,7 +80,7 @@ def test_energy_is_never_made_out_of_nothing(material):
     assert max(gain_of_frames(h)) <= 1e-5 * scale
     # ... and none is put in: where nothing presses bodies together there is no budget.  Springs
     # of friction whose samples face something else are lost: each holds (mu k d)^2 / 2 k of the
-    # k d^2 / 2 of its plane, and a look loses few of them.
+    # k d^2 / 2 of its plane, and a detection loses few of them.
     assert sum(max(0.0, f.injected) for f in h) <= 1e-5 * scale
     assert sum(abs(f.injected) for f in h) <= 0.01 * max(f.contact for f in h) * len(h)
     assert h[-1].kinetic + h[-1].elastic < h[0].kinetic
@@ -88,7 +88,7 @@ def test_energy_is_never_made_out_of_nothing(material):
 
 @pytest.mark.parametrize("g", [0.0, 10.0 * G0])
 def test_new_planes_store_what_the_old_ones_did(g):
-    """A look moves nothing: all that it changes of the contact energy is injected."""
+    """A detection moves nothing: all that it changes of the contact energy is injected."""
     solver = contact_solver(
         LEFT, RIGHT, particles=300, frames=7, gravity=(0.0, 0.0, -g),
         velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)],

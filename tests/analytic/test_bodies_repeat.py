@@ -1,4 +1,4 @@
-"""Contact between bodies repeats to the bit, and goes on to the bit from a state that was kept."""
+"""Contact between bodies repeats to the bit, and to the bit from a saved state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The drop that the looks are made for: a ball that falls three radii."""
+"""The drop that the dimensionless presets are made for: a ball that falls three radii."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_a_ball_rebounds_by_its_own_damping_and_not_by_that_of_contact():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BANDS)
 def test_every_size_squashes_alike(name):
-    # Looks are dimensionless: two sizes differ by f32 rounding and by the whole number of substeps
+    # They are dimensionless: two sizes differ by f32 rounding and by the whole number of substeps
     # a frame only, which moves a jelly's fold by a few per mille.
     one = drop(name, 1.0)
     for radius in (0.025, 5.0):

@@ -1,4 +1,4 @@
-"""Solid bodies and what flows, meeting: what is kept, and what is carried."""
+"""Solid bodies and flowing ones in contact: what is conserved, and what is carried."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The drop of the looks in the Updated Lagrangian solver, against the Total Lagrangian one."""
+"""The drop of the dimensionless presets with both solvers: Updated and Total Lagrangian."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_no_energy_comes_from_nowhere_and_the_floor_holds(name):
 
 @pytest.mark.slow
 def test_a_small_ball_lands_as_a_large_one():
-    # Looks are the same at any size: the same frames but for rounding of f32 in contact.
+    # The presets are the same at any size: the same frames but for rounding of f32 in contact.
     small, large = (drop(UpdatedLagrangian, "rubber", radius=r)[0] for r in (0.025, 1.0))
     np.testing.assert_allclose(small, large, atol=2e-3)
 

@@ -107,14 +107,14 @@ def test_a_body_that_outgrows_its_grid_gets_a_larger_one():
     soft = preset_material("rubber", body, damping_time=0.0, youngs_modulus=1e-6)
     s = settings(frames=2, substeps=24)
     solver = UpdatedLagrangian(body, [soft], s, velocity=lambda X: 60.0 * X @ SHEAR.T)
-    start, room = solver.state.save(), solver.state.node_capacity
+    start, capacity = solver.state.save(), solver.state.node_capacity
     seen = []
     for _ in range(2):
         solver.advance(1, 24)
         assert solver.not_finite() == (-1, "")
         seen.append(solver.state.motion())
         solver.state.load(start)
-    assert solver.state.node_capacity > room
+    assert solver.state.node_capacity > capacity
     for first, second in zip(*seen, strict=True):
         assert np.array_equal(first, second)
     assert np.ptp(seen[0][0], axis=0).max() > 2.0 * 2.0, "twice as large as at rest"

@@ -504,7 +504,7 @@ def test_a_scene_and_a_simulation_are_shown_with_what_they_hold() -> None:
 
 
 def test_a_body_that_begins_below_the_floor_is_refused() -> None:
-    with pytest.raises(gf_usd.UsageError, match=r"a body starts 0\.5 m below the floor"):
+    with pytest.raises(gf_usd.UsageError, match=r"a body starts 50 cm below the floor"):
         gf_usd.simulate(alone(floor=1.5), particles=100)
 
 

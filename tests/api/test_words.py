@@ -12,7 +12,7 @@ import pytest
 
 import gf_usd
 from gf_usd.api.call import BAKE
-from gf_usd.api.simulate import WORDS
+from gf_usd.api.simulate import KEYWORDS
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 UNIT = np.array([[x, y, z] for x in (0, 1) for y in (1, 2) for z in (0, 1)], float)
@@ -49,7 +49,7 @@ def test_a_hint_leaves_out_what_cannot_be_given(
     hint: str, of_a_bake: str, of_a_scene: str | None
 ) -> None:
     assert BAKE.hint(hint) == of_a_bake
-    assert WORDS.hint(hint) == (hint if "overwrite" in hint else of_a_scene or of_a_bake)
+    assert KEYWORDS.hint(hint) == (hint if "overwrite" in hint else of_a_scene or of_a_bake)
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ from gf_usd.core.errors import UsageError
         ({"frames": 26, "clip_frames": 6}, 3, 2),
         # never a full clip
         ({"frames": 5, "clip_frames": 6}, 2, 1),
-        # two looks, one after the other
+        # two variants, one after the other
         ({"frames": 25, "clip_frames": 6, "material": "rubber,jelly"}, 2, 4),
         # handles are written as well
         ({"frames": 25, "clip_frames": 6, "handles": 12}, 2, 4),
@@ -116,7 +116,7 @@ def test_what_an_earlier_slice_settled_is_not_begun_again(tmp_path: Path) -> Non
         assert final_outcome(sliced, None) is None, "it has not ended"
     record("crashed")
     assert final_outcome(sliced, "x") is None
-    # a disk that was full then may have room now: there is something to go on from
+    # a disk that was full then may have space now: there is something to resume from
     record("failed")
     checkpoint = sliced.sibling(".checkpoint.npz")
     checkpoint.touch()

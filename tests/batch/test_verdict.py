@@ -21,7 +21,7 @@ RESULT = {
 }
 DAMAGED = "/x.usda is damaged: 12:3\nin two lines"
 FINISHED = {"finished": {"event": "finished", **RESULT}}
-SLICED = {"sliced": {"event": "sliced", "look": "rubber", "done": 3, "frames": 5}}
+SLICED = {"sliced": {"event": "sliced", "variant": "rubber", "done": 3, "frames": 5}}
 GOES_ON = "run the same command to continue"
 ERROR = {"error": {"event": "error", "status": 3, "message": DAMAGED, "hint": "export it again"}}
 STDERR = f"note: centimeters\nerror: {DAMAGED}\n\nhint: export it again\n"
@@ -59,7 +59,7 @@ def test_a_whole_result_is_done(tmp_path: Path) -> None:
         (ended(143, stopped=True), {}, "stopped", "interrupted before it ended", ""),
         (ended(143, timed_out=True), {}, "timeout", "not finished after 2 s", "raise --timeout"),
         (ended(1, "Traceback\n  line\nMemoryError: 3\n"), {}, "crashed", "MemoryError: 3", ""),
-        (ended(1), {}, "crashed", "no words", ""),
+        (ended(1), {}, "crashed", "no output", ""),
         (ended(5), SLICED, "sliced", "rubber: 3 of 5 frames are done", GOES_ON),
         (ended(5, stopped=True), {}, "stopped", "interrupted before it ended", ""),
         # words on stderr decide nothing

@@ -66,7 +66,7 @@ def test_one_asset_stops_no_other_and_a_rerun_does_what_is_missing(
     page = (out / "out.batch.html").read_text("utf-8")
     assert page.index("cut.rubber") < page.index("block.rubber")
 
-    # another look, and a result that was damaged: the rest is kept
+    # another preset, and a result that was damaged: the rest is kept
     (out / "block.rubber.cache.usdc").write_bytes(b"PXR-USDC")
     again = gf_usd("batch", assets / "block.usda", "-m", "rubber,jelly", *SMALL, "-o", "out",
                    "--json", "--no-report")  # fmt: skip

@@ -13,7 +13,7 @@ from small_bakes import BLOCK, names
 
 @pytest.fixture(scope="module")
 def baked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small bake of two looks; tests copy it."""
+    """A small bake of two variants; tests copy it."""
     from gf_usd.api.bake import bake
 
     folder = tmp_path_factory.mktemp("baked")

@@ -1,4 +1,4 @@
-"""A bake that ends early goes on from its last full clip, and comes to the same bits."""
+"""A bake that ends early resumes from its last full clip, and comes to the same bits."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_slices_come_to_the_same_bits(gf_usd, here: Path, block: Path, state: st
     while gf_usd(*arguments, "-o", "two/", "--slice", "1", "--resume").status == 5:
         require_whole(here / "two")
         runs += 1
-    # nine frames of two a clip; a range begins three frames later, looks come one after another
+    # nine frames of two a clip; a range begins three frames later, variants come one after another
     assert runs == {"range": 2, "looks": 7, "held": 4}.get(state, 3)
     require_same(here / "one", here / "two")
 

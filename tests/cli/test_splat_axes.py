@@ -60,7 +60,7 @@ def test_a_capture_stands_in_spz_as_it_does_in_the_bake(gf_usd, here, tmp_path, 
     prim = stage.GetPrimAtPath("/ball/Splats")
     there = prim.GetAttribute("positions").Get(3.0)
     np.testing.assert_allclose(ply.positions, there, atol=STEP)  # the file's own space
-    # above the floor, and lower than where it was let go
+    # above the floor, and lower than where it was released
     assert 0.0 < spz.positions[:, 1].min() < 0.09
 
 

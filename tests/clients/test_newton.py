@@ -159,7 +159,7 @@ def _moduli(points: Usd.Prim) -> list[float]:
 
 
 def _proof(baked: Baked, number: int, path: Path) -> Usd.Stage:
-    """A shot of one look with things for Newton to simulate out of its material."""
+    """A shot of one variant with things for Newton to simulate out of its material."""
     stage = Usd.Stage.CreateNew(str(path))
     made = Usd.Stage.Open(str(baked.root))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.GetStageUpAxis(made))

@@ -1,4 +1,4 @@
-"""Presets: looks follow the size of the body, physical ones do not."""
+"""Presets: dimensionless ones follow the size of the body, physical ones do not."""
 
 from __future__ import annotations
 
@@ -23,35 +23,37 @@ CHOICES = (
     " wet-snow, toothpaste, mud, cream, honey, wax"
 )
 OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
-each_look = pytest.mark.parametrize("look", DIMENSIONLESS.values(), ids=lambda look: look.name)
+each_look = pytest.mark.parametrize(
+    "preset", DIMENSIONLESS.values(), ids=lambda preset: preset.name
+)
 each_preset = pytest.mark.parametrize("preset", presets().values(), ids=lambda p: p.name)
 
 
 @each_look
 @pytest.mark.parametrize("radius", [0.025, 1.0, 5.0])
-def test_a_preset_is_its_numbers_times_rho_g0_r(look, radius: float) -> None:
-    made = look.material(radius)
-    unit = look.density * G0 * radius
+def test_a_preset_is_its_numbers_times_rho_g0_r(preset, radius: float) -> None:
+    made = preset.material(radius)
+    unit = preset.density * G0 * radius
     # E and nu are made of mu and lam, and read back: rounding of a few operations.
-    assert made.mu == pytest.approx(look.mu * unit, rel=1e-12)
-    assert made.lam == pytest.approx(look.lam * unit, rel=1e-12)
-    assert made.damping_time == pytest.approx(look.damping * math.sqrt(radius / G0), rel=1e-12)
-    assert (made.name, made.density, made.law) == (look.name, look.density, look.law)
-    assert (made.friction, made.restitution) == (look.friction, look.restitution)
-    assert made.parameters.keys() == look.parameters.keys()
-    if "yield_stress" in look.parameters:
-        stress = look.parameters["yield_stress"] * unit
+    assert made.mu == pytest.approx(preset.mu * unit, rel=1e-12)
+    assert made.lam == pytest.approx(preset.lam * unit, rel=1e-12)
+    assert made.damping_time == pytest.approx(preset.damping * math.sqrt(radius / G0), rel=1e-12)
+    assert (made.name, made.density, made.law) == (preset.name, preset.density, preset.law)
+    assert (made.friction, made.restitution) == (preset.friction, preset.restitution)
+    assert made.parameters.keys() == preset.parameters.keys()
+    if "yield_stress" in preset.parameters:
+        stress = preset.parameters["yield_stress"] * unit
         assert made.parameters["yield_stress"] == pytest.approx(stress, rel=1e-12)
-    if "flow_viscosity" in look.parameters:
-        viscous = look.parameters["flow_viscosity"] * unit * math.sqrt(radius / G0)
+    if "flow_viscosity" in preset.parameters:
+        viscous = preset.parameters["flow_viscosity"] * unit * math.sqrt(radius / G0)
         assert made.parameters["flow_viscosity"] == pytest.approx(viscous, rel=1e-12)
 
 
 @each_look
-def test_a_wave_crosses_the_body_in_the_same_part_of_its_time(look) -> None:
+def test_a_wave_crosses_the_body_in_the_same_part_of_its_time(preset) -> None:
     # c T / r is free of dimensions: that is what makes every size squash alike.
-    ratios = [look.material(r).wave_speed * time_scale(r) / r for r in (0.025, 1.0, 5.0)]
-    assert ratios == pytest.approx([math.sqrt(look.lam + 2.0 * look.mu)] * 3, rel=1e-12)
+    ratios = [preset.material(r).wave_speed * time_scale(r) / r for r in (0.025, 1.0, 5.0)]
+    assert ratios == pytest.approx([math.sqrt(preset.lam + 2.0 * preset.mu)] * 3, rel=1e-12)
 
 
 def test_presets_in_known_numbers() -> None:

@@ -45,7 +45,7 @@ class Baked:
 
 
 def bake_duck(sample: Path, folder: Path) -> Baked:
-    """Three looks of the duck; the source is a crate, as a validator requires for large arrays."""
+    """A duck of three variants; the source is a crate, as validators require for large arrays."""
     asset = folder / "duck.usdc"
     Sdf.Layer.FindOrOpen(str(sample)).Export(str(asset))
     return _bake(asset, material="rubber,metal,jelly", drop="0.1r")

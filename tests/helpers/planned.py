@@ -47,7 +47,7 @@ def planner(tmp_path: Path) -> Callable[..., Plan]:
 
 
 def table(plan: Plan) -> Any:
-    """The materials of the first look."""
+    """The materials of the first variant."""
     return plan.variants[0].table
 
 

@@ -1,4 +1,4 @@
-"""Text of a stage with one mesh of two quads and one material, for tests of looks."""
+"""Text of a stage with one mesh of two quads and one material, for tests of shading."""
 
 QUADS = """
     point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0), (2,0,0), (2,1,0)]

@@ -177,7 +177,7 @@ def test_a_full_clip_is_there_before_the_bake_is_done(tmp_path: Path) -> None:
             writer.write(frame)
             seen.append(sorted(p.name for p in folder.iterdir() if "partial" not in p.name))
             if frame.index == 5:
-                # what a kill at this moment would leave
+                # what a kill at this time would leave
                 stage = Usd.Stage.Open(Sdf.Layer.OpenAsAnonymous(str(partial_path(cache))))
                 clips = (
                     stage.GetRootLayer().GetPrimAtPath("/duck").GetInfo("clips")["gaussianFlesh"]

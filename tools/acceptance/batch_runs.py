@@ -94,16 +94,16 @@ def run(arguments: Sequence[object], disturb: Disturb = lambda run, event: None)
 
 
 def manifest(folder: Path, seeds: int, corrupt: int) -> Path:
-    """A manifest of samples x looks x seeds, and jobs of an asset that is damaged."""
+    """A manifest of samples x presets x seeds, and jobs of an asset that is damaged."""
     whole = (ROOT / "samples" / "duck.usda").read_bytes()
     (folder / CORRUPT).write_bytes(whole[: len(whole) // 2])
     files = ", ".join(f'"{ROOT / "samples" / name}"' for name in SAMPLES)
-    looks = ", ".join(f'"{look}"' for look in DIMENSIONLESS)
+    presets = ", ".join(f'"{one}"' for one in DIMENSIONLESS)
     path = folder / "night.toml"
     path.write_text(
         f"[settings]\nparticles = 120\nframes = 4\n\n"
         f"[[assets]]\nfiles = [{files}]\n"
-        f"matrix = {{ material = [{looks}], seed = {list(range(seeds))} }}\n\n"
+        f"matrix = {{ material = [{presets}], seed = {list(range(seeds))} }}\n\n"
         f'[[assets]]\nfiles = ["{CORRUPT}"]\nmatrix = {{ seed = {list(range(corrupt))} }}\n',
         encoding="utf-8",
     )

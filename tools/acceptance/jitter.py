@@ -64,7 +64,7 @@ class Ran:
 
 
 def one_body(dice: random.Random) -> dict[str, str]:
-    """Options for a sample that says nothing of physics: the looks, as far as they are laid out."""
+    """Options for a sample without physics: the presets, as far as they are laid out."""
     material = dice.choice(("rubber", "jelly", "metal"))
     fps, drop, gravity = dice.choice((24, 30, 48)), dice.uniform(0.3, 3.0), dice.uniform(5.0, 11.0)
     # long enough for a body of 1 m, the largest, to fall and to bounce

@@ -98,7 +98,7 @@ def wait_for(path: Path, process: subprocess.Popen[str]) -> float:
     return time.monotonic()
 
 
-def look(folder: Path) -> str:
+def judge(folder: Path) -> str:
     """What is wrong with the files under final names; "" if nothing is."""
     try:
         require_whole(folder)
@@ -139,7 +139,7 @@ def kill(folder: Path, whole: Path, nearly: Path, target: Target) -> Kill:
         n for n in names if "partial" not in n and n.startswith(STEM) and ".clips" not in n
     )
     clips = len([p for p in folder.glob("*.clips/*.usdc") if "partial" not in p.name])
-    fault = look(folder) or resume(folder, whole) or look(folder)
+    fault = judge(folder) or resume(folder, whole) or judge(folder)
     return Kill(target=target, ended=ended, clips=clips, final=final, fault=fault)
 
 

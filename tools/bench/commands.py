@@ -44,7 +44,7 @@ def pace() -> float:
 
 
 def command_table(runs: int, seconds: float) -> list[str]:
-    """The duck with the three looks, the paper's sphere, a first bake, --help.
+    """The duck with the three presets, the paper's sphere, a first bake, --help.
 
     Rows that there is no time for in `seconds` are left out, and marked so.
     """

@@ -37,7 +37,7 @@ Job = tuple[str, str, dict[str, Any]]  # table, key, arguments of `run`
 
 
 def jobs(seeds: Sequence[int], *, quick: bool) -> list[Job]:
-    """Every run of every table; quick: past the first squash, and rubber where one look will do."""
+    """Every run of every table; quick: past the first squash, rubber where one preset will do."""
     length = {"frames": QUICK_FRAMES} if quick else {}
     off = {"wls": False, "procrustes": 0.0, "clamp": "none", "stress_cap": "none"}
     own = {"preset": None, "fps": 60.0, "frames": QUICK_FRAMES, "skin": "embed"}

@@ -72,7 +72,7 @@ def compare(
         or time.
     BakeError : a file cannot be written.
     """
-    with keywords("tolerance", "variant", "other_variant", "align", "size", "fps") as words:
+    with keywords("tolerance", "variant", "other_variant", "align", "size", "fps") as names:
         if isinstance(tolerance, bool) or not isinstance(tolerance, str | float | int | None):
             raise values.refuse(
                 "tolerance", tolerance, "meters, or a string such as '2mm' or '0.5%'"
@@ -96,7 +96,7 @@ def compare(
         found, _ = run_here_or_separately(
             "gf_usd.api.drawing.compare:run", arguments, progress, schema=False
         )
-        return words.in_notes(found)
+        return names.in_notes(found)
 
 
 def run(
@@ -122,7 +122,7 @@ def run(
     elif tolerance is not None and not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise UsageError(f"--tolerance {tolerance} is not a length of 0 or more", "give meters")
     pictures = _judge(targets, (path, other), size, fps)
-    a, b = (BakedMotion(file, look) for file, look in zip((path, other), variants))
+    a, b = (BakedMotion(file, variant) for file, variant in zip((path, other), variants))
     found = with_tolerance(compare_motions(a, b, align=align), tolerance)
     found = replace(found, notes=tuple(dict.fromkeys((*found.notes, *_stage_notes(a, b)))))
     for target in targets:

@@ -112,7 +112,7 @@ def preview(
     with keywords(
         "frame", "show", "size", "sheet", "columns", "fps", "camera", "variant", "color",
         "time_codes", "color_range",
-    ) as words:  # fmt: skip
+    ) as names:  # fmt: skip
         codes = _renamed("frames", frames, "time_codes", time_codes)
         limits = _renamed("range", range, "color_range", color_range)
         target = None if output is None else Path(values.path("output", output))
@@ -150,7 +150,7 @@ def preview(
         task = "gf_usd.api.drawing.preview:draw"
         progress = values.progress_callback("progress", progress)
         drawn, _ = run_here_or_separately(task, arguments, progress, schema=False)
-        return words.in_notes(drawn)
+        return names.in_notes(drawn)
 
 
 def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:

@@ -36,7 +36,7 @@ SHORT = 32767
 def write_glb(
     target: Path, recording: Recording, rigs: Sequence[Rig], clouds: Sequence[Cloud] = ()
 ) -> tuple[str, ...]:
-    """Write `target` under its partial name; returns notes in words.
+    """Write `target` under its partial name; returns notes as text.
 
     clouds : the sets of Gaussians that bodies have parts of.
 

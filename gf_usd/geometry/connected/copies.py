@@ -183,9 +183,9 @@ class _Parts:
         rows: Patches, X: Floats, cell: Ints, by_cell: Ints, start: Ints, many: Ints
     ) -> Ints:
         """(k, 2) particles and the patches that segments from them to their cell's patches hit."""
-        looks = many[cell]
-        who = np.repeat(np.arange(len(X)), looks)
-        turn = np.arange(len(who)) - np.repeat(np.cumsum(looks) - looks, looks)
+        patches = many[cell]
+        who = np.repeat(np.arange(len(X)), patches)
+        turn = np.arange(len(who)) - np.repeat(np.cumsum(patches) - patches, patches)
         target = rows.largest[by_cell[start[cell[who]] + turn]]
         hit = rows.first_hit(X[who], target)
         return np.unique(np.stack([who, rows.patch[hit]], 1), axis=0)
@@ -289,9 +289,9 @@ def _through_open_faces(rows: Patches, parts: _Parts) -> Ints:
     cells, middle = cells[inside], middle[inside]
     out = of_cell[start[cells]]
     for side in (0, 1):
-        look = np.flatnonzero(count[cells[:, side]] > 1)
-        if len(look):
-            first = rows.in_cell[rows.cell_start[cut[cells[look, side]]]]
-            hit = rows.first_hit(middle[look], rows.largest[rows.patch[first]])
-            out[look, side] = parts.of_patch[rows.patch[hit]]
+        several = np.flatnonzero(count[cells[:, side]] > 1)
+        if len(several):
+            first = rows.in_cell[rows.cell_start[cut[cells[several, side]]]]
+            hit = rows.first_hit(middle[several], rows.largest[rows.patch[first]])
+            out[several, side] = parts.of_patch[rows.patch[hit]]
     return out

@@ -1,6 +1,6 @@
 """Advice on materials: from the names and labels of a prim, or from an advisor.
 
-Plain data; `names` has the rule, `words` its word lists, `advisors` the
+Plain data; `names` has the rule, `advisors` the
 plug-ins.
 """
 
@@ -23,7 +23,7 @@ class Question:
 
     file: Path  # the asset, as the user named it
     subjects: tuple[Subject, ...]
-    presets: Mapping[str, str]  # what each preset is, in words
+    presets: Mapping[str, str]  # what each preset is, as text
     picture: bytes = field(repr=False)  # PNG of the whole asset at rest
 
 

@@ -118,8 +118,8 @@ def _ask(asset: Asset, subjects: tuple[Subject, ...], auto: Auto, draw: Draw) ->
 
 def described() -> dict[str, str]:
     """Every preset with its description."""
-    looks = {look.name: look.note for look in DIMENSIONLESS.values()}
-    return looks | {
+    scaled = {one.name: one.note for one in DIMENSIONLESS.values()}
+    return scaled | {
         p.name: f"E = {p.youngs_modulus:.2g} Pa, {p.density:g} kg/m^3; {p.source}"
         for p in PHYSICAL.values()
     }

@@ -1,7 +1,7 @@
 """A preset by names alone: the rule of ``--material auto``.
 
 Names are tried in the order of SOURCES, and the first that holds a known phrase decides.  Its
-confidence is that of the source times the weight of the phrase (`words`), halved where other
+confidence is that of the source times the weight of the phrase (`PHRASES`), halved where other
 phrases of the same name have other presets; the last phrase of a name decides, because names end in
 the kind of the thing.
 
@@ -82,8 +82,8 @@ def sources(subject: Subject, file: str) -> Iterator[tuple[str, str, float]]:
     *above, own = subject.path.strip("/").split("/")
     for label in subject.labels:
         yield "its label", label, LABEL
-    for look in subject.looks:
-        yield "its material", look.rsplit("/", 1)[-1], LOOK
+    for material in subject.looks:
+        yield "its material", material.rsplit("/", 1)[-1], LOOK
     yield "its name", own, NAME
     for label in subject.labels_above:
         yield "a label above it,", label, LABEL_ABOVE

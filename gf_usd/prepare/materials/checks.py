@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def flow_notes(
-    look: Any,
+    preset: Any,
     law: str | None,
     parts: Sequence[MaterialPart],
     materials: Mapping[int, Material],
@@ -35,14 +35,14 @@ def flow_notes(
 ) -> tuple[str, ...]:
     """Notes where a yield stress is stated: which law was chosen for it, or that no law uses it.
 
-    look : as in `table`; law : of the options; materials : of the parts that have particles, by
+    preset : as in `table`; law : of the options; materials : of the parts that have particles, by
         index of parts.
     """
-    notes = list(look.notes) if isinstance(look, Fixed) else []
+    notes = list(preset.notes) if isinstance(preset, Fixed) else []
     for k, material in materials.items():
         part, path = parts[k], solid.surfaces[parts[k].surface].path
         painted = spec.painted.get(path, {}).keys() & FLOW
-        own = own_spec(part, spec.bodies.get(path)) if isinstance(look, Authored) else None
+        own = own_spec(part, spec.bodies.get(path)) if isinstance(preset, Authored) else None
         stated = own.parameters.keys() & FLOW if own else set()
         if not LAWS[material.law].flows and (painted or material.parameters.keys() & FLOW):
             notes.append(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 FLOW = frozenset(p.name for p in law_parameters() if p.required)  # require a law that flows
 
-AUTHORED = "authored"  # the look of a stage whose prims have different materials
+AUTHORED = "authored"  # the variant of a stage whose prims have different materials
 
 SAME = 1e-3  # relative: materials that differ by less are one
 
@@ -62,7 +62,7 @@ def _own_names(surface: Surface, spec: StageSpec) -> set[str]:
 
 
 def table(
-    look: Any,
+    preset: Any,
     parts: Sequence[MaterialPart],
     slot: Ints,
     particles: Particles,
@@ -73,7 +73,7 @@ def table(
 ) -> tuple[tuple[Material, ...], Ints]:
     """The materials of a variant, and (N,) the index of each particle's material.
 
-    look : `Authored`, or a preset for every part outside regions; slot : (N,) of
+    preset : `Authored`, or a preset for every part outside regions; slot : (N,) of
         `part_of_particles`; finish : the material of a preset for a body of radius [m], with the
         values of the options.
     """
@@ -83,11 +83,11 @@ def table(
         radius = float(bodies.radius[bodies.of_surface[part.surface]])
         if part.region is not None:
             made.append(finish(find_preset(part.region.material), radius))
-        elif isinstance(look, Authored):
+        elif isinstance(preset, Authored):
             made.append(authored(surface.path, part, radius, spec, finish))
         else:
-            made.append(finish(look, radius))
-    if isinstance(look, Authored):
+            made.append(finish(preset, radius))
+    if isinstance(preset, Authored):
         made = _with_masses(made, parts, slot, particles, solid, spec)
     kept: list[Material] = []
     index = np.zeros(len(made), np.int64)
@@ -120,7 +120,7 @@ def authored(
     if stated is None and body is not None:
         stated = body.spec.density if body.density is None else body.density
     if stated is not None and isinstance(base, DimensionlessPreset):
-        base = replace(base, density=stated)  # a look's moduli go with its density
+        base = replace(base, density=stated)  # the moduli of such a preset follow its density
     made = finish(base, radius)
     if part.subset is not None and body is not None:
         made = part.subset.resolve(body.resolve(made), body.density)

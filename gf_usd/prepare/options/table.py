@@ -35,7 +35,7 @@ MATERIAL = "Material"
 METHOD = "Method"
 WRITE = "Output"
 
-# [h] `bake` refuses to take longer unasked.  Bakes of looks take minutes at 400k particles; what
+# [h] `bake` refuses to take longer unasked.  Bakes of presets take minutes at 400k particles; what
 # takes hours is mostly a modulus in the wrong unit.
 MAX_HOURS = 1.0
 
@@ -331,7 +331,7 @@ class RequestOptions:
     )] = False
     only: Annotated[str | Sequence[str] | None, Option(
         WRITE, "Shapes to write: mesh, gaussians, points, or several separated by commas.",
-        shown="all three", parse=texts.parse_only, write=values.words,
+        shown="all three", parse=texts.parse_only, write=values.comma_separated,
     )] = None
     surface: Annotated[bool, Option(
         WRITE, "Write a surface around the particles of flowing materials (sand, snow, pastes,"

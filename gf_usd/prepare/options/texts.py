@@ -277,7 +277,7 @@ def parse_only(text: str) -> tuple[str, ...]:
 
 
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-COARSEST = 0.1  # share of the radius: what is off by more is another motion
+COARSEST = 0.1  # share of the radius: with a larger error it is another motion
 
 
 def parse_precision(text: str) -> Precision:

@@ -270,7 +270,7 @@ def precision(name: str, value: Any) -> str:
     return value if isinstance(value, str) else f"{digits(real(name, value, wanted))}m"
 
 
-def words(name: str, value: Any) -> str:
+def comma_separated(name: str, value: Any) -> str:
     """Several words with commas between."""
     wanted = "a word, or a list of words"
     if isinstance(value, str):

@@ -51,7 +51,7 @@ def totals(info: BakeInfo, health: Health) -> dict:
 
 
 def bakes(folder: Path, source: Source = PLAIN, *, units: StageUnits | None = None) -> Path:
-    """A root layer with two looks: rubber has HEALTH, jelly has half its depth and failed."""
+    """A root layer with two variants: rubber has HEALTH, jelly has half its depth and failed."""
     asset = source.asset(folder)
     if units is not None:
         asset = replace(asset, facts=replace(asset.facts, units=units))
