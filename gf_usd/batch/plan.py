@@ -180,10 +180,21 @@ def _require_distinct_files(jobs: Sequence[Job]) -> None:
             if before != owner or (owner == job.name and other is not job):
                 raise UsageError(
                     f"{_described(other)} and {_described(job)} would both write {path}",
-                    "give the jobs different names: --name '{folder}/{asset}.{material}', with a"
-                    " field for each option of the matrix; frames of splats need a folder for"
-                    " each job",
+                    _way_apart(other.asset, job.asset),
                 )
+
+
+def _way_apart(one: Path, other: Path) -> str:
+    """A hint at what gives the jobs of two assets files of their own."""
+    if one.stem != other.stem and _fit(one.stem) == _fit(other.stem):
+        return (
+            "rename one of the assets: names of jobs have letters, digits, _, . and + only, so"
+            f" that both are {_fit(one.stem)!r}"
+        )
+    return (
+        "give the jobs different names: --name '{folder}/{asset}.{material}', with a field for each"
+        " option of the matrix; frames of splats need a folder for each job"
+    )
 
 
 def _described(job: Job) -> str:

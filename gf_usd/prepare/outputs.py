@@ -6,6 +6,7 @@ Also sequences of splat files, one for each frame, for viewers of Gaussians.
 from __future__ import annotations
 
 import errno
+import glob
 import json
 import os
 import tempfile
@@ -308,7 +309,8 @@ class SplatSequence:
 
     def existing_frames(self) -> list[Path]:
         """The existing files of this sequence."""
-        return sorted(self.folder.glob(f"{self.stem}.{'[0-9]' * DIGITS}*.{self.suffix}"))
+        stem = glob.escape(self.stem)  # of the asset's file, which may be called "duck[1]"
+        return sorted(self.folder.glob(f"{stem}.{'[0-9]' * DIGITS}*.{self.suffix}"))
 
     def write(self, splats: Splats, index: int) -> Path:
         """Write a frame atomically.  Raises BakeError where it cannot be written."""

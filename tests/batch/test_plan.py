@@ -66,6 +66,18 @@ def test_letters_of_any_script_stay_in_a_name(tmp_path: Path) -> None:
     assert names(found) == ["鴨.rubber", "犬.rubber", "Größe-1.rubber", "d-ck.rubber"]
 
 
+def test_assets_whose_names_differ_in_signs_alone_are_to_be_renamed(tmp_path: Path) -> None:
+    """The hint was a --name with the same fields."""
+    with pytest.raises(UsageError, match="would both write") as refused:
+        plan(tmp_path, {"files": ["a b.usda", "a-b.usda"]})
+    assert refused.value.hint.startswith("rename one of the assets: ")
+    assert refused.value.hint.endswith("both are 'a-b'")
+    assert names(plan(tmp_path, {"files": ["a b.usda", "a_b.usda"]})) == [
+        "a-b.rubber",
+        "a_b.rubber",
+    ]
+
+
 def test_flags_and_lists_become_words(tmp_path: Path) -> None:
     settings = {"repair": True, "stress": False, "wls": False, "pins": ["/A", "/B"], "drop": "1r"}
     (job,) = plan(tmp_path, {"files": ["a.usda"], "settings": settings}).jobs

@@ -16,7 +16,9 @@ from gf_usd.prepare.outputs import (
     outputs,
     report_of_failure,
     require_free,
+    require_free_sequences,
     require_source_free,
+    sequences,
     stamps,
 )
 from gf_usd.system.atomic_files import partial_path
@@ -265,3 +267,15 @@ def test_what_cannot_be_cleared_away_is_reported(tmp_path: Path) -> None:
     partial_path(files.root).mkdir()
     with pytest.raises(UsageError, match=r"duck\.rubber\.partial\.usda of an earlier bake cannot"):
         create_output_folder(files)
+
+
+@pytest.mark.parametrize("stem", ["duck", "duck[1]", "duck*", "a b"])
+def test_frames_of_splats_are_not_overwritten_unasked(tmp_path: Path, stem: str) -> None:
+    """Those of an asset called duck[1] were: its brackets were taken as a pattern."""
+    requested = sequences(stem, ["rubber"], ply=str(tmp_path), spz=None)
+    require_free_sequences(requested, overwrite=False)
+    frame = requested[0][0].path(0)
+    frame.write_text("a frame")
+    assert requested[0][0].existing_frames() == [frame]
+    with pytest.raises(UsageError):
+        require_free_sequences(requested, overwrite=False)
