@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gf_usd.cli.options import LimitsOf
-from gf_usd.core.errors import counted
+from gf_usd.core.errors import counted, listed_paths
 
 if TYPE_CHECKING:
     from gf_usd.layers.check.base import Skip
@@ -77,9 +77,7 @@ def unchecked(skipped: Sequence[Skip]) -> list[str]:
     for rule in dict.fromkeys(skip.rule for skip in skipped):
         mine = [skip for skip in skipped if skip.rule == rule]
         paths = list(dict.fromkeys(skip.prim_path for skip in mine))
-        where = ", ".join(f"<{path}>" for path in paths[:SHOWN])
-        if len(paths) > SHOWN:
-            where += f" and {len(paths) - SHOWN} more"
+        where = listed_paths(paths, SHOWN)
         if len(paths) > 1:
             where = f"of {len(paths)} prims, {where}"
         reasons = dict.fromkeys(skip.reason for skip in mine)

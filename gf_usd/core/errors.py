@@ -20,6 +20,18 @@ def counted(count: int, one: str, many: str = "") -> str:
     return f"{count} {one if count == 1 else many or one + 's'}"
 
 
+def listed(texts: Sequence[str], most: int = 4, join: str = ", ") -> str:
+    """The first of some texts, and how many more there are: "a, b and 3 more"."""
+    left = len(texts) - most
+    before = "" if join == ", " else join.rstrip()
+    return join.join(texts[:most]) + (f"{before} and {left} more" if left > 0 else "")
+
+
+def listed_paths(paths: Sequence[str], most: int = 4) -> str:
+    """`listed` for prim paths, in angle brackets."""
+    return listed([f"<{path}>" for path in paths], most)
+
+
 def similar(name: str, known: Iterable[str], *, most: int = 1) -> list[str]:
     """Up to `most` of the known names that are similar to one, nearest first, in upper or lower
     case.

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.core import PACKAGE_SUFFIX
-from gf_usd.core.errors import BakeError, UsageError, counted
+from gf_usd.core.errors import BakeError, UsageError, counted, listed
 from gf_usd.core.scene import Recording
 from gf_usd.core.units import length_text, percent_text
 from gf_usd.delivery.gltf.read import read_error, read_splat_errors
@@ -197,7 +197,7 @@ def _smallest(
     if not made:
         raise BakeError(
             f"{bake} cannot be delivered within {100 * error:g} % of the radius: "
-            f"{_some(list(failures))}",
+            f"{listed(list(failures), MOST_REASONS, '; ')}",
             ", or ".join(
                 ["allow a larger --error", *filter(None, dict.fromkeys(failures.values()))]
             ),
@@ -359,11 +359,6 @@ def _fitter(
         return None
 
     return fit
-
-
-def _some(reasons: Sequence[str]) -> str:
-    more = f"; and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
-    return "; ".join(reasons[:MOST_REASONS]) + more
 
 
 def _named(variant: BakedVariant, body: BodyMotion) -> str:

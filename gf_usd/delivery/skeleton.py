@@ -13,6 +13,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.delivery.joints import STEPS
 from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.transforms import hierarchy
+from gf_usd.layers.stage import vectors
 from gf_usd.readers.pictures.extent import has_animated_visibility
 from gf_usd.readers.usd_physics.motion import transform_varies
 
@@ -150,7 +151,7 @@ def _skeleton(
     quaternions = joints.rotations.astype(np.float32)
     for frame, code in enumerate(time_codes):
         turn.Set(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(quaternions[frame])), code)
-        move.Set(_vectors(joints.translations[frame] / unit), code)
+        move.Set(vectors(joints.translations[frame] / unit), code)
     if rig.blend_shapes:
         assert rig.keys is not None
         animation.CreateBlendShapesAttr([f"shape{k}" for k in range(rig.blend_shapes)])
@@ -251,8 +252,8 @@ def _placed(prim: Usd.Prim, rest: Floats) -> Floats:
     for attribute in (own, mesh.GetNormalsAttr(), mesh.GetVelocitiesAttr(), extent):
         if attribute.GetNumTimeSamples() or attribute == own:
             attribute.Block()
-    own.Set(_vectors(local))
-    extent.Set(_vectors(np.array([local.min(axis=0), local.max(axis=0)])))
+    own.Set(vectors(local))
+    extent.Set(vectors(np.array([local.min(axis=0), local.max(axis=0)])))
     return matrix
 
 
@@ -266,7 +267,7 @@ def _shape_prims(
     for name, shape in zip(names, rig.shapes):
         path = prim.GetPath().AppendChild(name)
         made = UsdSkel.BlendShape.Define(prim.GetStage(), path)
-        made.CreateOffsetsAttr(_vectors(shape[part] / unit @ back))
+        made.CreateOffsetsAttr(vectors(shape[part] / unit @ back))
         targets.append(path)
     api.CreateBlendShapesAttr(names)
     api.CreateBlendShapeTargetsRel().SetTargets(targets)
@@ -302,7 +303,7 @@ def _author_extent(
         baked = np.concatenate([rig.body.frames[frame] for rig in rigs]) / unit
         points = np.concatenate([baked, static, _corners(boxes, changing)])
         local = points @ back[:3, :3] + back[3, :3]
-        extent.Set(_vectors(np.array([local.min(axis=0), local.max(axis=0)])), code)
+        extent.Set(vectors(np.array([local.min(axis=0), local.max(axis=0)])), code)
 
 
 def _changes(prim: Usd.Prim) -> bool:
@@ -322,10 +323,6 @@ def _corners(boxes: UsdGeom.BBoxCache, prims: Sequence[Usd.Prim]) -> Floats:
     found = [boxes.ComputeWorldBound(prim).ComputeAlignedRange() for prim in prims]
     corners = [box.GetCorner(k) for box in found if not box.IsEmpty() for k in range(8)]
     return np.reshape(np.array(corners, float), (-1, 3))
-
-
-def _vectors(rows: Floats) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rows, dtype=np.float32))
 
 
 def _shifts(rows: Floats) -> Vt.Matrix4dArray:

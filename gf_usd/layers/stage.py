@@ -277,6 +277,11 @@ def f32(values: Floats) -> np.ndarray:
     return np.ascontiguousarray(values, np.float32)
 
 
+def vectors(values: Floats) -> Vt.Vec3fArray:
+    """Rows (n, 3) as vectors of single precision."""
+    return Vt.Vec3fArray.FromNumpy(f32(values))
+
+
 def quaternions(wxyz: Floats) -> Vt.QuatfArray:
     """(N, 4) quaternions (w, x, y, z) in single precision."""
     return Vt.QuatfArray.FromNumpy(f32(xyzw(wxyz)))

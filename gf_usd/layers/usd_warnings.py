@@ -10,6 +10,8 @@ from pathlib import Path
 
 from pxr import Ar, UsdShade, UsdUtils
 
+from gf_usd.core.errors import listed
+
 SHOWN = 2  # kinds of warnings that a note quotes
 # parts of a warning that differ between stages with the same fault
 PLACE = re.compile(
@@ -64,10 +66,8 @@ class Warned:
         if not kinds:
             return ()
         count = sum(counts[text] for text in kinds)
-        quoted = "; ".join(kinds[:SHOWN])
         times = "once" if count == 1 else f"{count} times"
-        more = f"; and {len(kinds) - SHOWN} more" if len(kinds) > SHOWN else ""
-        return (f"USD warned {times}: {quoted}{more}",)
+        return (f"USD warned {times}: {listed(kinds, SHOWN, '; ')}",)
 
 
 def _repeated(warnings: Collection[str], stated: str) -> Iterator[str]:

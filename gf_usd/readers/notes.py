@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterable
 
 from gf_usd.core.asset import ASSUMED, FILE, OPTION, prim_name
+from gf_usd.core.errors import listed
 from gf_usd.core.units import number_text
 
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
@@ -126,10 +127,9 @@ def renamed(names: Iterable[str]) -> list[str]:
     other = [name for name in dict.fromkeys(names) if not name.isascii()]
     if not other:
         return []
-    listed = ", ".join(f"{name!r} is {prim_name(name.strip())}" for name in other[:4])
-    more = f" and {len(other) - 4} more" if len(other) > 4 else ""
+    names = listed([f"{name!r} is {prim_name(name.strip())}" for name in other])
     return [
-        f"prims are named in ASCII, as USD before 24.03 requires: {listed}{more}; displayName has"
+        f"prims are named in ASCII, as USD before 24.03 requires: {names}; displayName has"
         " the name in the file"
     ]
 

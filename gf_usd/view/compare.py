@@ -20,7 +20,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.errors import InputError, UsageError, listed_paths
 from gf_usd.core.scene import MotionFrame, Recording, RenderMesh
 from gf_usd.core.units import code_text
 
@@ -239,10 +239,7 @@ def _same_name(a: RenderMesh, b: RenderMesh) -> bool:
 
 
 def _list_names(recording: Recording, which: Sequence[int]) -> str:
-    names = [f"<{recording.meshes[i].name}>" for i in which]
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "") or (
-        "none"
-    )
+    return listed_paths([recording.meshes[i].name for i in which]) or "none"
 
 
 def _pairing_notes(

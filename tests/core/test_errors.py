@@ -8,7 +8,15 @@ import pickle
 import pytest
 
 from gf_usd.core import errors
-from gf_usd.core.errors import GfUsdError, counted, did_you_mean, meant, similar
+from gf_usd.core.errors import (
+    GfUsdError,
+    counted,
+    did_you_mean,
+    listed,
+    listed_paths,
+    meant,
+    similar,
+)
 
 RAISED = [
     *(kind("it is wrong", "mend it") for kind in (GfUsdError, errors.UsageError, errors.BakeError)),
@@ -60,3 +68,11 @@ def test_several_similar_names_are_nearest_first() -> None:
     assert found == ["Ball", "Balls", "bell"]
     assert meant(found[:2]) == "did you mean Ball or Balls? "
     assert meant([]) == ""
+
+
+def test_long_lists_are_cut() -> None:
+    assert listed([]) == ""
+    assert listed(["a", "b"], 2) == "a, b"
+    assert listed(["a", "b", "c"], 2) == "a, b and 1 more"
+    assert listed(["a", "b", "c"], 1, "; ") == "a; and 2 more"
+    assert listed_paths(["/A", "/B"], 1) == "</A> and 1 more"

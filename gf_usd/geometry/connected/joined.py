@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
+from gf_usd.core.errors import listed_paths
 from gf_usd.core.mesh import areas, weld
 from gf_usd.geometry.connected.merged import corner_values, material_rows, starts
 from gf_usd.geometry.solid import closed_triangles
 
-MOST_LISTED = 4  # paths in a note
 Alike = Callable[[str, str], bool]  # whether meshes of two prim paths may be parts of one
 
 
@@ -37,7 +37,7 @@ class Joined:
         """One on each group."""
         return tuple(
             f"{len(paths)} meshes share borders and enclose a volume only together: they are filled"
-            f" as one body: {listed(paths)}"
+            f" as one body: {listed_paths(paths)}"
             for paths in self.groups
         )
 
@@ -57,14 +57,6 @@ def _with_surfaces(asset: Asset, made: Mapping[str, Surface | None]) -> Asset:
     """The asset with other surfaces at some prim paths; None: without them."""
     kept = (made.get(s.path, s) for s in asset.surfaces)
     return replace(asset, surfaces=tuple(s for s in kept if s is not None))
-
-
-def listed(paths: Sequence[str]) -> str:
-    """Prim paths for a message; of many, the first."""
-    more = len(paths) - MOST_LISTED
-    return ", ".join(f"<{path}>" for path in paths[:MOST_LISTED]) + (
-        f" and {more} more" if more > 0 else ""
-    )
 
 
 def joined_surfaces(

@@ -25,7 +25,7 @@ from scipy.spatial.distance import cdist
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, listed_paths
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import nearest
@@ -167,16 +167,15 @@ def _cannot_follow(
     """
     # The faces of a thickened sheet are authored ones, and its points are more than those have.
     thick = [
-        f"<{s.path}>"
+        s.path
         for s in surfaces
         if s.own_points is None and s.face_indices.max() < len(frame[s.path]) < len(s.points)
     ]
     if thick:
         them, they = ("it", "its") if len(thick) == 1 else ("them", "their")
         return InputError(
-            f"{where}: {', '.join(thick[:MOST_NAMED])}"
-            + (f" and {len(thick) - MOST_NAMED} more" if len(thick) > MOST_NAMED else "")
-            + f" {'is' if len(thick) == 1 else 'are'} open or thin, and --repair made {them} one"
+            f"{where}: {listed_paths(thick, MOST_NAMED)}"
+            f" {'is' if len(thick) == 1 else 'are'} open or thin, and --repair made {them} one"
             f" spacing thick; with --flesh the added points cannot follow {they} animated ones",
             "merge meshes that close each other into one whose common points are welded, or close"
             " the holes; make thin parts thicker",

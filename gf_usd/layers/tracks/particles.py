@@ -31,7 +31,7 @@ from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.per_particle import moved_as_flow, spread
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
-from gf_usd.layers.stage import Clock, Home, f32, quaternions, show, visibility
+from gf_usd.layers.stage import Clock, Home, f32, quaternions, show, vectors, visibility
 from gf_usd.layers.tracks.flows import FlowTrack, flow_name, flow_shading
 from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
@@ -384,9 +384,9 @@ def _describe(
     rest = np.asarray(particles.X, np.float64) / units.length - origin
     scales = np.asarray(particles.scale, np.float64) / units.length
     for name, kind, value in (
-        ("restPositions", Types.Point3fArray, _vectors(rest)),
+        ("restPositions", Types.Point3fArray, vectors(rest)),
         ("restOrientations", Types.QuatfArray, quaternions(particles.orientation)),
-        ("restScales", Types.Float3Array, _vectors(scales)),
+        ("restScales", Types.Float3Array, vectors(scales)),
         ("restVolumes", Types.FloatArray, Vt.FloatArray.FromNumpy(f32(volume / units.volume))),
         ("masses", Types.FloatArray, Vt.FloatArray.FromNumpy(f32(density * volume / units.mass))),
         ("materialIndices", Types.IntArray, Vt.IntArray.FromNumpy(indices)),
@@ -405,7 +405,3 @@ def _describe(
     ):
         made = prim.CreateAttribute(f"gaussianFlesh:{name}", Types.FloatArray, False, UNIFORM)
         made.Set(Vt.FloatArray.FromNumpy(f32(value)))
-
-
-def _vectors(values: Floats) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(f32(values))

@@ -10,7 +10,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
-from gf_usd.core.errors import counted
+from gf_usd.core.errors import counted, listed, listed_paths
 from gf_usd.core.frames import Particles
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.units import length_text
@@ -86,7 +86,7 @@ def plan_bodies(
         what = "characters" if characters else "bodies"
         when = ", from the first frame of the animation on" if characters else ""
         notes.append(
-            f"{len(names)} {what}, which collide{when}: {_listed(names)}"
+            f"{len(names)} {what}, which collide{when}: {listed_paths([one[0] for one in names])}"
             + ("; --combine makes them one body" if can_combine else "")
         )
     pairs: list[tuple[int, int]] = []
@@ -115,11 +115,6 @@ def plan_bodies(
     return plan, replace(particles, body=body if several else None)
 
 
-def _listed(names: Sequence[Sequence[str]]) -> str:
-    first = ", ".join(f"<{one[0]}>" for one in names[:4])
-    return first + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-
-
 def _touching(
     of: Ints, solid: Solid, owners: Sequence[str], reach: float, asset: Asset
 ) -> list[str]:
@@ -131,17 +126,16 @@ def _touching(
     for body in range(int(of.max()) + 1):
         members = np.flatnonzero(of == body)
         if len({owners[int(s)] or paths[int(s)] for s in members}) > 1:
-            found.append([[paths[int(s)]] for s in members])
+            found.append([paths[int(s)] for s in members])
     if not found:
         return []
     count = sum(len(one) for one in found)
     what = "one body" if len(found) == 1 else f"{len(found)} bodies"
     away = f"{length_text(reach)} ({reach / asset.facts.units.length:.3g} stage units)"
-    listed = "; ".join(_listed(one) for one in found[:4])
+    bodies = listed([listed_paths(one) for one in found], join="; ")
     return [
-        f"{count} meshes that touch or overlap are {what}: {listed}"
-        + (f"; and {len(found) - 4} more" if len(found) > 4 else "")
-        + f"; to keep them apart, make them rigid or deformable bodies (UsdPhysics), move them"
+        f"{count} meshes that touch or overlap are {what}: {bodies}"
+        f"; to keep them apart, make them rigid or deformable bodies (UsdPhysics), move them"
         f" more than {away} apart, or, if they only touch, make them models of kind component"
     ]
 
@@ -155,8 +149,8 @@ def _small(names: Sequence[Sequence[str]], particles: Ints) -> list[str]:
     count = f"{most} particle{'s' * (most > 1)}"
     have = f"has only {count}" if len(few) == 1 else f"have at most {count} each"
     return [
-        f"{_listed([names[int(k)] for k in few])} {have}, too few to bend: give more --particles,"
-        " or a smaller --spacing"
+        f"{listed_paths([names[int(k)][0] for k in few])} {have}, too few to bend: give more"
+        " --particles, or a smaller --spacing"
     ]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from gf_usd.core.asset import Asset, Surface
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, listed_paths
 from gf_usd.core.mesh import signed_volume
 
 if TYPE_CHECKING:
@@ -179,14 +179,14 @@ def _apart(
 
     groups : of those that were; why_not : the reason for prim paths, "": none is known.
     """
-    from gf_usd.geometry.connected.joined import joined_surfaces, listed
+    from gf_usd.geometry.connected.joined import joined_surfaces
 
     known = [set(group) for group in groups]
     left = (group for group in joined_surfaces(asset).groups if set(group) not in known)
     found = ((group, why_not(group)) for group in left)
     return {
-        group: f"{listed(group)} share borders and enclose a volume only together, but are not"
-        f" filled as one body: {reason}"
+        group: f"{listed_paths(group)} share borders and enclose a volume only together, but are"
+        f" not filled as one body: {reason}"
         for group, reason in found
         if reason
     }

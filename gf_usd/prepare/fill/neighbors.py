@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gf_usd.core.asset import Asset, Surface
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, listed_paths
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.fill.parts import Parts
 from gf_usd.readers.isolated import Reading
@@ -80,7 +80,7 @@ def neighbor_notes(asset: Asset, around: Around) -> tuple[str, ...]:
 
 def _neighbors(asset: Asset, around: Around) -> Iterator[str]:
     """Texts on meshes of an asset that enclose a volume together with others of its stage."""
-    from gf_usd.geometry.connected.joined import bordering, joined_surfaces, listed
+    from gf_usd.geometry.connected.joined import bordering, joined_surfaces
 
     mine = {s.path for s in asset.surfaces}
     near = around.surfaces(asset)
@@ -96,7 +96,7 @@ def _neighbors(asset: Asset, around: Around) -> Iterator[str]:
         named, others = ([p for p in group if (p in mine) == own] for own in (True, False))
         if named and others:
             one = "encloses" if len(named) == 1 else "enclose"
-            yield f"{listed(named)} {one} a volume together with {listed(others)}"
+            yield f"{listed_paths(named)} {one} a volume together with {listed_paths(others)}"
 
 
 def would_fill(asset: Asset) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from gf_usd.core.asset import Asset
+from gf_usd.core.errors import listed_paths
 from gf_usd.core.stage import BodyPhysics, PhysicsMaterialSpec, StageSpec
 
 PAINTED, SUBSETS, ANIMATED = (
@@ -56,13 +57,12 @@ class Parts:
 
     def remedy(self, paths: Sequence[str]) -> str:
         """What in the stage would make meshes that cannot be parts of one such parts."""
-        from gf_usd.geometry.connected.joined import listed
 
         own = {path: self.apart[path] for path in paths if path in self.apart}
         if not own:
             return "state the same physics of them"
         ways = (
-            f"{REMEDIES[reason]} of {listed([path for path in own if own[path] == reason])}"
+            f"{REMEDIES[reason]} of {listed_paths([path for path in own if own[path] == reason])}"
             for reason in dict.fromkeys(own.values())
         )
         return " and ".join(ways)

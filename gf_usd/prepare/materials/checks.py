@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, listed_paths
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
@@ -124,7 +124,6 @@ def unused_notes(
 
 
 def _unused_note(lost: Sequence[int], spacing: float, solid: Solid, unit: float) -> str:
-    from gf_usd.geometry.connected.joined import listed
     from gf_usd.geometry.thin.parts import SENSIBLE, filling_spacing
 
     surfaces = [(solid.surfaces[k].points, solid.triangles[k]) for k in lost]
@@ -132,7 +131,7 @@ def _unused_note(lost: Sequence[int], spacing: float, solid: Solid, unit: float)
         filling_spacing(abs(signed_volume(*one)), float(areas(*one).sum())) for one in surfaces
     )
     one = len(lost) == 1
-    paths = listed([solid.surfaces[k].path for k in lost])
+    paths = listed_paths([solid.surfaces[k].path for k in lost])
     digits = 10.0 ** (np.floor(np.log10(needed / unit)) - 1.0)
     finer = np.floor(needed / unit / digits * (1.0 + 1e-9)) * digits
     count = solid.volume / (finer * unit) ** 3

@@ -13,7 +13,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.errors import InputError, UsageError, listed
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.presets import find_preset
 
@@ -261,7 +261,7 @@ def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> No
         held = [s.labels[label.name] for s in sets if label.name in s.labels]
         if not held:
             names = sorted({name for s in sets for name in s.labels})
-            there = "have " + _listed(names) if names else "have none"
+            there = "have " + listed(names, SHOWN) if names else "have none"
             raise InputError(
                 f"{LABEL_OPTION} {label.text}: no Gaussian has a property {label.name} of whole"
                 f" numbers; they {there}",
@@ -272,11 +272,6 @@ def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> No
             often = [f"{values[i]} ({count[i]})" for i in np.argsort(-count, kind="stable")]
             raise InputError(
                 f"{LABEL_OPTION} {label.text}: none of the {count.sum()} Gaussians has {label.name}"
-                f" {label.value}; they have {_listed(often)}",
+                f" {label.value}; they have {listed(often, SHOWN)}",
                 "name an existing value",
             )
-
-
-def _listed(texts: Sequence[str]) -> str:
-    more = len(texts) - SHOWN
-    return ", ".join(texts[:SHOWN]) + (f" and {more} more" if more > 0 else "")

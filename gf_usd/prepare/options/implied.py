@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.errors import InputError, UsageError, listed_paths
 from gf_usd.core.frames import MIXED
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.materials.flowing import Dispatch
@@ -74,7 +74,7 @@ def proposed_floor(asset: Asset, lowest: float, still: Sequence[str] = ()) -> st
     still : prim paths of surfaces without poses, which count as they are at rest.
     """
     heights = np.concatenate([s.face_points @ asset.facts.up for s in asset.surfaces])
-    others = f" and the rest shape of {listed(still)}" if still else ""
+    others = f" and the rest shape of {listed_paths(still)}" if still else ""
     # one at height 0 would cut through a bind pose about the origin
     lowest = min(lowest, float(heights.min())) / asset.facts.units.length
     if lowest > -ON_FLOOR * float(np.ptp(heights)) / asset.facts.units.length:
@@ -91,7 +91,7 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
 
     Raises UsageError for options that flowing bodies do not support.
     """
-    names, paths = ", ".join(flow.names), listed(flow.paths)
+    names, paths = ", ".join(flow.names), listed_paths(flow.paths)
     mixed = (
         f"{paths}: flows without limit ({names}; Updated Lagrangian solver, with contact at every"
         f" particle); the other bodies are solid (Total Lagrangian solver); the flowing meshes are"
@@ -131,12 +131,6 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
     else:
         note += "; the mesh is hidden; --surface writes a surface around the particles"
     return replace(request, solver="ul"), (note,)
-
-
-def listed(paths: Sequence[str]) -> str:
-    """Prim paths as text."""
-    shown = ", ".join(f"<{path}>" for path in paths[:4])
-    return shown + (f" and {len(paths) - 4} more" if len(paths) > 4 else "")
 
 
 def stated_values(request: Request) -> dict[str, float]:

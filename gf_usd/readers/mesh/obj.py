@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import InputError, counted
+from gf_usd.core.errors import InputError, counted, listed
 from gf_usd.core.neighbors import components
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.readers.mesh.data import (
@@ -311,7 +311,7 @@ def _mesh(
             for label, part in zip(names, parts)
         )
         notes.add(
-            f"its {len(parts)} objects or groups ({_some(names)}) share points and are read as "
+            f"its {len(parts)} objects or groups ({listed(names, 3)}) share points and are read as "
             f"one mesh",
             name,
         )
@@ -379,7 +379,3 @@ def _normals(
 
 def _name(thing: str, group: str) -> str:
     return "_".join(token for token in (thing, group) if token) or NO_NAME
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

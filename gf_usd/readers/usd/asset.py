@@ -15,7 +15,7 @@ from pxr import Sdf, Usd, UsdGeom
 from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, bake_original, first_time_code
-from gf_usd.core.errors import InputError, counted
+from gf_usd.core.errors import InputError, counted, listed_paths
 from gf_usd.readers.notes import ANIMATED, POSED, Notes
 from gf_usd.readers.usd.mesh import Reading, read_faces, read_surface, with_limit, world_box
 from gf_usd.readers.usd.select import (
@@ -240,11 +240,10 @@ def _note_passed_through(
     ]
     if not loose:
         return
-    listed = ", ".join(f"<{path}>" for path in loose[:MOST_NAMED])
-    listed += f" and {len(loose) - MOST_NAMED} more" if len(loose) > MOST_NAMED else ""
+    paths = listed_paths(loose, MOST_NAMED)
     one = len(loose) == 1
     notes.add(
-        f"{counted(len(loose), 'shape')} of the stage, {listed}, {'is' if one else 'are'} neither"
+        f"{counted(len(loose), 'shape')} of the stage, {paths}, {'is' if one else 'are'} neither"
         f" soft nor {'an obstacle' if one else 'obstacles'}: bodies pass through"
         f" {'it' if one else 'them'}; a PhysicsCollisionAPI makes a shape an obstacle, and --prim"
         " makes it soft"

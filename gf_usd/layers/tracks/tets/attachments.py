@@ -18,7 +18,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, free_name, prim_name
 from gf_usd.core.frames import MeshPose, Settings, TetAttachment, TetLattice, sampled
 from gf_usd.layers.space import Space
-from gf_usd.layers.stage import Clock, f32
+from gf_usd.layers.stage import Clock, vectors
 from gf_usd.system.usd_schema import ATTACHMENT_API
 
 Types = Sdf.ValueTypeNames
@@ -93,9 +93,9 @@ class Attachments:
             prim.CreateAttribute("physics:stiffness", Types.Float, False).Set(np.inf)
             coords = prim.CreateAttribute("physics:coords1", Types.Vector3fArray, False)
             if carrier is not None:
-                coords.Set(_vectors(carrier[1].points(still, self._times[0])))
+                coords.Set(vectors(carrier[1].points(still, self._times[0])))
             elif len(one.path) == 1:
-                coords.Set(_vectors(self._local(still)))
+                coords.Set(vectors(self._local(still)))
             else:
                 anchors = prim.CreateAttribute("gaussianFlesh:anchors", Types.Point3fArray, False)
                 self._moving.append((lattice.key, one, coords, anchors))
@@ -107,9 +107,9 @@ class Attachments:
         """Author the moving positions at a time code; poses : by `TetLattice.key`."""
         frame = int(np.searchsorted(self._times, time_code - 1e-9))
         for key, one, coords, anchors in self._moving:
-            coords.Set(_vectors(self._local(poses[key].points[one.points])), time_code)
+            coords.Set(vectors(self._local(poses[key].points[one.points])), time_code)
             now = one.path[min(frame, len(one.path) - 1)] + self._lift
-            anchors.Set(_vectors(self._local(now)), time_code)
+            anchors.Set(vectors(self._local(now)), time_code)
 
     def _local(self, x: Floats) -> np.ndarray:
         return np.asarray(x, np.float64) / self._unit - self._origin
@@ -140,7 +140,3 @@ class Attachments:
 def _name_of(pin: str) -> str:
     """The prim name of the attachment of a pin: the last part of the pin's name, or its kind."""
     return prim_name(pin.rpartition("/")[2] if pin.startswith("/") else pin.partition(":")[0])
-
-
-def _vectors(values: Floats) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(f32(values))
