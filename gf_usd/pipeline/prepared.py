@@ -207,7 +207,11 @@ def with_shot_length(prepared: Prepared) -> Prepared:
     usual = prepared.cost["usual_frames"]
     if work <= REST_WORK and usual <= REST_SECONDS * plan.settings.fps:
         return prepared
-    frames = shot_frames(plan.settings.frames)
+    obstacles = plan.contact_setup.colliders if plan.contact_setup else ()
+    moving = (
+        max((one.still_from for one in obstacles), default=0) // plan.settings.samples_per_frame
+    )
+    frames = min(max(shot_frames(plan.settings.frames), moving + 1), plan.settings.frames)
     note = (
         f"{frames} frames are simulated, not until rest, which usually takes about {usual} frames,"
         f" at most {plan.settings.frames}; use --frames rest for that"

@@ -351,6 +351,11 @@ def _rolling(request: Request, paper: bool) -> float:
     return 0.0 if paper or request.solver in ("ul", MIXED) else ROLLING_RESISTANCE
 
 
+def frames_until(code: float, start: float, step: float) -> int:
+    """Number of frames from time code `start` on, `step` apart, to the first at or after `code`."""
+    return int(np.ceil((code - start) / step - ROUNDING)) + 1
+
+
 def settled_frames(shot: int) -> int:
     """Frames in which all bodies should come to rest, for a shot of `shot` frames."""
     return SETTLING * (shot - 1) + 1

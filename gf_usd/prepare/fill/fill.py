@@ -174,7 +174,7 @@ def fill(
         *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
         *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
         *stage_notes, *_floor_notes(floating, asset, constraints.flesh.poses),
-        *shot.notes, *constraints.attachment_notes, *goal_notes,
+        *shot.notes, *length.notes, *constraints.attachment_notes, *goal_notes,
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
         *cages, *filter(None, (coarse,)), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,

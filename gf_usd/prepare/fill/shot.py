@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.asset import Surface
+from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
-from gf_usd.core.units import length_text, rounded_text
+from gf_usd.core.units import code_text, length_text, rounded_text
 from gf_usd.prepare.bodies.flesh import read_animation
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
@@ -20,6 +20,7 @@ from gf_usd.prepare.options.fields import upward_note
 from gf_usd.prepare.settings import (
     Animation,
     floor_plane,
+    frames_until,
     is_placed,
     resolve,
     settled_frames,
@@ -68,7 +69,9 @@ def plan_shot(
         stated_fields=physics.fields, attached=bool(attachments or springs),
     )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    notes = upward_note(request.parsed["gravity"])
+    pinned = _prims_of_pins((*request.listed("pins"), *attachments, *springs), asset)
+    settings, notes = _as_long_as_they_move(settings, pinned, "what is pinned", inputs)
+    notes += upward_note(request.parsed["gravity"])
     # With several bodies some may be free, and need the floor.
     alone = filled.bodies.count == 1
     held = alone and not any(settings.lift) and (request.pins or attachments or springs)
@@ -143,6 +146,48 @@ def _moved_notes(
     )
 
 
+def _prims_of_pins(names: Sequence[str], asset: Asset) -> list[str]:
+    """The prims whose motion a pin follows: those that are named, and all meshes for a box or a
+    weight map.
+    """
+    from gf_usd.geometry.regions import BOX
+    from gf_usd.readers.usd_bake.regions import JOINT, PAINT
+
+    prims = [name for name in names if not name.startswith((BOX, PAINT, JOINT))]
+    if len(prims) < len(names):
+        prims += [s.path for s in asset.surfaces if s.splats is None]
+    return prims
+
+
+def _as_long_as_they_move(
+    settings: Settings, prims: Sequence[str], what: str, inputs: Inputs
+) -> tuple[Settings, tuple[str, ...]]:
+    """The settings with frames until prims stay, unless the length is given; and a note if they
+    are more.
+
+    A bake that ends sooner leaves the bodies where they are, while the prims move on.
+
+    what : name of the prims, for the note.
+    """
+    request, file = inputs.request, inputs.file
+    given = (request.frames, request.range, request.flesh, request.preset, request.settle_only)
+    if file is None or not prims or any(given):
+        return settings, ()
+    from gf_usd.readers.usd_physics.ending import end_of_motion
+
+    ends = end_of_motion(file, prims, inputs.asset.facts)
+    until = max(ends.values(), default=settings.start)
+    step = settings.time_codes_per_second / settings.fps
+    frames = frames_until(until, settings.start, step) + (request.handles or 0)
+    if frames <= settings.frames:
+        return settings, ()
+    note = (
+        f"{frames} frames are simulated, as {what} moves until time code {code_text(until)}:"
+        " --frames sets another number"
+    )
+    return replace(settings, frames=frames), (note,)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Length:
     """The settings with the number of frames, and obstacles with their motion over these."""
@@ -150,6 +195,7 @@ class Length:
     settings: Settings
     physics: StagePhysics
     open_end: bool  # the bake may end sooner, with everything at rest
+    notes: tuple[str, ...] = ()
 
 
 def plan_length(
@@ -166,8 +212,12 @@ def plan_length(
     changing = changes is not None and bool(changes.codes)
     driven = bool(pins or shot.springs or settings.fields) or changing
     open_end = request.length_is_open and not (falls or driven)
+    notes: tuple[str, ...] = ()
+    moved = [one.path for one in physics.colliders]
     if open_end:
         settings = replace(settings, frames=settled_frames(settings.frames))
+    else:
+        settings, notes = _as_long_as_they_move(settings, moved, "an obstacle", inputs)
     if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
@@ -175,8 +225,9 @@ def plan_length(
         physics = replace(moving, of_files=physics.of_files)
     if open_end and any(one.deformed is not None for one in physics.colliders):
         # its points may move for as long as there are frames
-        return Length(settings=shot.settings, physics=physics, open_end=False)
-    return Length(settings=settings, physics=physics, open_end=open_end)
+        settings, notes = _as_long_as_they_move(shot.settings, moved, "an obstacle", inputs)
+        return Length(settings=settings, physics=physics, open_end=False, notes=notes)
+    return Length(settings=settings, physics=physics, open_end=open_end, notes=notes)
 
 
 def _weightless(settings: Settings) -> bool:

@@ -109,7 +109,7 @@ class RequestOptions:
         TIME, "Number of frames to simulate, at --fps. rest: until everything is at rest;"
         " rest:480: the same, but at most 480 frames.",
         shown="rest, at most 136 T; 13.6 T with pins or fields, or without a floor or"
-        " obstacle. T = sqrt(r / g), r the radius of the body",
+        " obstacle, and as long as those move. T = sqrt(r / g), r the radius of the body",
         noun="number of frames",
         parse=texts.parse_frames, write=values.frames,
     )] = None
