@@ -53,6 +53,7 @@ from gf_usd.prepare.fill.materials import (
     assign,
     material_changes,
     settings_of_materials,
+    slenderness_notes,
     softness_notes,
 )
 from gf_usd.prepare.fill.meshes import build_meshes
@@ -153,7 +154,10 @@ def fill(
     settings = length.settings
     materials = assign(inputs, filled, settings, changes, repeats=bool(constraints.cycle))
     each = settings_of_materials(inputs, filled, settings, materials.main, constraints.pins)
+    fall = shot.gap / float(np.array(settings.normal) @ asset.facts.up)
     softness = softness_notes(inputs, materials, settings, length.physics)
+    if not constraints.pins:
+        softness += slenderness_notes(inputs, filled, materials, settings, fall)
     choices, split_notes = _choose_outputs(inputs, filled, materials, files, length)
     limbs, overlap_notes = _plan_contact(inputs, filled, materials, length, constraints.meet_from)
     tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
@@ -196,7 +200,7 @@ def fill(
         source=files.source or file or asset.facts.path,
         embedded=solid.embedded,
         repairs=tuple(r for r in meshes.repairs if r.path in moving),
-        drop=shot.gap / float(np.array(settings.normal) @ asset.facts.up),
+        drop=fall,
         pins=constraints.pins,
         goals=goals,
         cycle=constraints.cycle if request.cycles.repeats else 0,

@@ -15,7 +15,12 @@ from gf_usd.prepare.bodies.contact import skins
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
-from gf_usd.prepare.materials.checks import require_standing, require_weighable
+from gf_usd.prepare.materials.checks import (
+    folding_notes,
+    require_standing,
+    require_weighable,
+    stiff_in_fall,
+)
 from gf_usd.prepare.materials.conversion import with_conversions
 from gf_usd.prepare.materials.flowing import require_dispatched, require_outside
 from gf_usd.prepare.materials.over_time import with_value_keys
@@ -107,3 +112,27 @@ def softness_notes(
         abs(float(np.dot(settings.gravity, up))),
         carried=inputs.request.flesh or (settings.floor is None and not physics.colliders),
     )  # fmt: skip
+
+
+def slenderness_notes(
+    inputs: Inputs, filled: SampledBodies, materials: Assigned, settings: Settings, fall: float
+) -> tuple[str, ...]:
+    """Notes on stiff materials of which bodies that fall onto the floor are too slender.
+
+    fall : [m] from which they do.  The shortest body is taken, with the thickness of all.
+    """
+    gravity = abs(float(np.dot(settings.gravity, settings.normal)))
+    listed = [m for table in materials.tables for m in table]
+    stiff = [m for m in listed if stiff_in_fall(m, fall, gravity)]
+    if settings.floor is None or fall <= 0.0 or inputs.request.flesh or not stiff:
+        return ()
+    from gf_usd.geometry.thin.thickness import thickness
+
+    solid, of = inputs.solid, filled.bodies.of_surface
+    thick = thickness(solid, of if filled.bodies.count > 1 else None)
+    if thick is None:
+        return ()
+    parts = [[s for s, k in zip(solid.surfaces, of) if k == body] for body in np.unique(of)]
+    points = [np.concatenate([s.face_points for s in part]) for part in parts]
+    length = min(float(np.ptp(X, axis=0).max()) for X in points)
+    return folding_notes(stiff, length, thick.median, fall, gravity)

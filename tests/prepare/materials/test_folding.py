@@ -1,0 +1,88 @@
+"""Notes on stiff presets of which slender bodies fold in a fall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from physics_stages import head, mesh
+from planned import planner
+
+from gf_usd.core.materials.presets import find_preset
+from gf_usd.core.units import rounded_text
+from gf_usd.prepare.materials.checks import FOLDS, STIFF, folding_notes, stiff_in_fall
+from gf_usd.prepare.plan import Plan
+
+FOLDS_NOTE = " folds "
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Callable[..., Plan]:
+    return planner(tmp_path)
+
+
+def long(x: float, y: float, z: float) -> str:
+    """A box of these edges [m]."""
+    return mesh(
+        "One",
+        f"double3 xformOp:scale = ({x}, {y}, {z})",
+        'uniform token[] xformOpOrder = ["xformOp:scale"]',
+    )
+
+
+def folding(made: Plan) -> list[str]:
+    return [note for note in made.notes if FOLDS_NOTE in note]
+
+
+def test_a_slender_body_of_metal_is_noted_with_a_preset_that_keeps_its_shape(plan) -> None:
+    """Legs of a table of metal, which hardly bends, folded under it without a word."""
+    made = plan(long(1.0, 0.05, 0.05), material="metal", drop="3r")
+    (note,) = folding(made)
+    fall, E = made.drop, made.variants[0].table[0].youngs_modulus
+    angle = np.degrees(2.0 * np.sqrt(2.0 * 7800.0 * 9.81 * fall / E) * 1.0 / 0.05)
+    assert f"bends it by about {rounded_text(float(angle))} degrees" in note
+    assert "1 m long and 5 cm thick" in note
+    assert "; --material hard-rubber by 55 and --material mild-steel by 1" in note
+    for firmer in ("hard-rubber", "mild-steel"):
+        assert not folding(plan(long(1.0, 0.05, 0.05), material=firmer, drop="3r"))
+
+
+@pytest.mark.parametrize(
+    ("edges", "more"),
+    [
+        ((1.0, 1.0, 1.0), {"material": "metal"}),
+        ((1.0, 0.05, 0.05), {"material": "rubber"}),  # it is meant to bend
+        ((1.0, 0.05, 0.05), {"material": "dented"}),
+        ((1.0, 0.05, 0.05), {"material": "metal", "floor": "none"}),
+        ((1.0, 0.05, 0.05), {"material": "metal", "drop": "0"}),
+        ((1.0, 0.05, 0.05), {"material": "metal", "pins": ("box:-1,-1,-1,0.2,1,1",)}),
+    ],
+)
+def test_other_bodies_are_not_noted(
+    plan, edges: tuple[float, float, float], more: dict[str, Any]
+) -> None:
+    assert not folding(plan(long(*edges), **more))
+
+
+def test_the_shortest_of_several_bodies_counts(plan) -> None:
+    """Their thickness is measured together."""
+    layer = head()
+    second = mesh("Two", "double3 xformOp:translate = (0, 0, 5)",
+                  'uniform token[] xformOpOrder = ["xformOp:translate"]')  # fmt: skip
+    made = plan(long(1.0, 0.02, 0.02), second, layer=layer, material="metal")
+    assert not folding(made)
+
+
+def test_the_angle_is_that_of_the_energy_of_the_fall() -> None:
+    metal, g, r = find_preset("metal").material(0.2), 9.81, 0.2
+    fall, length = 3.0 * r, 1.0
+    strain = np.sqrt(2.0 * metal.density * g * fall / metal.youngs_modulus)
+    thick = 2.0 * strain * length / FOLDS
+    assert folding_notes([metal, metal], length, 1.01 * thick, fall, g) == ()
+    assert len(folding_notes([metal, metal], length, 0.99 * thick, fall, g)) == 1
+    limit = fall * (STIFF / strain) ** 2
+    assert stiff_in_fall(metal, 0.99 * limit, g)
+    assert not stiff_in_fall(metal, 1.01 * limit, g)
