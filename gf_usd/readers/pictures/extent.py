@@ -122,12 +122,19 @@ class MotionBoxes:
     by_time: Sequence[Mapping[int, Floats]]  # (2, 3) [m] of each visible prim, at each time
 
     def static_prims(self) -> set[int]:
-        """Indices of the prims whose box is constant."""
+        """Indices of the prims whose box is constant, and whose points have no samples over time.
+
+        A body that a pin holds whole stays where it is, but is part of the motion.
+        """
         boxes_of: dict[int, list[Floats]] = {}
         for boxes_now in self.by_time:
             for index, box in boxes_now.items():
                 boxes_of.setdefault(index, []).append(box)
-        return {k for k, own in boxes_of.items() if all(np.array_equal(box, own[0]) for box in own)}
+        return {
+            k
+            for k, own in boxes_of.items()
+            if all(np.array_equal(box, own[0]) for box in own) and not _is_sampled(self.prims[k])
+        }
 
     def points(self, index: int, which: int) -> Floats:
         """Points (n, 3) [m] of a prim at time number `which`."""
@@ -145,6 +152,12 @@ class MotionBoxes:
             return None
         low, high = whole.tolist()
         return Bounds(low=tuple(low), high=tuple(high))
+
+
+def _is_sampled(prim: Usd.Prim) -> bool:
+    """Whether the points of a prim have several samples, as those of a simulated body."""
+    attributes = (prim.GetAttribute(name) for name in POINTS)
+    return any(one and one.GetNumTimeSamples() > 1 for one in attributes)
 
 
 def motion_boxes(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> MotionBoxes:

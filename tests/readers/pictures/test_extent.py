@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pxr import Usd
+from pxr import Sdf, Usd
 from small_sources import SKINNED, Source
 from small_stages import CUBE, bake
 
@@ -62,6 +62,29 @@ def test_what_stays_is_in_the_box_as_far_as_it_is_near_what_moves(write) -> None
     # where nothing moves all of it is shown
     static = motion_bounds([ground, far], (), 1.0)
     assert static == Bounds(low=(-50.0, -1.0, -50.0), high=(500.5, 0.5, 50.0))
+
+
+def test_a_body_that_a_pin_holds_whole_is_in_the_box() -> None:
+    """The first link of a chain was cut off: its points have samples, which are equal."""
+    points = "[(%g, 9, 0), (%g, 9, 1), (%g, 10, 1)]"
+    held = points % (0, 1, 1)
+    link = """
+def Mesh "Link" {
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points%s
+}
+"""
+    found = []
+    for value in (f".timeSamples = {{ 1: {held}, 9: {held} }}", f" = {held}"):
+        layer = Sdf.Layer.CreateAnonymous(".usda")
+        assert layer.ImportFromString("#usda 1.0\n" + MOVING + link % value)
+        stage = Usd.Stage.Open(layer)
+        box, _, _, held_link = stage.GetPseudoRoot().GetChildren()
+        bounds = motion_bounds([box, held_link], (1.0, 9.0), 1.0)
+        assert bounds is not None
+        found.append(bounds.high[1])
+    assert found == [10.0, 4.0], "what has no samples is scenery"
 
 
 def test_an_animation_outside_of_the_skel_root_moves_what_it_poses(tmp_path):
