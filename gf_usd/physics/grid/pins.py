@@ -146,6 +146,24 @@ def boundary_held(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> P
     return PinnedPoints(axes=np.where(np.isin(axes, cores), -1, axes))
 
 
+def surface_held(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> PinnedPoints:
+    """`boundary_held` with the points on a boundary that a pin holds, as those of its own mesh.
+
+    Whether the winding number counts them as inside is a matter of rounding.  u = g there.
+    """
+    axes = boundary_held(pins, X, body).axes.copy()
+    of = np.zeros(len(X), np.int64) if body is None else body
+    for index, pin in enumerate(pins):
+        if not _holds(pin):
+            continue
+        mine = True if pin.body is None else of == pin.body
+        rows = np.flatnonzero((axes < 0).all(1) & mine)
+        away = np.linalg.norm(pin.nearest(X[rows]) - X[rows], axis=1)
+        reach = SAME * float(np.linalg.norm(np.ptp(pin.anchors, axis=0)))
+        axes[rows[away <= reach]] = index
+    return PinnedPoints(axes=axes)
+
+
 Given = Callable[[Ints, Floats], NDArray[np.float64]]  # of nodes by number, and X' [m] of each
 
 

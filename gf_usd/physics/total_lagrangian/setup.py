@@ -37,7 +37,7 @@ from gf_usd.physics.grid.embedding import (
 )
 from gf_usd.physics.grid.goals import GOAL, NodeGoals, NodeSprings
 from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
-from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held
+from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held, surface_held
 from gf_usd.physics.grid.reference import Stencil, build_stencil
 from gf_usd.physics.grid.rigid import RigidRegions, rigid_regions
 from gf_usd.physics.grid.spectrum import largest_eigenvalue
@@ -275,7 +275,7 @@ def _held_points(
     body : that each set belongs to, by name.
     """
     held = {
-        name: boundary_held(pins, X, np.full(len(X), body.get(name, 0)))
+        name: surface_held(pins, X, np.full(len(X), body.get(name, 0)))
         for name, X in embedded.items()
     }
     for index, pin in enumerate(pins):

@@ -148,6 +148,28 @@ def test_a_pinned_limb_stays_where_it_is_on_all_sides() -> None:
     np.testing.assert_allclose(last.embedded["/Tip"].x, tip, atol=1e-6)
 
 
+def test_the_surface_of_a_pinned_mesh_moves_as_the_mesh_does() -> None:
+    """Its own points are on the boundary, not inside: they were pulled off by the body, and had
+    velocities of half a frame earlier.
+    """
+    handle = solid(cube((-0.05, -0.05, -0.05), (0.35, 0.35, 0.35))).surfaces[0]
+    points, dt = handle.points, 1.0 / 24.0
+    up = 0.5 * 30.0 * (dt * np.arange(5)) ** 2  # [m] at an acceleration of 30 m/s^2
+    path = points + up[:, None, None] * [0.0, 1.0, 0.0]
+    region = Region(
+        name="/Handle", kind="volume", points=points, triangles=handle.triangles, path=path
+    )
+    solver = TotalLagrangian(
+        bar(), [soft()], settings(frames=4, gravity=(0.0, -9.81, 0.0)),
+        pins=[make_pin(region, BAR)], embedded={"/Handle": points},
+    )  # fmt: skip
+    for index, frame in enumerate(solver.frames()):
+        np.testing.assert_allclose(frame.embedded["/Handle"].x, path[index], atol=1e-6)
+        if index:
+            rate = np.broadcast_to([0.0, 30.0 * dt * index, 0.0], points.shape)
+            np.testing.assert_allclose(frame.embedded["/Handle"].v, rate, atol=1e-5)
+
+
 @pytest.mark.slow
 def test_a_body_may_be_pinned_wholly_next_to_a_free_one() -> None:
     free = bar(100)
