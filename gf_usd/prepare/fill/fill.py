@@ -51,6 +51,7 @@ from gf_usd.prepare.fill.inputs import (
 )
 from gf_usd.prepare.fill.materials import (
     assign,
+    mass_notes,
     material_changes,
     settings_of_materials,
     slenderness_notes,
@@ -155,7 +156,8 @@ def fill(
     materials = assign(inputs, filled, settings, changes, repeats=bool(constraints.cycle))
     each = settings_of_materials(inputs, filled, settings, materials.main, constraints.pins)
     fall = shot.gap / float(np.array(settings.normal) @ asset.facts.up)
-    softness = softness_notes(inputs, materials, settings, length.physics)
+    softness = mass_notes(inputs)
+    softness += softness_notes(inputs, materials, settings, length.physics)
     if not constraints.pins:
         softness += slenderness_notes(inputs, filled, materials, settings, fall)
     choices, split_notes = _choose_outputs(inputs, filled, materials, files, length)

@@ -25,7 +25,7 @@ from gf_usd.prepare.materials.conversion import with_conversions
 from gf_usd.prepare.materials.flowing import require_dispatched, require_outside
 from gf_usd.prepare.materials.over_time import with_value_keys
 from gf_usd.prepare.materials.table import Authored
-from gf_usd.prepare.options.implied import stated_values
+from gf_usd.prepare.options.implied import replaced_masses, stated_values
 
 if TYPE_CHECKING:
     from gf_usd.readers.usd_bake.keys import MaterialKeys
@@ -112,6 +112,12 @@ def softness_notes(
         abs(float(np.dot(settings.gravity, up))),
         carried=inputs.request.flesh or (settings.floor is None and not physics.colliders),
     )  # fmt: skip
+
+
+def mass_notes(inputs: Inputs) -> tuple[str, ...]:
+    """A note where presets replace masses of the stage."""
+    named = [one.name for one in inputs.presets if not isinstance(one, Authored)]
+    return replaced_masses(inputs.spec, ",".join(named)) if named else ()
 
 
 def slenderness_notes(

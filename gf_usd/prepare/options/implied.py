@@ -67,6 +67,24 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
 ON_FLOOR = 1e-3  # of the height of an asset that is less far below the floor: it stands on it
 
 
+def replaced_masses(spec: StageSpec, material: str) -> tuple[str, ...]:
+    """A note on the masses and densities of the stage that a preset of --material replaces."""
+    stated: dict[str, str] = {}
+    for body in spec.bodies.values():
+        if body.mass is not None:
+            stated[body.mass_of] = "mass"
+        elif body.density is not None:
+            stated[body.density_of] = "density"
+    if not stated:
+        return ()
+    first = next(iter(stated))
+    more = f" and of {len(stated) - 1} more" if len(stated) > 1 else ""
+    return (
+        f"--material {material} replaces the {stated[first]} that the stage gives <{first}>{more}:"
+        " leave --material out to keep it",
+    )
+
+
 def proposed_floor(asset: Asset, lowest: float, still: Sequence[str] = ()) -> str:
     """A note on the floor that a bake with flesh does not have, at a height that clears its poses.
 
