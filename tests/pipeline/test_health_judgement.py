@@ -207,7 +207,7 @@ def test_only_what_falls_is_to_fall_from_a_lower_height(about: str) -> None:
     """A body that bones or pins hold has no drop: --flesh refuses one."""
     (held,) = health_warnings({**CASES[about][1], "falls": False}) or (None,)
     assert held is None or "--drop" not in held.hint
-    if about in ("energy", "penetration", "overlap", "pierced", "inside", "clamp"):
+    if about in ("energy", "penetration", "overlap", "pierced", "inside", "clamp", "flow-volume"):
         falls = {**CASES[about][1], "falls": True, "first_contact_frame": 1}
         (warning,) = health_warnings(falls)
         assert "lower the impact (--drop)" in warning.hint
@@ -336,3 +336,16 @@ def test_limits_have_a_margin_to_sound_bakes() -> None:
     from gf_usd.physics.frame_loop import GAIN
 
     assert rules.ENERGY_GAIN < GAIN
+
+
+def test_the_hint_on_the_volume_of_what_flows_is_for_its_direction() -> None:
+    """More particles leave the compression of a fall as it is."""
+    met = {"falls": True, "first_contact_frame": 1}
+    (pressed,), (swollen,) = (
+        health_warnings(summary(Health(lost=0, flow_volume=volume)) | met)
+        for volume in (0.93, 1.09)
+    )
+    assert pressed.message.startswith("flowing material has 93 %")
+    assert pressed.hint.startswith("lower the impact (--drop), or use a larger Young's modulus")
+    assert swollen.message.startswith("flowing material has 109 %")
+    assert swollen.hint == "more --particles resolve it better"

@@ -398,11 +398,15 @@ def _flow_volume(h: HealthSummary) -> MessageAndHint:
     low, high = h.get("flow_volume_min"), h.get("flow_volume_max")
     if low is None or high is None or max(1.0 - low, high - 1.0) <= FLOW_VOLUME:
         return None
-    worst = low if 1.0 - low > high - 1.0 else high
-    return (
-        f"flowing material has {100.0 * worst:.3g} % of its volume at rest in some frame",
-        "a larger Young's modulus makes it less compressible, more --particles resolve it better",
+    # A ball of wet sand of 2 m that falls 3 m has 92.9 % with 8000 particles as with 20000, and no
+    # warning with --drop 1r.
+    pressed = 1.0 - low > high - 1.0
+    worst, hint = (
+        (low, f"{_gentler(h)}, or use a larger Young's modulus in a material file")
+        if pressed
+        else (high, "more --particles resolve it better")
     )
+    return f"flowing material has {100.0 * worst:.3g} % of its volume at rest in some frame", hint
 
 
 def _thin_flow(h: HealthSummary) -> MessageAndHint:
