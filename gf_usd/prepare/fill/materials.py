@@ -127,10 +127,12 @@ def slenderness_notes(
 
     fall : [m] from which they do.  The shortest body is taken, with the thickness of all.
     """
+    if settings.floor is None or fall <= 0.0 or inputs.request.flesh:
+        return ()  # held, or in the floor
     gravity = abs(float(np.dot(settings.gravity, settings.normal)))
     listed = [m for table in materials.tables for m in table]
     stiff = [m for m in listed if stiff_in_fall(m, fall, gravity)]
-    if settings.floor is None or fall <= 0.0 or inputs.request.flesh or not stiff:
+    if not stiff:
         return ()
     from gf_usd.geometry.thin.thickness import thickness
 
