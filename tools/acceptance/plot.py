@@ -8,9 +8,10 @@ from typing import Any
 from xml.sax.saxutils import escape
 
 WIDTH, HEIGHT = 420, 260
-LEFT, RIGHT, TOP, BOTTOM = 70, 16, 34, 46  # [px] around the axes
+LEFT, RIGHT, TOP, BOTTOM = 82, 16, 34, 46  # [px] around the axes
 INK, LINE, TARGET = "#444", "#2266aa", "#bb5522"
 MARGIN = 0.08  # of the span, beyond the outermost points
+LABEL = 12.0  # [px] between two labels of the vertical axis, at least: the height of a line
 
 
 class Axis:
@@ -75,10 +76,14 @@ def svg(curve: dict[str, Any]) -> str:
         # three digits, but numbers of particles, such as 1500, whole
         digits = 12 if not log else 3 if value < 1000.0 else 6
         out.append(text(x, floor + 16, f"{value:.{digits}g}"))
-    for value in ticks(upward, ys):
+    labels: list[float] = []  # [px]
+    for value in sorted(ticks(upward, ys)):
         y = upward(value)
         out.append(f'<path d="M{left} {y:.1f}h-4" stroke="{INK}"/>')
-        out.append(text(left - 7, y + 4, f"{value:.6g}" if not log else f"{value:.2g}", "end"))
+        # on a logarithmic axis, marks may be closer than a line of text is high
+        if not labels or labels[-1] - y >= LABEL:
+            labels.append(y)
+            out.append(text(left - 7, y + 4, f"{value:.6g}" if not log else f"{value:.2g}", "end"))
     if level is not None:
         y = upward(level)
         out.append(f'<path d="M{left} {y:.1f}H{right}" stroke="{TARGET}" stroke-dasharray="5 4"/>')

@@ -16,6 +16,7 @@ from tools.acceptance.plot import BOTTOM, INK, LEFT, RIGHT, TOP, Axis, text, tic
 COLORS = ("#c0392b", "#2266aa", "#2e8b57", "#8e5bb5")
 WIDTH, HEIGHT = 720, 260
 POINTS = 600  # of a curve: more are not seen
+LEGEND = 150  # [px] between the names of two curves
 
 
 def curves(
@@ -50,7 +51,8 @@ def curves(
         color = COLORS[number % len(COLORS)]
         out.append(f'<polyline points="{path}" fill="none" stroke="{color}"/>')
         more = f'fill="{color}" font-weight="bold"'
-        out.append(text(right - 6, TOP + 14 + 14 * number, name, "end").replace(
+        # above the axes, where no curve runs
+        out.append(text(LEFT + 8 + LEGEND * number, TOP - 4, name, "start").replace(
             f'fill="{INK}"', more))  # fmt: skip
     return "\n".join([*out, "</svg>"]) + "\n"
 
