@@ -5,7 +5,8 @@ The documents are written to be read in the repository as well.  For the site,
 - README.md becomes the start page, and the other pages of the root folder join those of docs/;
 - links to pages lead to their place in the site, and links to other files become plain names;
 - the table of contents that opens a page goes, since the site has its own next to the text;
-- diagrams in Mermaid become pictures, because a browser would fetch Mermaid from another host.
+- diagrams in Mermaid become pictures, because a browser would fetch Mermaid from another host;
+- lines of code do not break inside an option such as --time-scale.
 
 `python tools/site_hooks.py MERMAID` draws those pictures with Chromium; MERMAID is the file
 dist/mermaid.min.js of the npm package mermaid.
@@ -31,6 +32,9 @@ ROOT_PAGES = {
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
 CONTENTS = re.compile(r"(?:^- \[[^\n]*\]\(#[^\n]*\)[^\n]*\n)+\n", re.M)
 DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```\n", re.M | re.S)
+CODE = re.compile(r"<(pre|code)\b[^>]*>.*?</\1>", re.S)  # in HTML
+HYPHENATED = re.compile(r"(?<![^\s>])[\w./=,:-]*-[\w./=,:-]*(?![^\s<])")  # a word with a hyphen
+LONGEST = 32  # characters that stay on one line: as many as a phone shows
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -45,6 +49,20 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """The text of a page as the site has it."""
     return adapted(markdown, page.file.src_uri)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """The HTML of a page as the site has it."""
+    return unbroken(html)
+
+
+def unbroken(html: str) -> str:
+    """HTML whose code has no line break after a hyphen: "--" and "gf-" mean nothing alone."""
+
+    def word(found: re.Match[str]) -> str:
+        return f'<span class="unbroken">{found[0]}</span>' if len(found[0]) <= LONGEST else found[0]
+
+    return CODE.sub(lambda code: HYPHENATED.sub(word, code[0]), html)
 
 
 def adapted(markdown: str, place: str) -> str:

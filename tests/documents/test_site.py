@@ -46,6 +46,17 @@ def test_code_stays_as_it_is() -> None:
     assert adapted(code, "guide.md") == code
 
 
+def test_code_has_no_line_break_inside_an_option() -> None:
+    page = '<p>gf-usd</p><pre><code>gf-usd <span class="m">-o</span> a --time-scale</code></pre>'
+    kept = '<span class="unbroken">'
+    assert site_hooks.unbroken(page) == (
+        f'<p>gf-usd</p><pre><code>{kept}gf-usd</span> <span class="m">{kept}-o</span></span> a'
+        f" {kept}--time-scale</span></code></pre>"
+    )
+    long = f"<code>a-{'b' * site_hooks.LONGEST}</code>"
+    assert site_hooks.unbroken(long) == long  # it would not fit on a narrow page
+
+
 def test_the_contents_that_open_a_page_go() -> None:
     page = "# A\n\nText.\n\n- [B](#b)\n- [C](#c): a text\n\n## B\n\n- [C](#c)\n\n"
     assert adapted(page, "guide.md") == "# A\n\nText.\n\n## B\n\n- [C](#c)\n\n"
