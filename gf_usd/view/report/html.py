@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
@@ -123,7 +124,7 @@ def header(name: str, variants: Sequence[str], records: Sequence[Record]) -> Htm
     for i, record in enumerate(records):
         content: list[str] = []
         if record.command:
-            content.append(tag("code", record.command, class_="command"))
+            content.append(_command(record.command))
         if record.failure:
             text = tag("p", f"The bake ended early: {record.failure}")
             content.append(tag("div", text, class_="banner"))
@@ -132,6 +133,13 @@ def header(name: str, variants: Sequence[str], records: Sequence[Record]) -> Htm
             content.append(tag("div", text, class_="banner"))
         parts.append(_for_variant(i, *content))
     return tag("header", *parts)
+
+
+def _command(command: str) -> Html:
+    """A command whose lines do not break inside the name of an option."""
+    words = re.split(r"(?<=\s)(--?[a-z][\w-]*)", command)  # every other one is an option
+    parts = (tag("span", word) if i % 2 else word for i, word in enumerate(words))
+    return tag("code", *parts, class_="command")
 
 
 def viewer(pictures: Sequence[Sequence[tuple[int, str, str]]], seconds: float, cell: str) -> Html:

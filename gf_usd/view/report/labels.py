@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.units import length_text, volume_text
 
 
 @dataclass(frozen=True)
@@ -381,6 +382,14 @@ def number(value: Any) -> str:
     return str(value)
 
 
+def quantity(value: Any, unit: str) -> str:
+    """A value with its unit; lengths and volumes in a unit that suits their size (871 µm)."""
+    texts = {"m": length_text, "m³": volume_text}
+    if isinstance(value, float) and unit in texts:
+        return texts[unit](value).replace(" ", "\u00a0")  # the unit stays on the line
+    return f"{number(value)} {unit}" if unit and value is not None else number(value)
+
+
 def health_rows(health: Mapping[str, Any], warned: Collection[str] = ()) -> list[Line]:
     """The rows of the health table; keys without a label come last.
 
@@ -392,7 +401,7 @@ def health_rows(health: Mapping[str, Any], warned: Collection[str] = ()) -> list
     out = []
     for key in keys:
         row = known.get(key) or Row(key, _label_from_key(key), "", "")
-        text = "none" if health[key] is None else f"{number(health[key])} {row.unit}".strip()
+        text = "none" if health[key] is None else quantity(health[key], row.unit)
         out.append(Line(row.label, text, row.meaning, key in marked, key in FIRST or key in marked))
     return out
 
@@ -413,8 +422,7 @@ def named_rows(
                 (f"Field: {field.get('kind')}", _describe_field(field)) for field in values[key]
             ]
             continue
-        text = number(values[key])
-        out.append((label, f"{text} {unit}" if unit and values[key] is not None else text))
+        out.append((label, quantity(values[key], unit)))
     return out
 
 

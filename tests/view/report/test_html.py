@@ -37,7 +37,7 @@ def test_everything_is_inside_and_nothing_is_fetched(page):
     assert not re.search(r'(src|href)="(?!data:)', outside)
     assert "default-src &#x27;none&#x27;" in page
     assert "<h1>Box</h1>" in page
-    assert "gf-usd bake box.usda --material rubber" in page
+    assert "gf-usd bake box.usda <span>--material</span> rubber" in page
     assert "a note of the bake" in page
     assert page.count("data:image/jpeg;base64,") == 6
     assert f"all {FRAMES} frames" in page

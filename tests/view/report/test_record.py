@@ -21,6 +21,7 @@ from gf_usd.view.report.labels import (
     health_rows,
     named_rows,
     number,
+    quantity,
 )
 from gf_usd.view.report.record import load_report, make_record, report_path
 
@@ -39,6 +40,24 @@ ABOUT = {
         }
     },
 }
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (0.0008708, "m", "871\u00a0µm"),
+        (0.0, "m", "0\u00a0m"),
+        ([0.0, 0.0, 0.07], "m", "0, 0, 0.07 m"),
+        (2.641e-5, "m³", "26.4\u00a0cm³"),
+        (0.0022, "J", "0.0022 J"),
+        (None, "m", "not set"),
+        (3, "", "3"),
+    ],
+)
+def test_lengths_and_volumes_have_the_unit_that_suits_them(
+    value: object, unit: str, text: str
+) -> None:
+    assert quantity(value, unit) == text
 
 
 def test_the_report_next_to_the_root_layer_is_read(tmp_path):
