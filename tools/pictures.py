@@ -209,9 +209,11 @@ def draw(
         return picture.convert("RGB")
 
 
-def low(picture: Image.Image) -> Image.Image:
-    """The band where the duck meets the floor."""
-    return picture.crop((0, int(0.46 * picture.height), picture.width, int(0.86 * picture.height)))
+def near(picture: Image.Image, left: float, right: float) -> Image.Image:
+    """The part where the duck meets the floor, between two fractions of the width."""
+    width, height = picture.size
+    return picture.crop((int(left * width), int(0.46 * height), int(right * width),
+                         int(0.86 * height)))  # fmt: skip
 
 
 def strip(pictures: Sequence[Image.Image], path: Path) -> None:
@@ -256,10 +258,10 @@ def main() -> None:
         stage, (start, squash, rebound) = baked["rubber"]
         shot = [draw(stage, frame, (480, 480)) for frame in (start, squash, rebound)]
         strip(shot, out / "duck.png")
-        squashed = [draw(s, times[1], (400, 560)) for s, times in baked.values()]
-        strip([low(picture) for picture in squashed], out / "looks.png")
-        shown = [draw(stage, squash, (320, 560), show) for show in DISPLAYS]
-        strip([low(picture) for picture in shown], out / "displays.png")
+        squashed = [draw(s, times[1], (560, 784)) for s, times in baked.values()]
+        strip([near(picture, 0.2, 0.92) for picture in squashed], out / "looks.png")
+        shown = [draw(stage, squash, (440, 770), show) for show in DISPLAYS]
+        strip([near(picture, 0.32, 1.0) for picture in shown], out / "displays.png")
         strain = draw(stage, squash, (800, 600), "mesh", "--color", "strain")
         # the part that holds the legend and the duck
         strip([strain.crop((0, 160, 800, 600))], out / "strain.png")
