@@ -30,7 +30,7 @@ ROOT_PAGES = {
     "CONTRIBUTING.md": "CONTRIBUTING.md",
 }  # in the repository, and in the site
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
-CONTENTS = re.compile(r"(?:^- \[[^\n]*\]\(#[^\n]*\)[^\n]*\n)+\n", re.M)
+CONTENTS = re.compile(r"(?:^- \[[^\n]*\]\(#[^\n]*\)[^\n]*\n(?:  [^\n]*\n)*)+\n", re.M)
 DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```\n", re.M | re.S)
 CODE = re.compile(r"<(pre|code)\b[^>]*>.*?</\1>", re.S)  # in HTML
 HYPHENATED = re.compile(r"(?<![^\s>])[\w./=,:-]*-[\w./=,:-]*(?![^\s<])")  # a word with a hyphen

@@ -58,7 +58,7 @@ def test_code_has_no_line_break_inside_an_option() -> None:
 
 
 def test_the_contents_that_open_a_page_go() -> None:
-    page = "# A\n\nText.\n\n- [B](#b)\n- [C](#c): a text\n\n## B\n\n- [C](#c)\n\n"
+    page = "# A\n\nText.\n\n- [B](#b)\n- [C](#c): a text\n  of two lines\n\n## B\n\n- [C](#c)\n\n"
     assert adapted(page, "guide.md") == "# A\n\nText.\n\n## B\n\n- [C](#c)\n\n"
 
 
