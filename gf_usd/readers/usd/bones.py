@@ -326,10 +326,17 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
         middle = mine.mean(0) if len(mine) else at[j]
         longest = max((float(np.linalg.norm(end - at[j])) for end in ends), default=0.0)
         if len(mine) and (not ends or _distance(middle, at[j], ends) > AWAY * longest):
-            if not ends and rig.parents[j] >= 0:
-                middle = _beyond(mine, at[j], at[rig.parents[j]]).mean(0)
-            ends.append(at[j] + INTO_FLESH * (middle - at[j]))
+            if rig.parents[j] >= 0:
+                mine = _beyond(mine, at[j], at[rig.parents[j]])
+            ends.append(_into_flesh(mine, at[j]))
             free.append(True)
+        elif len(ends) == 1 and rig.parents[j] < 0:
+            # Behind a root with one child, such as the head of a fish whose root is in its neck.
+            behind = mine[(mine - at[j]) @ (at[j] - ends[0]) > 0.0]
+            reach = _slender(behind, at[j]) if len(behind) else 0.0
+            if reach > SHORT * size:
+                ends.append(at[j] + reach * _direction(behind, at[j]))
+                free.append(True)
         anchors = at[j] + corners
         local = _through(anchors / unit, np.linalg.inv(rest))
         carried = np.linalg.inv(rig.bind[j]) @ motion[:, j] @ worlds
@@ -354,6 +361,29 @@ def _beyond(points: Floats, joint: Floats, parent: Floats) -> Floats:
     """
     beyond = points[(points - joint) @ (joint - parent) > 0.0]
     return beyond if len(beyond) else points
+
+
+def _into_flesh(points: Floats, joint: Floats) -> Floats:
+    """End (3,) of a segment from a joint toward the mean of points (n, 3), also where these are
+    slender: then it ends before the last of them by half of their width.
+    """
+    reach = INTO_FLESH * float(np.linalg.norm(points.mean(0) - joint))
+    return np.asarray(joint + max(reach, _slender(points, joint)) * _direction(points, joint))
+
+
+def _direction(points: Floats, joint: Floats) -> Floats:
+    """(3,) unit vector from a joint to the mean of points (n, 3); 0 where the mean is the joint."""
+    way = points.mean(0) - joint
+    return np.asarray(way / max(float(np.linalg.norm(way)), np.finfo(float).tiny))
+
+
+def _slender(points: Floats, joint: Floats) -> float:
+    """[m] from a joint along the direction of points (n, 3) to the last one, less the median of
+    their distances from this line.
+    """
+    way, at = _direction(points, joint), points - joint
+    along = at @ way
+    return float(along.max() - np.median(np.linalg.norm(at - along[:, None] * way, axis=1)))
 
 
 def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:

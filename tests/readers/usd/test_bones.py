@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm import FIRST, LAST, arm, captured, points, skinned, write
+from arm import FIRST, LAST, WIDTH, arm, captured, points, skinned, write
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Bone
@@ -48,6 +48,32 @@ def test_flesh_before_the_last_joint_does_not_shorten_its_segment(tmp_path: Path
     np.testing.assert_allclose(start, [1.7, 0, 0], atol=EPS)
     # 1.5 times as far as the mean of the rings at 1.75 and 2.0
     np.testing.assert_allclose(end, [1.7 + 1.5 * 0.175, 0, 0], atol=EPS)
+
+
+def test_the_last_segment_of_a_slender_limb_ends_half_its_width_before_the_tip(
+    tmp_path: Path,
+) -> None:
+    """The fin of a fish was held for 8 of its 14 cm, and its end hung down."""
+    thin = """{
+    double3 xformOp:scale = (1, 0.2, 0.2)
+    uniform token[] xformOpOrder = ["xformOp:scale"]
+"""
+    _, lower = bones_of(write(tmp_path, arm().replace("{", thin, 1)), [FIRST])
+    # the corners of a square section are half a diagonal from the axis
+    assert lower.segments[0, 1, 0] == pytest.approx(2.0 - 0.2 * WIDTH * 0.5**0.5, abs=EPS)
+
+
+def test_slender_flesh_behind_a_root_has_a_bone(tmp_path: Path) -> None:
+    """The head of a fish whose root joint is in its neck hung down."""
+    bind = [f"( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({x}, 0, 0, 1) )" for x in (0.7, 1.0)]
+    root = "( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1) )"
+    text = arm(bind=bind[1])
+    assert text.count(root)
+    upper, _ = bones_of(write(tmp_path, text.replace(root, bind[0])), [FIRST])
+    ((_, child), (start, end)) = upper.segments - upper.segments[0, 0]
+    assert upper.free == (False, True)
+    np.testing.assert_allclose((start[0], child[0]), (0.0, 0.3), atol=EPS)
+    np.testing.assert_allclose(end, [WIDTH * 0.5**0.5 - 0.7, 0.0, 0.0], atol=EPS)
 
 
 @pytest.mark.parametrize("code", [FIRST, 6.5, LAST])
