@@ -21,6 +21,7 @@ from gf_usd.core.arrays import Floats, Ints, Segments
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.contact.broad_phase import BroadPhase
 from gf_usd.physics.contact.distance.closest import Closest
+from gf_usd.physics.contact.distance.first_overlaps import FirstOverlaps
 from gf_usd.physics.contact.floor import HARD, FloorContact
 from gf_usd.physics.contact.narrow_phase import (
     CLOSER,
@@ -29,6 +30,7 @@ from gf_usd.physics.contact.narrow_phase import (
     BodySkin,
     BodySkins,
     ContactSearch,
+    PosedSkin,
     pair_values,
 )
 from gf_usd.physics.contact.obstacles.edge_points import EdgePoints
@@ -97,7 +99,8 @@ class BodyContact:
         self._skins = BodySkins(self._make_skin, len(samples.X))
         self._pair_numbers = PairNumbers(obstacles=len(self._obstacles), bodies=len(skins))
         self._budget = self._make_budget()
-        own = {k: self._make_own(k, samples) for k in range(len(skins)) if self._meets_itself(k)}
+        meets = [k for k in sorted(self.contact_setup.self_contact) if len(self.members[k])]
+        own = {k: self._make_own(k, samples) for k in meets}
         self._own = OwnContacts(
             own, self.members, len(samples.X), reach=self._reach, spacing=self._spacing
         )
@@ -119,6 +122,7 @@ class BodyContact:
             self.members, len(self._obstacles), np.pad(samples.X, ((0, points), (0, 0))),
             reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
+        self._overlaps = FirstOverlaps(self.members, self.contact_setup.meet_from, self._spacing)
         self._kept = np.zeros(len(skins), bool)  # bodies not searched from at the last detection
         self._x = samples.X  # [m] at the last detection
         # Of samples and points of obstacles, as they were when the kernels last ended.
@@ -136,10 +140,6 @@ class BodyContact:
         self._deepest_pair = -1  # its number, see `PairNumbers`; -1: none
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
         self._gap = np.full(n + points, -np.inf)
-
-    def _meets_itself(self, body: int) -> bool:
-        """Whether a body may be in contact with itself: it has samples, and not all are pinned."""
-        return body in self.contact_setup.self_contact and len(self.members[body]) > 0
 
     def _make_skin(self, body: int) -> BodySkin:
         skin, m = self.contact_setup.skins[body], self.members[body]
@@ -169,6 +169,7 @@ class BodyContact:
             "contact_stiffness": self._k,
             "contact_given": self._budget.given.copy(),
             **self._persistence.save(),
+            **self._overlaps.save(),
             **self._edges.save(),
         }
 
@@ -184,6 +185,7 @@ class BodyContact:
         self._k = np.asarray(saved["contact_stiffness"])
         self._budget.given = np.array(saved["contact_given"])
         self._persistence.load(saved)
+        self._overlaps.load(saved)
         self._edges.load(saved)
 
     def begin(self, state: State) -> None:
@@ -223,9 +225,8 @@ class BodyContact:
         """
         span = self._body.settings.frame_time
         x, v = self.motion(now)
-        near, hold = self._broad_phase.pairs(
-            self._broad_phase.boxes(x, v), time / span, self._pull, still
-        )
+        boxes = self._broad_phase.boxes(x, v)
+        near, hold = self._broad_phase.pairs(boxes, time / span, self._pull, still)
         if near or hold < span:
             return True
         return self._own.imminent(x, v, span, self._x_before(x), still)
@@ -248,7 +249,7 @@ class BodyContact:
 
     def _note_overlap(self, state: State) -> float:
         """Count how deep samples were under the present planes; returns the deepest so far [m]."""
-        depth = _column(state, layout.DEPTH)
+        depth = state.part("pair", layout.ROW, layout.DEPTH, layout.DEPTH + 1)[:, 0]
         self._deepen(depth - self._rest_gaps.of_planes(self.planes), self.planes)
         return self._overlap
 
@@ -266,14 +267,15 @@ class BodyContact:
 
     def totals(self, state: State) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by detections [J] and deepest overlap [m]."""
-        work = _column(state, layout.WORK)
+        work = state.part("pair", layout.ROW, layout.WORK, layout.WORK + 1)
         return float(work.sum()), self.injected, self._note_overlap(state)
 
     def pierced(self, now: StateView, frame: int) -> dict[str, Any]:
         """The fields `pierced...` of `Health`, of a state at a frame."""
-        return self._piercing.measured(
-            self.motion(now)[0], frame, lambda k: self._skins[k].posed(now.offset, now.nodes[0])
-        )
+        return self._piercing.measured(self.motion(now)[0], frame, partial(self._posed, now))
+
+    def _posed(self, now: StateView, body: int) -> PosedSkin:
+        return self._skins[body].posed(now.offset, now.nodes[0])
 
     def surface(
         self,
@@ -334,6 +336,9 @@ class BodyContact:
         old = self._stored(x, time)
         boxes = self._broad_phase.boxes(x, v)
         pairs, hold = self._broad_phase.pairs(boxes, frame, self._pull)
+        if not done:
+            released = self._overlaps.update(frame, pairs, x, partial(self._posed, now))
+            self._persistence.forget(released)
         outlook = Outlook.of(
             x, v, boxes, pairs, [one.speed(frame) > 0.0 for one in self._obstacles],
             pull=self._pull, time=time, span=left * dt,
@@ -349,8 +354,7 @@ class BodyContact:
             self._gap, self._detected, self._x = search.gap, time, x[: len(self._X)]
             self._note_search(outlook, np.zeros(len(x)))
             self.watched = self.watched[:0]
-            chunk = int(np.clip(hold / dt, 1, left))
-            return chunk, int(np.ceil(chunk * shorter))
+            return (chunk := int(np.clip(hold / dt, 1, left))), int(np.ceil(chunk * shorter))
         offset = self._rest_gaps.of_planes(self.planes)
         self._own.keep_unseen(search, self.planes, offset, old.depth, self._of)
         self._edges.keep_unseen(search, self.planes, old.depth)
@@ -512,6 +516,8 @@ class BodyContact:
         if not sum(map(len, asked)):
             return
         rows, others = np.concatenate(asked), np.repeat(sorted(searched), list(map(len, asked)))
+        meets = self._overlaps.apart(rows, others)
+        rows, others = rows[meets], others[meets]
         # A sample that was inside this body at the last detection still is.  One that newly seems
         # to be inside may be behind a fold, and the winding number decides.
         gap, faced = self._gap[rows], self.planes.partner[rows]
@@ -592,8 +598,3 @@ class BodyContact:
         if missed.any():
             self.lateness.note(self._detected, self._span, 0.5 * self._span, dt)
         return True
-
-
-def _column(state: State, column: int) -> Floats:
-    """(n,) one number of each sample."""
-    return state.part("pair", layout.ROW, column, column + 1)[:, 0]

@@ -6,15 +6,18 @@ body would join them there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gf_usd.core.arrays import Floats, corners
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.units import length_text
 from gf_usd.prepare.bodies.grounds import grounds
 
 if TYPE_CHECKING:
@@ -110,6 +113,40 @@ def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, 
     posed = [s for s in asset.surfaces if s.path in found]
     each = {s.path: found.get(s.path) or _nearest(s, posed, found) for s in asset.surfaces}
     return each, tuple(notes)
+
+
+def overlap_notes(
+    asset: Asset, starts: Sequence[Mapping[str, Floats]], code: str
+) -> tuple[str, ...]:
+    """Notes on characters that are inside each other in the first frame, at a time code.
+
+    starts : of each character, points (V, 3) [m] of its surfaces in that frame, by prim path.
+    """
+    from gf_usd.geometry.regions import Shape
+
+    surfaces = {s.path: s for s in asset.surfaces}
+    shapes = [
+        {path: Shape(points, surfaces[path].triangles) for path, points in start.items()}
+        for start in starts
+    ]
+    notes = []
+    for a, b in combinations(range(len(starts)), 2):
+        deepest, paths = 0.0, ("", "")
+        for k, other in ((a, b), (b, a)):
+            for (one, points), (two, shape) in product(starts[k].items(), shapes[other].items()):
+                low, high = corners(starts[other][two])
+                near = points[((low < points) & (high > points)).all(1)]
+                inside = near[shape.encloses(near)] if len(near) else near
+                depth = float(shape.closest(inside)[0].max()) if len(inside) else 0.0
+                if depth > deepest:
+                    deepest, paths = depth, (one, two) if k == a else (two, one)
+        if deepest > 0.0:
+            notes.append(
+                f"<{paths[0]}> and <{paths[1]}> overlap by up to {length_text(deepest)} where"
+                f" contact begins, at time code {code}: parts that overlap there pass through each"
+                " other until they are apart"
+            )
+    return tuple(notes)
 
 
 def _nearest(surface: Surface, posed: Sequence[Surface], found: dict[str, str]) -> str:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
 from gf_usd.core.stage import Goals, Pin, Skeleton
-from gf_usd.core.units import length_text, percent_text
-from gf_usd.prepare.bodies.characters import character_paths
+from gf_usd.core.units import code_text, length_text, percent_text
+from gf_usd.prepare.bodies.characters import character_paths, overlap_notes
 from gf_usd.prepare.bodies.jumps import jump_notes
 from gf_usd.prepare.pins import FREE
 from gf_usd.prepare.settings import Animation
@@ -91,10 +92,11 @@ def _surface_points(asset: Asset) -> dict[str, Floats]:
 
 @dataclass(frozen=True, kw_only=True)
 class Poses:
-    """How low an animation takes the surfaces."""
+    """How low an animation takes the surfaces, and where they are in its first frame."""
 
     lowest: float  # [m] height of the lowest point in all poses, of the surfaces that have any
     still: tuple[str, ...] = ()  # prim paths of surfaces without joint weights next to others
+    start: Mapping[str, Floats] = field(default_factory=dict)  # (V, 3) [m] by prim path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +134,8 @@ def flesh_of(
         part = solid.part(np.flatnonzero(bodies.of_surface == k))
         near = samples.subset(np.flatnonzero(samples.body == k))
         every.append(_of_character(own, part, X, near, settings, animation, file, **options))
+    starts = [one.poses.start if one.poses else {} for one in every]
+    overlaps = overlap_notes(asset, starts, code_text(animation.first))
     goals = None
     if any(one.goals for one in every):
         first, *others = (one.goals or FREE for one in every)
@@ -139,7 +143,7 @@ def flesh_of(
     return Flesh(
         pins=tuple(replace(pin, body=k) for k, one in enumerate(every) for pin in one.pins),
         goals=goals,
-        notes=tuple(dict.fromkeys(note for one in every for note in one.notes)),
+        notes=(*dict.fromkeys(note for one in every for note in one.notes), *overlaps),
         rigid=tuple(dict.fromkeys(name for one in every for name in one.rigid)),
         poses=_joined([one.poses for one in every if one.poses]),
     )
@@ -153,8 +157,8 @@ def _joined(every: Sequence[Poses]) -> Poses:
     )
 
 
-def _poses(asset: Asset, skeleton: Skeleton) -> Poses:
-    """The poses of the surfaces that have weights.
+def _poses(asset: Asset, skeleton: Skeleton, first: int) -> Poses:
+    """The poses of the surfaces that have weights; first : row of the animation's first frame.
 
     Linear blend skinning: x = sum_j w_j (x0_j + (X - X0_j) E_j^-1 D_j), with the edges of the
     anchors of bone j at rest, E, and posed, D.
@@ -164,7 +168,7 @@ def _poses(asset: Asset, skeleton: Skeleton) -> Poses:
     edges = (paths[:, :, 1:] - paths[:, :, :1]) @ up
     slopes = np.einsum("jab,fjb->fja", np.linalg.inv(anchors[:, 1:] - anchors[:, :1]), edges)
     offsets = paths[:, :, 0] @ up - np.einsum("fja,ja->fj", slopes, anchors[:, 0])
-    least = np.inf
+    least, start = np.inf, {}
     for surface in asset.surfaces:
         if surface.path not in skeleton.weights:
             continue
@@ -172,8 +176,20 @@ def _poses(asset: Asset, skeleton: Skeleton) -> Poses:
         for slope, offset in zip(slopes, offsets, strict=True):
             heights = ((weights @ slope) * X).sum(axis=1) + weights @ offset
             least = min(least, float(heights.min(initial=np.inf)))
+        start[surface.path] = _skinned(X, weights, anchors, paths[first])
     still = tuple(s.path for s in asset.surfaces if s.path not in skeleton.weights)
-    return Poses(lowest=least, still=still)
+    return Poses(lowest=least, still=still, start=start)
+
+
+def _skinned(X: Floats, weights: Any, anchors: Floats, posed: Floats) -> NDArray[np.float64]:
+    """(V, 3) [m] points X (V, 3) [m] by linear blend skinning: see `_poses`.
+
+    weights : (V, J), sparse; anchors, posed : (J, 4, 3) [m] at rest, and posed.
+    """
+    turn = np.linalg.inv(anchors[:, 1:] - anchors[:, :1]) @ (posed[:, 1:] - posed[:, :1])
+    shift = posed[:, 0] - np.einsum("ja,jab->jb", anchors[:, 0], turn)
+    matrices = (weights @ turn.reshape(len(turn), 9)).reshape(-1, 3, 3)
+    return np.asarray(np.einsum("va,vab->vb", X, matrices) + weights @ shift)
 
 
 def _of_character(
@@ -271,7 +287,8 @@ def _read_bones(
     if not animation.cached:
         loose = _surface_points(asset) if animation.nearest else None
         skeleton = read_skeleton(file, paths, asset.facts, **when, loose=loose)
-        return skeleton, None, _poses(asset, skeleton), ()
+        start = int(np.searchsorted(times, animation.first))
+        return skeleton, None, _poses(asset, skeleton, start), ()
     lows: list[float] = []
     poses = _with_lows(read_cache(file, paths, asset.facts, **when), asset.facts.up, lows)
     skeleton, cores = medial_skeleton(
