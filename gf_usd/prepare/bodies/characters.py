@@ -6,28 +6,30 @@ body would join them there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats, corners
+from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.units import length_text
-from gf_usd.prepare.bodies.grounds import grounds
+from gf_usd.prepare.bodies.grounds import grounds, scenery_of
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
     from gf_usd.prepare.bodies.plan import BodyPlan
 
 # Why a mesh is not part of a character, after what does not move it.
-PROP = "it touches no mesh that the animation moves, so that nothing would hold it"
-SHEET = "it encloses no volume and is not near a mesh that the animation moves"
+PROP = "it touches no mesh of a character, so that nothing would hold it"
+SHEET = "it encloses no volume and is not near a mesh of a character"
 GROUND = "it is flat and lies under everything else, as a ground does"
+NEAR = 0.02  # of the size of the characters: open meshes that are farther away do not follow them
 
 
 def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Asset:
@@ -39,53 +41,79 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
 
     spacing : [m] approximate spacing of the particles.
     """
-    from gf_usd.geometry.connected.bodies import find_bodies
     from gf_usd.readers.usd.bones import lone_skeleton, skeletons
     from gf_usd.readers.usd_bake.caches import animated_meshes, has_animated_points
 
     paths, unmoved = [s.path for s in asset.surfaces], "no skeleton poses it"
-    moved = set(skeletons(file, paths, asset.facts))
+    moved, nearest = set(skeletons(file, paths, asset.facts)), False
     if not moved:
-        if not has_animated_points(file, paths, asset.facts) and lone_skeleton(file):
-            return asset  # all meshes follow its nearest bones
-        moved, unmoved = animated_meshes(file, paths, asset.facts), "it is not animated"
+        # without animated points all meshes follow the nearest bones of the only skeleton
+        nearest = not has_animated_points(file, paths, asset.facts) and bool(lone_skeleton(file))
+        if not nearest:
+            moved, unmoved = animated_meshes(file, paths, asset.facts), "it is not animated"
     loose = {s.path for s in asset.surfaces if s.path not in moved and s.splats is None}
-    if not moved or not loose:
+    if not loose or not (moved or nearest):
         return asset
-    ground = {s.path for s, _ in grounds(asset.surfaces, asset.facts.up) if s.path in loose}
-    # meshes that stand on the ground are not one body with others that do
-    kinds = np.array([s.path in ground for s in solid.surfaces], np.int64)
-    of = find_bodies(solid, spacing, kinds=kinds)
-    flesh = {int(k) for k, s in zip(of, solid.surfaces) if s.path not in loose}
-    held = {s.path: row for row, s in enumerate(solid.surfaces) if int(of[row]) in flesh}
-    if not held:
-        return asset
-    reasons = {s.path: PROP for s in solid.surfaces if s.path not in held}
-    sheets = {path for path, _ in solid.embedded if path in loose and path not in solid.walls}
-    reasons |= {
-        s.path: SHEET
-        for s in asset.surfaces
-        if s.path in sheets and not _near(s, solid, list(held.values()), spacing)
-    }
-    reasons |= dict.fromkeys(ground, GROUND)
+    reasons = scenery_of(asset, solid)
+    reasons |= {s.path: GROUND for s, _ in grounds(asset.surfaces, asset.facts.up)}
+    reasons = {path: reason for path, reason in reasons.items() if path in loose}
+    if not nearest:
+        apart = _apart(asset, solid, loose, reasons, spacing)
+        if apart is None:
+            return asset
+        reasons = apart | reasons
     out = [
         (s.path, f"{unmoved}, and {reasons[s.path]}") for s in asset.surfaces if s.path in reasons
     ]
-    if not out:
-        return asset
     kept = tuple(s for s in asset.surfaces if s.path not in reasons)
-    return replace(asset, surfaces=kept, skipped=(*asset.skipped, *out))
+    return replace(asset, surfaces=kept, skipped=(*asset.skipped, *out)) if out and kept else asset
 
 
-def _near(surface: Surface, solid: Solid, held: Sequence[int], reach: float) -> bool:
-    """Whether a surface has points in a solid, or within a reach [m] of its surfaces `held`."""
+def _apart(
+    asset: Asset, solid: Solid, loose: Collection[str], ground: Collection[str], spacing: float
+) -> dict[str, str] | None:
+    """The reason for each of the meshes `loose` that is not at one of the others; None: there are
+    no others.
+
+    ground : paths of those on which others stand, which are not one body for that.
+    """
+    from gf_usd.geometry.connected.bodies import find_bodies
+
+    kinds = np.array([s.path in ground for s in solid.surfaces], np.int64)
+    of = find_bodies(solid, spacing, kinds=kinds)
+    flesh = {int(k) for k, s in zip(of, solid.surfaces) if s.path not in loose}
+    held = np.flatnonzero([int(k) in flesh for k in of])
+    if not len(held):
+        return None
+    apart = {s.path: PROP for k, s in enumerate(solid.surfaces) if int(of[k]) not in flesh}
+    hanging = {path for path, _ in solid.embedded} - solid.walls.keys()
+    sheets = [
+        s for s in asset.surfaces if s.path in hanging and s.path in loose and s.path not in ground
+    ]
+    near = _near(solid, held, sheets)
+    return apart | {s.path: SHEET for s, one in zip(sheets, near, strict=True) if not one}
+
+
+def _near(solid: Solid, held: Ints, sheets: Sequence[Surface]) -> NDArray[np.bool_]:
+    """(k,) which sheets have points in a solid or near its surfaces `held`, as a part of their
+    size.
+
+    All sheets at once: each query of libigl builds a tree of the surface.
+    """
     from gf_usd.geometry.regions import Shape
 
-    X = surface.face_points
-    if solid.inside(X).any():
-        return True
-    skins = (Shape(solid.surfaces[k].points, solid.triangles[k]) for k in held)
-    return any(float(skin.closest(X)[0].min()) <= reach for skin in skins)
+    if not sheets:
+        return np.zeros(0, bool)
+    X = np.concatenate([s.face_points for s in sheets])
+    of = np.repeat(np.arange(len(sheets)), [len(s.face_points) for s in sheets])
+    found = solid.inside(X)
+    skins = [(solid.surfaces[k].points, solid.triangles[k]) for k in held]
+    low, high = (np.array([end(x, axis=0) for x, _ in skins]) for end in (np.min, np.max))
+    reach = NEAR * float(np.linalg.norm(high.max(0) - low.min(0)))
+    for (points, triangles), least, most in zip(skins, low - reach, high + reach, strict=True):
+        rows = np.flatnonzero(~found & ((least <= X) & (most >= X)).all(1))
+        found[rows] = Shape(points, triangles).closest(X[rows])[0] <= reach
+    return np.bincount(of, found, len(sheets)) > 0
 
 
 def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -108,8 +108,19 @@ def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:
 
     They would follow a body that is much smaller than they are, whose motion is not theirs.
     """
-    if not solid.embedded:
+    found = scenery_of(asset, solid)
+    if not found:
         return asset, solid
+    kept = tuple(s for s in asset.surfaces if s.path not in found)
+    skipped = (*asset.skipped, *found.items())
+    left = tuple(one for one in solid.embedded if one[0] not in found)
+    return replace(asset, surfaces=kept, skipped=skipped), replace(solid, embedded=left)
+
+
+def scenery_of(asset: Asset, solid: Solid) -> dict[str, str]:
+    """The reason for each open mesh that is scenery, by prim path."""
+    if not solid.embedded:
+        return {}
     embedded = dict(solid.embedded)
     filled = [s.face_points for s in asset.surfaces if s.path not in embedded]
     up = asset.facts.up
@@ -138,17 +149,11 @@ def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:
             and (sides.min() >= -slack or sides.max() <= slack)
         )
 
-    found = {
+    return {
         s.path: SCENERY if surrounds(s) else WALL
         for s in asset.surfaces
         if s.path in embedded and not s.skinned and s.splats is None and (surrounds(s) or beside(s))
     }
-    if not found:
-        return asset, solid
-    kept = tuple(s for s in asset.surfaces if s.path not in found)
-    skipped = (*asset.skipped, *((path, found[path]) for path in embedded if path in found))
-    left = tuple(one for one in solid.embedded if one[0] not in found)
-    return replace(asset, surfaces=kept, skipped=skipped), replace(solid, embedded=left)
 
 
 def _beyond(box: tuple[Floats, Floats], other: tuple[Floats, Floats], up: Floats) -> bool:

@@ -130,11 +130,10 @@ def fill(
             asset = alone
             meshes = build(asset)
     scenery: list[Surface] = []
-    if file is not None:
+    if in_scene:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
         kept = {s.path for s in asset.surfaces}
-        if in_scene:  # else there is no floor by default
-            scenery = [s for s in meshes.asset.surfaces if s.path not in kept]
+        scenery = [s for s in meshes.asset.surfaces if s.path not in kept]
         meshes = replace(meshes, asset=asset, solid=solid)
     asset, solid = meshes.asset, meshes.solid
     gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()

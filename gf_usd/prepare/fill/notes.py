@@ -27,9 +27,11 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
         KINDS: f"; it {stays}: attach it to a baked mesh in another program, or convert it to one",
         REPEATED: f"; it {stays}: attach its instances in another program, or make them prims",
         **dict.fromkeys(
-            (SCENERY, WALL, SHEET, GROUND),
+            (SCENERY, WALL, GROUND),
             f"; it {stays}: apply PhysicsCollisionAPI to make it an obstacle",
         ),
+        SHEET: f"; it {stays}: bind it to the skeleton, or animate it, to make it follow, or apply"
+        " PhysicsCollisionAPI to make it an obstacle",
         ROOM: f"; it {stays}. Bodies collide with the floor of the bake, not with it: apply"
         " PhysicsCollisionAPI to make it an obstacle, or turn its faces outward to make it soft",
         PROP: f"; it {stays}: bake it by itself (--prim), or apply PhysicsCollisionAPI to make it"

@@ -17,13 +17,25 @@ QUAD = np.array([(-1.0, 0.0, -1.0), (-1.0, 0.0, 1.0), (1.0, 0.0, 1.0), (1.0, 0.0
 SPACING = 0.1  # [m]
 
 
-def quad(name: str, scale: float, place: tuple[float, float, float]) -> str:
-    points = ", ".join(str(tuple(p)) for p in (QUAD * scale + place).tolist())
+def listed(points: Floats) -> str:
+    return "[" + ", ".join(str(tuple(p)) for p in points.tolist()) + "]"
+
+
+def samples(points: Floats) -> str:
+    """Points that rise by 0.1 m."""
+    return f"point3f[] points.timeSamples = {{ 1: {listed(points)}, 9: {listed(points + 0.1)} }}"
+
+
+def quad(
+    name: str, scale: float, place: tuple[float, float, float], *, animated: bool = False
+) -> str:
+    points = QUAD * scale + place
     return f"""
     def Mesh "{name}"
     {{
         uniform token subdivisionScheme = "none"
-        point3f[] points = [{points}]
+        point3f[] points = {listed(points)}
+        {samples(points) if animated else ""}
         int[] faceVertexCounts = [4]
         int[] faceVertexIndices = [0, 1, 2, 3]
     }}
@@ -40,16 +52,12 @@ def box(
     corners = np.array(size) * (np.array(list(np.ndindex(2, 2, 2))) - 0.5) + place
     faces = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
 
-    def text(points: Floats) -> str:
-        return ", ".join(str(tuple(p)) for p in points.tolist())
-
-    moved = f"point3f[] points.timeSamples = {{ 1: [{text(corners)}], 9: [{text(corners + 0.1)}] }}"
     return f"""
     def Mesh "{name}"
     {{
         uniform token subdivisionScheme = "none"
-        point3f[] points = [{text(corners)}]
-        {moved if animated else ""}
+        point3f[] points = {listed(corners)}
+        {samples(corners) if animated else ""}
         int[] faceVertexCounts = {[4] * 6}
         int[] faceVertexIndices = {faces}
     }}
@@ -76,9 +84,10 @@ def test_the_ground_under_a_character_does_not_follow_it(tmp_path: Path, height:
     assert found == {"Ground": f"no skeleton poses it, and {GROUND}"}
 
 
-def test_a_sheet_follows_flesh_that_it_touches_and_no_other(tmp_path: Path) -> None:
-    near = quad("Cuff", 0.1, (1.5, 0.2 + 0.5 * SPACING, 0.0))
-    far = quad("Kite", 0.1, (1.5, 0.2 + 2.0 * SPACING, 0.0))
+def test_a_sheet_follows_flesh_that_it_is_near_and_no_other(tmp_path: Path) -> None:
+    """Nearer than 2 % of the arm's size, 4 cm, at any resolution."""
+    near = quad("Cuff", 0.1, (1.5, 0.23, 0.0))
+    far = quad("Kite", 0.1, (1.5, 0.26, 0.0))
     inside = quad("Card", 0.1, (1.5, 0.0, 0.0))
     found = left_out(with_arm(tmp_path, near, far, inside))
     assert found == {"Kite": f"no skeleton poses it, and {SHEET}"}
@@ -114,3 +123,26 @@ def test_beside_animated_points_meshes_that_are_not_animated_stay(tmp_path: Path
         "Crate": f"it is not animated, and {PROP}",
         "Ground": f"it is not animated, and {GROUND}",
     }
+
+
+def test_an_animated_sheet_under_a_body_is_no_ground(tmp_path: Path) -> None:
+    """As a wide dress is under a head."""
+    path = tmp_path / "dress.usda"
+    meshes = (
+        box("Head", (0.4, 0.4, 0.4), (0.0, 1.0, 0.0), animated=True),
+        quad("Dress", 2.0, (0.0, 0.0, 0.0), animated=True),
+    )
+    path.write_text(
+        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y"\n defaultPrim = "A" )\n'
+        f'def Xform "A"\n{{{"".join(meshes)}}}\n',
+        encoding="utf-8",
+    )
+    assert left_out(path) == {}
+
+
+def test_the_ground_does_not_follow_the_nearest_bones_either(tmp_path: Path) -> None:
+    """Meshes without joint weights follow those of the only skeleton."""
+    text = arm(skeleton="").replace("int[] primvars:skel:jointIndices", "int[] primvars:a")
+    text = text.replace("float[] primvars:skel:jointWeights", "float[] primvars:b")
+    text = text.rstrip().removesuffix("}") + quad("Ground", 5.0, (1.0, -0.5, 0.0)) + "}"
+    assert left_out(write(tmp_path, text)) == {"Ground": f"no skeleton poses it, and {GROUND}"}
