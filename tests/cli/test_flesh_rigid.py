@@ -13,20 +13,21 @@ import gf_usd
 from gf_usd.prepare.prepare import prepare
 
 FEW = {"particles": 400, "preroll": 6, "flesh": True, "material": "jelly"}
+MORE = {**FEW, "particles": 3000}  # with which half of the boot's half thickness is a cell
 
 
 @pytest.mark.slow
 def test_a_mesh_of_one_joint_is_named_with_the_way_to_keep_it_rigid(tmp_path: Path) -> None:
     path, out = booted(tmp_path), tmp_path / "out.usda"
-    plan, _ = prepare(path, **FEW, output=out, draw=None)
+    plan, _ = prepare(path, **MORE, output=out, draw=None)
     note = "</Arm/Boot> moves with a single joint and becomes as soft as the rest; --rigid keeps"
     assert note in " ".join(plan.notes)
-    kept, _ = prepare(path, **FEW, rigid=["/Arm/Boot"], output=out, draw=None)
+    kept, _ = prepare(path, **MORE, rigid=["/Arm/Boot"], output=out, draw=None)
     assert note not in " ".join(kept.notes)
     *bones, boot = kept.pins
     assert (boot.name, boot.rigid, boot.meshes) == ("/Arm/Boot", False, {"/Arm/Boot"})
     np.testing.assert_array_equal(boot.path, bones[1].path)
-    plain, _ = prepare(write(tmp_path, arm()), **FEW, output=out, draw=None)
+    plain, _ = prepare(write(tmp_path, arm()), **MORE, output=out, draw=None)
     assert "single joint" not in " ".join(plain.notes)
 
 
@@ -45,10 +46,21 @@ def test_a_mesh_of_one_joint_that_no_flesh_holds_is_rigid(tmp_path: Path) -> Non
     np.testing.assert_array_equal(boot.path, bones[1].path)
 
 
+def test_a_mesh_of_one_joint_that_is_too_thin_for_the_grid_is_rigid(tmp_path: Path) -> None:
+    """A sword in a hand hung down like a noodle."""
+    plan, _ = prepare(booted(tmp_path), **FEW, output=tmp_path / "o.usda", draw=None)
+    notes = " ".join(plan.notes)
+    assert "</Arm/Boot> moves with a single joint and is too thin for the grid, which" in notes
+    assert "as soft as the rest" not in notes
+    *bones, boot = plan.pins
+    assert (boot.name, boot.meshes) == ("/Arm/Boot", {"/Arm/Boot"})
+    np.testing.assert_array_equal(boot.path, bones[1].path)
+
+
 @pytest.mark.slow
 def test_a_box_of_a_rigid_region_is_none_that_a_joint_carries(tmp_path: Path) -> None:
     plan, _ = prepare(
-        booted(tmp_path), **FEW, rigid=["box:1.6,-1,-1,3,1,1"], output=tmp_path / "o.usda",
+        booted(tmp_path), **MORE, rigid=["box:1.6,-1,-1,3,1,1"], output=tmp_path / "o.usda",
         draw=None,
     )  # fmt: skip
     assert [pin.rigid for pin in plan.pins] == [False, False, True]
@@ -60,7 +72,7 @@ def test_a_rigid_boot_moves_with_its_joint(tmp_path: Path) -> None:
     path = booted(tmp_path)
     for rigid in ([], ["/Arm/Boot"]):
         out = tmp_path / f"out{len(rigid)}.usda"
-        gf_usd.bake(path, **FEW, rigid=rigid, output=out, progress=None)
+        gf_usd.bake(path, **MORE, rigid=rigid, output=out, progress=None)
         stage = Usd.Stage.Open(str(out))
         for code, angle in ((FIRST, 20.0), (LAST, 60.0)):
             c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))

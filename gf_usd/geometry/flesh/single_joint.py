@@ -2,7 +2,8 @@
 
 Grid nodes in such a mesh, and up to `WIDER` cells around it, are constrained to the joint's motion
 like those of a bone core, and the points of the mesh follow the joint exactly.  Those that are
-apart from the flesh, such as a sword next to a hand, are always rigid.
+apart from the flesh, such as a sword next to a hand, are always rigid, and so are those that are
+too thin for the grid, as limbs are (see `cores.bone_cores`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.stage import Pin, Skeleton
 from gf_usd.geometry.flesh.cores import WIDER, Cores, itself
 from gf_usd.geometry.regions import Shape
@@ -64,6 +65,31 @@ def meshes_apart(
         if path in filled
         and not _held(filled[path][0], Shape(*filled[path]), flesh, cores, APART * cell)
     ]
+
+
+def thin_meshes(
+    paths: Sequence[str], solid: Solid, X: Floats, share: float, cell: float
+) -> list[str]:
+    """Those of some filled meshes whose core would be as thick as the mesh.
+
+    X : (n, 3) [m] of the particles; share : radius of a core over the distance from its axis, where
+    particles are deepest in the mesh, to the surface; cell : [m] edge of a cell.
+    """
+    filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
+    return [
+        path
+        for path in paths
+        if path in filled and (1.0 - share) * _deepest(*filled[path], X) <= WIDER * cell
+    ]
+
+
+def _deepest(points: Floats, triangles: Ints, X: Floats) -> float:
+    """[m] largest depth in a mesh of those of X (n, 3) that are inside."""
+    low, high = corners(points)
+    near = X[((low < X) & (high > X)).all(1)]
+    shape = Shape(points, triangles)
+    inside = near[shape.encloses(near)] if len(near) else near
+    return float(shape.closest(inside)[0].max()) if len(inside) else 0.0
 
 
 def _held(

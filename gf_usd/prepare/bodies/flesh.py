@@ -243,7 +243,7 @@ def _of_character(
             f" the nearest bones of {animation.nearest}",
             *notes,
         )
-    pins, kept, pin_notes = _pin_to_bones(asset, solid, skeleton, cores, rigid, cell)
+    pins, kept, pin_notes = _pin_to_bones(asset, solid, X, skeleton, cores, rigid, radius, cell)
     limits = None
     if squish is not None or stretch is not None:
         limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=cell)
@@ -314,13 +314,17 @@ def _with_lows(
 def _pin_to_bones(
     asset: Asset,
     solid: Solid,
+    X: Floats,
     skeleton: Skeleton,
     cores: Cores,
     rigid: Sequence[str],
+    share: float,
     cell: float,
 ) -> tuple[tuple[Pin, ...], list[str], tuple[str, ...]]:
     """Pins of the cores, and of meshes that move rigidly with a joint: those named by --rigid, and
-    those apart from the flesh.  Which of `rigid` they are; notes.
+    those apart from the flesh, or too thin for the grid.  Which of `rigid` they are; notes.
+
+    X : (n, 3) [m] of the particles; share, cell [m] : of `bone_cores`.
 
     Raises InputError where nothing is pinned.
     """
@@ -330,6 +334,7 @@ def _pin_to_bones(
         named_single_joint_meshes,
         single_joint_meshes,
         single_joint_pins,
+        thin_meshes,
     )
 
     bones = skeleton.bones
@@ -340,14 +345,17 @@ def _pin_to_bones(
     taken = {path for pin in pins for path in pin.meshes}
     soft = [path for path in bound if path not in taken]
     apart = meshes_apart(soft, bound, solid, cores, cell)
-    pins += single_joint_pins(apart, bound, skeleton, solid, cell)
+    soft = [path for path in soft if path not in apart]
+    thin = thin_meshes(soft, solid, X, share, cell)
+    pins += single_joint_pins([*apart, *thin], bound, skeleton, solid, cell)
     if not pins:
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
             f" as {bones[0].name}",
             "bind the mesh again, so that in the bind pose its skeleton is inside it",
         )
-    return pins, kept, (*_apart_meshes(apart), *_soft_meshes([p for p in soft if p not in apart]))
+    soft = [path for path in soft if path not in thin]
+    return pins, kept, (*_apart_meshes(apart), *_thin_meshes(thin, cell), *_soft_meshes(soft))
 
 
 def _goal_weights(
@@ -470,6 +478,17 @@ def _apart_meshes(paths: Sequence[str]) -> tuple[str, ...]:
     return (
         f"{_listed(paths)} {moves} with a single joint and {touches} no flesh: {it} {is_} kept"
         f" rigid, because {it} would fall",
+    )
+
+
+def _thin_meshes(paths: Sequence[str], cell: float) -> tuple[str, ...]:
+    """The note on meshes that move with a single joint and are too thin to be soft."""
+    if not paths:
+        return ()
+    moves, is_, it = ("moves", "is", "it is") if len(paths) == 1 else ("move", "are", "they are")
+    return (
+        f"{_listed(paths)} {moves} with a single joint and {is_} too thin for the grid, which has"
+        f" cells of {length_text(cell)}: {it} kept rigid; more --particles make the grid finer",
     )
 
 

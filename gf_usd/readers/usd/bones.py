@@ -378,12 +378,16 @@ def _direction(points: Floats, joint: Floats) -> Floats:
 
 
 def _slender(points: Floats, joint: Floats) -> float:
-    """[m] from a joint along the direction of points (n, 3) to the last one, less the median of
-    their distances from this line.
+    """[m] from a joint along the direction of points (n, 3) to the last one, less half their width,
+    the median of their distances from this line.  What a gap of more than half of that way separates,
+    such as a mesh apart from the others, does not count.
     """
     way, at = _direction(points, joint), points - joint
     along = at @ way
-    return float(along.max() - np.median(np.linalg.norm(at - along[:, None] * way, axis=1)))
+    half = float(np.median(np.linalg.norm(at - along[:, None] * way, axis=1)))
+    steps = np.sort(along)
+    apart = np.flatnonzero(np.diff(steps) > max(2.0 * half, 0.5 * float(steps[-1])))
+    return float(steps[apart[0] if len(apart) else -1]) - half
 
 
 def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:
