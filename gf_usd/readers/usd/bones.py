@@ -372,15 +372,20 @@ def _into_flesh(points: Floats, joint: Floats) -> Floats:
 
 
 def _direction(points: Floats, joint: Floats) -> Floats:
-    """(3,) unit vector from a joint to the mean of points (n, 3); 0 where the mean is the joint."""
+    """(3,) unit vector from a joint to the mean of points (n, 3), and then to that of their farther
+    half: those around the joint, such as the skull behind a snout, would turn it.  0 where the
+    mean is the joint.
+    """
     way = points.mean(0) - joint
+    along = (points - joint) @ way
+    way = points[along >= np.median(along)].mean(0) - joint
     return np.asarray(way / max(float(np.linalg.norm(way)), np.finfo(float).tiny))
 
 
 def _slender(points: Floats, joint: Floats) -> float:
-    """[m] from a joint along the direction of points (n, 3) to the last one, less half their width,
-    the median of their distances from this line.  What a gap of more than half of that way separates,
-    such as a mesh apart from the others, does not count.
+    """[m] from a joint along the direction of points (n, 3) to the last one, less half their width:
+    the median of their distances from this line.  What a gap of more than half of that way
+    separates, such as a mesh apart from the others, does not count.
     """
     way, at = _direction(points, joint), points - joint
     along = at @ way

@@ -14,6 +14,7 @@ from gf_usd.core.stage import Bone
 from gf_usd.physics.grid.pins import Motion
 from gf_usd.readers import read_asset
 from gf_usd.readers.usd.bones import (
+    _direction,
     animation_range,
     has_skeleton,
     lone_skeleton,
@@ -61,6 +62,14 @@ def test_the_last_segment_of_a_slender_limb_ends_half_its_width_before_the_tip(
     _, lower = bones_of(write(tmp_path, arm().replace("{", thin, 1)), [FIRST])
     # the corners of a square section are half a diagonal from the axis
     assert lower.segments[0, 1, 0] == pytest.approx(2.0 - 0.2 * WIDTH * 0.5**0.5, abs=EPS)
+
+
+def test_a_bone_points_to_the_far_flesh_of_its_joint_not_to_what_is_around_it() -> None:
+    """The bone of a cow's head left its snout, below the line from the joint to the mean."""
+    around = np.array([(0.0, y, z) for y in (-0.2, 0.2) for z in (-0.2, 0.2)] * 3)
+    snout = np.array([(x, -0.5 * x, 0.0) for x in (0.4, 0.6, 0.8, 1.0)] * 3)
+    way = _direction(np.concatenate([around + (0.0, 0.1, 0.0), snout]), np.zeros(3))
+    np.testing.assert_allclose(way, np.array([1.0, -0.5, 0.0]) / 1.25**0.5, atol=1e-12)
 
 
 def test_slender_flesh_behind_a_root_has_a_bone(tmp_path: Path) -> None:
