@@ -28,10 +28,10 @@ from gf_usd.readers.pictures.recording import select_variant, world_points
 from gf_usd.readers.usd.mesh import has_surface
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured
-from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd.stage import is_bake_scope, open_stage, reading
 from gf_usd.system.atomic_files import same_place
 
-VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
+VARIANTS, NONE = "gaussianFlesh", "none"
 
 MOVING = ("points", "normals", "velocities", "accelerations", "extent")
 
@@ -164,12 +164,12 @@ def _empty(spec: Sdf.PrimSpec) -> None:
 
 
 def _drop_samples(layer: Sdf.Layer, variant: BakedVariant) -> None:
-    found: list[Sdf.Path] = []
-    layer.Traverse(Sdf.Path.absoluteRootPath, found.append)
-    for path in sorted(found, reverse=True):
-        if path.IsPrimPath() and re.fullmatch(f"(\\w+_)?{SCOPE}", path.name):
-            parent = layer.GetPrimAtPath(path.GetParentPath()) or layer.pseudoRoot
-            del parent.nameChildren[path.name]
+    stage = Usd.Stage.Open(layer)
+    scopes = [prim.GetPath() for prim in stage.TraverseAll() if is_bake_scope(prim)]
+    del stage  # which would follow every change
+    for path in scopes:
+        parent = layer.GetPrimAtPath(path.GetParentPath()) or layer.pseudoRoot
+        del parent.nameChildren[path.name]
     for name in {Sdf.Path(mesh).GetPrefixes()[0].name for mesh in variant.meshes}:
         spec = layer.GetPrimAtPath(f"/{name}")
         for prop in [p for p in spec.properties if p.name.startswith(f"{VARIANTS}:")]:

@@ -43,6 +43,7 @@ from gf_usd.readers.usd.stage import (
     Placement,
     SkippedPrim,
     is_bake_particles,
+    is_bake_scope,
     open_stage,
     reading,
     require_composed,
@@ -50,7 +51,6 @@ from gf_usd.readers.usd.stage import (
 )
 
 ONE_SET = "only these Gaussians are shown"  # a note: a recording has one set of Gaussians
-SCOPE = "GaussianFlesh"  # part of the name of the Scope of prims that a bake adds
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
 
@@ -280,7 +280,7 @@ class BakedMotion:
                 continue
             self._meshes.append(prim)
             self._first_meshes.append(to_render_mesh(surface, self._stage, time))
-        self._replacements += [prim for prim in self._flows if SCOPE in prim.GetParent().GetName()]
+        self._replacements += [prim for prim in self._flows if is_bake_scope(prim.GetParent())]
         self._vanishing = [prim for prim in self._meshes if has_animated_visibility(prim)]
         self._gaussians = self._read_gaussians(context) if self._gaussian_prim else None
         self._bodies = self._body_paths()

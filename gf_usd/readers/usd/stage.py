@@ -38,6 +38,20 @@ def is_bake_particles(prim: Usd.Prim) -> bool:
     return bool(prim.HasAttribute("gaussianFlesh:restPositions"))
 
 
+def is_bake_scope(prim: Usd.Prim) -> bool:
+    """True for the Scope of the prims that a bake adds, by its content: physics materials, which
+    name their variant, and prims made of these.
+
+    Its name is not certain: it has a number where the source has a prim of the same name.
+    """
+    materials = prim.GetChild("Materials")
+    if not prim.IsA(UsdGeom.Scope) or not materials or not materials.IsA(UsdGeom.Scope):
+        return False
+    made = materials.GetChildren()
+    ours = bool(made) and all(one.HasAttribute("gaussianFlesh:look") for one in made)
+    return ours and len(prim.GetChildren()) > 1  # a fitted material, with such a parent, is alone
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Context that collects USD diagnostics, and raises USD's errors as InputError."""
