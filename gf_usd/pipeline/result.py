@@ -25,10 +25,13 @@ def require_healthy(result: BakeResult, *, strict: bool) -> None:
     ]
     if not warnings:
         return
-    lines = "".join(
-        f"\n  {name}: {warning.message} [{warning.about}]" for name, warning in warnings
-    )
     hints = list(dict.fromkeys(warning.hint for _, warning in warnings))
+    apart = len(hints) > 1
+    lines = "".join(
+        f"\n  {name}: {warning.message} [{warning.about}]"
+        + (f"\n    hint: {warning.hint}" if apart else "")
+        for name, warning in warnings
+    )
     errors = any(warning.level == ERROR for _, warning in warnings)
     kind = "error" if errors else "warning"
     article = "an" if errors else "a"
@@ -36,7 +39,8 @@ def require_healthy(result: BakeResult, *, strict: bool) -> None:
     raise UnhealthyError(
         f"{result.root}: the bake is complete and its files are written, but it has {count}:"
         f"{lines}",
-        "; ".join(hints) + ("" if errors else "; without --strict this is not an error"),
+        (f"see that of each {kind}" if apart else hints[0])
+        + ("" if errors else "; without --strict this is not an error"),
         warnings=tuple(warning for _, warning in warnings),
         result=result,
     )
