@@ -32,13 +32,14 @@ class Constraints:
 def constrain(inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[Pin]) -> Constraints:
     """pins : in addition to those of the options and of the stage.
 
-    Raises InputError and UsageError for pins of bodies that flow or can be converted.
+    Raises InputError and UsageError for pins that bodies that flow or can be converted, or solid
+    ones next to them, do not support.
     """
     found = _find_constraints(inputs, filled, shot, pins)
     flow = inputs.flow
     require_solid_pins(
         inputs.asset.facts.path, found.pins, filled.particles, filled.bodies.flows(flow.first),
-        converts=inputs.mixed and flow.later,
+        converts=inputs.mixed and flow.later, springs=tuple(shot.springs),
     )  # fmt: skip
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -181,13 +181,25 @@ def require_outside(path: Path, particles: Particles, flows: Ints, skins: Sequen
 
 
 def require_solid_pins(
-    path: Path, pins: Sequence[Pin], particles: Particles, flows: Ints, *, converts: bool
+    path: Path,
+    pins: Sequence[Pin],
+    particles: Particles,
+    flows: Ints,
+    *,
+    converts: bool,
+    springs: Collection[str] = (),
 ) -> None:
-    """Raise InputError for a pin that holds nothing but flowing bodies, and UsageError for any pin
-    where all bodies flow or some can be converted, so that pins are not supported at all.
+    """Raise for pins and attachments that the bodies that flow, or those next to them, do not
+    support.
 
     path : of the asset, for messages; flows : (B,) which bodies flow; converts : some can be
-    converted.
+    converted; springs : prim paths of attachments with springs.
+
+    Raises
+    ------
+    InputError : next to solid bodies, a pin holds nothing but flowing ones; a pin moves, or an
+        attachment has springs.
+    UsageError : a pin, and all bodies flow or some can be converted.
     """
     if pins and converts:
         raise UsageError(
@@ -202,3 +214,13 @@ def require_solid_pins(
                 f"{path}: the pin {pin.name} is part of a body that flows, which cannot be pinned",
                 "leave it out, or give that body a solid --material",
             )
+    if flows.all() or not flows.any():
+        return
+    faults = [f"the pin {pin.name} moves" for pin in pins if len(pin.path) > 1]
+    faults += [f"the attachment <{name}> pulls with springs" for name in springs]
+    if faults:
+        raise InputError(
+            f"{path}: {faults[0]}, which a bake with both flowing and solid bodies does not"
+            " support",
+            "leave it out, or bake the bodies separately with --prim",
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from physics_stages import head
 from planned import FEW, cubes
 
-from gf_usd.core.errors import GfUsdError
+from gf_usd.core.errors import GfUsdError, InputError
 from gf_usd.pipeline.inspect import inspect
 from gf_usd.pipeline.prepared import draw
 from gf_usd.prepare.prepare import prepare
@@ -51,3 +52,17 @@ def test_a_pin_of_what_flows_is_refused(two: Path, options: dict[str, Any], mess
 def test_a_pin_of_solid_bodies_next_to_it_is_not(two: Path, pin: str) -> None:
     plan, _ = prepare(two, draw=draw, pins=[pin], **FEW, **FLOWS)
     assert [one.name for one in plan.pins] == [pin]
+
+
+def test_a_moving_pin_next_to_what_flows_is_a_refusal(tmp_path: Path) -> None:
+    path = tmp_path / "two.usda"
+    moving = "double3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 3: (0, 1, 0) }"
+    order = 'uniform token[] xformOpOrder = ["xformOp:translate"]'
+    path.write_text(head() + cubes(moving, order), encoding="utf-8")
+    message = f"{path}: the pin /One moves, which a bake with both flowing and solid bodies"
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        prepare(path, draw=draw, pins=["/One"], **FEW, **FLOWS)
+    refusal = inspect(path, pins=["/One"], **FEW, **FLOWS).refusal
+    assert refusal is not None
+    assert (refusal.message, refusal.hint) == (caught.value.message, caught.value.hint)
+    prepare(path, draw=draw, pins=["/One"], **FEW)  # of solid bodies alone it may move
